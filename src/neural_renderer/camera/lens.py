@@ -1,0 +1,156 @@
+"""How camera coordinates become screen coordinates: x right, y up, in [-1, 1] over the image; z stays the depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .. import validate
+from .arguments import Array, Scalar, batch_of, batch_size, parameter, scalar, world_vertices
+from .view import rotate
+
+_NEAREST = 1e-6  # |z| by which x and y are divided at the least, in world units
+_WIDEST = 1e4  # x² + y² (at z = 1) up to which the radial polynomial is followed: 89.4° off the axis
+
+
+def perspective(vertices: Tensor, angle: Scalar = 30.0) -> Tensor:
+    """Camera coordinates to the screen: x / (z · tan angle), y / (z · tan angle), z.
+
+    Args:
+        vertices: camera coordinates [B, V, 3] or [V, 3], floating.
+        angle: **half** the field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
+
+    Returns:
+        Like ``vertices`` (with the batch of ``angle``, if it has one); z is returned as it came. Finite also at z = 0,
+        with finite gradients; points behind the camera keep their negative z. Differentiable in both.
+
+    Raises:
+        TypeError, ValueError: wrong types or shapes; an angle outside (0, 90) (a tensor's only if values are checked).
+    """
+    world_vertices(vertices)
+    angle = viewing_angle("angle", angle, vertices.dtype, vertices.device)
+    width = torch.tan(torch.deg2rad(torch.as_tensor(angle, dtype=vertices.dtype)))
+    batch_size(vertices=batch_of(vertices, 2), angle=batch_of(width, 0))
+    x, y, z = vertices.unbind(-1)
+    across = width[..., None] if width.ndim else width
+    near = _away_from_zero(z)
+    return torch.stack(torch.broadcast_tensors(x / near / across, y / near / across, z), dim=-1)
+
+
+def orthographic(vertices: Tensor, scale: Scalar = 1.0) -> Tensor:
+    """Camera coordinates to the screen without perspective: x · scale, y · scale, z.
+
+    ``scale`` is in screen units (the image is 2 high) per world unit: a number, or a tensor [] or [B]. Otherwise as
+    `perspective`.
+    """
+    world_vertices(vertices)
+    scale = scalar("scale", scale, vertices.dtype, vertices.device)
+    batch_size(vertices=batch_of(vertices, 2), scale=batch_of(scale, 0))
+    across = scale[..., None] if isinstance(scale, Tensor) and scale.ndim else scale
+    x, y, z = vertices.unbind(-1)
+    return torch.stack(torch.broadcast_tensors(x * across, y * across, z), dim=-1)
+
+
+def projection(
+    vertices: Tensor,
+    K: Array,
+    R: Array,
+    t: Array,
+    dist_coeffs: Array | None = None,
+    orig_size: float | Sequence[float] = 1024,
+    eps: float = 1e-9,
+) -> Tensor:
+    """World vertices to the screen through a calibrated camera, in the conventions of OpenCV.
+
+    X' = R·X + t (x right, y **down**, z forward); x = X'/(Z' + eps), y likewise; distortion with r² = x² + y²:
+    x·(1 + k1·r² + k2·r⁴ + k3·r⁶) + 2·p1·x·y + p2·(r² + 2x²), and y·(…) + p1·(r² + 2y²) + 2·p2·x·y; pixels
+    (u, v) = K·(x, y, 1), where pixel j has its centre at j + 0.5 and v points down; at last the screen, where
+    y points up.
+
+    Args:
+        vertices: [B, V, 3] or [V, 3], floating.
+        K: intrinsic matrix [B, 3, 3] or [3, 3], in pixels.
+        R: world-to-camera rotation [B, 3, 3] or [3, 3].
+        t: world-to-camera translation [B, 1, 3], [B, 3] or [3].
+        dist_coeffs: (k1, k2, p1, p2, k3), [B, 5] or [5]; None is no distortion.
+        orig_size: the size in pixels of the image that K describes: one number if it is square, or (height, width).
+        eps: added to the depth before the division.
+
+    Returns:
+        Like ``vertices`` (with the batch of the camera, if it has one); z = Z'. Values and gradients are finite, also
+        on the optical axis and at depth 0. Differentiable in vertices, K, R, t and dist_coeffs.
+
+    Raises:
+        TypeError, ValueError: wrong types or shapes; a size that is not positive; numbers that are not finite if
+            values are checked.
+    """
+    world_vertices(vertices)
+    K, R, t, dist_coeffs = calibration(K, R, t, dist_coeffs, vertices.dtype, vertices.device)
+    batch_size(vertices=batch_of(vertices, 2), K=batch_of(K, 2), R=batch_of(R, 2), t=batch_of(t, 1))
+    return pixels_to_screen(rotate(R, vertices) + t[..., None, :], K, dist_coeffs, image_size(orig_size), eps)
+
+
+def calibration(
+    K: Any, R: Any, t: Any, dist_coeffs: Any, dtype: torch.dtype, device: torch.device
+) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+    """The arguments of `projection` as tensors: [3, 3], [3, 3], [3] and [5] or None, each with or without a batch."""
+    if isinstance(t, (Tensor, np.ndarray)) and t.ndim == 3 and t.shape[1] == 1:
+        t = t[:, 0]
+    K, R = parameter("K", K, (3, 3), dtype, device), parameter("R", R, (3, 3), dtype, device)
+    t = parameter("t", t, (3,), dtype, device)
+    if dist_coeffs is not None:
+        dist_coeffs = parameter("dist_coeffs", dist_coeffs, (5,), dtype, device)
+    return K, R, t, dist_coeffs
+
+
+def pixels_to_screen(
+    points: Tensor, K: Tensor, dist_coeffs: Tensor | None, size: tuple[float, float], eps: float = 1e-9
+) -> Tensor:
+    """The part of `projection` after R and t: camera coordinates [..., V, 3] to the screen; size = (height, width)."""
+    z = points[..., 2]
+    near = _away_from_zero(z + eps)
+    x, y = points[..., 0] / near, points[..., 1] / near
+    if dist_coeffs is not None:
+        k1, k2, p1, p2, k3 = dist_coeffs[..., None].unbind(-2)
+        r2 = x * x + y * y
+        bounded = r2.clamp(max=_WIDEST)  # r⁶ would overflow for points beside the camera, which no image shows
+        radial = 1 + bounded * (k1 + bounded * (k2 + bounded * k3))
+        x, y = (
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        )
+    u, v, _ = rotate(K, torch.stack((x, y, torch.ones_like(x)), dim=-1)).unbind(-1)
+    height, width = size
+    return torch.stack(torch.broadcast_tensors(2 * u / width - 1, 1 - 2 * v / height, z), dim=-1)
+
+
+def image_size(orig_size: Any) -> tuple[float, float]:
+    """``orig_size`` of `projection` as (height, width)."""
+    pair = tuple(orig_size) if isinstance(orig_size, (tuple, list)) else (orig_size, orig_size)
+    if len(pair) != 2:
+        raise ValueError(f"orig_size: expected a number or (height, width), got {orig_size}")
+    height, width = (validate.number("orig_size", s) for s in pair)
+    if height <= 0 or width <= 0:
+        raise ValueError(f"orig_size: expected positive numbers, got {orig_size}")
+    return height, width
+
+
+def viewing_angle(name: str, angle: Any, dtype: torch.dtype, device: torch.device | None = None) -> Scalar:
+    """Half a field of view in degrees, checked to be in (0, 90): a number, or a tensor [] or [B]."""
+    value = scalar(name, angle, dtype, device)
+    if isinstance(value, Tensor):
+        outside = validate.values_are_checked() and not bool(((value > 0) & (value < 90)).all())
+    else:
+        outside = not 0 < value < 90
+    if outside:
+        raise ValueError(f"{name}: expected degrees in (0, 90), half the field of view, got {angle}")
+    return value
+
+
+def _away_from_zero(z: Tensor) -> Tensor:
+    """z, but at least `_NEAREST` from 0 on its side, so that a division by it and its gradient stay finite."""
+    return torch.where(z.abs() < _NEAREST, torch.where(z < 0, -_NEAREST, _NEAREST).to(z.dtype), z)

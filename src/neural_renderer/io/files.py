@@ -1,0 +1,96 @@
+"""What reading and writing share: text in any encoding, files found whatever their case, a mesh checked for writing."""
+
+from __future__ import annotations
+
+import codecs
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neural_renderer import validate
+
+_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+
+
+def existing(path: str | os.PathLike[str]) -> Path:
+    """``path`` if it is a file; otherwise FileNotFoundError says what was expected where."""
+    if not Path(path).is_file():
+        found = "a folder" if Path(path).is_dir() else "nothing there"
+        raise FileNotFoundError(f"{path}: expected a file, got {found}")
+    return Path(path)
+
+
+def read_text(path: Path) -> str:
+    """The text of a file, with ``\\n`` line ends: UTF-8, UTF-16 (with or without its mark), else Latin-1."""
+    data = path.read_bytes()
+    encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), "utf-8")
+    if encoding == "utf-8" and b"\0" in data[:64]:
+        encoding = "utf-16-be" if data[:1] == b"\0" else "utf-16-le"
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")  # never fails; names with accents from old Windows programs
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def find_file(name: str, *folders: Path) -> Path | None:
+    """The file that another file calls ``name``, or None.
+
+    Looked for in each folder as written, then by its last part alone (exporters leave paths of their own machine);
+    backslashes are separators, and upper and lower case are told apart only where both exist.
+    """
+    parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".")]
+    for wanted in (parts, parts[-1:]) if parts else ():
+        for folder in folders:
+            found = _walk(folder, wanted)
+            if found is not None:
+                return found
+    absolute = Path(name)
+    return absolute if absolute.is_absolute() and absolute.is_file() else None
+
+
+def _walk(folder: Path, parts: list[str]) -> Path | None:
+    for part in parts:
+        step = folder / part
+        if not step.exists():
+            entries = folder.iterdir() if folder.is_dir() else iter(())
+            alike = next((entry for entry in entries if entry.name.lower() == part.lower()), None)
+            if alike is None:
+                return None
+            step = alike
+        folder = step
+    return folder if folder.is_file() else None
+
+
+def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """The mesh as host arrays (float32 [V, 3], int64 [F, 3], float32 [F, T, T, T, 3] clamped to [0, 1] or None).
+
+    Takes tensors on any device, with or without gradient, and numpy arrays. Raises TypeError or ValueError for other
+    types and shapes, NaN or infinity, indices out of range, no faces, and textures of another number of faces.
+    """
+    vertices, faces = _tensor(vertices), _tensor(faces)
+    validate.floating("vertices", vertices, ["V", 3])
+    validate.indices("faces", faces, ["F", 3])
+    if not len(faces):
+        raise ValueError("faces: expected at least one, got none")
+    validate.finite("vertices", vertices)
+    validate.in_range("faces", faces, len(vertices))
+    if textures is not None:
+        textures = _tensor(textures)
+        validate.floating("textures", textures, [len(faces), "T", "T", "T", 3])
+        if len(set(textures.shape[1:4])) != 1 or textures.shape[1] < 2:
+            shape = validate.shape_of(textures)
+            raise ValueError(f"textures: expected cubes [F, T, T, T, 3] with T at least 2, got {shape}")
+        validate.finite("textures", textures)
+        textures = textures.float().clamp(0, 1).numpy()
+    return vertices.float().numpy(), faces.long().numpy(), textures
+
+
+def _tensor(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
+    return value.detach().cpu() if isinstance(value, Tensor) else value

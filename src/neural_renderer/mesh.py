@@ -1,0 +1,161 @@
+"""A mesh that can be optimised: `Mesh`."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from neural_renderer import primitives, validate
+from neural_renderer.io.formats import load_mesh, save_mesh
+from neural_renderer.io.obj import load_obj
+
+
+class Mesh(nn.Module):
+    """Vertices, faces and a texture, as a module whose parameters are the vertices and the texture.
+
+    Attributes:
+        vertices: Parameter, float32 [V, 3].
+        faces: Buffer, int32 [F, 3], indices into the vertices.
+        textures: Parameter, float32 [F, T, T, T, 3]. Texel (i, j, k) of a face's cube belongs to barycentric weights
+            (i, j, k) / (T - 1) of its corners 0, 1, 2.
+
+    ``Mesh(vertices, faces, textures)`` copies what it is given (tensors on one device, or numpy arrays). Without
+    textures they are 0.05 times normal noise of size ``texture_size``, to be optimised through the sigmoid of
+    `get_batch`. ``Mesh("teapot.obj", texture_size, normalization)`` reads the shape from an OBJ file, with such noise.
+
+    Raises:
+        TypeError, ValueError: Other types or shapes, tensors on different devices, NaN or infinity, indices out of
+            range, no faces, T below 2.
+    """
+
+    vertices: nn.Parameter
+    faces: Tensor
+    textures: nn.Parameter
+
+    def __init__(
+        self,
+        vertices: Any,
+        faces: Any = None,
+        textures: Any = None,
+        texture_size: int = 4,
+        normalization: bool = True,
+    ) -> None:
+        super().__init__()
+        if isinstance(vertices, (str, os.PathLike)):
+            # In this form the second and third positions are texture_size and normalization.
+            texture_size = texture_size if faces is None else faces
+            normalization = normalization if textures is None else textures
+            vertices, faces, *_ = load_obj(vertices, normalization)
+            textures = None
+        vertices, faces = _as_tensor(vertices), _as_tensor(faces)
+        validate.floating("vertices", vertices, ["V", 3])
+        validate.indices("faces", faces, ["F", 3])
+        if not len(faces):
+            raise ValueError("faces: expected at least one, got none")
+        if textures is None:
+            if texture_size < 2:
+                raise ValueError(f"texture_size: expected at least 2, got {texture_size}")
+            textures = 0.05 * torch.randn(len(faces), *[texture_size] * 3, 3, device=vertices.device)
+        textures = _as_tensor(textures)
+        validate.floating("textures", textures, [len(faces), "T", "T", "T", 3])
+        if len(set(textures.shape[1:4])) != 1 or textures.shape[1] < 2:
+            shape = validate.shape_of(textures)
+            raise ValueError(f"textures: expected cubes [F, T, T, T, 3] with T at least 2, got {shape}")
+        validate.same_device(vertices=vertices, faces=faces, textures=textures)
+        validate.finite("vertices", vertices)
+        validate.finite("textures", textures)
+        validate.in_range("faces", faces, len(vertices))
+        self.vertices = nn.Parameter(vertices.detach().to(torch.float32, copy=True))
+        self.register_buffer("faces", faces.to(torch.int32, copy=True))
+        self.textures = nn.Parameter(textures.detach().to(torch.float32, copy=True))
+
+    @classmethod
+    def fromobj(
+        cls,
+        filename_obj: str | os.PathLike[str],
+        normalization: bool = True,
+        load_texture: bool = False,
+        texture_size: int = 4,
+    ) -> Mesh:
+        """Read an OBJ file (see `load_obj`), with its colours or, by default, with noise for a texture."""
+        loaded = load_obj(filename_obj, normalization, texture_size, load_texture)
+        textures = loaded[2] if len(loaded) == 3 else None
+        return cls(loaded[0], loaded[1], textures, texture_size)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], texture_size: int = 4, normalize: bool = False) -> Mesh:
+        """Read a mesh of any format (see `load_mesh`) with its colours, or white if it has none."""
+        vertices, faces, textures = load_mesh(path, texture_size)
+        mesh = cls(vertices, faces, _white(faces, texture_size) if textures is None else textures)
+        return mesh.normalize() if normalize else mesh
+
+    @classmethod
+    def icosphere(cls, level: int = 3, radius: float = 1.0, texture_size: int = 4) -> Mesh:
+        """A white sphere of 10·4ˡᵉᵛᵉˡ + 2 vertices (see `primitives.icosphere`)."""
+        vertices, faces = primitives.icosphere(level, radius)
+        return cls(vertices, faces, _white(faces, texture_size))
+
+    @property
+    def num_vertices(self) -> int:
+        """V."""
+        return len(self.vertices)
+
+    @property
+    def num_faces(self) -> int:
+        """F."""
+        return len(self.faces)
+
+    @property
+    def texture_size(self) -> int:
+        """T, texels along a cube's edge."""
+        return self.textures.shape[1]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the mesh as OBJ, PLY or GLB (see `save_mesh`), its textures taken as colours and clamped to [0, 1]."""
+        save_mesh(path, self.vertices, self.faces, self.textures)
+
+    def normalize(self) -> Mesh:
+        """A new mesh with its bounding box centred at the origin and the box's longest side from -1 to 1.
+
+        Raises ValueError if all vertices coincide.
+        """
+        vertices = self.vertices.detach().double()
+        low, high = vertices.min(dim=0).values, vertices.max(dim=0).values
+        longest = float((high - low).max())
+        if longest == 0:
+            raise ValueError(f"vertices: expected a mesh to normalise, got {len(vertices)} vertices that all coincide")
+        return Mesh((vertices - (low + high) / 2) * (2 / longest), self.faces, self.textures)
+
+    def get_batch(self, batch_size: int) -> tuple[Tensor, Tensor, Tensor]:
+        """The mesh ``batch_size`` times, as views: vertices [B, V, 3], faces [B, F, 3], textures [B, F, T, T, T, 3].
+
+        The textures are the sigmoid of the parameter, so that optimising it cannot leave [0, 1].
+        """
+        parts = self.vertices, self.faces, torch.sigmoid(self.textures)
+        vertices, faces, textures = (part.expand(batch_size, *part.shape) for part in parts)
+        return vertices, faces, textures
+
+    def set_lr(self, lr_vertices: float, lr_textures: float) -> None:
+        """Set the factors by which `neural_renderer.Adam` multiplies its step for the vertices and the textures."""
+        self.vertices.lr = lr_vertices  # type: ignore[attr-defined]
+        self.textures.lr = lr_textures  # type: ignore[attr-defined]
+
+    def __repr__(self) -> str:
+        device = self.vertices.device
+        return f"Mesh({self.num_vertices} vertices, {self.num_faces} faces, textures of {self.texture_size}³, {device})"
+
+
+def _as_tensor(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
+    return value
+
+
+def _white(faces: Tensor, texture_size: int) -> Tensor:
+    if texture_size < 2:
+        raise ValueError(f"texture_size: expected at least 2, got {texture_size}")
+    return torch.ones(len(faces), *[texture_size] * 3, 3)

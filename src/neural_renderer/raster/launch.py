@@ -1,0 +1,135 @@
+"""Running Warp kernels on torch tensors: devices, streams and CPU threads.
+
+Warp runs a CPU kernel as a plain loop on the calling thread, without the GIL. Every kernel here therefore takes the
+number of its first task as its first argument, and `launch` hands pieces of the task range to several threads. A task
+writes only what no other task writes, so the result does not depend on how many threads there are.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+
+# Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
+_PIECES = 4
+
+_lock = threading.Lock()
+_ready: set[tuple[Any, str]] = set()
+_pool: ThreadPoolExecutor | None = None
+_pool_size = 0
+
+
+def _forget_threads() -> None:
+    global _pool, _lock
+    _pool, _lock = None, threading.Lock()
+
+
+# A forked child has none of its parent's threads, and perhaps a lock that nobody will release.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_threads)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    # Without a CUDA driver Warp's library writes a warning straight to the file descriptor; it says nothing that
+    # torch.cuda.is_available() does not, and a CPU user would meet it in every process.
+    if torch.cuda.is_available():
+        yield
+        return
+    with open(os.devnull, "w") as null:
+        stderr = os.dup(2)
+        try:
+            os.dup2(null.fileno(), 2)
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+
+
+def _load(kernel: wp.Kernel, device: str) -> None:
+    """Compile and load the kernel's module once, before any thread needs it."""
+    key = (kernel, device)
+    if key in _ready:
+        return
+    with _lock:
+        if key not in _ready:
+            level = wp.config.log_level
+            wp.config.log_level = max(level, wp.LOG_WARNING)  # the banner and build lines belong to nobody's output
+            try:
+                with _quiet():
+                    wp.init()
+                wp.load_module(kernel.module, device=device)
+            finally:
+                wp.config.log_level = level
+            _ready.add(key)
+
+
+def _threads(count: int) -> ThreadPoolExecutor:
+    global _pool, _pool_size
+    with _lock:
+        if _pool is None or _pool_size < count:
+            _pool, _pool_size = ThreadPoolExecutor(count, thread_name_prefix="neural_renderer"), count
+        return _pool
+
+
+def cpu_bands(batch: int) -> int:
+    """Into how many bands of rows each image is cut so that all of torch's threads have work."""
+    threads = torch.get_num_threads()
+    return 1 if batch % threads == 0 or batch >= _PIECES * threads else 2 * threads
+
+
+def face_lanes(faces: Tensor, pixels: int) -> int:
+    """How many CUDA threads share one face of ``faces`` [B, F, ...] in an image of so many pixels.
+
+    More where faces are few and large. One on the CPU, and one where torch asks for deterministic results: several add
+    their sums in whatever order they end.
+    """
+    if faces.device.type != "cuda" or torch.are_deterministic_algorithms_enabled():
+        return 1
+    return min(32, 1 << (8 * pixels // max(faces.shape[1], 1)).bit_length() // 2)
+
+
+def array(tensor: Tensor, dtype: Any = None) -> Any:
+    """The tensor as a kernel argument, without a copy; vectors take the trailing dimension(s)."""
+    return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False, return_ctype=True)
+
+
+def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torch.device) -> None:
+    """Run ``kernel(first, *arguments)`` for ``tasks`` tasks on ``device``.
+
+    tasks: how many tasks; the kernel adds ``first`` to its thread index.
+    arguments: tensors as `array` gives them, and numbers.
+    """
+    if tasks == 0:
+        return
+    if device.type == "cuda":
+        with torch.cuda.device(device):
+            _load(kernel, f"cuda:{torch.cuda.current_device()}")
+            stream = wp.stream_from_torch(torch.cuda.current_stream())
+            wp.launch(kernel, tasks, [0, *arguments], stream=stream, record_tape=False)
+        return
+    _load(kernel, "cpu")
+    threads = min(torch.get_num_threads(), tasks)
+    pieces = min(tasks, _PIECES * threads) if threads > 1 else 1
+    numbers = itertools.count()
+
+    def work() -> None:
+        # next() on a count is atomic, so each piece is taken once, by whoever is free.
+        while (piece := next(numbers)) < pieces:
+            first, last = tasks * piece // pieces, tasks * (piece + 1) // pieces
+            wp.launch(kernel, last - first, [first, *arguments], device="cpu", record_tape=False)
+
+    others = [_threads(threads - 1).submit(work) for _ in range(threads - 1)]
+    work()
+    for other in others:
+        if not other.cancel():  # one that never started, because other callers keep the pool busy, is not missed
+            other.result()

@@ -1,0 +1,113 @@
+"""The checks of the public border: each raises with a sentence "what: expected, got"."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+_check_values = True
+
+
+def check_values(enabled: bool) -> None:
+    """Turn the checks that must read a tensor's numbers on (default) or off, for hot loops.
+
+    They find NaN or infinite vertices and face indices out of range. On CUDA each makes the host wait for the
+    device once; shapes, dtypes and devices are always checked, because that costs nothing. With the checks off, a
+    face that has such a vertex or index is not drawn; nothing worse happens.
+    """
+    global _check_values
+    _check_values = bool(enabled)
+
+
+def values_are_checked() -> bool:
+    """Whether numbers are checked now: never while torch.compile traces, where there are none yet."""
+    return _check_values and not torch.compiler.is_compiling()
+
+
+def shape_of(value: Tensor) -> str:
+    """A tensor's shape and dtype as the messages write it: ``[2, 3] float32``."""
+    return f"{list(value.shape)} {str(value.dtype).removeprefix('torch.')}"
+
+
+def floating(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
+    """``value`` if it is a floating tensor whose shape fits: an int must match, a name stands for any size.
+
+    A leading ``"..."`` allows any leading dimensions. Raises TypeError for anything else than a floating tensor and
+    ValueError for another shape.
+    """
+    if not isinstance(value, Tensor):
+        raise TypeError(f"{name}: expected a floating-point torch tensor, got {type(value).__name__}")
+    if not value.is_floating_point():
+        raise TypeError(f"{name}: expected a floating-point tensor, got {shape_of(value)}")
+    _match(name, value, shape)
+    return value
+
+
+def indices(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
+    """``value`` if it is an int32 or int64 tensor whose shape fits (see `floating`)."""
+    if not isinstance(value, Tensor):
+        raise TypeError(f"{name}: expected an int32 or int64 torch tensor, got {type(value).__name__}")
+    if value.dtype not in (torch.int32, torch.int64):
+        raise TypeError(f"{name}: expected an int32 or int64 tensor, got {shape_of(value)}")
+    _match(name, value, shape)
+    return value
+
+
+def _match(name: str, value: Tensor, shape: Sequence[int | str]) -> None:
+    tail = [s for s in shape if s != "..."]
+    sizes = value.shape[len(value.shape) - len(tail) :] if shape and shape[0] == "..." else value.shape
+    fits = len(sizes) == len(tail) and all(
+        isinstance(want, str) or want == have for want, have in zip(tail, sizes, strict=True)
+    )
+    if not fits:
+        wanted = "[" + ", ".join(str(s) for s in shape) + "]"
+        raise ValueError(f"{name}: expected shape {wanted}, got {shape_of(value)}")
+
+
+def same_device(**tensors: Tensor | None) -> torch.device:
+    """The one device on which all the given tensors live; ValueError names the two that differ."""
+    first_name, first = next((name, t) for name, t in tensors.items() if t is not None)
+    for name, tensor in tensors.items():
+        if tensor is not None and tensor.device != first.device:
+            raise ValueError(f"{name}: expected device {first.device} like {first_name}, got {tensor.device}")
+    return first.device
+
+
+def finite(name: str, value: Tensor) -> None:
+    """ValueError if ``value`` holds NaN or infinity and values are checked (see `check_values`)."""
+    # A sum is NaN or infinite if any term is; one pass without a mask. Overflow of a huge but finite sum is ruled out
+    # by the second look.
+    if (
+        values_are_checked()
+        and value.numel()
+        and not math.isfinite(value.detach().sum().item())
+        and not bool(torch.isfinite(value.detach()).all())
+    ):
+        bad = int((~torch.isfinite(value.detach())).sum())
+        raise ValueError(f"{name}: expected finite numbers, got {bad} that are NaN or infinite")
+
+
+def in_range(name: str, value: Tensor, size: int) -> None:
+    """ValueError if an index is outside ``[0, size)`` and values are checked (see `check_values`)."""
+    if values_are_checked() and value.numel():
+        low, high = (int(v) for v in torch.aminmax(value))
+        if low < 0 or high >= size:
+            raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
+
+
+def number(name: str, value: Any) -> float:
+    """``value`` as a finite float; TypeError or ValueError otherwise."""
+    if isinstance(value, Tensor) and value.numel() == 1:
+        value = value.item()
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        try:
+            value = float(value)
+        except (TypeError, ValueError):
+            raise TypeError(f"{name}: expected a number, got {type(value).__name__}") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{name}: expected a finite number, got {value}")
+    return float(value)

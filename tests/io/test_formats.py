@@ -1,0 +1,154 @@
+"""Meshes in other formats: what is read, what is refused, and what comes back after writing."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from PIL import Image
+
+from neural_renderer.io.cubes import bake_corners
+from neural_renderer.io.formats import load_mesh, save_mesh
+from neural_renderer.primitives import cube, icosphere
+
+REFUSED = {
+    "assimp_misc/OutOfMemory.off": "cannot be read as OFF",
+    "assimp_misc/invalid.off": "3 vertices but no faces",
+    "assimp_misc/issue623.ply": "24 vertices but no faces",
+    "trimesh/empty.stl": "0 vertices but no faces",
+}
+
+
+def coloured_sphere(size: int = 4):
+    vertices, faces = icosphere(1)
+    return vertices, faces, torch.from_numpy(bake_corners((vertices[faces.long()].numpy() + 1) / 2, size))
+
+
+def test_every_nasty_file_loads_or_is_refused(shared):
+    folder = shared / "data/meshes/nasty"
+    paths = [p for p in sorted(folder.rglob("*")) if p.suffix.lower() in (".ply", ".stl", ".off")]
+    assert len(paths) >= 11
+    for path in paths:
+        name = path.relative_to(folder).as_posix()
+        if name in REFUSED:
+            with pytest.raises(ValueError) as error:
+                load_mesh(path)
+            assert path.name in str(error.value) and REFUSED[name] in str(error.value), name
+        else:
+            vertices, faces, _ = load_mesh(path)
+            assert torch.isfinite(vertices).all() and faces.max() < len(vertices) and len(faces)
+
+
+def test_obj_without_colours_has_no_textures_and_no_warning(shared):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        vertices, faces, textures = load_mesh(shared / "data/references/neural_renderer/teapot.obj")
+    assert vertices.shape == (1292, 3) and faces.shape == (2464, 3) and textures is None
+    assert faces.dtype == torch.int32 and vertices.dtype == torch.float32
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb", ".GLB"])
+@pytest.mark.parametrize("size", [2, 4])
+def test_save_and_load(tmp_path, suffix, size):
+    vertices, faces, textures = coloured_sphere(size)
+    path = tmp_path / "folder" / f"sphere{suffix}"
+    save_mesh(path, vertices.double().requires_grad_(), faces, textures)
+    vertices2, faces2, textures2 = load_mesh(path, size)
+    assert textures2 is not None and (textures - textures2).abs().max() < (0.03 if size == 2 else 0.01)
+    assert torch.equal(vertices[faces.long()], vertices2[faces2.long()])
+    if suffix.lower() != ".glb":
+        assert torch.equal(vertices, vertices2) and torch.equal(faces, faces2)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])
+def test_save_without_textures(tmp_path, suffix):
+    vertices, faces = icosphere(1)
+    save_mesh(tmp_path / f"m{suffix}", vertices, faces)
+    vertices2, faces2, textures = load_mesh(tmp_path / f"m{suffix}")
+    assert torch.equal(vertices, vertices2) and torch.equal(faces, faces2)
+    assert textures is None or (textures == 1).all()
+
+
+def test_glb_material_is_matt_and_two_sided(tmp_path):
+    save_mesh(tmp_path / "m.glb", *coloured_sphere())
+    material = next(iter(trimesh.load(tmp_path / "m.glb").geometry.values())).visual.material
+    assert (material.metallicFactor, material.roughnessFactor, material.doubleSided) == (0, 1, True)
+
+
+def test_ply_colours_are_means_at_the_vertices(tmp_path):
+    vertices, faces = cube()
+    textures = torch.zeros(12, 2, 2, 2, 3)
+    textures[:, :, :, :, 0] = torch.arange(12)[:, None, None, None] / 12
+    save_mesh(tmp_path / "m.ply", vertices, faces, textures)
+    saved = trimesh.load(tmp_path / "m.ply", process=False).visual.vertex_colors[:, 0] / 255
+    around = [np.mean([f / 12 for f in range(12) if v in faces[f].tolist()]) for v in range(8)]
+    assert np.abs(saved - around).max() < 0.003
+
+
+def test_stl_has_equal_vertices_joined(tmp_path):
+    vertices, faces = icosphere(1)
+    trimesh.Trimesh(vertices.numpy(), faces.numpy(), process=False).export(tmp_path / "m.stl")
+    vertices2, faces2, textures = load_mesh(tmp_path / "m.stl")
+    assert vertices2.shape == vertices.shape and textures is None
+    assert torch.allclose(vertices2[faces2.long()], vertices[faces.long()])
+    assert faces2[0].tolist() == [0, 1, 2]
+
+
+def test_scene_is_put_together_and_mirrored_parts_stay_outside_out(tmp_path):
+    vertices, faces = (x.numpy() for x in cube())
+    red = trimesh.visual.TextureVisuals(
+        material=trimesh.visual.material.PBRMaterial(baseColorFactor=[255, 128, 0, 255]), uv=np.zeros((8, 2))
+    )
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.Trimesh(vertices, faces, visual=red, process=False), node_name="a")
+    mirror = np.diag([-1.0, 1, 1, 1])
+    mirror[0, 3] = 10
+    scene.add_geometry(trimesh.Trimesh(vertices, faces, process=False), node_name="b", transform=mirror)
+    scene.export(tmp_path / "scene.glb")
+    points, corners, textures = load_mesh(tmp_path / "scene.glb")
+    assert len(points) == 16 and len(corners) == 24 and textures is not None
+    for part in (corners[:12], corners[12:]):
+        assert torch.linalg.det(points[part.long()] - points[part.long()].mean((0, 1))).sum() > 0
+    assert {-1.0, 1.0, 9.0, 11.0} == set(points[:, 0].tolist())
+    colours = {tuple(round(c, 2) for c in t[0, 0, 0].tolist()) for t in textures}
+    assert (1.0, 0.74, 0.0) in colours  # linear 0.5 is 0.74 in sRGB
+    assert len(colours) == 2
+
+
+def test_texture_times_factor_and_upright(tmp_path):
+    picture = Image.fromarray(np.array([[[255, 0, 0]], [[0, 0, 255]]], dtype=np.uint8))  # red above blue
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=picture, baseColorFactor=[255, 255, 128, 255])
+    visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [0, 1]], material=material)
+    trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], visual=visual, process=False).export(
+        tmp_path / "m.glb"
+    )
+    textures = load_mesh(tmp_path / "m.glb", 2)[2]
+    assert textures is not None
+    assert torch.allclose(textures[0, 0, 0, 1], torch.tensor([1.0, 0, 0]), atol=0.01)  # corner 2 is on top
+    assert torch.allclose(textures[0, 1, 0, 0], torch.tensor([0, 0, 0.737]), atol=0.01)
+
+
+def test_errors(tmp_path):
+    vertices, faces = cube()
+    with pytest.raises(ValueError, match=r"\.obj, \.ply, \.stl, \.off, \.glb, \.gltf, got 'm\.fbx'"):
+        load_mesh(tmp_path / "m.fbx")
+    with pytest.raises(ValueError, match=r"\.obj, \.ply, \.glb, got 'm\.stl'"):
+        save_mesh(tmp_path / "m.stl", vertices, faces)
+    with pytest.raises(FileNotFoundError, match=r"m\.ply: expected a file, got nothing there"):
+        load_mesh(tmp_path / "m.ply")
+    for suffix in ("ply", "stl", "off", "glb", "gltf"):
+        path = tmp_path / f"broken.{suffix}"
+        path.write_bytes(b"\x00\x01 nonsense \xff" * 20)
+        with pytest.raises(ValueError, match=rf"broken\.{suffix}"):
+            load_mesh(path)
+    bad = vertices.numpy().copy()
+    bad[3, 1] = np.nan
+    trimesh.Trimesh(bad, faces.numpy(), process=False).export(tmp_path / "nan.ply")
+    with pytest.raises(ValueError, match=r"nan\.ply: expected finite vertices"):
+        load_mesh(tmp_path / "nan.ply")
+    (tmp_path / "range.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n")
+    with pytest.raises(ValueError, match=r"range\.off"):
+        load_mesh(tmp_path / "range.off")

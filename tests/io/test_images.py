@@ -1,0 +1,97 @@
+"""Pictures and animations: shapes, kinds, and what is refused."""
+
+from __future__ import annotations
+
+import warnings
+
+import imageio.v2 as imageio
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from neural_renderer.io.images import load_image, save_animation, save_image
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 1), (5, 7, 3), (5, 7, 4), (3, 5, 7), (4, 5, 7), (1, 5, 7)])
+def test_save_and_load(tmp_path, shape):
+    image = torch.randint(0, 256, shape) / 255
+    save_image(tmp_path / "a/b/image.png", image.requires_grad_())
+    loaded = load_image(tmp_path / "a/b/image.png")
+    expected = image.movedim(0, 2) if shape[0] in (1, 3, 4) else image if image.ndim == 3 else image[..., None]
+    if expected.shape[2] == 1:
+        expected = expected.expand(5, 7, 3)
+    assert loaded.dtype == torch.float32 and torch.allclose(loaded, expected, atol=1e-6)
+    save_image(tmp_path / "image.jpg", image.detach().numpy())
+    assert load_image(tmp_path / "image.jpg").shape == (5, 7, 3)
+
+
+def test_clamped_and_on_white(tmp_path):
+    save_image(tmp_path / "a.png", torch.tensor([[-1.0, 0.5, 2.0]]))
+    assert (load_image(tmp_path / "a.png")[0, :, 0] * 255).round().tolist() == [0, 128, 255]
+    save_image(tmp_path / "a.jpeg", torch.zeros(8, 8, 4))
+    assert (load_image(tmp_path / "a.jpeg") > 0.98).all()
+    save_image(tmp_path / "b.png", np.full((4, 4, 3), 51, np.uint8))
+    assert torch.allclose(load_image(tmp_path / "b.png"), torch.full((4, 4, 3), 0.2))
+
+
+def test_kinds(tmp_path):
+    Image.fromarray(np.full((4, 5), 13107, np.uint16)).save(tmp_path / "deep.png")
+    assert torch.allclose(load_image(tmp_path / "deep.png"), torch.full((4, 5, 3), 0.2))
+    Image.new("LA", (5, 4), (51, 102)).save(tmp_path / "la.png")
+    assert torch.allclose(load_image(tmp_path / "la.png")[0, 0], torch.tensor([0.2, 0.2, 0.2, 0.4]))
+    Image.new("CMYK", (5, 4)).save(tmp_path / "cmyk.jpg")
+    assert load_image(tmp_path / "cmyk.jpg").shape == (4, 5, 3)
+
+
+def test_errors(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"absent\.png"):
+        load_image(tmp_path / "absent.png")
+    (tmp_path / "text.png").write_text("no picture")
+    with pytest.raises(ValueError, match=r"text\.png: expected a picture"):
+        load_image(tmp_path / "text.png")
+    with pytest.raises(ValueError, match=r"\.png, \.jpg, \.jpeg, got 'a\.webp'"):
+        save_image(tmp_path / "a.webp", torch.zeros(2, 2))
+    with pytest.raises(ValueError, match="1 that are NaN"):
+        save_image(tmp_path / "a.png", torch.tensor([[0.0, float("nan")]]))
+    with pytest.raises(ValueError, match=r"got \[2, 3, 4, 4\]"):
+        save_image(tmp_path / "a.png", torch.zeros(2, 3, 4, 4))
+    with pytest.raises(TypeError, match="got list"):
+        save_image(tmp_path / "a.png", [[0.0]])
+    with pytest.raises(ValueError, match=r"\.gif, \.mp4, got 'a\.avi'"):
+        save_animation(tmp_path / "a.avi", torch.zeros(2, 3, 8, 8))
+    with pytest.raises(ValueError, match="frames: expected at least one"):
+        save_animation(tmp_path / "a.gif", [])
+    with pytest.raises(ValueError, match=r"frames\[1\]: expected 8 x 6 pixels like the first frame, got 8 x 5"):
+        save_animation(tmp_path / "a.gif", [torch.zeros(6, 8), torch.zeros(5, 8, 3)])
+    with pytest.raises(ValueError, match="fps: expected more than 0"):
+        save_animation(tmp_path / "a.gif", torch.zeros(2, 3, 8, 8), fps=0)
+
+
+def moving_square(size: tuple[int, int]) -> torch.Tensor:
+    frames = torch.zeros(6, 3, *size)
+    for index, frame in enumerate(frames):
+        frame[0, 4:12, 3 * index : 3 * index + 8] = 1
+    return frames
+
+
+def test_gif(tmp_path):
+    frames = moving_square((24, 33))
+    save_animation(tmp_path / "new/a.gif", frames, fps=10)
+    with Image.open(tmp_path / "new/a.gif") as gif:
+        assert (gif.n_frames, gif.size, gif.info["loop"], gif.info["duration"]) == (6, (33, 24), 0, 100)
+        for index, frame in enumerate(frames):
+            gif.seek(index)
+            assert np.abs(np.asarray(gif.convert("RGB")) / 255 - frame.movedim(0, 2).numpy()).max() < 0.05
+
+
+def test_mp4_of_odd_size(tmp_path):
+    frames = moving_square((63, 49))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        save_animation(tmp_path / "new/a.mp4", (frame for frame in frames), fps=12)
+    with imageio.get_reader(tmp_path / "new/a.mp4") as reader:
+        assert reader.get_meta_data()["fps"] == 12 and reader.get_meta_data()["pix_fmt"].startswith("yuv420p")
+        video = np.stack(list(reader.iter_data())) / 255
+    assert video.shape == (6, 64, 50, 3)
+    assert np.abs(video[:, :63, :49] - frames.movedim(1, 3).numpy()).mean() < 0.03

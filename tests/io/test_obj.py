@@ -1,0 +1,343 @@
+"""OBJ files: what is read, what is refused, and what comes back after writing."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from neural_renderer.io.atlas import build_atlas
+from neural_renderer.io.cubes import bake_corners, barycentric_grid
+from neural_renderer.io.obj import load_obj, save_obj
+from neural_renderer.primitives import icosphere
+
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+UV = "vt 0 0\nvt 1 0\nvt 0 1\n"
+
+# Nasty files that are refused, and a part of the sentence that says so; all others load.
+REFUSED = {
+    "assimp_OBJ/number_formats.obj": "line 11: cannot read 'v 1e+2 2.e+1 3.1+e2'",
+    "assimp_OBJ/point_cloud.obj": "3 vertices but no faces",
+    "assimp_OBJ/testline.obj": "8 vertices but no faces",
+    "assimp_OBJ/testpoints.obj": "8 vertices but no faces",
+    "assimp_misc/empty.obj": "it is empty",
+    "assimp_misc/malformed.obj": "line 28: expected a vertex index",
+    "assimp_misc/malformed2.obj": "line 23: expected a face of at least three corners, got 0",
+    "tinyobjloader/invalid-face-definition.obj": "line 15: expected a face of at least three corners, got 1",
+    "tinyobjloader/invalid-relative-texture-index.obj": "line 2: expected a texture coordinate index",
+    "tinyobjloader/invalid-relative-vertex-index.obj": "line 1: expected a vertex index",
+    "tinyobjloader/issue-140-zero-face-idx.obj": "line 16: expected a vertex index that is not 0",
+    "tinyobjloader/issue-356-leading-spaces-newmtl.obj": "0 vertices but no faces",
+    "tinyobjloader/line-prim.obj": "8 vertices but no faces",
+    "tinyobjloader/points-prim.obj": "8 vertices but no faces",
+    "tinyobjloader/test-nan.obj": "line 14: cannot read",
+    "trimesh/empty.obj": "0 vertices but no faces",
+    "trimesh/face_in_group_name.obj": "1 vertices but no faces",
+    "trimesh/notenoughindices.obj": "line 9: expected a face of at least three corners, got 2",
+    "trimesh/obj_empty.obj": "0 vertices but no faces",
+    "trimesh/obj_points.obj": "8 vertices but no faces",
+    "trimesh/obj_wireframe.obj": "8 vertices but no faces",
+}
+
+
+def write(folder: Path, text: str | bytes, name: str = "mesh.obj") -> Path:
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def textured(folder: Path, uv: str = UV, mtl: str = "map_Kd image.png", size: int = 4, **options) -> torch.Tensor:
+    """The cube of a triangle with the picture that is 0.0 ... 1.0 from left to right in red, from below in green."""
+    ramp = np.linspace(0, 255, 52).astype(np.uint8)
+    red, green = np.meshgrid(ramp, ramp[::-1])
+    Image.fromarray(np.stack([red, green, 0 * red], axis=2)).save(folder / "image.png")
+    write(folder, f"newmtl m\nKd 0 0 1\n{mtl}\n", "m.mtl")
+    path = write(folder, f"mtllib m.mtl\n{TRIANGLE}{uv}usemtl m\nf 1/1 2/2 3/3\n")
+    return load_obj(path, texture_size=size, load_texture=True, **options)[2][0]
+
+
+def test_tetrahedron(shared):
+    path = shared / "data/references/neural_renderer/tetrahedron.obj"
+    vertices, faces = load_obj(path, False)
+    normalized, faces2 = load_obj(path, True)
+    assert vertices.dtype == torch.float32 and faces.dtype == torch.int32
+    expected = torch.tensor([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]])
+    assert torch.equal(vertices, expected)
+    assert torch.equal(faces, torch.tensor([[2, 4, 3], [4, 2, 1], [3, 1, 2], [1, 3, 4]], dtype=torch.int32) - 1)
+    assert torch.equal(faces, faces2) and torch.allclose(normalized, vertices * 2 - 1)
+
+
+def test_teapot(shared):
+    path = shared / "data/references/neural_renderer/teapot.obj"
+    vertices, faces = load_obj(path)
+    assert vertices.shape == (1292, 3) and faces.shape == (2464, 3)
+    raw = load_obj(path, False)[0]
+    old = raw - raw.min(0).values  # the published arithmetic, in float32
+    old = old / old.max() * 2
+    assert torch.allclose(vertices, old - old.max(0).values / 2, rtol=0, atol=2.5e-7)
+    assert (vertices.max(0).values + vertices.min(0).values).abs().max() < 1e-6 and vertices.max() == 1
+
+
+def test_every_nasty_file_loads_or_is_refused(shared):
+    folder = shared / "data/meshes/nasty"
+    paths = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() == ".obj"]
+    assert len(paths) > 90
+    for path in paths:
+        name = path.relative_to(folder).as_posix()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if name in REFUSED:
+                with pytest.raises(ValueError) as error:
+                    load_obj(path, False, load_texture=True)
+                assert path.name in str(error.value) and REFUSED[name] in str(error.value), name
+            else:
+                vertices, faces, textures = load_obj(path, False, load_texture=True)
+                assert torch.isfinite(vertices).all() and len(faces)
+                assert faces.min() >= 0 and faces.max() < len(vertices)
+                assert textures.shape == (len(faces), 4, 4, 4, 3)
+                assert torch.isfinite(textures).all() and textures.min() >= 0 and textures.max() <= 1
+
+
+def test_missing_files_are_named_and_grey(tmp_path, shared):
+    folder = shared / "data/meshes/nasty/pytorch3d"
+    with pytest.warns(UserWarning, match=r"model2\.mtl"):
+        assert (load_obj(folder / "missing_files_obj/model2.obj", load_texture=True)[2] == 0.5).all()
+    with pytest.warns(UserWarning, match=r"material_1\.png"):
+        assert (load_obj(folder / "missing_files_obj/model.obj", load_texture=True)[2] == 1).all()  # its Kd
+    with pytest.warns(UserWarning, match="no mtllib"):
+        assert (load_obj(write(tmp_path, TRIANGLE + "f 1 2 3"), load_texture=True)[2] == 0.5).all()
+    with pytest.raises(FileNotFoundError, match=r"absent\.obj"):
+        load_obj(tmp_path / "absent.obj")
+
+
+def test_names_with_spaces_backslashes_and_other_case(tmp_path):
+    (tmp_path / "Tex").mkdir()
+    Image.new("RGB", (2, 2), (255, 0, 51)).save(tmp_path / "Tex/my image.PNG")
+    for line in (r"map_Kd tex\My Image.png", "map_Kd -clamp on -s 1 1 1 -bm 2 C:/elsewhere/tex/my image.png -o 0 0"):
+        write(tmp_path, f"newmtl a b \n {line}\n", "my materials.mtl")
+        path = write(tmp_path, f"mtllib my materials.mtl\n{TRIANGLE}{UV}usemtl a b\nf 1/1 2/2 3/3\n")
+        if "elsewhere" in line:
+            (tmp_path / "Tex/my image.PNG").rename(tmp_path / "my image.PNG")
+        colour = load_obj(path, load_texture=True)[2]
+        assert torch.allclose(colour, torch.tensor([1, 0, 0.2]).expand_as(colour))
+
+
+def test_several_material_files(tmp_path):
+    write(tmp_path, "newmtl a\nKd 1 0 0\n", "a.mtl")
+    write(tmp_path, "newmtl b\nKd 0 0.5 0 # half\n", "b c.mtl")
+    path = write(tmp_path, f"mtllib a.mtl b\\ c.mtl\n{TRIANGLE}usemtl b\nf 1 2 3\nusemtl a\nf 1 3 2\n")
+    textures = load_obj(path, load_texture=True)[2]
+    assert textures[:, 0, 0, 0].tolist() == [[0, 0.5, 0], [1, 0, 0]]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be", "utf-16-le", "latin-1"])
+def test_encodings_and_line_ends(tmp_path, encoding):
+    text = "# très\r\nv 0 0 0\r\nv 1 0 \\\r\n 0\r\nv 0 1 0\rf 1 2 3 # Fläche"
+    vertices, faces = load_obj(write(tmp_path, text.encode(encoding)), False)
+    assert vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]] and faces.tolist() == [[0, 1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (TRIANGLE + "f 1 2 9", "line 4: expected a vertex index up to 3, got 9"),
+        (TRIANGLE + "\nf 1 2 -4", "line 5: expected a vertex index that is not 0 nor below -3, got -4"),
+        (TRIANGLE + "f 1 2 x", "line 4: cannot read 'f 1 2 x'"),
+        (TRIANGLE + "v 1 2\nf 1 2 3", "line 4: cannot read 'v 1 2'"),
+        (TRIANGLE + "v 1 inf 2\nf 1 2 3", "line 4: expected finite coordinates"),
+        (TRIANGLE + UV + "f 1/1 2/2 3/7", "line 7: expected a texture coordinate index up to 3, got 7"),
+        (TRIANGLE, "3 vertices but no faces"),
+        ("", "it is empty"),
+    ],
+)
+def test_errors_name_file_and_line(tmp_path, text, sentence):
+    with pytest.raises(ValueError) as error:
+        load_obj(write(tmp_path, text), load_texture=True)
+    assert sentence in str(error.value) and "mesh.obj" in str(error.value)
+
+
+def test_bad_arguments(tmp_path):
+    path = write(tmp_path, "v 1 1 1 1 0 0\n" * 3 + "f 1 2 3")
+    with pytest.raises(ValueError, match="all coincide"):
+        load_obj(path)
+    with pytest.raises(ValueError, match="texture_size: expected at least 2"):
+        load_obj(path, False, texture_size=1, load_texture=True)
+    with pytest.raises(ValueError, match=r"11\.2 GiB .*smaller texture_size"):
+        load_obj(path, False, texture_size=1000, load_texture=True)
+    with pytest.raises(ValueError, match="texture_wrapping: expected one of REPEAT"):
+        textured(tmp_path, texture_wrapping="MIRROR")
+    write(tmp_path, "newmtl m\nKd 1 red 0", "m.mtl")
+    with pytest.raises(ValueError, match=r"m\.mtl, line 2: expected Kd"):
+        load_obj(tmp_path / "mesh.obj", load_texture=True)
+
+
+def test_polygons(tmp_path):
+    convex = "v 0 0 0\nv 2 0 0\nv 3 1 0\nv 2 2 0\nv 0 2 0\nf -5 -4 -3 -2 -1\nf 1//1 2/ 3"
+    assert load_obj(write(tmp_path, convex))[1].tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 1, 2]]
+    for axes in ((0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2)):
+        arrow = np.array([[-2, -1, 0], [0, 0, 0], [2, -1, 0], [0, 3, 0], [-1, 0, 0]], dtype=float)[:, list(axes)]
+        lines = "".join(f"v {x} {y} {z}\n" for x, y, z in arrow)
+        vertices, faces = load_obj(write(tmp_path, lines + "f 1 2 3 4 5"), False)
+        a, b, c = vertices[faces.long()].unbind(1)
+        areas = torch.linalg.cross(b - a, c - a) / 2
+        whole = torch.linalg.cross(vertices, vertices.roll(-1, 0)).sum(0) / 2
+        assert torch.allclose(areas.sum(0), whole) and torch.allclose(areas.norm(dim=1).sum(), whole.norm())
+
+
+def test_concave_polygon_with_a_bridge(shared):
+    vertices, faces = load_obj(shared / "data/meshes/nasty/assimp_OBJ/concave_polygon.obj", False)
+    a, b, c = vertices[faces.long()].unbind(1)
+    areas = torch.linalg.cross(b - a, c - a) / 2
+    assert torch.allclose(areas.norm(dim=1).sum(), areas.sum(0).norm(), rtol=1e-4)  # nothing overlaps
+
+
+def test_a_small_mesh_far_away_keeps_its_shape(tmp_path):
+    path = write(tmp_path, "v 1e6 1e6 0\nv 1000000.001 1e6 0\nv 1e6 1000000.001 0\nf 1 2 3")
+    assert torch.allclose(load_obj(path)[0], torch.tensor([[-1.0, -1, 0], [1, -1, 0], [-1, 1, 0]]), atol=1e-5)
+
+
+def test_vertex_colours(tmp_path):
+    path = write(tmp_path, "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nv 1 1 0\nv 2 1 0 nan 0 0\nf 1 2 3\nf 2 4 5")
+    textures = load_obj(path, load_texture=True)[2]
+    assert torch.allclose(textures[0].reshape(-1, 3), torch.from_numpy(barycentric_grid(4)).float())
+    assert (textures[1, 0, 3, 0] == 0.5).all() and (textures[1, 0, 0, 3] == 0.5).all()
+    assert textures[1, 3, 0, 0].tolist() == [0, 1, 0]
+
+
+@pytest.mark.parametrize("size", [2, 4, 5])
+@pytest.mark.parametrize("wrapping", ["REPEAT", "MIRRORED_REPEAT", "CLAMP_TO_EDGE", "CLAMP_TO_BORDER"])
+def test_image_inside_is_the_same_for_all_wrappings(tmp_path, size, wrapping):
+    cube = textured(tmp_path, size=size, texture_wrapping=wrapping)
+    expected = torch.from_numpy(barycentric_grid(size)[:, 1:]).float()  # u is the weight of corner 1, v of corner 2
+    assert torch.allclose(cube.reshape(-1, 3)[:, :2], expected, atol=2e-3)
+    assert (cube[..., 2] == 0).all()  # the image replaces Kd
+
+
+@pytest.mark.parametrize(
+    ("wrapping", "corners"),
+    [
+        ("REPEAT", [0.0, 0.5, 1.0]),  # the face moves as a whole: u = 1 ... 2 is 0 ... 1
+        ("MIRRORED_REPEAT", [1.0, 0.5, 0.0]),
+        ("CLAMP_TO_EDGE", [1.0, 1.0, 1.0]),
+        ("CLAMP_TO_BORDER", [1.0, 0.0, 0.0]),
+    ],
+)
+def test_wrapping(tmp_path, wrapping, corners):
+    cube = textured(tmp_path, "vt 1 0\nvt 1.5 0\nvt 2 0\n", texture_wrapping=wrapping)
+    assert torch.allclose(
+        torch.stack([cube[3, 0, 0], cube[0, 3, 0], cube[0, 0, 3]])[:, 0], torch.tensor(corners), atol=0.011
+    )
+
+
+def test_repeat_across_a_border(tmp_path):
+    cube = textured(tmp_path, "vt 0.9 0\nvt 1.2 0\nvt -0.1 0.5\n")
+    # The face starts at -0.1, so all of it moves up by one: 1.9, 2.2, 0.9, each then wrapped.
+    assert torch.allclose(
+        torch.stack([cube[3, 0, 0], cube[0, 3, 0], cube[0, 0, 3]])[:, 0], torch.tensor([0.9, 0.2, 0.9]), atol=2e-3
+    )
+    assert (textured(tmp_path, "vt 1 0\nvt 1 1\nvt 1 0.5\n")[..., 0] == 1).all()  # exactly 1 stays 1
+
+
+def test_map_options_nearest_and_missing_coordinates(tmp_path):
+    cube = textured(tmp_path, mtl="map_Kd -s 0.5 0.5 1 -o 0.25 0 image.png")
+    assert torch.allclose(cube[0, 3, 0, :2], torch.tensor([0.75, 0]), atol=0.01)
+    assert torch.allclose(cube[0, 0, 3, :2], torch.tensor([0.25, 0.5]), atol=0.01)
+    cube = textured(tmp_path, "vt 0.503 0\nvt 0.517 0\nvt 0.48 0\n", size=2, use_bilinear=False)
+    assert (cube[1, 0, 0, 0] * 255 - np.linspace(0, 255, 52).astype(int)[26]).abs() < 0.01
+    text = (tmp_path / "mesh.obj").read_text().replace("3/3", "3")
+    with pytest.warns(UserWarning, match=r"1 faces have no texture coordinates for the image 'image\.png'"):
+        textures = load_obj(write(tmp_path, text), load_texture=True)[2]
+    assert (textures == torch.tensor([0.0, 0, 1])).all()
+
+
+def kinds_of_image():
+    grey = Image.new("L", (4, 4), 51)
+    yield "grey", grey
+    yield "palette", grey.convert("P")
+    yield "grey with alpha", grey.convert("LA")
+    yield "RGBA", Image.new("RGBA", (4, 4), (51, 51, 51, 128))
+    yield "16 bit", Image.fromarray(np.full((4, 4), 13107, np.uint16))
+    yield "1 bit", Image.new("1", (4, 4), 1)
+
+
+@pytest.mark.parametrize(("kind", "image"), list(kinds_of_image()))
+def test_kinds_of_image(tmp_path, kind, image):
+    textured(tmp_path)
+    image.save(tmp_path / "image.png")
+    textures = load_obj(tmp_path / "mesh.obj", load_texture=True)[2]
+    assert torch.allclose(textures, torch.full_like(textures, 1.0 if kind == "1 bit" else 0.2), atol=1e-6)
+
+
+def coloured_sphere(size: int):
+    vertices, faces = icosphere(2)
+    return vertices, faces, torch.from_numpy(bake_corners((vertices[faces.long()].numpy() + 1) / 2, size))
+
+
+@pytest.mark.parametrize(("size", "error"), [(2, 0.015), (3, 0.015), (4, 0.006), (5, 0.005), (8, 0.003), (16, 0.0025)])
+def test_save_and_load(tmp_path, size, error):
+    vertices, faces, textures = coloured_sphere(size)
+    path = tmp_path / "new/folder/my sphere.obj"
+    save_obj(path, vertices.requires_grad_(), faces.long(), textures.requires_grad_())
+    assert {p.name for p in path.parent.iterdir()} == {"my sphere.obj", "my sphere.mtl", "my sphere.png"}
+    vertices2, faces2, textures2 = load_obj(path, False, size, True)
+    assert torch.equal(vertices, vertices2) and torch.equal(faces, faces2)
+    assert (textures - textures2).abs().max() < error
+
+
+def test_save_keeps_the_texels_of_the_face(tmp_path):
+    vertices, faces = icosphere(1)
+    for size in (2, 4, 7):
+        textures = torch.rand(80, size, size, size, 3)
+        save_obj(tmp_path / "noise.obj", vertices, faces, textures)
+        difference = (load_obj(tmp_path / "noise.obj", False, size, True)[2] - textures).abs()
+        in_face = torch.from_numpy(np.indices((size,) * 3).sum(0) == size - 1)
+        assert difference[:, in_face].max() < 0.0025
+
+
+def test_save_without_textures_and_errors(tmp_path, shared):
+    path = shared / "data/references/neural_renderer/teapot.obj"
+    vertices, faces = load_obj(path)
+    save_obj(str(tmp_path / "teapot.obj"), vertices.numpy(), faces.numpy())
+    assert [p.name for p in tmp_path.iterdir()] == ["teapot.obj"]
+    for mine, theirs in zip(load_obj(tmp_path / "teapot.obj", False), (vertices, faces), strict=True):
+        assert torch.equal(mine, theirs)
+    bad = tmp_path / "bad.obj"
+    with pytest.raises(ValueError, match=r"ends in \.obj"):
+        save_obj(tmp_path / "teapot", vertices, faces)
+    with pytest.raises(ValueError, match="faces: expected indices"):
+        save_obj(bad, vertices[:5], faces)
+    with pytest.raises(ValueError, match="vertices: expected finite"):
+        save_obj(bad, vertices / 0, faces)
+    with pytest.raises(ValueError, match="textures: expected shape"):
+        save_obj(bad, vertices, faces, torch.ones(3, 4, 4, 4, 3))
+    with pytest.raises(ValueError, match="textures: expected cubes"):
+        save_obj(bad, vertices, faces, torch.ones(len(faces), 4, 4, 5, 3))
+    with pytest.raises(TypeError, match="vertices: expected a floating"):
+        save_obj(bad, vertices.tolist(), faces)
+    assert not bad.exists()
+
+
+def test_atlas_has_no_gaps_and_stays_small():
+    picture, _ = build_atlas(np.ones((9, 4, 4, 4, 3), np.float32))
+    assert (picture == 255).all() and picture.shape == (153, 153, 3)
+    picture, pixels = build_atlas(np.zeros((310_000, 2, 2, 2, 3), np.float32))
+    assert max(picture.shape) <= 8192 and pixels.max() < 8192 and np.ptp(pixels[0], axis=0).min() >= 10
+    with pytest.raises(ValueError, match="at most 4194304 faces"):
+        build_atlas(np.broadcast_to(np.float32(0), (4_300_000, 2, 2, 2, 3)))
+
+
+def test_atlas_blends_to_the_colour_on_the_border():
+    """Between two pixels on either side of the diagonal lies the colour that the renderer shows on it."""
+    textures = np.random.default_rng(0).uniform(0.3, 0.7, (1, 2, 2, 2, 3)).astype(np.float32)
+    picture, pixels = build_atlas(textures)
+    start, end = (pixels[0, k].astype(int) for k in (0, 2))
+    edge = textures[0, :, 0, :]  # the weight of corner 1 is 0 there
+    for at in range(start[0], end[0]):
+        blended = picture[at : at + 2, at : at + 2].reshape(-1, 3).mean(axis=0) / 255
+        w = (at + 0.5 - start[0]) / (end[0] - start[0])
+        shown = np.einsum("i,k,ikc->c", [w, 1 - w], [1 - w, w], edge)
+        assert np.abs(blended - shown).max() < 0.02

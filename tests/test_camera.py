@@ -1,0 +1,256 @@
+"""Cameras: the published numbers, an independent formula for calibrated cameras, gradients, handedness, edge cases."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch.autograd import gradcheck
+
+import neural_renderer.camera as nr
+from neural_renderer import validate
+from neural_renderer.camera import Camera
+
+HALF = math.sqrt(0.5)
+
+
+def points(*shape: int, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(*shape, 3, generator=generator, dtype=torch.float64) - 0.5
+
+
+@pytest.mark.parametrize(
+    ("eye", "expected"),
+    [((1, 0, 1), (-HALF, 0, HALF)), ((0, 0, -10), (1, 0, 10)), ((-1, 1, 0), (0, HALF, 1.5 * math.sqrt(2)))],
+)
+def test_look_at_has_the_published_values(eye, expected):
+    found = nr.look_at(torch.tensor([[[1.0, 0.0, 0.0]]]), eye)
+    assert found.shape == (1, 1, 3)
+    np.testing.assert_allclose(found[0, 0], expected, atol=1e-6)
+
+
+def test_perspective_has_the_published_value():
+    found = nr.perspective(torch.tensor([[[1.0, 2.0, 10.0]]]))
+    np.testing.assert_allclose(found[0, 0], (math.sqrt(3) / 10, 2 * math.sqrt(3) / 10, 10), rtol=1e-6)
+
+
+def test_orthographic_scales_and_keeps_depth():
+    found = nr.orthographic(torch.tensor([[1.0, 2.0, -3.0]]), torch.tensor([1.0, 2.0]))
+    assert found.tolist() == [[[1, 2, -3]], [[2, 4, -3]]]
+
+
+@pytest.mark.parametrize("make", [list, tuple, np.array, torch.tensor])
+def test_vectors_may_be_of_any_kind(make):
+    vertices = points(2, 5)
+    expected = nr.look_at(vertices, torch.tensor([1.0, 2.0, -3.0], dtype=torch.float64))
+    found = nr.look_at(vertices, make([1.0, 2.0, -3.0]), at=make([0, 0, 0]), up=make([0, 1, 0]))
+    torch.testing.assert_close(found, expected)
+
+
+def test_each_view_of_a_batch_of_three_is_its_own():
+    """A cross product without a named dimension mixes the views up exactly when there are three."""
+    vertices, eyes = points(3, 7), points(3, seed=1) - 2
+    ups, ats = points(3, seed=2) + torch.tensor([0, 3, 0]), points(3, seed=3)
+    together = nr.look_at(vertices, eyes, ats, ups)
+    for i in range(3):
+        torch.testing.assert_close(together[i], nr.look_at(vertices[i], eyes[i], ats[i], ups[i]))
+    torch.testing.assert_close(nr.look_at(vertices[0], eyes)[1], nr.look_at(vertices[:1], eyes[1])[0])
+    torch.testing.assert_close(nr.look(vertices, eyes, ats - eyes, ups), together)
+
+
+def test_look_looks_along_z_by_default():
+    assert nr.look(torch.tensor([[1.0, 2.0, 3.0]]), [0, 0, -1]).tolist() == [[1, 2, 4]]
+
+
+def test_vertices_of_the_caller_stay_as_they_are():
+    vertices = points(4)
+    before = vertices.clone()
+    nr.perspective(nr.look_at(vertices, [0, 0, -2]))
+    assert torch.equal(vertices, before)
+
+
+def test_get_points_from_angles():
+    np.testing.assert_allclose(nr.get_points_from_angles(2, 0, 0), (0, 0, -2))
+    np.testing.assert_allclose(nr.get_points_from_angles(2, 30.0, 90), (math.sqrt(3), 1, 0), atol=1e-12)
+    assert all(type(v) is float for v in nr.get_points_from_angles(2, np.float32(30), 0))
+    azimuth = torch.tensor([0.0, 0.5 * math.pi], dtype=torch.float64, requires_grad=True)
+    found = nr.get_points_from_angles(2, np.zeros(1), azimuth, degrees=False)
+    np.testing.assert_allclose(found.detach(), [(0, 0, -2), (2, 0, 0)], atol=1e-12)
+    assert gradcheck(lambda d, e, a: nr.get_points_from_angles(d, e, a), (azimuth[1:].detach().requires_grad_(),) * 3)
+    with pytest.raises(ValueError, match="azimuth: expected a batch of 1 or 2"):
+        nr.get_points_from_angles(torch.ones(2), 0, torch.ones(3))
+
+
+def reference_projection(vertices, K, R, t, dist, height, width):
+    """One camera in numpy, written from OpenCV's documentation: project, then pixels to [-1, 1] with y up."""
+    found = []
+    for X in vertices:
+        x, y, z = R @ X + t
+        a, b = x / z, y / z
+        k1, k2, p1, p2, k3 = dist
+        r = math.hypot(a, b)
+        radial = 1 + k1 * r**2 + k2 * r**4 + k3 * r**6
+        a2 = a * radial + 2 * p1 * a * b + p2 * (r**2 + 2 * a**2)
+        b2 = b * radial + p1 * (r**2 + 2 * b**2) + 2 * p2 * a * b
+        u, v, _ = K @ (a2, b2, 1)
+        found.append((u / (width / 2) - 1, 1 - v / (height / 2), z))
+    return np.array(found)
+
+
+def calibrated(batch: int, seed: int = 0):
+    generator = np.random.default_rng(seed)
+    K = np.tile([[500.0, 3.0, 310.0], [0, 480.0, 250.0], [0, 0, 1]], (batch, 1, 1))
+    R = np.linalg.qr(generator.normal(size=(batch, 3, 3)))[0]
+    R *= np.sign(np.linalg.det(R))[:, None, None]
+    t = generator.normal(size=(batch, 1, 3)) * 0.2 + (0, 0, 3)
+    dist = generator.normal(size=(batch, 5)) * 0.05
+    return [torch.tensor(v, dtype=torch.float64) for v in (K, R, t, dist)]
+
+
+def test_projection_agrees_with_an_independent_formula():
+    vertices, (K, R, t, dist) = points(3, 6), calibrated(3)
+    found = nr.projection(vertices, K, R, t, dist, orig_size=(480, 640))
+    for i in range(3):
+        one = (vertices[i].numpy(), K[i].numpy(), R[i].numpy(), t[i, 0].numpy(), dist[i].numpy())
+        np.testing.assert_allclose(found[i], reference_projection(*one, 480, 640), rtol=1e-6)
+    torch.testing.assert_close(nr.projection(vertices, K, R, t[:, 0], dist, (480, 640)), found)
+    torch.testing.assert_close(Camera.projection(K, R, t, dist, (480, 640))(vertices), found)
+    torch.testing.assert_close(nr.projection(vertices[0], K[0], R[0], t[0, 0], dist[0], (480, 640)), found[0])
+
+
+def test_projection_by_hand():
+    K = [[100, 0, 50], [0, 100, 50], [0, 0, 1]]
+    found = nr.projection(torch.tensor([[1.0, 2.0, 0.0]]), K, np.eye(3), [0, 0, 4], orig_size=100)
+    np.testing.assert_allclose(found, [(0.5, -1.0, 4.0)], rtol=1e-6)  # u = 75, v = 100: the lower border
+
+
+def test_projection_has_finite_gradients_on_the_axis():
+    K, _, _, dist = (v.float()[0].requires_grad_() for v in calibrated(1))
+    vertices = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [1.0, 2.0, 0.0]], requires_grad=True)
+    found = nr.projection(vertices, K, torch.eye(3), torch.zeros(3), dist)
+    found[0].sum().backward(retain_graph=True)
+    found.sum().backward()
+    assert found.isfinite().all()
+    assert all(v.grad.isfinite().all() for v in (vertices, K, dist))
+
+
+def test_depth_zero_stays_finite_and_depth_keeps_its_sign():
+    vertices = torch.tensor([[1.0, 1.0, 0.0], [1.0, 1.0, -1e-9], [3.0, 3.0, -3.0]], requires_grad=True)
+    found = nr.perspective(vertices, 45.0)
+    found.sum().backward()
+    assert found.isfinite().all() and vertices.grad.isfinite().all()
+    assert found[:, 0].sign().tolist() == [1, -1, -1]
+    assert torch.equal(found[:, 2], vertices[:, 2])
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_camera_shows_a_right_handed_world_as_it_is(orthographic):
+    """From +z, +x is on the right, +y up, and an outward face is counter-clockwise; mirrored, left and right swap."""
+    triangle = torch.tensor([[0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [-0.5, 0.0, 0.0]])  # outward towards +z
+    camera = Camera.look_at((0, 0, 3), orthographic=orthographic)
+    x, y, z = camera(triangle)[0].unbind(-1)
+    assert x[0] > 0 > x[2] and y[1] > 0
+    assert torch.equal(z, torch.full((3,), 3.0))
+    assert (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]) > 0
+    mirrored = Camera.look_at((0, 0, 3), orthographic=orthographic, mirrored=True)(triangle)[0]
+    torch.testing.assert_close(mirrored, torch.stack((-x, y, z), dim=-1))
+    assert camera.perspective is not orthographic and camera.mirrored is False
+
+
+def test_mirrored_camera_is_the_old_view():
+    vertices, eyes = points(3, 4), points(3, seed=1) - 2
+    angles = torch.tensor([20.0, 30.0, 40.0], dtype=torch.float64)
+    old = nr.perspective(nr.look_at(vertices, eyes), angles)
+    assert torch.equal(Camera.look_at(eyes, viewing_angle=angles, mirrored=True)(vertices), old)
+    old = nr.perspective(nr.look(vertices, eyes, [0.1, 0.2, 1.0], [0, 1, 0.5]))
+    assert torch.equal(Camera.look(eyes, [0.1, 0.2, 1.0], [0, 1, 0.5], mirrored=True)(vertices), old)
+
+
+def test_camera_batches_aspect_and_to():
+    camera = Camera.look_at([[0, 0, 3.0], [3.0, 0, 0]])
+    vertices = points(5).float()
+    assert len(camera) == 2 and camera(vertices).shape == (2, 5, 3)
+    wide, square = camera(vertices, aspect=1.5), camera(vertices)
+    torch.testing.assert_close(wide * torch.tensor([1.5, 1, 1]), square)
+    assert len(Camera.look_at((0, 0, 3), viewing_angle=torch.tensor([20.0, 30.0, 40.0]))) == 3
+    assert Camera.look_at((0, 0, 3))(points(4, 5)).dtype == torch.float64
+    assert camera.to(dtype=torch.float64).rotation.dtype == torch.float64
+    with pytest.raises(ValueError, match="expected a batch of 1 or 3"):
+        camera(points(3, 5).float())
+    with pytest.raises(ValueError, match="aspect"):
+        camera(vertices, aspect=0)
+
+
+def test_gradients_of_the_camera_are_right():
+    vertices, eye, at, up, angle = (
+        v.requires_grad_() for v in (points(1, 2), points(2) - 1, points(2) / 9, points(1)[0] + 1, 30 + points(2)[:, 0])
+    )
+
+    def view(vertices, eye, at, up, angle):
+        return Camera.look_at(eye, at, up, angle)(vertices, aspect=1.25)
+
+    def along(vertices, eye, at, up, angle):
+        return Camera.look(eye, at - eye, up, orthographic=True, scale=angle / 30)(vertices)
+
+    assert gradcheck(view, (vertices, eye, at, up, angle))
+    assert gradcheck(along, (vertices, eye, at, up, angle))
+    parameters = [v.requires_grad_() for v in calibrated(1)]
+    assert gradcheck(lambda v, *p: Camera.projection(*p, orig_size=640)(v), (vertices, *parameters))
+
+
+def test_degenerate_views_raise_or_stay_finite():
+    vertices = points(3)
+    cases = {
+        "eye: expected a point away": lambda: nr.look_at(vertices, [1, 1, 1], [1, 1, 1]),
+        "up: expected a vector across": lambda: nr.look_at(vertices, [0, 3, 0]),
+        "direction: expected a vector": lambda: nr.look(vertices, [0, 3, 0], [0, 0, 0]),
+        "eye: expected finite": lambda: nr.look(vertices, [0, math.nan, 0]),
+    }
+    for message, call in cases.items():
+        with pytest.raises(ValueError, match=message):
+            call()
+    validate.check_values(False)
+    try:
+        assert all(call().isfinite().all() for call in list(cases.values())[:3])
+        eye = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+        nr.look_at(vertices, eye).sum().backward()
+        assert eye.grad.isfinite().all()
+    finally:
+        validate.check_values(True)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda v: nr.look_at(v.long(), [0, 0, 1]), TypeError, "vertices: expected a floating-point"),
+        (lambda v: nr.look_at(v[0], [0, 0, 1]), ValueError, r"vertices: expected shape \[B, V, 3\]"),
+        (lambda v: nr.look_at(v, [0, 1]), ValueError, r"eye: expected shape \[3\] or \[B, 3\]"),
+        (lambda v: nr.look_at(v, "here"), TypeError, "eye: expected numbers, got str"),
+        (lambda v: nr.perspective(v, 90), ValueError, r"angle: expected degrees in \(0, 90\)"),
+        (lambda v: nr.perspective(v, torch.tensor([30.0, -1.0])), ValueError, "angle: expected degrees"),
+        (lambda v: nr.projection(v, np.eye(4), np.eye(3), [0, 0, 1]), ValueError, "K: expected shape"),
+        (lambda v: nr.projection(v, np.eye(3), np.eye(3), [0, 0, 1], orig_size=0), ValueError, "orig_size"),
+    ],
+)
+def test_mistakes_are_named(call, error, message):
+    with pytest.raises(error, match=message):
+        call(points(4).float())
+
+
+def test_everything_compiles_in_one_graph():
+    K, R, t, dist = calibrated(2)
+
+    def render(vertices, eye):
+        seen = nr.perspective(nr.look_at(vertices, eye), 30.0)
+        camera = Camera.look_at(eye, viewing_angle=torch.full((2,), 25.0))
+        photo = Camera.projection(K, R, t, dist, (480, 640))
+        return seen, camera(vertices, aspect=2.0), photo(vertices), nr.look(vertices, [0, 0, -3])
+
+    vertices, eye = points(2, 4), points(2, seed=1) - 2
+    compiled = torch.compile(render, fullgraph=True, backend="aot_eager")
+    torch.testing.assert_close(compiled(vertices, eye), render(vertices, eye))
+    camera = Camera.look_at(eye)
+    again = torch.compile(lambda v: camera(v), fullgraph=True, backend="aot_eager")
+    torch.testing.assert_close(again(vertices), camera(vertices))

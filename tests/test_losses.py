@@ -1,0 +1,136 @@
+"""Losses and metrics against formulas written face by face and edge by edge."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+from torch.autograd import gradcheck
+
+from neural_renderer import losses, metrics
+from neural_renderer.topology import Topology
+
+TETRAHEDRON = torch.tensor([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+# Two faces of a square, one in its plane beside it, and a vertex (6) that no face uses.
+STRIP = torch.tensor([[0, 1, 2], [2, 1, 3], [1, 4, 3]], dtype=torch.int32)
+FLAT = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [2, 0, 0], [5, 5, 5], [6, 6, 6]]).double()
+
+
+def vertices(*shape: int) -> torch.Tensor:
+    return torch.randn(*shape, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+
+
+def test_topology():
+    topology = Topology.of(TETRAHEDRON)
+    assert topology.edges.tolist() == [list(e) for e in itertools.combinations(range(4), 2)]
+    assert topology.vertices == 4 and len(topology.hinges) == 6
+    assert all(sorted(h) == [0, 1, 2, 3] for h in topology.hinges.tolist())
+    strip = Topology.of(STRIP)
+    assert {(*h[:2], *sorted(h[2:])) for h in strip.hinges.tolist()} == {(1, 2, 0, 3), (1, 3, 2, 4)}
+    assert len(strip.edges) == 7
+    book = Topology.of(torch.tensor([[0, 1, 2], [0, 1, 3], [1, 0, 4], [2, 2, 3]]))  # three pages and a broken face
+    assert len(book.hinges) == 2 and [2, 3] not in book.edges.tolist()
+    assert Topology.of(TETRAHEDRON[:0]).edges.shape == (0, 2)
+    with pytest.raises(ValueError, match="faces: expected indices"):
+        Topology.of(TETRAHEDRON - 1)
+
+
+def test_silhouette_iou():
+    s = torch.zeros(2, 4, 4, dtype=torch.float64)
+    t = s.clone()
+    s[0, :2], t[0, 1:3] = 1.0, 1.0  # IoU 4 / 12
+    s[1], t[1] = 0.5, 1.0  # IoU 1/2
+    torch.testing.assert_close(losses.silhouette_iou(s, t).item(), 1 - (1 / 3 + 1 / 2) / 2)
+    assert losses.silhouette_iou(t, t) == 0 and losses.silhouette_iou(t, t.bool()) == 0
+    empty = torch.zeros(1, 4, 4, requires_grad=True)
+    losses.silhouette_iou(empty, torch.zeros(1, 4, 4)).backward()
+    assert losses.silhouette_iou(empty, torch.zeros(1, 4, 4)) == 0 and torch.equal(empty.grad, torch.zeros(1, 4, 4))
+    assert losses.silhouette_iou(empty, torch.ones(1, 4, 4)) == 1
+    assert metrics.silhouette_iou(s, t).tolist() == pytest.approx([1 / 3, 0])  # 0.5 is not above the threshold
+    assert metrics.silhouette_iou(s * 0, s > 9).tolist() == [1, 1]
+    assert gradcheck(losses.silhouette_iou, (torch.rand(2, 3, 3).double().requires_grad_(), torch.rand(2, 3, 3)))
+
+
+def test_photometric():
+    a, b = torch.rand(2, 2, 3, 4, 5, dtype=torch.float64)
+    torch.testing.assert_close(losses.photometric(a, b), ((a - b) ** 2).mean())
+    mask = torch.zeros(2, 4, 5)
+    assert losses.photometric(a, b, mask) == 0
+    mask[0, 1, 2] = 0.5
+    torch.testing.assert_close(losses.photometric(a, b, mask), ((a - b)[0, :, 1, 2] ** 2).mean())
+
+
+def test_total_variation():
+    image = torch.tensor([[[[0.0, 1.0, 3.0], [2.0, 2.0, 2.0]]]])
+    assert losses.total_variation(image) == (1 + 4 + 0 + 0) + (4 + 1 + 1)
+    mask = torch.tensor([[[False, True, True], [True, False, False]]])
+    assert losses.total_variation(image, mask) == 4 + 0 + 1 + 1
+
+
+def test_laplacian_and_edge_length():
+    v = vertices(2, 4)
+    neighbours_mean = (v.sum(1, keepdim=True) - v) / 3
+    torch.testing.assert_close(losses.laplacian(v, TETRAHEDRON), ((neighbours_mean - v) ** 2).sum(-1).mean())
+    pairs = [((v[:, i] - v[:, j]) ** 2).sum(-1) for i, j in itertools.combinations(range(4), 2)]
+    torch.testing.assert_close(losses.edge_length(v, TETRAHEDRON), torch.stack(pairs).mean())
+    lone = torch.zeros_like(FLAT)
+    lone[6] = 9.0
+    assert losses.laplacian(lone, STRIP) == 0
+
+
+def cosine_at_edge(v0, v1, v2, v3):
+    """The cosine of the angle between the perpendiculars from v2 and v3 onto the edge."""
+    e = (v1 - v0) / np.linalg.norm(v1 - v0)
+    p, q = ((v - v0) - ((v - v0) @ e) * e for v in (v2, v3))
+    return p @ q / np.linalg.norm(p) / np.linalg.norm(q)
+
+
+def test_bending():
+    v = vertices(2, 4)
+    cosines = np.array(
+        [
+            [cosine_at_edge(*m[[i, j]], *m[[k for k in range(4) if k not in (i, j)]])]
+            for m in v.numpy()
+            for i, j in itertools.combinations(range(4), 2)
+        ]
+    )
+    np.testing.assert_allclose(losses.smoothness(v, TETRAHEDRON), ((cosines + 1) ** 2).sum() / 2)
+    np.testing.assert_allclose(losses.normal_consistency(v, TETRAHEDRON), (cosines + 1).mean())
+    assert losses.smoothness(FLAT, STRIP) == 0 and losses.normal_consistency(FLAT, STRIP) == 0
+    assert losses.normal_consistency(FLAT, STRIP[:1]) == 0  # no two faces meet
+
+
+@pytest.mark.parametrize("loss", [losses.laplacian, losses.edge_length, losses.normal_consistency, losses.smoothness])
+def test_mesh_losses_have_right_gradients_and_take_a_topology(loss):
+    v, topology = vertices(2, 4).requires_grad_(), Topology.of(TETRAHEDRON)
+    assert gradcheck(lambda v: loss(v, topology), (v,))
+    torch.testing.assert_close(loss(v, TETRAHEDRON), loss(v, topology))
+    torch.testing.assert_close(loss(v[0], topology), loss(v[:1], topology))
+    collapsed = torch.zeros(4, 3, requires_grad=True)
+    value = loss(collapsed, topology)
+    value.backward()
+    assert value.isfinite() and collapsed.grad.isfinite().all()
+    with pytest.raises(ValueError, match=r"faces: expected indices in \[0, 3\), got 3"):
+        loss(v[:, :3], TETRAHEDRON)
+
+
+def test_mistakes_are_named():
+    with pytest.raises(ValueError, match="target: expected shape"):
+        losses.silhouette_iou(torch.rand(2, 4, 4), torch.rand(1, 4, 4))
+    with pytest.raises(TypeError, match="faces: expected an int32 or int64"):
+        losses.laplacian(vertices(4), TETRAHEDRON.double())
+    with pytest.raises(ValueError, match="predicted and target"):
+        metrics.silhouette_iou(torch.rand(2, 4, 4), torch.rand(2, 4, 5))
+
+
+def test_they_compile_in_one_graph():
+    topology = Topology.of(TETRAHEDRON)
+
+    def loss(v, image):
+        shape = losses.laplacian(v, topology) + losses.smoothness(v, topology) + losses.edge_length(v, topology)
+        return shape + losses.silhouette_iou(image[:, 0], image[:, 1]) + losses.total_variation(image, image[:, 2])
+
+    v, image = vertices(2, 4), torch.rand(2, 3, 4, 4, dtype=torch.float64)
+    torch.testing.assert_close(torch.compile(loss, fullgraph=True, backend="aot_eager")(v, image), loss(v, image))

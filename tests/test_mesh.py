@@ -1,0 +1,114 @@
+"""The mesh module, in its old and its new forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from neural_renderer.io.obj import load_obj, save_obj
+from neural_renderer.mesh import Mesh
+from neural_renderer.primitives import cube, icosphere
+
+
+@pytest.fixture
+def file(tmp_path):
+    vertices, faces = cube(5.0)
+    textures = torch.rand(12, 1, 1, 1, 3).expand(12, 2, 2, 2, 3)
+    save_obj(tmp_path / "cube.obj", vertices + 1, faces, textures)
+    return tmp_path / "cube.obj"
+
+
+def test_given_textures_are_kept_and_copied():
+    vertices, faces = cube()
+    textures = torch.rand(12, 3, 3, 3, 3)
+    mesh = Mesh(vertices, faces.long(), textures)
+    assert mesh.texture_size == 3 and torch.equal(mesh.textures, textures)
+    assert (mesh.num_vertices, mesh.num_faces) == (8, 12)
+    assert mesh.faces.dtype == torch.int32 and mesh.vertices.dtype == torch.float32
+    assert {n for n, _ in mesh.named_parameters()} == {"vertices", "textures"}
+    assert [n for n, _ in mesh.named_buffers()] == ["faces"]
+    vertices += 1
+    textures += 1
+    assert mesh.vertices.abs().max() == 1 and mesh.textures.max() <= 1
+    assert repr(mesh) == "Mesh(8 vertices, 12 faces, textures of 3³, cpu)"
+
+
+def test_without_textures_they_are_noise():
+    mesh = Mesh(*(x.numpy() for x in icosphere(2)), texture_size=4)
+    assert mesh.textures.shape == (320, 4, 4, 4, 3) and abs(mesh.textures.std().item() - 0.05) < 0.002
+
+
+def test_old_forms(file):
+    chainer = Mesh(str(file), 5)
+    assert chainer.texture_size == 5 and chainer.vertices.abs().max() == 1 and chainer.textures.abs().max() < 0.5
+    assert Mesh(file, 2, False).vertices.max() == 3.5
+    assert Mesh(file, texture_size=2, normalization=False).vertices.max() == 3.5
+    noise = Mesh.fromobj(file, texture_size=3)
+    assert noise.texture_size == 3 and noise.textures.min() < 0
+    loaded = Mesh.fromobj(str(file), normalization=False, load_texture=True, texture_size=2)
+    assert torch.equal(loaded.textures, load_obj(file, False, 2, True)[2])
+
+
+def test_load_save_normalize(file, tmp_path, shared):
+    mesh = Mesh.load(file, texture_size=2)
+    assert mesh.vertices.max() == 3.5
+    assert torch.equal(mesh.normalize().vertices, Mesh.load(file, 2, normalize=True).vertices)
+    assert torch.allclose(mesh.normalize().vertices, load_obj(file)[0])
+    for name in ("out/m.obj", "out/m.ply", "out/m.glb"):
+        mesh.save(tmp_path / name)
+        again = Mesh.load(tmp_path / name, texture_size=2)
+        assert again.num_faces == 12
+        assert torch.allclose(again.vertices[again.faces.long()], mesh.vertices[mesh.faces.long()])
+    teapot = Mesh.load(shared / "data/references/neural_renderer/teapot.obj")
+    assert teapot.texture_size == 4 and (teapot.textures == 1).all()
+    with pytest.raises(ValueError, match="all coincide"):
+        Mesh(torch.ones(3, 3), torch.tensor([[0, 1, 2]])).normalize()
+
+
+def test_batch_is_a_view_with_sigmoid():
+    mesh = Mesh(*cube(), texture_size=2)
+    vertices, faces, textures = mesh.get_batch(5)
+    assert vertices.shape == (5, 8, 3) and faces.shape == (5, 12, 3) and textures.shape == (5, 12, 2, 2, 2, 3)
+    assert vertices.data_ptr() == mesh.vertices.data_ptr() and vertices.stride(0) == textures.stride(0) == 0
+    assert torch.equal(textures[3], torch.sigmoid(mesh.textures))
+    (vertices.sum() + textures.sum()).backward()
+    assert (mesh.vertices.grad == 5).all() and mesh.textures.grad.abs().min() > 0
+
+
+def test_module_habits():
+    mesh = Mesh.icosphere(1, 2.0, texture_size=3)
+    assert (mesh.textures == 1).all() and torch.allclose(mesh.vertices.norm(dim=1), torch.tensor(2.0))
+    mesh.set_lr(0.1, 2.0)
+    assert (mesh.vertices.lr, mesh.textures.lr) == (0.1, 2.0)
+    other = Mesh(torch.zeros(42, 3), mesh.faces.flip(1), texture_size=3)
+    other.load_state_dict(mesh.state_dict())
+    assert torch.equal(other.vertices, mesh.vertices) and torch.equal(other.faces, mesh.faces)
+    assert mesh.to("meta").faces.device.type == "meta"
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "sentence"),
+    [
+        ({"vertices": torch.zeros(8, 2)}, ValueError, r"vertices: expected shape \[V, 3\], got \[8, 2\] float32"),
+        ({"vertices": [[0.0, 0, 0]]}, TypeError, "vertices: expected a floating-point torch tensor, got list"),
+        ({"vertices": torch.full((8, 3), torch.nan)}, ValueError, "vertices: expected finite"),
+        ({"faces": torch.zeros(12, 3)}, TypeError, "faces: expected an int32 or int64"),
+        ({"faces": torch.zeros(0, 3, dtype=torch.int32)}, ValueError, "faces: expected at least one"),
+        ({"faces": torch.full((12, 3), 8)}, ValueError, r"faces: expected indices in \[0, 8\), got 8"),
+        ({"textures": torch.zeros(11, 2, 2, 2, 3)}, ValueError, r"textures: expected shape \[12, T, T, T, 3\]"),
+        ({"textures": torch.zeros(12, 2, 2, 3, 3)}, ValueError, "textures: expected cubes"),
+        ({"textures": torch.zeros(12, 1, 1, 1, 3)}, ValueError, "T at least 2"),
+        ({"texture_size": 1}, ValueError, "texture_size: expected at least 2, got 1"),
+    ],
+)
+def test_errors(change, error, sentence):
+    vertices, faces = cube()
+    with pytest.raises(error, match=sentence):
+        Mesh(**({"vertices": vertices, "faces": faces} | change))
+
+
+def test_numpy_arrays_of_other_types():
+    vertices, faces = (x.numpy() for x in cube())
+    mesh = Mesh(vertices.astype(np.float64), faces.astype(np.uint32))
+    assert mesh.vertices.dtype == torch.float32 and mesh.faces.dtype == torch.int32

@@ -1,0 +1,94 @@
+"""The Adam of existing code: its rule, what it leaves alone, its state."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import pytest
+import torch
+
+from neural_renderer.optim import Adam
+
+
+def test_follows_the_rule_and_skips_zero_gradients():
+    parameter = torch.nn.Parameter(torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64))
+    parameter.lr = 0.5
+    optimizer = Adam([parameter], alpha=0.1, beta1=0.8, beta2=0.9, eps=1e-3)
+    gradients = [[0.5, 0.0, -2.0], [0.5, 1.0, 0.0], [0.0, 0.0, 3.0]]
+    expected, m, v = [1.0, 2.0, 3.0], [0.0] * 3, [0.0] * 3
+    for t, gradient in enumerate(gradients, start=1):
+        parameter.grad = torch.tensor(gradient, dtype=torch.float64)
+        optimizer.step()
+        step = 0.5 * 0.1 * math.sqrt(1 - 0.9**t) / (1 - 0.8**t)
+        for i, g in enumerate(gradient):
+            if g != 0:
+                m[i] += (1 - 0.8) * (g - m[i])
+                v[i] += (1 - 0.9) * (g * g - v[i])
+                expected[i] -= step * m[i] / (math.sqrt(v[i]) + 1e-3)
+        torch.testing.assert_close(parameter.detach(), torch.tensor(expected, dtype=torch.float64))
+
+
+def test_agrees_with_torch_where_no_gradient_is_zero():
+    ours = torch.nn.Parameter(torch.linspace(-1, 1, 6, dtype=torch.float64))
+    theirs = torch.nn.Parameter(ours.detach().clone())
+    # With eps = 0 the two ways of writing the rule are the same; 1e-300 is as good.
+    pair = [(ours, Adam([ours], lr=0.01, eps=1e-300)), (theirs, torch.optim.Adam([theirs], lr=0.01, eps=1e-300))]
+    for _ in range(10):
+        for parameter, optimizer in pair:
+            optimizer.zero_grad()
+            (parameter - 3).square().sum().backward()
+            optimizer.step()
+    torch.testing.assert_close(ours, theirs)
+
+
+def test_state_survives_saving():
+    def train(parameter, optimizer, steps):
+        for _ in range(steps):
+            optimizer.zero_grad()
+            parameter.square().sum().backward()
+            optimizer.step()
+
+    parameter = torch.nn.Parameter(torch.tensor([1.0, -2.0, 0.0]))
+    optimizer = Adam([parameter], lr=0.1)
+    train(parameter, optimizer, 3)
+    other = torch.nn.Parameter(parameter.detach().clone())
+    resumed = Adam([other], lr=0.9)
+    resumed.load_state_dict(copy.deepcopy(optimizer.state_dict()))
+    train(parameter, optimizer, 3)
+    train(other, resumed, 3)
+    assert torch.equal(parameter, other) and parameter[2] == 0
+
+
+def test_closure_groups_and_scheduler():
+    a, b = torch.nn.Parameter(torch.ones(2)), torch.nn.Parameter(torch.ones(2))
+    optimizer = Adam([{"params": [a]}, {"params": [b], "lr": 0.0}], lr=0.1)
+
+    def closure():
+        optimizer.zero_grad()
+        loss = (a * b).sum()
+        loss.backward()
+        return loss
+
+    scheduler = torch.optim.lr_scheduler.StepLR(optimizer, 1)
+    assert optimizer.step(closure) == 2
+    scheduler.step()
+    assert optimizer.param_groups[0]["lr"] == pytest.approx(0.01)
+    torch.testing.assert_close(a.detach(), torch.full((2,), 0.9))
+    assert torch.equal(b, torch.ones(2))
+    optimizer.zero_grad()
+    optimizer.step()  # without gradients nothing happens
+    torch.testing.assert_close(a.detach(), torch.full((2,), 0.9))
+
+
+@pytest.mark.parametrize("wrong", [{"lr": -1}, {"eps": 0}, {"beta1": 1.0}, {"betas": (0.9, -0.1)}, {"alpha": math.nan}])
+def test_rates_out_of_range_are_named(wrong):
+    with pytest.raises(ValueError, match="expected a"):
+        Adam([torch.nn.Parameter(torch.ones(1))], **wrong)
+
+
+def test_sparse_gradients_are_refused():
+    parameter = torch.nn.Parameter(torch.ones(2))
+    parameter.grad = torch.ones(2).to_sparse()
+    with pytest.raises(TypeError, match="gradient: expected a dense"):
+        Adam([parameter]).step()
