@@ -23,8 +23,8 @@ def build_atlas(textures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         The picture, [H, W, 3] uint8, first row on top, and where each face's corners are in it: [F, 3, 2] float64
-        pixel positions (x right, y down; pixel 0's centre is 0). Tiles are about 15 pixels wide, up to 50 if all fit
-        in 1024, fewer for meshes of more than 290,000 faces so that all fit in 8192; ValueError if they cannot.
+        pixel positions (x right, y down; pixel 0's centre is 0). Tiles are about 15 pixels wide, up to 50 if all
+        fit in 1024, fewer for meshes of more than 290,000 faces so that all fit in 8192; ValueError if they cannot.
     """
     faces, size = textures.shape[:2]
     columns = math.ceil(math.sqrt(faces))
@@ -47,7 +47,7 @@ def build_atlas(textures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _span(size: int, columns: int) -> int:
     """Pixels from corner to corner: in steps of T - 1, unless the picture would become too wide."""
     steps = size - 1
-    span = max(1, min(48, max(12, 1024 // columns - 3)) // steps) * steps
+    span = max(1, round(min(48, max(12, 1024 // columns - 3)) / steps)) * steps
     most = _LARGEST // columns - 3
     if most < 1:
         raise ValueError(

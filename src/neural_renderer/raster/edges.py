@@ -15,11 +15,11 @@ from .launch import array, face_lanes, launch
 
 wp.set_module_options({"enable_backward": False})
 
-# Pixels of a scan line that are handled at once: one vector register or two.
+# Pixels of a scan line that are handled at once; each stored line has as many zeros before and behind it.
 WIDE = 16
+PADDING = 2 * WIDE
 # The travel of a corner that no movement of its own brings nearer.
 NEVER = wp.constant(1.0e12)
-Pixels = wp.types.vector(length=WIDE, dtype=wp.float32)
 
 
 @torch.library.custom_op("neural_renderer::nmr_edges", mutates_args=())
@@ -52,20 +52,20 @@ def nmr_edges_backward(
         return result
     device = faces.device
 
-    def lines(count: int, length: int) -> Tensor:
-        return torch.empty((batch, channels, count, -(-length // WIDE), WIDE), device=device)
-
-    row_image, row_grad, column_image, column_grad = (
-        array(lines(*shape), Pixels) for shape in ((height, width), (height, width), (width, height), (width, height))
-    )
-    spans = array(torch.empty((batch, height + width, 2), dtype=torch.int32, device=device), wp.vec2i)
-    seen = array(torch.zeros(faces.shape[:2], dtype=torch.int32, device=device))
+    # Rows and columns side by side, channel by channel. Of a silhouette, one channel of ready gains is enough.
+    planes = 1 if binary else 2 * channels
+    rows = torch.zeros((batch, height, planes, width + PADDING), device=device)
+    columns = torch.zeros((batch, width, planes, height + PADDING), device=device)
+    spans = torch.empty((batch, height + width, 2), dtype=torch.int32, device=device)
+    seen = torch.zeros((batch, faces.shape[1]), dtype=torch.int32, device=device)
     maps = [array(image), array(grad), array(face_index)]
-    by_line = [row_image, row_grad, column_image, column_grad, spans]
-    launch(_prepare, batch * (height + width), [*maps, *by_line, seen, int(binary)], device)
-    arguments = [array(faces, wp.vec3), *maps, *by_line, seen, eps, int(two_sided), int(binary)]
+    lines = [array(rows), array(columns), array(spans, wp.vec2i), array(seen), int(binary)]
+    launch(_prepare, batch * (height + width), [*maps, *lines], device)
     lanes = face_lanes(faces, height * width)
-    launch(_pull, batch * faces.shape[1] * lanes, [*arguments, lanes, array(result, wp.vec3)], device)
+    # Zero would divide by zero where a pixel touches the edge.
+    options = [max(eps, 1e-12), int(two_sided), lanes]
+    arguments = [array(faces, wp.vec3), *maps, *lines, *options, array(result, wp.vec3)]
+    launch(_pull, batch * faces.shape[1] * lanes, arguments, device)
     return result
 
 
@@ -90,16 +90,50 @@ def _backward(ctx, grad):  # type: ignore[no-untyped-def]
 nmr_edges.register_autograd(_backward, setup_context=_save)
 
 
+# Plain loops over memory are what compilers turn into vector instructions; Warp's own vectors come out scalar.
+_COPY_LINE = """
+    for (int v = 0; v < length; ++v) {
+        const float pull = grad.data[pixel + v * step], value = image.data[pixel + v * step];
+        if (binary) {
+            // A pixel beside the shape gains by being covered if its gradient is negative.
+            lines.data[line + v] = (pull < 0.0f ? -pull : 0.0f) * (1.0f - value);
+        } else {
+            lines.data[line + v] = pull;
+            lines.data[line + values + v] = value;
+        }
+    }
+    int low = span[0], high = span[1];
+    for (int v = 0; v < low; ++v) if (lines.data[line + v] != 0.0f) low = v;
+    for (int v = length - 1; v > high; --v) if (lines.data[line + v] != 0.0f) high = v;
+    return wp::vec_t<2, int>(low, high);
+"""
+
+
+@wp.func_native(_COPY_LINE)
+def copy_line(
+    grad: wp.array4d(dtype=float),
+    image: wp.array4d(dtype=float),
+    pixel: wp.int64,
+    step: wp.int64,
+    lines: wp.array4d(dtype=float),
+    line: wp.int64,
+    values: wp.int64,
+    length: int,
+    binary: int,
+    span: wp.vec2i,
+) -> wp.vec2i:
+    """Copy one channel of a scan line from ``pixel`` on to ``line``, the image's ``values`` further; widen the span."""
+    ...
+
+
 @wp.kernel
 def _prepare(
     first: int,
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
-    row_image: wp.array4d(dtype=Pixels),
-    row_grad: wp.array4d(dtype=Pixels),
-    column_image: wp.array4d(dtype=Pixels),
-    column_grad: wp.array4d(dtype=Pixels),
+    rows: wp.array4d(dtype=float),
+    columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
     seen: wp.array2d(dtype=int),
     binary: int,
@@ -109,49 +143,97 @@ def _prepare(
     task = first + wp.tid()
     height = image.shape[1]
     width = image.shape[2]
+    channels = image.shape[3]
     b = task // (height + width)
     line = task % (height + width)
-    length = width
-    if line >= height:
-        length = height
-    low = length
-    high = int(-1)
-    for c in range(image.shape[3]):
-        for chunk in range((length + WIDE - 1) // WIDE):
-            values = Pixels()
-            pulls = Pixels()
-            for k in range(WIDE):
-                v = chunk * WIDE + k
-                if v < length:
-                    row = height - 1 - line
-                    column = v
-                    if line >= height:
-                        row = height - 1 - v
-                        column = line - height
-                    value = image[b, row, column, c]
-                    pull = grad[b, row, column, c]
-                    values[k] = value
-                    pulls[k] = pull
-                    if pull < 0.0 or (pull > 0.0 and binary == 0):
-                        if binary == 0 or value < 1.0:
-                            low = wp.min(low, v)
-                            high = wp.max(high, v)
-                    if line < height and c == 0:
-                        f = face_index[b, row, column]
-                        if f >= 0:
-                            seen[b, f] = 1
-            if line < height:
-                row_image[b, c, line, chunk] = values
-                row_grad[b, c, line, chunk] = pulls
-            else:
-                column_image[b, c, line - height, chunk] = values
-                column_grad[b, c, line - height, chunk] = pulls
-    spans[b, line] = wp.vec2i(low, high)
+    bottom = (wp.int64(b) * wp.int64(height) + wp.int64(height - 1)) * wp.int64(width)
+    span = wp.vec2i(width, -1)
+    if line < height:
+        plane = wp.int64(width + PADDING)
+        to = (wp.int64(b) * wp.int64(height) + wp.int64(line)) * wp.int64(rows.shape[2]) * plane + wp.int64(WIDE)
+        for c in range(channels):
+            pixel = (bottom - wp.int64(line) * wp.int64(width)) * wp.int64(channels) + wp.int64(c)
+            here = to + wp.int64(c) * plane
+            ahead = wp.int64(channels) * plane
+            span = copy_line(grad, image, pixel, wp.int64(channels), rows, here, ahead, width, binary, span)
+        for i in range(width):
+            f = face_index[b, height - 1 - line, i]
+            if f >= 0:
+                seen[b, f] = 1
+    else:
+        u = line - height
+        span = wp.vec2i(height, -1)
+        plane = wp.int64(height + PADDING)
+        to = (wp.int64(b) * wp.int64(width) + wp.int64(u)) * wp.int64(columns.shape[2]) * plane + wp.int64(WIDE)
+        for c in range(channels):
+            pixel = (bottom + wp.int64(u)) * wp.int64(channels) + wp.int64(c)
+            here = to + wp.int64(c) * plane
+            ahead = wp.int64(channels) * plane
+            up = -wp.int64(channels) * wp.int64(width)
+            span = copy_line(grad, image, pixel, up, columns, here, ahead, height, binary, span)
+    spans[b, line] = span
 
 
-@wp.func
-def lane_numbers() -> Pixels:
-    return Pixels(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0)
+_SWEEP = """
+    float gain[16], sum_p[16], sum_q[16];
+    for (int k = 0; k < 16; ++k) sum_p[k] = sum_q[k] = 0.0f;
+    const float slope = outward > 0 ? 1.0f : -1.0f;
+    const float offset = outward > 0 ? distance : distance + 15.0f;
+    for (int n = 0; n < count; n += 16) {
+        const long long start = line + (outward > 0 ? n : -n - 15);
+        const float* pull = lines.data + start;
+        if (channels == 0) {
+            for (int k = 0; k < 16; ++k) gain[k] = pull[k];
+        } else {
+            for (int k = 0; k < 16; ++k) gain[k] = 0.0f;
+            for (int c = 0; c < channels; ++c) {
+                const float* value = pull + channels * plane;
+                const float shown = image.data[pixel + c];
+                for (int k = 0; k < 16; ++k) gain[k] += (value[k] - shown) * pull[k];
+                pull += plane;
+            }
+            for (int k = 0; k < 16; ++k) gain[k] = gain[k] > 0.0f ? gain[k] : 0.0f;
+        }
+        for (int k = 0; k < 16; ++k) {
+            const float away = offset + (float)n + slope * (float)k;
+            const float travel_p = lever_p * away + eps;
+            const float travel_q = lever_q * away + eps;
+            const float share = gain[k] / (travel_p * travel_q);
+            sum_p[k] += share * travel_q;
+            sum_q[k] += share * travel_p;
+        }
+    }
+    for (int half = 8; half > 0; half /= 2)
+        for (int k = 0; k < half; ++k) {
+            sum_p[k] += sum_p[k + half];
+            sum_q[k] += sum_q[k + half];
+        }
+    return wp::vec_t<2, float>(sum_p[0], sum_q[0]);
+"""
+
+
+@wp.func_native(_SWEEP)
+def sweep(
+    lines: wp.array4d(dtype=float),
+    line: wp.int64,
+    plane: wp.int64,
+    image: wp.array4d(dtype=float),
+    pixel: wp.int64,
+    channels: int,
+    outward: int,
+    count: int,
+    distance: float,
+    lever_p: float,
+    lever_q: float,
+    eps: float,
+) -> wp.vec2:
+    """Sum over pixels of a scan line what they gain by the colour at ``pixel``, over the corners' travel.
+
+    line: where the first pixel lies in ``lines``, from which ``count`` pixels follow in the direction ``outward``;
+    plane: from one channel to the next; channels: 0 where the stored values are the gains;
+    distance: of the first pixel from the edge. Whatever is read beyond the count lies outside the line's span: no gain.
+    """
+    ...
 
 
 @wp.func
@@ -175,8 +257,7 @@ def pull_edge(
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
-    line_image: wp.array4d(dtype=Pixels),
-    line_grad: wp.array4d(dtype=Pixels),
+    lines: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
     eps: float,
     binary: int,
@@ -188,16 +269,20 @@ def pull_edge(
     """
     height = image.shape[1]
     width = image.shape[2]
-    lines = width
+    count = width
     length = height
     first_line = height
     if axis == 0:
-        lines = height
+        count = height
         length = width
         first_line = int(0)
-    pu = to_pixels(p[1 - axis], lines)
-    qu = to_pixels(q[1 - axis], lines)
-    ru = to_pixels(r[1 - axis], lines)
+    channels = image.shape[3]
+    if binary == 1:
+        channels = int(0)
+    plane = wp.int64(length + PADDING)
+    pu = to_pixels(p[1 - axis], count)
+    qu = to_pixels(q[1 - axis], count)
+    ru = to_pixels(r[1 - axis], count)
     pv = to_pixels(p[axis], length)
     qv = to_pixels(q[axis], length)
     rv = to_pixels(r[axis], length)
@@ -209,12 +294,12 @@ def pull_edge(
         outward = int(-1)
     d = float(outward)
     unit = 2.0 / float(length)
-    wide_p = Pixels()
-    wide_q = Pixels()
+    far_p = float(0.0)
+    far_q = float(0.0)
     near_p = float(0.0)
     near_q = float(0.0)
     start = int(wp.ceil(wp.max(wp.min(pu, qu), 0.0)))
-    stop = int(wp.floor(wp.min(wp.max(pu, qu), float(lines - 1))))
+    stop = int(wp.floor(wp.min(wp.max(pu, qu), float(count - 1))))
     for u in range(start + lane, stop + 1, lanes):
         c = wp.clamp(pv + (qv - pv) * (float(u) - pu) / (qu - pu), -2.0, float(length) + 1.0)
         inner = int(wp.ceil(c))
@@ -235,26 +320,30 @@ def pull_edge(
 
         if face_index[b, inner_row, inner_column] == f:
             span = spans[b, first_line + u]
-            first = wp.max(span[0], outer)
-            last = span[1]
+            begin = wp.max(span[0], outer)
+            pixels = span[1] - begin + 1
             if outward < 0:
-                first = span[0]
-                last = wp.min(span[1], outer)
-            if first <= last:
-                for chunk in range(first // WIDE, last // WIDE + 1):
-                    step = d * (lane_numbers() + Pixels(float(chunk * WIDE - outer)))
-                    gain = Pixels()
-                    for channel in range(image.shape[3]):
-                        inside = Pixels(image[b, inner_row, inner_column, channel])
-                        gain += wp.cw_mul(line_image[b, channel, u, chunk] - inside, line_grad[b, channel, u, chunk])
-                    # Only what lowers the loss, and only from `outer` on.
-                    gain = wp.cw_mul(wp.max(gain, Pixels(0.0)), wp.min(wp.max(step + Pixels(1.0), Pixels(0.0)), Pixels(1.0)))
-                    distance = wp.max(step, Pixels(0.0)) + Pixels(wp.abs(float(outer) - c))
-                    travel_p = lever_p * distance + Pixels(eps)
-                    travel_q = lever_q * distance + Pixels(eps)
-                    share = wp.cw_div(gain, wp.cw_mul(travel_p, travel_q))
-                    wide_p += wp.cw_mul(share, travel_q)
-                    wide_q += wp.cw_mul(share, travel_p)
+                begin = wp.min(span[1], outer)
+                pixels = begin - span[0] + 1
+            if pixels > 0:
+                line = (wp.int64(b) * wp.int64(count) + wp.int64(u)) * wp.int64(lines.shape[2]) * plane
+                pixel = (wp.int64(b) * wp.int64(height) + wp.int64(inner_row)) * wp.int64(width) + wp.int64(inner_column)
+                sums = sweep(
+                    lines,
+                    line + wp.int64(begin + WIDE),
+                    plane,
+                    image,
+                    pixel * wp.int64(image.shape[3]),
+                    channels,
+                    outward,
+                    pixels,
+                    wp.abs(float(begin) - c),
+                    lever_p,
+                    lever_q,
+                    eps,
+                )
+                far_p += sums[0]
+                far_q += sums[1]
 
         if binary == 1 and face_index[b, outer_row, outer_column] >= 0:
             continue
@@ -274,18 +363,13 @@ def pull_edge(
             if face_index[b, row, column] == f:
                 better = float(0.0)
                 for channel in range(image.shape[3]):
-                    beyond = image[b, outer_row, outer_column, channel]
-                    better += (image[b, row, column, channel] - beyond) * grad[b, row, column, channel]
+                    behind = image[b, outer_row, outer_column, channel]
+                    better += (image[b, row, column, channel] - behind) * grad[b, row, column, channel]
                 if better > 0.0:
                     away = wp.abs(float(v) - c)
                     near_p += better / (lever_p * away + eps)
                     near_q += better / (lever_q * away + eps)
-    to_p = near_p
-    to_q = near_q
-    for k in range(WIDE):
-        to_p -= wide_p[k]
-        to_q -= wide_q[k]
-    return d * wp.vec2(to_p, to_q)
+    return d * wp.vec2(near_p - far_p, near_q - far_q)
 
 
 @wp.kernel
@@ -295,15 +379,13 @@ def _pull(
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
-    row_image: wp.array4d(dtype=Pixels),
-    row_grad: wp.array4d(dtype=Pixels),
-    column_image: wp.array4d(dtype=Pixels),
-    column_grad: wp.array4d(dtype=Pixels),
+    rows: wp.array4d(dtype=float),
+    columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
     seen: wp.array2d(dtype=int),
+    binary: int,
     eps: float,
     two_sided: int,
-    binary: int,
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
@@ -323,18 +405,15 @@ def _pull(
         v1, v2 = v2, v1
     x = wp.vec3(0.0, 0.0, 0.0)
     y = wp.vec3(0.0, 0.0, 0.0)
-    for k in range(3):
+    corners = int(3)  # a variable, or Warp would unroll the loop sixfold
+    for k in range(corners):
         p, q, r = v0, v1, v2
         if k == 1:
             p, q, r = v1, v2, v0
         if k == 2:
             p, q, r = v2, v0, v1
-        to_x = pull_edge(
-            b, f, 0, lane, lanes, p, q, r, image, grad, face_index, row_image, row_grad, spans, eps, binary
-        )
-        to_y = pull_edge(
-            b, f, 1, lane, lanes, p, q, r, image, grad, face_index, column_image, column_grad, spans, eps, binary
-        )
+        to_x = pull_edge(b, f, 0, lane, lanes, p, q, r, image, grad, face_index, rows, spans, eps, binary)
+        to_y = pull_edge(b, f, 1, lane, lanes, p, q, r, image, grad, face_index, columns, spans, eps, binary)
         x[k] += to_x[0]
         y[k] += to_y[0]
         x[(k + 1) % 3] += to_x[1]

@@ -1,0 +1,214 @@
+"""Colour from the cube of texels that each face owns, and the light that falls on the face."""
+
+# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+import torch
+import warp as wp
+from torch import Tensor
+
+from .geometry import facing, in_front, pixel_box
+from .launch import array, face_lanes, launch
+
+wp.set_module_options({"enable_backward": False})
+
+
+@torch.library.custom_op("neural_renderer::sample_textures", mutates_args=())
+def sample_textures(
+    textures: Tensor, light: Tensor, background: Tensor, faces: Tensor, face_index: Tensor, weights: Tensor, depth: Tensor,
+    eps: float, perspective: bool,
+) -> Tensor:
+    """The colour [B, H, W, 3] of each pixel; differentiable in textures, light and background.
+
+    textures: [B or 1, F, T, T, T, 3] float32, T >= 2; texel [a][b][c] belongs to corner weights (0, 1, 2) in that order.
+    light: [B or 1, 2, F, 3] factors on the side that is seen when the corners run counter-clockwise, and on the other.
+    background: [B, H, W, 3], seen where no face is.
+    faces, face_index, weights, depth: as `coverage` and `barycentrics` take and give them.
+    eps: cube coordinates end at T - 1 - eps.
+
+    The coordinate along corner k's axis is ``w_k (T - 1) z / z_k``, so that textures lie flat in space (``w_k (T - 1)``
+    without perspective), and the 8 texels around it are blended. The coordinate passes no gradient on.
+    """
+    color = torch.empty((*face_index.shape, 3), device=faces.device)
+    batch, height = face_index.shape[:2]
+    arguments = _arguments(textures, light, faces, face_index, weights, depth, eps, perspective)
+    launch(_forward, batch * height, [*arguments, array(background, wp.vec3), array(color, wp.vec3)], faces.device)
+    return color
+
+
+@sample_textures.register_fake
+def _(textures, light, background, faces, face_index, weights, depth, eps, perspective):  # type: ignore[no-untyped-def]
+    return faces.new_empty((*face_index.shape, 3))
+
+
+@torch.library.custom_op("neural_renderer::sample_textures_backward", mutates_args=())
+def sample_textures_backward(
+    grad: Tensor, textures: Tensor, light: Tensor, faces: Tensor, face_index: Tensor, weights: Tensor, depth: Tensor,
+    eps: float, perspective: bool,
+) -> tuple[Tensor, Tensor]:
+    """The gradients of `sample_textures` to textures and light."""
+    batch, height, width = face_index.shape
+    to_textures = torch.zeros(textures.shape, device=faces.device)
+    to_light = torch.zeros((batch, *light.shape[1:]), device=faces.device)
+    lanes = face_lanes(faces, height * width)
+    arguments = _arguments(textures, light, faces, face_index, weights, depth, eps, perspective)
+    results = [array(to_textures.view(*textures.shape[:2], -1, 3), wp.vec3), array(to_light, wp.vec3)]
+    # Textures that images share belong to one task, which takes the images in turn.
+    images = 1 if textures.shape[0] < batch else batch
+    tasks = images * faces.shape[1] * lanes
+    launch(_backward, tasks, [*arguments, array(grad.contiguous(), wp.vec3), images, lanes, *results], faces.device)
+    return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light
+
+
+@sample_textures_backward.register_fake
+def _(grad, textures, light, faces, face_index, weights, depth, eps, perspective):  # type: ignore[no-untyped-def]
+    return textures.new_empty(textures.shape), light.new_empty(light.shape)
+
+
+def _arguments(textures, light, faces, face_index, weights, depth, eps, perspective):  # type: ignore[no-untyped-def]
+    cubes = array(textures.contiguous().view(*textures.shape[:2], -1, 3), wp.vec3)
+    maps = [array(face_index), array(weights, wp.vec3), array(depth)]
+    return [cubes, array(light.contiguous(), wp.vec3), array(faces.contiguous(), wp.vec3), *maps, textures.shape[2], eps, int(perspective)]
+
+
+def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+    textures, light, _, faces, face_index, weights, depth, ctx.eps, ctx.perspective = inputs
+    ctx.save_for_backward(textures, light, faces, face_index, weights, depth)
+
+
+def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
+    to_textures = to_light = to_background = None
+    if ctx.needs_input_grad[0] or ctx.needs_input_grad[1]:
+        to_textures, to_light = sample_textures_backward(grad, *ctx.saved_tensors, ctx.eps, ctx.perspective)
+    if ctx.needs_input_grad[2]:
+        to_background = grad * (ctx.saved_tensors[3] < 0)[..., None]
+    return to_textures, to_light, to_background, None, None, None, None, None, None
+
+
+sample_textures.register_autograd(_to_inputs, setup_context=_save)
+
+
+@wp.func
+def cube_coordinate(w: wp.vec3, depth: float, z: wp.vec3, size: int, eps: float, perspective: int) -> wp.vec3:
+    top = float(size - 1)
+    c = top * w
+    if perspective == 1:
+        c = wp.vec3(c[0] * depth / z[0], c[1] * depth / z[1], c[2] * depth / z[2])
+    for k in range(3):
+        c[k] = wp.clamp(c[k], 0.0, top - eps)
+    return c
+
+
+@wp.func
+def texel(c: wp.vec3, size: int, corner: int):
+    """Index and share of one of the 8 texels around a cube coordinate; bit k of ``corner`` belongs to axis k."""
+    index = int(0)
+    share = float(1.0)
+    for k in range(3):
+        low = int(c[k])
+        part = c[k] - float(low)
+        step = (corner >> k) & 1
+        if step == 0:
+            part = 1.0 - part
+        index = index * size + low + step
+        share = share * part
+    return index, share
+
+
+@wp.func
+def side_seen(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> int:
+    if facing(v0, v1, v2) < 0:
+        return 1
+    return 0
+
+
+@wp.kernel
+def _forward(
+    first: int,
+    textures: wp.array3d(dtype=wp.vec3),
+    light: wp.array3d(dtype=wp.vec3),
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    weights: wp.array3d(dtype=wp.vec3),
+    depth: wp.array3d(dtype=float),
+    size: int,
+    eps: float,
+    perspective: int,
+    background: wp.array3d(dtype=wp.vec3),
+    color: wp.array3d(dtype=wp.vec3),
+):
+    task = first + wp.tid()
+    height = face_index.shape[1]
+    b = task // height
+    row = task % height
+    for i in range(face_index.shape[2]):
+        f = face_index[b, row, i]
+        if f < 0:
+            color[b, row, i] = background[b, row, i]
+        else:
+            v0 = faces[b, f, 0]
+            v1 = faces[b, f, 1]
+            v2 = faces[b, f, 2]
+            z = wp.vec3(v0[2], v1[2], v2[2])
+            c = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
+            blend = wp.vec3(0.0, 0.0, 0.0)
+            for corner in range(8):
+                index, share = texel(c, size, corner)
+                blend += share * textures[wp.min(b, textures.shape[0] - 1), f, index]
+            color[b, row, i] = wp.cw_mul(blend, light[wp.min(b, light.shape[0] - 1), side_seen(v0, v1, v2), f])
+
+
+@wp.kernel
+def _backward(
+    first: int,
+    textures: wp.array3d(dtype=wp.vec3),
+    light: wp.array3d(dtype=wp.vec3),
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    weights: wp.array3d(dtype=wp.vec3),
+    depth: wp.array3d(dtype=float),
+    size: int,
+    eps: float,
+    perspective: int,
+    grad: wp.array3d(dtype=wp.vec3),
+    images: int,
+    lanes: int,
+    to_textures: wp.array3d(dtype=wp.vec3),
+    to_light: wp.array3d(dtype=wp.vec3),
+):
+    """One face, of one image or of all, over the pixels that show it; with several lanes, each takes some of the rows."""
+    task = first + wp.tid()
+    lane = task % lanes
+    f = (task // lanes) % faces.shape[1]
+    own = (task // lanes) // faces.shape[1]
+    height = face_index.shape[1]
+    width = face_index.shape[2]
+    from_image = own
+    to_image = own + 1
+    if images == 1:
+        from_image = 0
+        to_image = faces.shape[0]
+    for b in range(from_image, to_image):
+        v0 = faces[b, f, 0]
+        v1 = faces[b, f, 1]
+        v2 = faces[b, f, 2]
+        front = in_front(v0, v1, v2, perspective)
+        if front < 0:
+            continue
+        side = side_seen(v0, v1, v2)
+        factor = light[wp.min(b, light.shape[0] - 1), side, f]
+        z = wp.vec3(v0[2], v1[2], v2[2])
+        lit = wp.vec3(0.0, 0.0, 0.0)
+        box = pixel_box(v0, v1, v2, front, height, width)
+        for j in range(box[2] + lane, box[3] + 1, lanes):
+            row = height - 1 - j
+            for i in range(box[0], box[1] + 1):
+                if face_index[b, row, i] == f:
+                    g = grad[b, row, i]
+                    scaled = wp.cw_mul(g, factor)
+                    c = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
+                    blend = wp.vec3(0.0, 0.0, 0.0)
+                    for corner in range(8):
+                        index, share = texel(c, size, corner)
+                        blend += share * textures[own, f, index]
+                        wp.atomic_add(to_textures, own, f, index, share * scaled)
+                    lit += wp.cw_mul(blend, g)
+        wp.atomic_add(to_light, b, side, f, lit)
