@@ -1,1 +1,56 @@
-"""A differentiable mesh renderer."""
+"""A differentiable mesh renderer for PyTorch, on the CPU and on CUDA (Kato, Ushiku and Harada, CVPR 2018).
+
+New code: `Mesh`, `Camera`, `Light`, `render`, `losses`. Code written for the first packages: `Renderer` and the rest.
+"""
+
+from . import losses, metrics
+from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
+from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
+from .lighting import Light, lighting
+from .mesh import Mesh
+from .optim import Adam
+from .primitives import cube, icosphere, torus
+from .raster import Images, rasterize_images, vertices_to_faces
+from .rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
+from .render import render
+from .renderer import Renderer
+from .validate import check_values
+from .version import __version__
+
+__all__ = [
+    "Adam",
+    "Camera",
+    "Images",
+    "Light",
+    "Mesh",
+    "Rasterize",
+    "Renderer",
+    "__version__",
+    "check_values",
+    "cube",
+    "get_points_from_angles",
+    "icosphere",
+    "lighting",
+    "load_image",
+    "load_mesh",
+    "load_obj",
+    "look",
+    "look_at",
+    "losses",
+    "metrics",
+    "orthographic",
+    "perspective",
+    "projection",
+    "rasterize",
+    "rasterize_depth",
+    "rasterize_images",
+    "rasterize_rgbad",
+    "rasterize_silhouettes",
+    "render",
+    "save_animation",
+    "save_image",
+    "save_mesh",
+    "save_obj",
+    "torus",
+    "vertices_to_faces",
+]

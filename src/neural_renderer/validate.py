@@ -108,6 +108,6 @@ def number(name: str, value: Any) -> float:
             value = float(value)
         except (TypeError, ValueError):
             raise TypeError(f"{name}: expected a number, got {type(value).__name__}") from None
-    if not math.isfinite(value):
+    if not -math.inf < value < math.inf:
         raise ValueError(f"{name}: expected a finite number, got {value}")
     return float(value)

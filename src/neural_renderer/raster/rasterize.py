@@ -1,0 +1,219 @@
+"""From the corners of faces in screen space to images: the operations put together, and their public border."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .. import validate
+from .barycentrics import barycentrics
+from .corners import gather_corners
+from .coverage import coverage
+from .edges import nmr_edges
+from .textures import sample_textures
+
+GRADIENTS = ("nmr",)
+OUTPUTS = ("rgb", "alpha", "depth")
+
+
+class Images(NamedTuple):
+    """What a renderer returns; None for what was not asked for. Row 0 is at the top."""
+
+    rgb: Tensor | None = None  # [B, 3, H, W] float32
+    alpha: Tensor | None = None  # [B, H, W] float32, 1 where a face is seen, 0 elsewhere, in between if anti-aliased
+    depth: Tensor | None = None  # [B, H, W] float32, along the viewing axis in world units, far where no face is seen
+
+
+def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
+    """The corners of each face.
+
+    vertices: [B, V, 3] floating. faces: [F, 3] shared by the batch, or [B, F, 3]; int32 or int64, in [0, V).
+    Returns [B, F, 3, 3] float32. Raises TypeError or ValueError for other dtypes, shapes, devices or indices.
+    """
+    validate.floating("vertices", vertices, ("B", "V", 3))
+    validate.indices("faces", faces, ("F", 3) if isinstance(faces, Tensor) and faces.dim() == 2 else ("B", "F", 3))
+    validate.same_device(vertices=vertices, faces=faces)
+    if faces.dim() == 2:
+        faces = faces[None]
+    elif faces.shape[0] not in (1, vertices.shape[0]):
+        raise ValueError(f"faces: expected a batch of {vertices.shape[0]} like vertices, got {faces.shape[0]}")
+    validate.in_range("faces", faces, vertices.shape[1])
+    return gather_corners(vertices.float(), faces.int().contiguous())
+
+
+def rasterize_images(
+    faces: Tensor,
+    size: int | tuple[int, int],
+    *,
+    outputs: Collection[str] = OUTPUTS,
+    textures: Tensor | None = None,
+    light: Tensor | None = None,
+    background: Any = (0.0, 0.0, 0.0),
+    near: float = 0.1,
+    far: float = 100.0,
+    eps: float = 1e-4,
+    anti_aliasing: bool = True,
+    two_sided: bool = False,
+    perspective: bool = True,
+    gradient: str = "nmr",
+) -> Images:
+    """Draw faces given by their corners in screen space.
+
+    faces: [B, F, 3, 3] floating; corner ``(x, y, z)``: x right and y up in [-1, 1] over the image, z the depth along the
+        viewing axis in world units, positive in front of the camera. float64, half and bfloat16 are computed in float32.
+    size: the images' side, or (height, width), in pixels.
+    outputs: which of "rgb", "alpha", "depth"; what is not asked for costs nothing.
+    textures: [B or 1, F, T, T, T, 3] floating, T >= 2; needed for "rgb".
+    light: [B or 1, 2, F, 3] factors for the colour of each face's two sides; none: 1.
+    background: colour where no face is seen: [3], [B, 3], or an image [B, 3, H, W] or [3, H, W] (H and W of the output).
+    near, far: 0 <= near < far; only what has near < depth < far at a pixel is seen.
+    eps: added to the distances in the gradient's denominators (screen units); cube coordinates end at T - 1 - eps.
+    anti_aliasing: draw at twice the size and average 2 x 2 pixels (colour, alpha and depth alike).
+    two_sided: also draw faces whose corners run clockwise on the screen.
+    perspective: interpolate depth and texture coordinates in perspective; False for orthographic cameras.
+    gradient: the estimator through visibility: "nmr", the paper's (section 3.2).
+
+    Returns Images. An empty batch or mesh gives the background. Raises TypeError or ValueError for anything else.
+    """
+    height, width = image_size("image_size", size)
+    outputs = _checked_outputs(outputs)
+    if gradient not in GRADIENTS:
+        raise ValueError(f"gradient: expected one of {', '.join(GRADIENTS)}, got {gradient!r}")
+    near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
+    if not 0 <= near < far:
+        raise ValueError(f"near, far: expected 0 <= near < far, got near {near}, far {far}")
+    if not 0 <= eps < 1:
+        raise ValueError(f"eps: expected 0 <= eps < 1, got {eps}")
+    validate.floating("faces", faces, ("B", "F", 3, 3))
+    validate.finite("faces", faces)
+    device = _supported(faces.device)
+    batch, count = faces.shape[:2]
+    scale = 2 if anti_aliasing else 1
+    _check_memory(batch, height * scale, width * scale, 1 + 3 * ("rgb" in outputs), device)
+
+    corners = faces.float()
+    still = corners.detach()
+    face_index = coverage(still, height * scale, width * scale, near, far, two_sided, perspective)
+    weights = depth = None
+    if "rgb" in outputs or "depth" in outputs:
+        weights, depth = barycentrics(corners if "depth" in outputs else still, face_index, far, perspective)
+
+    layers = []
+    if "rgb" in outputs:
+        cubes = _checked_textures(textures, batch, count, device)
+        factors = torch.ones((1, 2, count, 3), device=device) if light is None else _checked_light(light, batch, count, device)
+        behind = _checked_background(background, batch, height, width, device)
+        behind = behind.repeat_interleave(scale, 1).repeat_interleave(scale, 2) if behind.shape[1] > 1 else behind
+        behind = behind.expand(*face_index.shape, 3)
+        layers.append(
+            sample_textures(cubes, factors, behind, still, face_index, weights.detach(), depth.detach(), eps, perspective)  # type: ignore[union-attr]
+        )
+    if "alpha" in outputs:
+        layers.append((face_index >= 0).to(corners.dtype)[..., None])
+    rgb = alpha = None
+    if layers:
+        image = layers[0] if len(layers) == 1 else torch.cat(layers, -1)
+        if corners.requires_grad and torch.is_grad_enabled():
+            image = nmr_edges(image, corners, face_index, eps, two_sided, "rgb" not in outputs)
+        image = image.permute(0, 3, 1, 2)
+        if anti_aliasing:
+            image = F.avg_pool2d(image, 2) if image.numel() else image[:, :, ::2, ::2]
+        if "rgb" in outputs:
+            rgb = image[:, :3].contiguous()
+        if "alpha" in outputs:
+            alpha = image[:, -1].contiguous()
+    if "depth" not in outputs:
+        depth = None
+    elif anti_aliasing and depth is not None:
+        depth = F.avg_pool2d(depth[:, None], 2)[:, 0] if depth.numel() else depth[:, ::2, ::2]
+    return Images(rgb, alpha, depth)
+
+
+def image_size(name: str, size: Any) -> tuple[int, int]:
+    """(height, width) of a size given as one side or as a pair; TypeError or ValueError for anything else."""
+    pair = size if isinstance(size, (tuple, list)) else (size, size)
+    if len(pair) != 2:
+        raise ValueError(f"{name}: expected a side or (height, width), got {size!r}")
+    sides = []
+    for side in pair:
+        if isinstance(side, bool) or int(validate.number(name, side)) != side:
+            raise TypeError(f"{name}: expected whole numbers of pixels, got {size!r}")
+        if not 1 <= side <= 32768:
+            raise ValueError(f"{name}: expected between 1 and 32768 pixels, got {size!r}")
+        sides.append(int(side))
+    return sides[0], sides[1]
+
+
+def _checked_outputs(outputs: Collection[str]) -> Collection[str]:
+    names = (outputs,) if isinstance(outputs, str) else tuple(outputs)
+    if not names or any(name not in OUTPUTS for name in names):
+        raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)}, got {', '.join(map(str, names)) or 'none'}")
+    return names
+
+
+def _supported(device: torch.device) -> torch.device:
+    if device.type not in ("cpu", "cuda", "meta"):
+        raise ValueError(f"faces: expected a tensor on the CPU or on CUDA, got device {device}")
+    return device
+
+
+def _check_memory(batch: int, height: int, width: int, channels: int, device: torch.device) -> None:
+    # The key, index, weights and depth, and four copies of the image on the way back.
+    need = batch * height * width * (28 + 16 * channels)
+    if need < 1 << 30:
+        return
+    if device.type == "cuda":
+        have = torch.cuda.get_device_properties(device).total_memory
+    elif hasattr(os, "sysconf"):
+        have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    else:
+        return
+    if need > have:
+        raise ValueError(
+            f"image_size: expected images that fit into the {have / 2**30:.0f} GiB of {device}, got {batch} of "
+            f"{height} x {width} drawn pixels, which take {need / 2**30:.0f} GiB"
+        )
+
+
+def _checked_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:
+    if textures is None:
+        raise ValueError('textures: expected a tensor [B, F, T, T, T, 3] to draw "rgb", got None')
+    validate.floating("textures", textures, ("B", "F", "T", "T", "T", 3))
+    validate.same_device(faces=torch.empty(0, device=device), textures=textures)
+    images, owned, a, b, c = textures.shape[:5]
+    if images not in (1, batch) or owned != count:
+        raise ValueError(f"textures: expected [{batch} or 1, {count}, T, T, T, 3] like faces, got {validate.shape_of(textures)}")
+    if not (a == b == c and a >= 2):
+        raise ValueError(f"textures: expected cubes of equal sides T >= 2, got {a} x {b} x {c}")
+    return textures.float()
+
+
+def _checked_light(light: Tensor, batch: int, count: int, device: torch.device) -> Tensor:
+    validate.floating("light", light, ("B", 2, count, 3))
+    validate.same_device(faces=torch.empty(0, device=device), light=light)
+    if light.shape[0] not in (1, batch):
+        raise ValueError(f"light: expected a batch of {batch} or 1, got {light.shape[0]}")
+    return light.float()
+
+
+def _checked_background(background: Any, batch: int, height: int, width: int, device: torch.device) -> Tensor:
+    """The background as [1 or B, 1 or H, 1 or W, 3] float32."""
+    if not isinstance(background, Tensor):
+        try:
+            background = torch.as_tensor(background, dtype=torch.float32, device=device)
+        except (TypeError, ValueError, RuntimeError):
+            raise TypeError(f"background: expected a colour [3] or [B, 3] or an image, got {background!r}") from None
+    color = background.to(device=device, dtype=torch.float32)
+    shape = tuple(color.shape)
+    if shape == (3,) or (len(shape) == 2 and shape[0] in (1, batch) and shape[1] == 3):
+        return color.reshape(-1, 1, 1, 3)
+    if shape == (3, height, width) or (len(shape) == 4 and shape[0] in (1, batch) and shape[1:] == (3, height, width)):
+        return color.reshape(-1, 3, height, width).permute(0, 2, 3, 1)
+    raise ValueError(
+        f"background: expected [3], [{batch}, 3], [3, {height}, {width}] or [{batch}, 3, {height}, {width}], got {list(shape)}"
+    )

@@ -1,0 +1,89 @@
+"""The modern form: a mesh, a batch of cameras, a light; out come images."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+from torch import Tensor
+
+from . import validate
+from .camera import Camera
+from .lighting import Light
+from .mesh import Mesh
+from .raster.rasterize import OUTPUTS, Images, image_size, rasterize_images, vertices_to_faces
+
+
+def render(
+    mesh: Mesh | tuple[Tensor, ...],
+    camera: Camera,
+    size: int | tuple[int, int] = 256,
+    *,
+    light: Light | None = Light(),  # noqa: B008 (immutable)
+    background: Any = (0.0, 0.0, 0.0),
+    outputs: Collection[str] = OUTPUTS,
+    near: float = 0.1,
+    far: float = 100.0,
+    anti_aliasing: bool = True,
+    two_sided: bool = True,
+    gradient: str = "nmr",
+    eps: float = 1e-3,
+) -> Images:
+    """Render a mesh from every camera of a batch, differentiably.
+
+    mesh: a `Mesh`; or (vertices, faces) or (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces
+        [F, 3] or [B, F, 3] integer, textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating with T >= 2.
+    camera: one camera, or B of them. One mesh is drawn from all cameras, and one camera sees all meshes.
+    size: the images' side or (height, width), in pixels; they need not be square, and pixels stay square.
+    light: None draws the textures as they are.
+    background, outputs, near, far, anti_aliasing, two_sided, gradient, eps: as in `rasterize_images`.
+
+    Returns Images(rgb [B, 3, H, W], alpha [B, H, W], depth [B, H, W]) float32, row 0 at the top; None for what was not
+    asked for. Gradients reach vertices, textures, the camera's and the light's parameters, and the background.
+    Raises TypeError or ValueError with a sentence for anything that does not fit.
+
+    >>> mesh = Mesh.icosphere()
+    >>> eye = get_points_from_angles(2.7, 30.0, torch.linspace(0, 315, 8))
+    >>> images = render(mesh, Camera.look_at(eye, viewing_angle=30), (120, 160))
+    >>> images.rgb.shape
+    torch.Size([8, 3, 120, 160])
+    """
+    vertices, faces, textures = _parts(mesh)
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
+    if light is not None and not isinstance(light, Light):
+        raise TypeError(f"light: expected a Light or None, got {type(light).__name__}")
+    validate.finite("vertices", vertices)
+    height, width = image_size("size", size)
+    screen = camera(vertices, aspect=width / height)
+    factors = None
+    if light is not None and "rgb" in outputs:
+        world = vertices if vertices.dim() == 3 else vertices[None]
+        factors = light.two_sided(vertices_to_faces(world, faces), camera.mirrored)
+    if textures is None and "rgb" in outputs:
+        raise ValueError('mesh: expected textures to draw "rgb", got (vertices, faces) alone')
+    if textures is not None and textures.dim() == 5:
+        textures = textures[None]
+    return rasterize_images(
+        vertices_to_faces(screen, faces),
+        (height, width),
+        outputs=outputs,
+        textures=textures if "rgb" in outputs else None,
+        light=factors,
+        background=background,
+        near=near,
+        far=far,
+        eps=eps,
+        anti_aliasing=anti_aliasing,
+        two_sided=two_sided,
+        perspective=camera.perspective,
+        gradient=gradient,
+    )
+
+
+def _parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
+    if isinstance(mesh, Mesh):
+        return mesh.vertices, mesh.faces, mesh.textures
+    if isinstance(mesh, tuple) and len(mesh) in (2, 3):
+        return mesh[0], mesh[1], mesh[2] if len(mesh) == 3 else None
+    raise TypeError(f"mesh: expected a Mesh, (vertices, faces) or (vertices, faces, textures), got {type(mesh).__name__}")
