@@ -72,11 +72,11 @@ barycentrics.register_autograd(_to_corners, setup_context=_save)
 
 
 @wp.func
-def pixel_weights(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, i: float, j: float, height: int, width: int) -> wp.vec3:
-    """The weights by the inverse of the face's matrix in pixel units.
+def pixel_matrix(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, height: int, width: int) -> wp.mat33:
+    """The matrix that takes a pixel (column, row from the bottom, 1) to its weights.
 
-    It is how the first packages computed them: for faces far smaller than a pixel its rounding (some 1e-4 of a weight)
-    is what existing results contain.
+    Weights by this inverse are how the first packages computed them: for faces far smaller than a pixel its rounding
+    (some 1e-4 of a weight) is what existing results contain.
     """
     x0 = to_pixels(v0[0], width)
     x1 = to_pixels(v1[0], width)
@@ -85,11 +85,11 @@ def pixel_weights(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, i: float, j: float, hei
     y1 = to_pixels(v1[1], height)
     y2 = to_pixels(v2[1], height)
     area = x2 * (y0 - y1) + x0 * (y1 - y2) + x1 * (y2 - y0)
-    return wp.vec3(
-        (y1 - y2) / area * i + (x2 - x1) / area * j + (x1 * y2 - x2 * y1) / area,
-        (y2 - y0) / area * i + (x0 - x2) / area * j + (x2 * y0 - x0 * y2) / area,
-        (y0 - y1) / area * i + (x1 - x0) / area * j + (x0 * y1 - x1 * y0) / area,
-    )
+    return wp.mat33(
+        (y1 - y2) / area, (x2 - x1) / area, (x1 * y2 - x2 * y1) / area,
+        (y2 - y0) / area, (x0 - x2) / area, (x2 * y0 - x0 * y2) / area,
+        (y0 - y1) / area, (x1 - x0) / area, (x0 * y1 - x1 * y0) / area,
+    )  # fmt: skip
 
 
 @wp.kernel
@@ -108,25 +108,35 @@ def _forward(
     b = task // height
     row = task % height
     y = pixel_centre(height - 1 - row, height)
+    last = int(-1)
+    front = int(0)
+    v0 = wp.vec3(0.0, 0.0, 0.0)
+    v1 = wp.vec3(0.0, 0.0, 0.0)
+    v2 = wp.vec3(0.0, 0.0, 0.0)
+    matrix = wp.mat33()
     for i in range(width):
         f = face_index[b, row, i]
         w = wp.vec3(0.0, 0.0, 0.0)
         z = far
         if f >= 0:
-            v0 = faces[b, f, 0]
-            v1 = faces[b, f, 1]
-            v2 = faces[b, f, 2]
-            x = pixel_centre(i, width)
-            if in_front(v0, v1, v2, perspective) == 1:
-                e = pixel_weights(v0, v1, v2, float(i), float(height - 1 - row), height, width)
-                e = wp.min(wp.max(e, wp.vec3(0.0, 0.0, 0.0)), wp.vec3(1.0, 1.0, 1.0))
-                w = e / (e[0] + e[1] + e[2])
+            if f != last:  # neighbours mostly show the same face
+                last = f
+                v0 = faces[b, f, 0]
+                v1 = faces[b, f, 1]
+                v2 = faces[b, f, 2]
+                front = in_front(v0, v1, v2, perspective)
+                matrix = pixel_matrix(v0, v1, v2, height, width)
+            if front == 1:
+                for k in range(3):
+                    share = matrix[k, 0] * float(i) + matrix[k, 1] * float(height - 1 - row) + matrix[k, 2]
+                    w[k] = wp.clamp(share, 0.0, 1.0)
+                w = w / (w[0] + w[1] + w[2])
                 if perspective == 1:
                     z = 1.0 / (w[0] / v0[2] + w[1] / v1[2] + w[2] / v2[2])
                 else:
                     z = w[0] * v0[2] + w[1] * v1[2] + w[2] * v2[2]
             else:
-                a = homogeneous_weights(v0, v1, v2, x, y)
+                a = homogeneous_weights(v0, v1, v2, pixel_centre(i, width), y)
                 z = float(wp.float64(1.0) / (a[0] + a[1] + a[2]))
                 w = wp.vec3(float(a[0]) * v0[2], float(a[1]) * v1[2], float(a[2]) * v2[2])
         weights[b, row, i] = w

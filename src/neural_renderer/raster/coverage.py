@@ -5,7 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from .geometry import crossing_depth, edges, facing, in_front, pixel_box, pixel_centre, row_span
+from .geometry import facing, homogeneous_weights, in_front, pixel_box, pixel_centre
 from .launch import array, cpu_bands, launch
 
 # Without fused multiply-adds an edge a -> b and its twin b -> a have exactly opposite signs at every pixel, so neighbours
@@ -49,6 +49,106 @@ def coverage(
 @coverage.register_fake
 def _(faces, height, width, near, far, two_sided, perspective):  # type: ignore[no-untyped-def]
     return faces.new_empty((faces.shape[0], height, width), dtype=torch.int32)
+
+
+# Plain C++ loops are what compilers turn into vector instructions: Warp's own minimum and maximum order NaNs, pixel by pixel.
+_DRAW_FACE = """
+    const float x0 = v0[0], x1 = v1[0], x2 = v2[0], w = (float)width, h = (float)height;
+    const float slope0 = v1[1] - v2[1], slope1 = v2[1] - v0[1], slope2 = v0[1] - v1[1];
+    for (int j = bottom; j <= top; j += step) {
+        const float y = (float)(2 * j + 1 - height) / h;
+        const float y0 = v0[1] - y, y1 = v1[1] - y, y2 = v2[1] - y;
+        // Where the row crosses the edges, less what rounding leaves in doubt.
+        float low = -2.0f, high = 2.0f;
+        const float p[3] = {x1 * y2, x2 * y0, x0 * y1}, q[3] = {x2 * y1, x0 * y2, x1 * y0};
+        const float slope[3] = {slope0, slope1, slope2};
+        for (int k = 0; k < 3; ++k) {
+            const float steep = slope[k] < 0.0f ? -slope[k] : slope[k];
+            if (steep > 1e-6f) {
+                const float at = (q[k] - p[k]) / slope[k];
+                const float size = (p[k] < 0.0f ? -p[k] : p[k]) + (q[k] < 0.0f ? -q[k] : q[k]);
+                const float doubt = 1e-6f * size / steep;
+                if (slope[k] > 0.0f) low = at - doubt > low ? at - doubt : low;
+                else high = at + doubt < high ? at + doubt : high;
+            }
+        }
+        if (!(low <= high)) continue;
+        const float begin = 0.5f * (w * low + w - 1.0f) - 0.01f, end = 0.5f * (w * high + w - 1.0f) + 0.01f;
+        const int first = begin > (float)left ? (int)begin + 1 : left, last = end < (float)right ? (int)end : right;
+        wp::int64* row = key.data + ((wp::int64)b * height + height - 1 - j) * width;
+        for (int i = first; i <= last; ++i) {
+            const float x = (float)(2 * i + 1 - width) / w;
+            const float e0 = (x1 - x) * y2 - y1 * (x2 - x);
+            const float e1 = (x2 - x) * y0 - y2 * (x0 - x);
+            const float e2 = (x0 - x) * y1 - y0 * (x1 - x);
+            const float z = (e0 * n[0] + e1 * n[1] + e2 * n[2]) / (e0 * d[0] + e1 * d[1] + e2 * d[2]);
+            const bool seen = (e0 >= 0.0f) & (e1 >= 0.0f) & (e2 >= 0.0f) & (z > near) & (z < far);
+            union { float value; int bits; } depth;
+            depth.value = z;
+            // Positive floats order as their bits do: one minimum picks the nearest, then the lowest index.
+            const wp::int64 candidate = seen ? ((wp::int64)depth.bits << 32) | index : 0x7fffffffffffffff;
+        #if defined(__CUDA_ARCH__)
+            if (candidate < row[i]) atomicMin((long long*)row + i, (long long)candidate);
+        #else
+            row[i] = candidate < row[i] ? candidate : row[i];
+        #endif
+        }
+    }
+"""
+
+
+@wp.func_native(_DRAW_FACE)
+def draw_face(
+    key: wp.array3d(dtype=wp.int64),
+    b: int,
+    index: int,
+    v0: wp.vec3,
+    v1: wp.vec3,
+    v2: wp.vec3,
+    n: wp.vec3,
+    d: wp.vec3,
+    near: float,
+    far: float,
+    height: int,
+    width: int,
+    left: int,
+    right: int,
+    bottom: int,
+    top: int,
+    step: int,
+):
+    """Draw a counter-clockwise face in front of the camera into some rows of its box.
+
+    Its depth at a pixel with the edge functions e is (e . n) / (e . d).
+    """
+    ...
+
+
+@wp.func
+def draw_crossing_face(
+    key: wp.array3d(dtype=wp.int64),
+    b: int,
+    index: int,
+    v0: wp.vec3,
+    v1: wp.vec3,
+    v2: wp.vec3,
+    near: float,
+    far: float,
+    height: int,
+    width: int,
+    bottom: int,
+    top: int,
+    step: int,
+):
+    """The same for a face that crosses the camera's plane, over the whole width."""
+    for j in range(bottom, top + 1, step):
+        for i in range(width):
+            a = homogeneous_weights(v0, v1, v2, pixel_centre(i, width), pixel_centre(j, height))
+            if a[0] >= wp.float64(0.0) and a[1] >= wp.float64(0.0) and a[2] >= wp.float64(0.0):
+                z = float(wp.float64(1.0) / (a[0] + a[1] + a[2]))
+                if z > near and z < far:
+                    candidate = (wp.int64(wp.cast(z, wp.int32)) << wp.int64(32)) | wp.int64(index)
+                    wp.atomic_min(key, b, height - 1 - j, i, candidate)
 
 
 @wp.kernel
@@ -109,27 +209,15 @@ def _draw(
             n = wp.vec3(1.0, 1.0, 1.0)
             d = wp.vec3(1.0 / v0[2], 1.0 / v1[2], 1.0 / v2[2])
         box = pixel_box(v0, v1, v2, front, height, width)
-        for j in range(wp.max(box[2], bottom) + lane, wp.min(box[3], top) + 1, lanes):
-            y = pixel_centre(j, height)
-            span = wp.vec2i(box[0], box[1])
-            if front == 1:
-                span = row_span(v0, v1, v2, y, width, span)
-            for i in range(span[0], span[1] + 1):
-                x = pixel_centre(i, width)
-                z = float(0.0)
-                if front == 1:
-                    e = edges(v0, v1, v2, x, y)
-                    if wp.min(e[0], wp.min(e[1], e[2])) < 0.0:
-                        continue
-                    z = wp.dot(e, n) / wp.dot(e, d)
-                else:
-                    z = crossing_depth(v0, v1, v2, x, y)
-                if z > near and z < far:
-                    # Positive floats order as their bits do: one minimum picks the nearest, then the lowest index.
-                    candidate = (wp.int64(wp.cast(z, wp.int32)) << wp.int64(32)) | wp.int64(index)
-                    row = height - 1 - j
-                    if candidate < key[b, row, i]:
-                        wp.atomic_min(key, b, row, i, candidate)
+        from_row = wp.max(box[2], bottom) + lane
+        to_row = wp.min(box[3], top)
+        if front == 1:
+            if box[0] <= box[1]:
+                draw_face(
+                    key, b, index, v0, v1, v2, n, d, near, far, height, width, box[0], box[1], from_row, to_row, lanes
+                )
+        else:
+            draw_crossing_face(key, b, index, v0, v1, v2, near, far, height, width, from_row, to_row, lanes)
 
 
 @wp.kernel

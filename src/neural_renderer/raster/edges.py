@@ -177,6 +177,9 @@ def _prepare(
 _SWEEP = """
     float gain[16], sum_p[16], sum_q[16];
     for (int k = 0; k < 16; ++k) sum_p[k] = sum_q[k] = 0.0f;
+    // The usual three channels are spelled out, so that their colours stay in registers.
+    const float red = image.data[pixel], green = channels < 3 ? 0.0f : image.data[pixel + 1];
+    const float blue = channels < 3 ? 0.0f : image.data[pixel + 2];
     const float slope = outward > 0 ? 1.0f : -1.0f;
     const float offset = outward > 0 ? distance : distance + 15.0f;
     for (int n = 0; n < count; n += 16) {
@@ -185,12 +188,15 @@ _SWEEP = """
         if (channels == 0) {
             for (int k = 0; k < 16; ++k) gain[k] = pull[k];
         } else {
-            for (int k = 0; k < 16; ++k) gain[k] = 0.0f;
-            for (int c = 0; c < channels; ++c) {
-                const float* value = pull + channels * plane;
+            const float* value = pull + channels * plane;
+            for (int k = 0; k < 16; ++k) gain[k] = (value[k] - red) * pull[k];
+            if (channels >= 3)
+                for (int k = 0; k < 16; ++k)
+                    gain[k] += (value[plane + k] - green) * pull[plane + k]
+                             + (value[2 * plane + k] - blue) * pull[2 * plane + k];
+            for (int c = channels < 3 ? 1 : 3; c < channels; ++c) {
                 const float shown = image.data[pixel + c];
-                for (int k = 0; k < 16; ++k) gain[k] += (value[k] - shown) * pull[k];
-                pull += plane;
+                for (int k = 0; k < 16; ++k) gain[k] += (value[c * plane + k] - shown) * pull[c * plane + k];
             }
             for (int k = 0; k < 16; ++k) gain[k] = gain[k] > 0.0f ? gain[k] : 0.0f;
         }
@@ -232,6 +238,48 @@ def sweep(
     line: where the first pixel lies in ``lines``, from which ``count`` pixels follow in the direction ``outward``;
     plane: from one channel to the next; channels: 0 where the stored values are the gains;
     distance: of the first pixel from the edge. Whatever is read beyond the count lies outside the line's span: no gain.
+    """
+    ...
+
+
+_SHRINK = """
+    float sum_p = 0.0f, sum_q = 0.0f;
+    for (int n = 0; n < count; ++n) {
+        const wp::int64 here = inner + n * step;
+        if (face_index.data[here] != f) continue;
+        float gain = 0.0f;
+        for (int c = 0; c < channels; ++c)
+            gain += (image.data[here * channels + c] - image.data[outer * channels + c]) * grad.data[here * channels + c];
+        if (gain <= 0.0f) continue;
+        const float away = distance + (float)n;
+        const float travel_p = lever_p * away + eps, travel_q = lever_q * away + eps;
+        const float share = gain / (travel_p * travel_q);
+        sum_p += share * travel_q;
+        sum_q += share * travel_p;
+    }
+    return wp::vec_t<2, float>(sum_p, sum_q);
+"""
+
+
+@wp.func_native(_SHRINK)
+def shrink(
+    face_index: wp.array3d(dtype=int),
+    f: int,
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    inner: wp.int64,
+    outer: wp.int64,
+    step: wp.int64,
+    count: int,
+    channels: int,
+    distance: float,
+    lever_p: float,
+    lever_q: float,
+    eps: float,
+) -> wp.vec2:
+    """The same sum over the ``count`` pixels from ``inner`` on that show the face, by the colour at ``outer``.
+
+    They are few, and not stored side by side; ``inner``, ``outer`` and ``step`` count pixels of the images.
     """
     ...
 
@@ -310,6 +358,8 @@ def pull_edge(
             continue
         inner_row, inner_column = place(axis, u, inner, height)
         outer_row, outer_column = place(axis, u, outer, height)
+        inner_pixel = (wp.int64(b) * wp.int64(height) + wp.int64(inner_row)) * wp.int64(width) + wp.int64(inner_column)
+        outer_pixel = (wp.int64(b) * wp.int64(height) + wp.int64(outer_row)) * wp.int64(width) + wp.int64(outer_column)
         # How far a corner travels, in screen units, for the edge to move by one pixel on this line.
         lever_p = float(NEVER)
         lever_q = float(NEVER)
@@ -327,13 +377,12 @@ def pull_edge(
                 pixels = begin - span[0] + 1
             if pixels > 0:
                 line = (wp.int64(b) * wp.int64(count) + wp.int64(u)) * wp.int64(lines.shape[2]) * plane
-                pixel = (wp.int64(b) * wp.int64(height) + wp.int64(inner_row)) * wp.int64(width) + wp.int64(inner_column)
                 sums = sweep(
                     lines,
                     line + wp.int64(begin + WIDE),
                     plane,
                     image,
-                    pixel * wp.int64(image.shape[3]),
+                    inner_pixel * wp.int64(image.shape[3]),
                     channels,
                     outward,
                     pixels,
@@ -357,18 +406,28 @@ def pull_edge(
         last = int(wp.floor(limit))
         if outward > 0:
             last = int(wp.ceil(limit))
-        for k in range((inner - last) * outward + 1):
-            v = inner - k * outward
-            row, column = place(axis, u, v, height)
-            if face_index[b, row, column] == f:
-                better = float(0.0)
-                for channel in range(image.shape[3]):
-                    behind = image[b, outer_row, outer_column, channel]
-                    better += (image[b, row, column, channel] - behind) * grad[b, row, column, channel]
-                if better > 0.0:
-                    away = wp.abs(float(v) - c)
-                    near_p += better / (lever_p * away + eps)
-                    near_q += better / (lever_q * away + eps)
+        pixels = (inner - last) * outward + 1
+        if pixels > 0:
+            step = wp.int64(-outward)
+            if axis == 1:
+                step = wp.int64(outward) * wp.int64(width)
+            sums = shrink(
+                face_index,
+                f,
+                image,
+                grad,
+                inner_pixel,
+                outer_pixel,
+                step,
+                pixels,
+                image.shape[3],
+                wp.abs(float(inner) - c),
+                lever_p,
+                lever_q,
+                eps,
+            )
+            near_p += sums[0]
+            near_q += sums[1]
     return d * wp.vec2(near_p - far_p, near_q - far_q)
 
 

@@ -28,44 +28,6 @@ def to_pixels(x: float, size: int) -> float:
 
 
 @wp.func
-def row_bound(a: wp.vec3, b: wp.vec3, y: float, bounds: wp.vec2) -> wp.vec2:
-    """Narrow the x range of a row to the left of the edge a -> b, keeping what rounding leaves in doubt."""
-    slope = a[1] - b[1]
-    if wp.abs(slope) > 1.0e-6:
-        p = a[0] * (b[1] - y)
-        q = b[0] * (a[1] - y)
-        x = (q - p) / slope
-        doubt = 1.0e-6 * (wp.abs(p) + wp.abs(q)) / wp.abs(slope)
-        if slope > 0.0:
-            bounds[0] = wp.max(bounds[0], x - doubt)
-        else:
-            bounds[1] = wp.min(bounds[1], x + doubt)
-    return bounds
-
-
-@wp.func
-def row_span(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, y: float, width: int, box: wp.vec2i) -> wp.vec2i:
-    """The columns of ``box`` that a counter-clockwise face can cover in the row at height ``y``."""
-    bounds = wp.vec2(-3.0, 3.0)
-    bounds = row_bound(v0, v1, y, bounds)
-    bounds = row_bound(v1, v2, y, bounds)
-    bounds = row_bound(v2, v0, y, bounds)
-    return pixel_span(bounds[0], bounds[1], width, box[0], box[1])
-
-
-@wp.func
-def edges(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float) -> wp.vec3:
-    """Twice the areas that a position spans with the edges opposite each corner: the weights but for their sum."""
-    x0 = v0[0] - x
-    x1 = v1[0] - x
-    x2 = v2[0] - x
-    y0 = v0[1] - y
-    y1 = v1[1] - y
-    y2 = v2[1] - y
-    return wp.vec3(x1 * y2 - y1 * x2, x2 * y0 - y2 * x0, x0 * y1 - y0 * x1)
-
-
-@wp.func
 def facing(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> int:
     """1 if the corners run counter-clockwise on the screen, -1 if clockwise, 0 if they are on one line."""
     left = (v2[1] - v0[1]) * (v1[0] - v0[0])
@@ -144,12 +106,3 @@ def homogeneous_weights(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: floa
     if area == wp.float64(0.0):
         return wp.vec3d(wp.float64(-1.0), wp.float64(-1.0), wp.float64(-1.0))
     return wp.vec3d(e0 / (area * wp.float64(v0[2])), e1 / (area * wp.float64(v1[2])), e2 / (area * wp.float64(v2[2])))
-
-
-@wp.func
-def crossing_depth(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float) -> float:
-    """The depth of a face that crosses the camera's plane; negative where a position does not show it."""
-    a = homogeneous_weights(v0, v1, v2, x, y)
-    if a[0] < wp.float64(0.0) or a[1] < wp.float64(0.0) or a[2] < wp.float64(0.0):
-        return -1.0
-    return float(wp.float64(1.0) / (a[0] + a[1] + a[2]))

@@ -42,9 +42,9 @@ def _(textures, light, background, faces, face_index, weights, depth, eps, persp
 @torch.library.custom_op("neural_renderer::sample_textures_backward", mutates_args=())
 def sample_textures_backward(
     grad: Tensor, textures: Tensor, light: Tensor, faces: Tensor, face_index: Tensor, weights: Tensor, depth: Tensor,
-    eps: float, perspective: bool,
+    eps: float, perspective: bool, light_too: bool,
 ) -> tuple[Tensor, Tensor]:
-    """The gradients of `sample_textures` to textures and light."""
+    """The gradients of `sample_textures` to textures and light (zero if not ``light_too``)."""
     batch, height, width = face_index.shape
     to_textures = torch.zeros(textures.shape, device=faces.device)
     to_light = torch.zeros((batch, *light.shape[1:]), device=faces.device)
@@ -54,12 +54,12 @@ def sample_textures_backward(
     # Textures that images share belong to one task, which takes the images in turn.
     images = 1 if textures.shape[0] < batch else batch
     tasks = images * faces.shape[1] * lanes
-    launch(_backward, tasks, [*arguments, array(grad.contiguous(), wp.vec3), images, lanes, *results], faces.device)
+    launch(_backward, tasks, [*arguments, array(grad.contiguous(), wp.vec3), int(light_too), images, lanes, *results], faces.device)
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light
 
 
 @sample_textures_backward.register_fake
-def _(grad, textures, light, faces, face_index, weights, depth, eps, perspective):  # type: ignore[no-untyped-def]
+def _(grad, textures, light, faces, face_index, weights, depth, eps, perspective, light_too):  # type: ignore[no-untyped-def]
     return textures.new_empty(textures.shape), light.new_empty(light.shape)
 
 
@@ -77,7 +77,8 @@ def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
 def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
     to_textures = to_light = to_background = None
     if ctx.needs_input_grad[0] or ctx.needs_input_grad[1]:
-        to_textures, to_light = sample_textures_backward(grad, *ctx.saved_tensors, ctx.eps, ctx.perspective)
+        light_too = ctx.needs_input_grad[1]
+        to_textures, to_light = sample_textures_backward(grad, *ctx.saved_tensors, ctx.eps, ctx.perspective, light_too)
     if ctx.needs_input_grad[2]:
         to_background = grad * (ctx.saved_tensors[3] < 0)[..., None]
     return to_textures, to_light, to_background, None, None, None, None, None, None
@@ -139,21 +140,28 @@ def _forward(
     height = face_index.shape[1]
     b = task // height
     row = task % height
+    last = int(-1)
+    z = wp.vec3(0.0, 0.0, 0.0)
+    factor = wp.vec3(0.0, 0.0, 0.0)
+    cubes = textures[wp.min(b, textures.shape[0] - 1)]
     for i in range(face_index.shape[2]):
         f = face_index[b, row, i]
         if f < 0:
             color[b, row, i] = background[b, row, i]
         else:
-            v0 = faces[b, f, 0]
-            v1 = faces[b, f, 1]
-            v2 = faces[b, f, 2]
-            z = wp.vec3(v0[2], v1[2], v2[2])
+            if f != last:  # neighbours mostly show the same face
+                last = f
+                v0 = faces[b, f, 0]
+                v1 = faces[b, f, 1]
+                v2 = faces[b, f, 2]
+                z = wp.vec3(v0[2], v1[2], v2[2])
+                factor = light[wp.min(b, light.shape[0] - 1), side_seen(v0, v1, v2), f]
             c = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
             blend = wp.vec3(0.0, 0.0, 0.0)
             for corner in range(8):
                 index, share = texel(c, size, corner)
-                blend += share * textures[wp.min(b, textures.shape[0] - 1), f, index]
-            color[b, row, i] = wp.cw_mul(blend, light[wp.min(b, light.shape[0] - 1), side_seen(v0, v1, v2), f])
+                blend += share * cubes[f, index]
+            color[b, row, i] = wp.cw_mul(blend, factor)
 
 
 @wp.kernel
@@ -169,6 +177,7 @@ def _backward(
     eps: float,
     perspective: int,
     grad: wp.array3d(dtype=wp.vec3),
+    light_too: int,
     images: int,
     lanes: int,
     to_textures: wp.array3d(dtype=wp.vec3),
@@ -208,7 +217,8 @@ def _backward(
                     blend = wp.vec3(0.0, 0.0, 0.0)
                     for corner in range(8):
                         index, share = texel(c, size, corner)
-                        blend += share * textures[own, f, index]
+                        if light_too == 1:
+                            blend += share * textures[own, f, index]
                         wp.atomic_add(to_textures, own, f, index, share * scaled)
                     lit += wp.cw_mul(blend, g)
         wp.atomic_add(to_light, b, side, f, lit)

@@ -1,0 +1,249 @@
+"""The rasteriser's operations once more: slow, in float64, in plain torch, one formula after the other.
+
+Nothing is drawn with these. They say what the kernels have to compute; the tests hold the kernels to them, and
+whoever ports a kernel can too. The arguments mean what they mean for the operation of the same name. A function takes
+time and memory in proportion to faces times pixels: use it on small scenes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class FacesAtPixels(NamedTuple):
+    """Every face of an image at every pixel centre, [F, H, W] each, float64."""
+
+    inside: Tensor  # bool: the centre is in the face or on its edge
+    depth: Tensor  # where inside; anything elsewhere
+    weights: Tensor  # [F, H, W, 3], screen-space barycentric, of sum 1
+
+
+def pixel_centres(height: int, width: int, device: torch.device | None = None) -> tuple[Tensor, Tensor]:
+    """x and y [H, W] of the pixel centres on the screen, row 0 at the top."""
+    x = (2 * torch.arange(width, dtype=torch.float64, device=device) + 1 - width) / width
+    y = (2 * torch.arange(height, dtype=torch.float64, device=device) + 1 - height) / height
+    return x.expand(height, width), y.flip(0)[:, None].expand(height, width)
+
+
+def in_camera_space(faces: Tensor) -> Tensor:
+    """Screen-space corners [..., 3] as points around a pinhole at the origin, which sees (x, y, z) at (x/z, y/z)."""
+    return torch.cat((faces[..., :2] * faces[..., 2:], faces[..., 2:]), -1)
+
+
+def sides(faces: Tensor, perspective: bool) -> Tensor:
+    """1 where the camera sees the corners run counter-clockwise, -1 clockwise, 0 edge on; of faces [..., 3, 3]."""
+    faces = faces.double()
+    if perspective:
+        # The volume over the face with the camera as apex: its sign does not care which corners lie behind.
+        return torch.linalg.det(in_camera_space(faces)).sign()
+    a, b = faces[..., 1, :2] - faces[..., 0, :2], faces[..., 2, :2] - faces[..., 0, :2]
+    return (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sign()
+
+
+def faces_at_pixels(faces: Tensor, height: int, width: int, perspective: bool) -> FacesAtPixels:
+    """Where the faces [F, 3, 3] of one image, and how deep; a face with all corners behind the camera is nowhere."""
+    faces = faces.double()
+    x, y = pixel_centres(height, width, faces.device)
+    weights, inside = _screen_weights(faces[:, None, None], x, y)
+    depth = _depth(weights.clamp(0, 1) / weights.clamp(0, 1).sum(-1, keepdim=True), faces[:, None, None], perspective)
+    if perspective:
+        behind = faces[..., 2] <= 0
+        crossing = behind.any(-1) & ~behind.all(-1)
+        hit = _hit(faces[:, None, None], x, y)
+        weights = torch.where(crossing[:, None, None, None], hit.weights, weights)
+        depth = torch.where(crossing[:, None, None], hit.depth, depth)
+        inside = torch.where(crossing[:, None, None], hit.inside, inside & ~behind.all(-1)[:, None, None])
+        # On the camera's plane itself a corner has no place on the screen.
+        inside = inside & ~(crossing & (faces[..., 2] == 0).any(-1))[:, None, None]
+    drawable = faces.isfinite().flatten(1).all(-1) & (sides(faces, perspective) != 0)
+    return FacesAtPixels(inside & drawable[:, None, None], depth, weights)
+
+
+def coverage_reference(
+    faces: Tensor, height: int, width: int, near: float, far: float, two_sided: bool, perspective: bool
+) -> Tensor:
+    """The face seen at each pixel, [B, H, W] int32; see `coverage`."""
+    batch, count = faces.shape[:2]
+    result = torch.full((batch, height, width), -1, dtype=torch.int32, device=faces.device)
+    for b in range(batch if count else 0):
+        found = faces_at_pixels(faces[b], height, width, perspective)
+        side = sides(faces[b], perspective)[:, None, None]
+        drawn = found.inside & (found.depth > near) & (found.depth < far) & ((side > 0) | two_sided)
+        # Backs come after all fronts, as if they had been appended; argmin takes the first of equals.
+        # Depths are compared as float32, so that faces in one plane tie.
+        depth = torch.where(drawn, found.depth.float(), math.inf)
+        both = torch.cat((torch.where(side > 0, depth, math.inf), torch.where(side < 0, depth, math.inf)))
+        nearest = both.argmin(0)
+        result[b] = torch.where(both.min(0).values < math.inf, nearest % count, -1).int()
+    return result
+
+
+def barycentrics_reference(faces: Tensor, face_index: Tensor, far: float, perspective: bool) -> tuple[Tensor, Tensor]:
+    """Weights [B, H, W, 3] and depth [B, H, W] of the seen faces, differentiable in ``faces``; see `barycentrics`."""
+    seen = face_index >= 0
+    if not faces.shape[1]:
+        empty = torch.zeros(face_index.shape, dtype=torch.float64, device=faces.device)
+        return empty[..., None].expand(*empty.shape, 3), empty + far
+    # Pixels without a face look at a plain one, so that nothing there divides by zero.
+    plain = torch.tensor([[-1.0, -1, 1], [1, -1, 1], [0, 1, 1]], dtype=torch.float64, device=faces.device)
+    own = torch.where(seen[..., None, None], _own(faces.double(), face_index), plain)
+    x, y = pixel_centres(face_index.shape[1], face_index.shape[2], faces.device)
+    weights, _ = _screen_weights(own, x, y)
+    # What is clamped lies outside the face by rounding only: the derivative is that of the inside.
+    clamped = weights.detach().clamp(0, 1)
+    weights = weights + (clamped / clamped.sum(-1, keepdim=True) - weights).detach()
+    depth = _depth(weights, own, perspective)
+    if perspective:
+        crossing = (own[..., 2] <= 0).any(-1)
+        hit = _hit(torch.where(crossing[..., None, None], own, plain), x, y)
+        weights = torch.where(crossing[..., None], hit.weights, weights)
+        depth = torch.where(crossing, hit.depth, depth)
+    return torch.where(seen[..., None], weights, 0.0), torch.where(seen, depth, far)
+
+
+def sample_textures_reference(
+    textures: Tensor,
+    light: Tensor,
+    background: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    weights: Tensor,
+    depth: Tensor,
+    eps: float,
+    perspective: bool,
+) -> Tensor:
+    """The colour [B, H, W, 3], differentiable in textures, light and background; see `sample_textures`."""
+    batch, size, seen = len(faces), textures.shape[2], (face_index >= 0)[..., None]
+    if not faces.shape[1]:
+        return background.double()
+    c = weights.double() * (size - 1)
+    if perspective:
+        z = _own(faces.double(), face_index)[..., 2]
+        c = c * depth.double()[..., None] / torch.where(seen, z, 1.0)
+    c = c.clamp(0, size - 1 - eps)
+    # A tent of width 1 around the coordinate along each axis: the trilinear blend as a sum over the whole cube.
+    tents = (1 - (c[..., None] - torch.arange(size, dtype=torch.float64, device=c.device)).abs()).clamp(min=0)
+    cubes = _own(textures.double().expand(batch, *textures.shape[1:]), face_index)
+    blend = torch.einsum("bhwi,bhwj,bhwk,bhwijkc->bhwc", *tents.unbind(-2), cubes)
+    back = _own((sides(faces, perspective) < 0)[..., None], face_index)
+    front_light, back_light = light.double().expand(batch, *light.shape[1:]).unbind(1)
+    lit = blend * torch.where(back, _own(back_light, face_index), _own(front_light, face_index))
+    return torch.where(seen, lit, background.double())
+
+
+def gather_corners_reference(vertices: Tensor, faces: Tensor) -> Tensor:
+    """The corners [B, F, 3, 3], differentiable in ``vertices``; NaN for an index out of range; see `gather_corners`."""
+    faces = faces.long().expand(len(vertices), *faces.shape[1:])
+    valid = ((faces >= 0) & (faces < vertices.shape[1]))[..., None]
+    if not vertices.shape[1]:
+        return torch.full((*faces.shape, 3), math.nan, dtype=torch.float64)
+    image = torch.arange(len(vertices), device=vertices.device)[:, None, None]
+    return torch.where(valid, vertices.double()[image, torch.where(valid[..., 0], faces, 0)], math.nan)
+
+
+def nmr_edges_reference(
+    grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool
+) -> Tensor:
+    """The gradient [B, F, 3, 3] of the paper's estimator, from the image's gradient ``grad``; see `nmr_edges`."""
+    result = torch.zeros(faces.shape, dtype=torch.float64)
+    corners, side = faces.double().cpu(), sides(faces, True).cpu()
+    for b in range(len(faces)):
+        # From here on rows count from the bottom. Rows serve the gradient to x, columns that to y.
+        rows = [m[b].detach().cpu().flip(0) for m in (grad.double(), image.double(), face_index)]
+        columns = [m.transpose(0, 1) for m in rows]
+        for f in range(faces.shape[1]):
+            if not corners[b, f].isfinite().all() or not (side[b, f] > 0 or (side[b, f] < 0 and two_sided)):
+                continue
+            order = [0, 1, 2] if side[b, f] > 0 else [0, 2, 1]
+            for k in range(3):
+                p, q, r = (order[(k + n) % 3] for n in range(3))
+                for axis, (pulls, colors, shown) in enumerate((rows, columns)):
+                    to_p, to_q = _pull_edge(pulls, colors, shown, f, corners[b, f, [p, q, r]], axis, eps)
+                    result[b, f, p, axis] += to_p
+                    result[b, f, q, axis] += to_q
+    return result.to(faces.device)
+
+
+def _pull_edge(
+    grad: Tensor, image: Tensor, shown: Tensor, f: int, corners: Tensor, axis: int, eps: float
+) -> tuple[float, float]:
+    """What an edge p -> q, its corners and the third given, sends to coordinate ``axis`` of p and of q.
+
+    Maps are [lines, pixels along the line, ...].
+    """
+    lines, length = shown.shape
+    (pu, pv), (qu, qv), (ru, rv) = (
+        ((lines * c[1 - axis] + lines - 1) / 2, (length * c[axis] + length - 1) / 2) for c in corners.tolist()
+    )
+    to_p = to_q = 0.0
+    if pu == qu or corners[0, 2] <= 0 or corners[1, 2] <= 0:  # an end behind the camera has no place on the screen
+        return 0.0, 0.0
+    d = (-1 if pu < qu else 1) * (1 if axis == 1 else -1)
+    for u in range(max(0, math.ceil(min(pu, qu))), min(lines - 1, math.floor(max(pu, qu))) + 1):
+        c = pv + (qv - pv) * (u - pu) / (qu - pu)
+        inner = math.floor(c) if d > 0 else math.ceil(c)
+        outer = inner + d
+        if not (0 <= inner < length and 0 <= outer < length):
+            continue
+        # Pulled outward: all pixels from the outer one to the border. Pulled inward: the face's own pixels.
+        outward = range(outer, length if d > 0 else -1, d) if shown[u, inner] == f else range(0)
+        last = 0 if d > 0 else length - 1
+        if corners[2, 2] > 0:  # else the face has no third corner on the screen, and its pixels may reach the border
+            last = _leaves(u, (pu, pv), (qu, qv), (ru, rv), length, d)
+        inward = [j for j in range(inner, last - d, -d) if shown[u, j] == f]
+        for pixels, new, sign in ((list(outward), inner, d), (inward, outer, -d)):
+            if not pixels:
+                continue
+            gain = ((image[u, pixels] - image[u, new]) * grad[u, pixels]).sum(-1).clamp(min=0)
+            move = (torch.tensor(pixels, dtype=torch.float64) - c) * 2 / length
+            if u != qu:
+                to_p -= float((gain / (move * (qu - pu) / (qu - u) + sign * eps)).sum())
+            if u != pu:
+                to_q -= float((gain / (move * (qu - pu) / (u - pu) + sign * eps)).sum())
+    return to_p, to_q
+
+
+def _leaves(u: int, p: tuple[float, float], q: tuple[float, float], r: tuple[float, float], length: int, d: int) -> int:
+    """The last pixel of line u before it leaves the face through p-r or q-r, rounded outward, within the image."""
+    a = p if min(p[0], r[0]) < u < max(p[0], r[0]) else q
+    c = r[1] if a[0] == r[0] else a[1] + (r[1] - a[1]) * (u - a[0]) / (r[0] - a[0])
+    return min(max(math.ceil(c) if d > 0 else math.floor(c), 0), length - 1)
+
+
+def _own(values: Tensor, face_index: Tensor) -> Tensor:
+    """Of values [B, F, ...], those of the face at each pixel, [B, H, W, ...]; of face 0 where there is none."""
+    image = torch.arange(len(values), device=values.device)[:, None, None]
+    return values[image, face_index.clamp(min=0).long()]
+
+
+def _screen_weights(faces: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """Barycentric weights [..., 3] of (x, y) in the projected faces [..., 3, 3], and whether it is inside."""
+    v = faces[..., :2] - torch.stack((x, y), -1)[..., None, :]
+    a, b = v[..., [1, 2, 0], :], v[..., [2, 0, 1], :]
+    areas = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    whole = areas.sum(-1, keepdim=True)
+    inside = ((areas >= 0).all(-1) & (whole[..., 0] > 0)) | ((areas <= 0).all(-1) & (whole[..., 0] < 0))
+    return areas / torch.where(whole == 0, math.nan, whole), inside
+
+
+def _depth(weights: Tensor, faces: Tensor, perspective: bool) -> Tensor:
+    z = faces[..., 2]
+    return 1 / (weights / z).sum(-1) if perspective else (weights * z).sum(-1)
+
+
+def _hit(faces: Tensor, x: Tensor, y: Tensor) -> FacesAtPixels:
+    """Where the ray from the camera through (x, y) hits the faces in camera space."""
+    p = in_camera_space(faces)
+    ray = torch.stack((x, y, torch.ones_like(x)), -1)
+    normal = torch.linalg.cross(p[..., 1, :] - p[..., 0, :], p[..., 2, :] - p[..., 0, :])
+    depth = (normal * p[..., 0, :]).sum(-1) / (normal * ray).sum(-1)
+    arms = p - (depth[..., None] * ray)[..., None, :]
+    # The share of each corner in the hit point, in space: the part of the face's area that lies opposite.
+    parts = (torch.linalg.cross(arms[..., [1, 2, 0], :], arms[..., [2, 0, 1], :]) * normal[..., None, :]).sum(-1)
+    shares = parts / (normal * normal).sum(-1, keepdim=True)
+    # On the screen a corner's weight is its share times its depth over that of the point.
+    return FacesAtPixels((shares >= 0).all(-1) & (depth > 0), depth, shares * p[..., 2] / depth[..., None])
