@@ -14,3 +14,11 @@ def shared() -> Path:
     if not (folder / "data").is_dir():
         pytest.skip(f"the folder of test data {folder / 'data'} is missing")
     return folder
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Every test that takes ``device`` runs on the CPU, and on CUDA where there is one."""
+    if "device" in metafunc.fixturenames:
+        import torch
+
+        metafunc.parametrize("device", ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"])

@@ -1,0 +1,136 @@
+"""Time of the renderer, forward and backward, over batch, size, faces and threads: ``python -m benchmarks``.
+
+Prints a table, and with ``--json FILE`` writes the same numbers with the hardware named. Each number is the median over
+``--repeats`` runs after one to warm up, through the public function, without anti-aliasing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+import warp as wp
+from rich.console import Console
+from rich.table import Table
+
+import neural_renderer as nr
+
+from .scenes import noisy_icospheres
+
+# (what is drawn, images, side, icosphere level, both sides)
+CASES = [
+    ("silhouettes", 64, 128, 3, False),
+    ("silhouettes", 8, 256, 3, False),
+    ("silhouettes", 1, 512, 6, False),
+    ("silhouettes", 4, 448, 4, True),
+    ("rgb", 4, 448, 4, True),
+    ("depth", 8, 256, 3, False),
+    ("silhouettes", 1, 1024, 1, False),
+]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("--device", default="cpu", help="cpu or cuda")
+    parser.add_argument("--threads", type=int, nargs="*", help="CPU threads to try (default: 1 and all)")
+    parser.add_argument("--repeats", type=int, default=11)
+    parser.add_argument("--json", type=Path, help="also write the numbers here")
+    options = parser.parse_args()
+    all_threads = torch.get_num_threads()
+    threads = options.threads or ([all_threads] if options.device != "cpu" else sorted({1, all_threads}))
+    report = {"hardware": hardware(options.device), "versions": versions(), "cases": []}
+    console = Console()
+    table = Table(title=f"neural_renderer {nr.__version__} on {report['hardware']['name']}, milliseconds")
+    for column in ("drawn", "images", "size", "faces", "sides", "threads", "forward", "forward + backward"):
+        table.add_column(column, justify="right")
+    started = time.perf_counter()
+    measure(*CASES[0], options.device, 1)
+    report["first_call_s"] = round(time.perf_counter() - started, 2)
+    for case in CASES:
+        for count in threads:
+            torch.set_num_threads(count)
+            forward, both = measure(*case, options.device, options.repeats)
+            drawn, batch, size, level, two_sided = case
+            row = {
+                "drawn": drawn, "images": batch, "size": size, "faces": 20 * 4**level, "two_sided": two_sided,
+                "threads": count, "forward_ms": round(forward, 2), "forward_backward_ms": round(both, 2),
+            }  # fmt: skip
+            report["cases"].append(row)
+            sides = "2" if two_sided else "1"
+            cells = (drawn, batch, f"{size}²", row["faces"], sides, count, f"{forward:.1f}", f"{both:.1f}")
+            table.add_row(*map(str, cells))
+    torch.set_num_threads(all_threads)
+    console.print(table)
+    console.print(f"first call, compilation or cache included: {report['first_call_s']} s")
+    if options.json:
+        options.json.write_text(json.dumps(report, indent=2) + "\n")
+
+
+def measure(drawn: str, batch: int, size: int, level: int, two_sided: bool, device: str, repeats: int) -> tuple[float, float]:
+    """Median milliseconds of the forward pass, without gradients, and of forward and backward."""
+    faces = noisy_icospheres(batch, level, device=device).requires_grad_()
+    options = {"outputs": (OUTPUT[drawn],), "two_sided": two_sided, "anti_aliasing": False, "eps": 1e-3}
+    leaves = [faces]
+    if drawn == "rgb":
+        leaves.append(torch.rand(batch, faces.shape[1], 4, 4, 4, 3, device=device, requires_grad=True))
+        options["textures"] = leaves[1]
+    generator = torch.Generator().manual_seed(1)
+    shape = (batch, 3, size, size) if drawn == "rgb" else (batch, size, size)
+    grad = torch.randn(shape, generator=generator).to(device)
+
+    def forward() -> torch.Tensor:
+        return getattr(nr.rasterize_images(faces, size, **options), OUTPUT[drawn])
+
+    def both() -> None:
+        for leaf in leaves:
+            leaf.grad = None
+        forward().backward(grad)
+
+    with torch.no_grad():
+        alone = median_ms(forward, device, repeats)
+    return alone, median_ms(both, device, repeats)
+
+
+OUTPUT = {"silhouettes": "alpha", "rgb": "rgb", "depth": "depth"}
+
+
+def median_ms(work: Callable[[], object], device: str, repeats: int) -> float:
+    times = []
+    for _ in range(repeats + 1):
+        if device != "cpu":
+            torch.cuda.synchronize()
+        started = time.perf_counter()
+        work()
+        if device != "cpu":
+            torch.cuda.synchronize()
+        times.append(1000 * (time.perf_counter() - started))
+    return statistics.median(times[1:])
+
+
+def hardware(device: str) -> dict[str, object]:
+    name = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        models = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        name = models[0] if models else name
+    if device != "cpu":
+        name = torch.cuda.get_device_name(device)
+    return {"name": name, "cores": os.cpu_count(), "system": platform.platform(terse=True)}
+
+
+def versions() -> dict[str, str]:
+    return {
+        "neural_renderer": nr.__version__, "torch": torch.__version__, "warp": wp.config.version,
+        "python": platform.python_version(),
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
