@@ -73,7 +73,9 @@ def main() -> None:
         options.json.write_text(json.dumps(report, indent=2) + "\n")
 
 
-def measure(drawn: str, batch: int, size: int, level: int, two_sided: bool, device: str, repeats: int) -> tuple[float, float]:
+def measure(
+    drawn: str, batch: int, size: int, level: int, two_sided: bool, device: str, repeats: int
+) -> tuple[float, float]:
     """Median milliseconds of the forward pass, without gradients, and of forward and backward."""
     faces = noisy_icospheres(batch, level, device=device).requires_grad_()
     options = {"outputs": (OUTPUT[drawn],), "two_sided": two_sided, "anti_aliasing": False, "eps": 1e-3}
@@ -118,7 +120,9 @@ def hardware(device: str) -> dict[str, object]:
     name = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
-        models = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        models = [
+            line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")
+        ]
         name = models[0] if models else name
     if device != "cpu":
         name = torch.cuda.get_device_name(device)

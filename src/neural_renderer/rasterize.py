@@ -1,7 +1,7 @@
 """The rasteriser under the names of the first packages; every function takes corners in screen space.
 
-``faces`` is [B, F, 3, 3] throughout, as `raster.rasterize.rasterize_images` describes it; that function is what new code
-uses. Images are float32, row 0 at the top.
+``faces`` is [B, F, 3, 3] throughout, as `raster.rasterize.rasterize_images` describes it; that function is what new
+code uses. Images are float32, row 0 at the top.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def rasterize_rgbad(
 ) -> dict[str, Tensor | None]:
     """Colour, alpha and depth at once.
 
-    textures: [B, F, T, T, T, 3], needed for colour; the other arguments as in `rasterize_images`. Only faces whose corners
-    run counter-clockwise on the screen are drawn.
+    textures: [B, F, T, T, T, 3], needed for colour; the other arguments as in `rasterize_images`. Only faces whose
+    corners run counter-clockwise on the screen are drawn.
 
     Returns a dict: "rgb" [B, 3, H, W], "alpha" [B, H, W], "depth" [B, H, W], each None where not asked for.
     Raises TypeError or ValueError as `rasterize_images` does, and ValueError if nothing is asked for.
@@ -126,8 +126,8 @@ def rasterize_depth(
 class Rasterize(nn.Module):
     """The bare rasteriser: no anti-aliasing, rows from the **bottom**, channels last.
 
-    Called with ``faces`` [B, F, 3, 3] and, for colour, ``textures`` [B, F, T, T, T, 3]; returns a tuple (rgb [B, H, W, 3],
-    alpha [B, H, W], depth [B, H, W]), None where not asked for. Raises ValueError if nothing is asked for.
+    Called with ``faces`` [B, F, 3, 3] and, for colour, ``textures`` [B, F, T, T, T, 3]; returns a tuple (rgb [B, H, W,
+    3], alpha [B, H, W], depth [B, H, W]), None where not asked for. Raises ValueError if nothing is asked for.
     """
 
     def __init__(
@@ -153,7 +153,9 @@ class Rasterize(nn.Module):
         self.return_alpha = return_alpha
         self.return_depth = return_depth
 
-    def forward(self, faces: Tensor, textures: Tensor | None = None) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
+    def forward(
+        self, faces: Tensor, textures: Tensor | None = None
+    ) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
         images: dict[str, Tensor | None] = rasterize_rgbad(
             faces,
             textures,

@@ -31,8 +31,8 @@ def render(
 ) -> Images:
     """Render a mesh from every camera of a batch, differentiably.
 
-    mesh: a `Mesh`; or (vertices, faces) or (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces
-        [F, 3] or [B, F, 3] integer, textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating with T >= 2.
+    mesh: a `Mesh`; or (vertices, faces) or (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating,
+        faces [F, 3] or [B, F, 3] integer, textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating with T >= 2.
     camera: one camera, or B of them. One mesh is drawn from all cameras, and one camera sees all meshes.
     size: the images' side or (height, width), in pixels; they need not be square, and pixels stay square.
     light: None draws the textures as they are.
@@ -86,4 +86,6 @@ def _parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
         return mesh.vertices, mesh.faces, mesh.textures
     if isinstance(mesh, tuple) and len(mesh) in (2, 3):
         return mesh[0], mesh[1], mesh[2] if len(mesh) == 3 else None
-    raise TypeError(f"mesh: expected a Mesh, (vertices, faces) or (vertices, faces, textures), got {type(mesh).__name__}")
+    raise TypeError(
+        f"mesh: expected a Mesh, (vertices, faces) or (vertices, faces, textures), got {type(mesh).__name__}"
+    )

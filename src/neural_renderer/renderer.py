@@ -23,13 +23,12 @@ class Renderer(nn.Module):
     camera_mode: "projection" (K, R, t, dist_coeffs, orig_size: an OpenCV camera), "look_at" (eye), "look" (eye,
         camera_direction); any other string: vertices are in screen space already.
     perspective: divide by depth ("look_at" and "look" only), with half field of view viewing_angle in degrees.
-    near, far, rasterizer_eps: of colour renders. Silhouettes and depth use 0.1, 100 and 1e-4, as they always did, unless
-        near or far was changed from its default.
+    near, far, rasterizer_eps: of colour renders. Silhouettes and depth use 0.1, 100 and 1e-4, as they always did.
     light_*: intensities, colours and direction (towards the light) as in `Light`.
     gradient: the estimator through visibility.
 
-    "look_at" and "look" mirror the world, and light in "projection" mode falls on the far sides of faces, as in the first
-    packages; `render` has neither property.
+    "look_at" and "look" mirror the world, and light in "projection" mode falls on the far sides of faces, as in the
+    first packages; `render` has neither property.
     """
 
     def __init__(
@@ -136,7 +135,12 @@ class Renderer(nn.Module):
         return self._draw(("depth",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).depth  # type: ignore[return-value]
 
     def _draw(
-        self, outputs: tuple[str, ...], vertices: Tensor, faces: Tensor, textures: Tensor | None, camera: tuple[Any, ...]
+        self,
+        outputs: tuple[str, ...],
+        vertices: Tensor,
+        faces: Tensor,
+        textures: Tensor | None,
+        camera: tuple[Any, ...],
     ) -> Images:
         validate.floating("vertices", vertices, ("B", "V", 3))
         validate.finite("vertices", vertices)
@@ -168,7 +172,9 @@ class Renderer(nn.Module):
             gradient=self.gradient,
         )
 
-    def _project(self, vertices: Tensor, K: Any, R: Any, t: Any, dist_coeffs: Any, orig_size: Any) -> tuple[Tensor, bool]:
+    def _project(
+        self, vertices: Tensor, K: Any, R: Any, t: Any, dist_coeffs: Any, orig_size: Any
+    ) -> tuple[Tensor, bool]:
         """Vertices in screen space, and whether depth runs in perspective between them."""
         if self.camera_mode == "projection":
             K, R, t = (self._given(name, value) for name, value in (("K", K), ("R", R), ("t", t)))
@@ -189,8 +195,8 @@ class Renderer(nn.Module):
         value = getattr(self, name) if value is None else value
         if value is None:
             raise ValueError(
-                f'{name}: expected a camera matrix for camera_mode "projection", got None; give K, R and t to Renderer or '
-                'to the call, or choose camera_mode="look_at"'
+                f'{name}: expected a camera matrix for camera_mode "projection", got None; give K, R and t to '
+                'Renderer or to the call, or choose camera_mode="look_at"'
             )
         return value
 

@@ -45,6 +45,8 @@ class Scene:
         for image in faces:
             for f in range(self.count):
                 kind = self.kinds[int(torch.randint(len(self.kinds), (), generator=random))]
+                if kind == "crossing" and not self.perspective:
+                    kind = "plain"  # see test_orthographic_face_through_the_camera_plane
                 image[f] = _face(kind, image[:f], random)
         return faces
 

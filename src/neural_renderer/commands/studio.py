@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
@@ -51,11 +53,11 @@ def photograph(
     ``floor`` is the height of the ground on which its shadow falls; without it the lowest vertex lies on the ground.
     """
     size = (size, size) if isinstance(size, int) else size
-    eye = torch.tensor(get_points_from_angles(distance, elevation, azimuth))
-    camera = Camera.look_at(eye, viewing_angle=viewing_angle)
-    right, up, back = camera.rotation[0] * torch.tensor([[1.0], [1.0], [-1.0]])
-    lamp = F.normalize(torch.stack((right, up, back), dim=1) @ torch.tensor(_LAMP), dim=0)
     vertices, faces = mesh.vertices, mesh.faces
+    eye = torch.tensor(get_points_from_angles(distance, elevation, azimuth), device=vertices.device)
+    camera = Camera.look_at(eye, viewing_angle=viewing_angle)
+    right, up, forward = camera.rotation[0]
+    lamp = F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)
 
     colour = render(mesh, camera, size, light=None, outputs=("rgb", "alpha"))
     cubes = corner_cubes(vertex_normals(vertices, faces), faces)
@@ -64,15 +66,20 @@ def photograph(
     normal = F.normalize(normal[0], dim=0)  # type: ignore[index]
     rgb, alpha = colour.rgb[0], colour.alpha[0]  # type: ignore[index]
 
-    halfway = F.normalize(lamp + back, dim=0)
+    halfway = F.normalize(lamp - forward, dim=0)
     wrap = ((_dot(normal, lamp) + 0.25) / 1.25).clamp(min=0)  # light that reaches a little past the terminator
     sky = 0.5 + 0.5 * normal[1]
     gloss = 0.22 * _dot(normal, halfway).clamp(min=0) ** 40
     shaded = rgb * (0.34 + 0.20 * sky + 0.62 * wrap) + gloss * alpha
 
-    ground = float(vertices[:, 1].min()) if floor is None else floor
-    backdrop = _backdrop(size) * (1 - 0.45 * _shadow(mesh, camera, lamp, ground, size))
+    ground = lowest(mesh) if floor is None else floor
+    backdrop = _backdrop(size).to(rgb) * (1 - 0.45 * _shadow(mesh, camera, lamp, ground, size))
     return (shaded + backdrop * (1 - alpha)).clamp(0, 1)
+
+
+def lowest(mesh: Mesh) -> float:
+    """The height of the lowest vertex."""
+    return mesh.vertices.detach()[:, 1].min().item()
 
 
 def _dot(image: Tensor, vector: Tensor) -> Tensor:
@@ -86,7 +93,7 @@ def _backdrop(size: tuple[int, int]) -> Tensor:
 
 def _shadow(mesh: Mesh, camera: Camera, lamp: Tensor, ground: float, size: tuple[int, int]) -> Tensor:
     """How much of the ground is in shadow at each pixel [H, W]: the mesh pressed flat along the light, then blurred."""
-    steep = F.normalize(lamp * torch.tensor([1.0, 2.0, 1.0]), dim=0)
+    steep = F.normalize(lamp * lamp.new_tensor([1.0, 2.0, 1.0]), dim=0)
     flat = mesh.vertices - (mesh.vertices[:, 1:2] - ground) / steep[1] * steep
     shadow = render((flat, mesh.faces), camera, size, outputs="alpha").alpha[None]  # type: ignore[index]
     radius = max(size[0] // 40, 1)
@@ -95,6 +102,13 @@ def _shadow(mesh: Mesh, camera: Camera, lamp: Tensor, ground: float, size: tuple
     return shadow[0, 0]
 
 
-def row(pictures: Sequence[Tensor]) -> Tensor:
-    """Pictures [3, H, W] of one height side by side."""
-    return torch.cat(list(pictures), dim=2)
+def sheet(rows: Sequence[Sequence[Tensor]], labels: Sequence[str] = ()) -> Tensor:
+    """Rows of pictures [3, H, W] of one size as one picture, each row with its label in the corner."""
+    whole = torch.cat([torch.cat(list(row), dim=2) for row in rows], dim=1).cpu()
+    pixels = (whole.permute(1, 2, 0) * 255 + 0.5).to(torch.uint8).numpy()
+    image = Image.fromarray(pixels)
+    height = rows[0][0].shape[1]
+    font = ImageFont.load_default(max(height // 14, 10))
+    for index, label in enumerate(labels):
+        ImageDraw.Draw(image).text((height // 16, index * height + height // 20), label, (70, 76, 88), font)
+    return torch.from_numpy(np.array(image))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-import trimesh
 from PIL import Image
 from torch import Tensor
 
@@ -18,6 +17,9 @@ from neural_renderer.io.cubes import bake_corners, bake_image, empty_cubes
 from neural_renderer.io.files import existing, mesh_to_write
 from neural_renderer.io.obj import obj_textures, save_obj
 from neural_renderer.io.parse import read_obj
+
+if TYPE_CHECKING:
+    import trimesh
 
 _READABLE = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 _WRITABLE = (".obj", ".ply", ".glb")
@@ -58,6 +60,8 @@ def load_mesh(path: str | os.PathLike[str], texture_size: int = 4) -> tuple[Tens
 
 
 def _read_others(path: Path, suffix: str, size: int) -> tuple[np.ndarray, np.ndarray, Tensor | None]:
+    import trimesh  # here, since importing it takes longer than most calls to this package
+
     try:
         loaded = trimesh.load(path, process=False, maintain_order=True)
         parts = list(_parts(loaded))
@@ -93,6 +97,8 @@ def _read_others(path: Path, suffix: str, size: int) -> tuple[np.ndarray, np.nda
 
 def _parts(loaded: Any) -> Iterator[tuple[trimesh.Trimesh, np.ndarray]]:
     """The meshes of a file and the matrix [4, 4] that puts each in place."""
+    import trimesh
+
     if isinstance(loaded, trimesh.Scene):
         for node in loaded.graph.nodes_geometry:
             matrix, name = loaded.graph[node]
@@ -172,6 +178,8 @@ def save_mesh(path: str | os.PathLike[str], vertices: Any, faces: Any, textures:
         raise ValueError(f"path: expected a name that ends in {', '.join(_WRITABLE)}, got {path.name!r}")
     if suffix == ".obj":
         return save_obj(path, vertices, faces, textures)
+    import trimesh
+
     points, corners, cubes = mesh_to_write(vertices, faces, textures)
     if cubes is None:
         mesh = trimesh.Trimesh(points, corners, process=False)
@@ -196,6 +204,8 @@ def _vertex_colours(count: int, corners: np.ndarray, cubes: np.ndarray) -> np.nd
 
 
 def _with_atlas(points: np.ndarray, corners: np.ndarray, cubes: np.ndarray) -> trimesh.Trimesh:
+    import trimesh
+
     picture, pixels = build_atlas(cubes)
     uv = (pixels.reshape(-1, 2) + 0.5) / [picture.shape[1], picture.shape[0]] * [1, -1] + [0, 1]
     material = trimesh.visual.material.PBRMaterial(

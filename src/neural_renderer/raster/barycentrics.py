@@ -7,18 +7,20 @@ from torch import Tensor
 
 from .geometry import homogeneous_weights, in_front, pixel_box, pixel_centre, to_pixels
 from .launch import array, face_lanes, launch
+from .registration import operator
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
-@torch.library.custom_op("neural_renderer::barycentrics", mutates_args=())
+@operator
 def barycentrics(faces: Tensor, face_index: Tensor, far: float, perspective: bool) -> tuple[Tensor, Tensor]:
     """Weights and depth at each pixel of the face that `coverage` found there; differentiable in the corners.
 
     faces: [B, F, 3, 3] float32 screen-space corners; face_index: [B, H, W] int32.
     perspective: depth is ``1 / sum(w_k / z_k)``; ``sum(w_k z_k)`` otherwise.
 
-    Returns weights [B, H, W, 3], screen-space barycentric, of sum 1, in [0, 1] for a face in front of the camera, 0 where
+    Returns weights [B, H, W, 3], screen-space barycentric, of sum 1, in [0, 1] for a face in front of the camera, 0
+    where
     no face is seen; and depth [B, H, W], ``far`` where no face is seen. Backward is the analytic derivative inside the
     face: with the pixel fixed, moving corner m by v changes w_k by ``-w_m grad(w_k) . v``.
     """
@@ -30,15 +32,20 @@ def barycentrics(faces: Tensor, face_index: Tensor, far: float, perspective: boo
     return weights, depth
 
 
-@barycentrics.register_fake
+@torch.library.register_fake("neural_renderer::barycentrics")
 def _(faces, face_index, far, perspective):  # type: ignore[no-untyped-def]
     shape = face_index.shape
     return faces.new_empty((*shape, 3)), faces.new_empty(shape)
 
 
-@torch.library.custom_op("neural_renderer::barycentrics_backward", mutates_args=())
+@operator
 def barycentrics_backward(
-    grad_weights: Tensor, grad_depth: Tensor, faces: Tensor, face_index: Tensor, weights: Tensor, depth: Tensor,
+    grad_weights: Tensor,
+    grad_depth: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    weights: Tensor,
+    depth: Tensor,
     perspective: bool,
 ) -> Tensor:
     """The gradient [B, F, 3, 3] of `barycentrics` to the corners."""
@@ -52,7 +59,7 @@ def barycentrics_backward(
     return result
 
 
-@barycentrics_backward.register_fake
+@torch.library.register_fake("neural_renderer::barycentrics_backward")
 def _(grad_weights, grad_depth, faces, face_index, weights, depth, perspective):  # type: ignore[no-untyped-def]
     return faces.new_empty(faces.shape)
 
@@ -68,7 +75,7 @@ def _to_corners(ctx, grad_weights, grad_depth):  # type: ignore[no-untyped-def]
     return grad, None, None, None
 
 
-barycentrics.register_autograd(_to_corners, setup_context=_save)
+torch.library.register_autograd("neural_renderer::barycentrics", _to_corners, setup_context=_save)
 
 
 @wp.func

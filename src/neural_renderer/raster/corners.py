@@ -6,11 +6,12 @@ import warp as wp
 from torch import Tensor
 
 from .launch import array, launch
+from .registration import operator
 
 wp.set_module_options({"enable_backward": False})
 
 
-@torch.library.custom_op("neural_renderer::gather_corners", mutates_args=())
+@operator
 def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
     """The corners [B, F, 3, 3] of ``faces`` [1 or B, F, 3] int32 among ``vertices`` [B, V, 3] float32; differentiable.
 
@@ -22,12 +23,12 @@ def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
     return corners
 
 
-@gather_corners.register_fake
+@torch.library.register_fake("neural_renderer::gather_corners")
 def _(vertices, faces):  # type: ignore[no-untyped-def]
     return vertices.new_empty((vertices.shape[0], *faces.shape[1:], 3))
 
 
-@torch.library.custom_op("neural_renderer::gather_corners_backward", mutates_args=())
+@operator
 def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
     """The gradient [B, V, 3] of `gather_corners` to its ``count`` vertices: the sum over the corners at each."""
     batch = grad.shape[0]
@@ -45,7 +46,7 @@ def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
     return result
 
 
-@gather_corners_backward.register_fake
+@torch.library.register_fake("neural_renderer::gather_corners_backward")
 def _(grad, faces, count):  # type: ignore[no-untyped-def]
     return grad.new_empty((grad.shape[0], count, 3))
 
@@ -60,7 +61,7 @@ def _to_vertices(ctx, grad):  # type: ignore[no-untyped-def]
     return gather_corners_backward(grad, ctx.saved_tensors[0], ctx.count), None
 
 
-gather_corners.register_autograd(_to_vertices, setup_context=_save)
+torch.library.register_autograd("neural_renderer::gather_corners", _to_vertices, setup_context=_save)
 
 
 @wp.kernel

@@ -7,15 +7,16 @@ from torch import Tensor
 
 from .geometry import facing, homogeneous_weights, in_front, pixel_box, pixel_centre
 from .launch import array, cpu_bands, launch
+from .registration import operator
 
-# Without fused multiply-adds an edge a -> b and its twin b -> a have exactly opposite signs at every pixel, so neighbours
-# leave no gap between them, and the CPU and CUDA agree to the bit.
+# Without fused multiply-adds an edge a -> b and its twin b -> a have exactly opposite signs at every pixel, so
+# neighbours leave no gap between them, and the CPU and CUDA agree to the bit.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _EMPTY = 0x7FFFFFFF_FFFFFFFF
 
 
-@torch.library.custom_op("neural_renderer::coverage", mutates_args=())
+@operator
 def coverage(
     faces: Tensor, height: int, width: int, near: float, far: float, two_sided: bool, perspective: bool
 ) -> Tensor:
@@ -35,7 +36,9 @@ def coverage(
     on_cuda = faces.device.type == "cuda"
     # CUDA: one task per face, its rows shared by a few threads, more of them where faces are few and large.
     # CPU: one task per image, or band of rows of it, which runs through all faces.
-    lanes = max(1, min(height, 1 << (max(1, 8 * height * width // max(count, 1)) // width).bit_length())) if on_cuda else 1
+    lanes = (
+        max(1, min(height, 1 << (max(1, 8 * height * width // max(count, 1)) // width).bit_length())) if on_cuda else 1
+    )
     groups = count if on_cuda else 1
     bands = 1 if on_cuda else min(height, cpu_bands(batch))
     if batch * height * width and count:
@@ -46,12 +49,13 @@ def coverage(
     return face_index
 
 
-@coverage.register_fake
+@torch.library.register_fake("neural_renderer::coverage")
 def _(faces, height, width, near, far, two_sided, perspective):  # type: ignore[no-untyped-def]
     return faces.new_empty((faces.shape[0], height, width), dtype=torch.int32)
 
 
-# Plain C++ loops are what compilers turn into vector instructions: Warp's own minimum and maximum order NaNs, pixel by pixel.
+# Plain C++ loops are what compilers turn into vector instructions: Warp's own minimum and maximum order NaNs, pixel by
+# pixel.
 _DRAW_FACE = """
     const float x0 = v0[0], x1 = v1[0], x2 = v2[0], w = (float)width, h = (float)height;
     const float slope0 = v1[1] - v2[1], slope1 = v2[1] - v0[1], slope2 = v0[1] - v1[1];

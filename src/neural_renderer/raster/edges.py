@@ -1,6 +1,7 @@
 """The paper's approximate gradient through visibility, as an operation on an image (paper, section 3.2).
 
-Forward it is the identity. Backward it asks, for every edge of every seen face and every scan line that the edge crosses,
+Forward it is the identity. Backward it asks, for every edge of every seen face and every scan line that the edge
+crosses,
 what each pixel of the line would change to if the edge moved there, whether that would lower the loss, and how far the
 edge's corners would have to travel. How the image was shaded does not matter.
 """
@@ -12,6 +13,7 @@ from torch import Tensor
 
 from .geometry import facing, to_pixels
 from .launch import array, face_lanes, launch
+from .registration import operator
 
 wp.set_module_options({"enable_backward": False})
 
@@ -22,7 +24,7 @@ PADDING = 2 * WIDE
 NEVER = wp.constant(1.0e12)
 
 
-@torch.library.custom_op("neural_renderer::nmr_edges", mutates_args=())
+@operator
 def nmr_edges(image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool) -> Tensor:
     """The image unchanged; its gradient also flows to the faces' x and y, by the estimator "nmr".
 
@@ -32,15 +34,15 @@ def nmr_edges(image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_
     two_sided: faces whose corners run clockwise are seen too.
     binary: the image is the silhouette, 1 where a face is seen and 0 elsewhere; the result is the same without, slower.
     """
-    return image.clone()
+    return image.clone(memory_format=torch.contiguous_format)
 
 
-@nmr_edges.register_fake
+@torch.library.register_fake("neural_renderer::nmr_edges")
 def _(image, faces, face_index, eps, two_sided, binary):  # type: ignore[no-untyped-def]
     return torch.empty_like(image, memory_format=torch.contiguous_format)
 
 
-@torch.library.custom_op("neural_renderer::nmr_edges_backward", mutates_args=())
+@operator
 def nmr_edges_backward(
     grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool
 ) -> Tensor:
@@ -69,7 +71,7 @@ def nmr_edges_backward(
     return result
 
 
-@nmr_edges_backward.register_fake
+@torch.library.register_fake("neural_renderer::nmr_edges_backward")
 def _(grad, image, faces, face_index, eps, two_sided, binary):  # type: ignore[no-untyped-def]
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
@@ -87,7 +89,7 @@ def _backward(ctx, grad):  # type: ignore[no-untyped-def]
     return grad, to_faces, None, None, None, None
 
 
-nmr_edges.register_autograd(_backward, setup_context=_save)
+torch.library.register_autograd("neural_renderer::nmr_edges", _backward, setup_context=_save)
 
 
 # Plain loops over memory are what compilers turn into vector instructions; Warp's own vectors come out scalar.
@@ -138,8 +140,8 @@ def _prepare(
     seen: wp.array2d(dtype=int),
     binary: int,
 ):
-    """One scan line (rows first, then columns; counted from the bottom left): its pixels side by side, channel by channel,
-    and the span outside which no pixel can pull an edge outward. Also marks the faces that are seen."""
+    """One scan line (rows first, then columns; counted from the bottom left): its pixels side by side, channel by
+    channel, and the span outside which no pixel can pull an edge outward. Also marks the faces that are seen."""
     task = first + wp.tid()
     height = image.shape[1]
     width = image.shape[2]
@@ -249,7 +251,8 @@ _SHRINK = """
         if (face_index.data[here] != f) continue;
         float gain = 0.0f;
         for (int c = 0; c < channels; ++c)
-            gain += (image.data[here * channels + c] - image.data[outer * channels + c]) * grad.data[here * channels + c];
+            gain += (image.data[here * channels + c] - image.data[outer * channels + c]) * grad.data[here * channels +
+            c];
         if (gain <= 0.0f) continue;
         const float away = distance + (float)n;
         const float travel_p = lever_p * away + eps, travel_q = lever_q * away + eps;

@@ -64,13 +64,15 @@ def rasterize_images(
 ) -> Images:
     """Draw faces given by their corners in screen space.
 
-    faces: [B, F, 3, 3] floating; corner ``(x, y, z)``: x right and y up in [-1, 1] over the image, z the depth along the
-        viewing axis in world units, positive in front of the camera. float64, half and bfloat16 are computed in float32.
+    faces: [B, F, 3, 3] floating; corner ``(x, y, z)``: x right and y up in [-1, 1] over the image, z the depth
+        along the viewing axis in world units, positive in front of the camera. float64, half and bfloat16 are computed
+        in float32.
     size: the images' side, or (height, width), in pixels.
     outputs: which of "rgb", "alpha", "depth"; what is not asked for costs nothing.
     textures: [B or 1, F, T, T, T, 3] floating, T >= 2; needed for "rgb".
     light: [B or 1, 2, F, 3] factors for the colour of each face's two sides; none: 1.
-    background: colour where no face is seen: [3], [B, 3], or an image [B, 3, H, W] or [3, H, W] (H and W of the output).
+    background: colour where no face is seen: [3], [B, 3], or an image [B, 3, H, W] or [3, H, W] (H and W of
+        the output).
     near, far: 0 <= near < far; only what has near < depth < far at a pixel is seen.
     eps: added to the distances in the gradient's denominators (screen units); cube coordinates end at T - 1 - eps.
     anti_aliasing: draw at twice the size and average 2 x 2 pixels (colour, alpha and depth alike).
@@ -99,20 +101,19 @@ def rasterize_images(
     corners = faces.float()
     still = corners.detach()
     face_index = coverage(still, height * scale, width * scale, near, far, two_sided, perspective)
-    weights = depth = None
+    depth = None
+    layers = []
     if "rgb" in outputs or "depth" in outputs:
         weights, depth = barycentrics(corners if "depth" in outputs else still, face_index, far, perspective)
-
-    layers = []
-    if "rgb" in outputs:
-        cubes = _checked_textures(textures, batch, count, device)
-        factors = torch.ones((1, 2, count, 3), device=device) if light is None else _checked_light(light, batch, count, device)
-        behind = _checked_background(background, batch, height, width, device)
-        behind = behind.repeat_interleave(scale, 1).repeat_interleave(scale, 2) if behind.shape[1] > 1 else behind
-        behind = behind.expand(*face_index.shape, 3)
-        layers.append(
-            sample_textures(cubes, factors, behind, still, face_index, weights.detach(), depth.detach(), eps, perspective)  # type: ignore[union-attr]
-        )
+        if "rgb" in outputs:
+            cubes = _checked_textures(textures, batch, count, device)
+            factors = _checked_light(light, batch, count, device)
+            behind = _checked_background(background, batch, height, width, device)
+            if anti_aliasing and behind.shape[1] > 1:
+                behind = behind.repeat_interleave(2, 1).repeat_interleave(2, 2)
+            behind = behind.expand(*face_index.shape, 3)
+            places = (still, face_index, weights.detach(), depth.detach())
+            layers.append(sample_textures(cubes, factors, behind, *places, eps, perspective))
     if "alpha" in outputs:
         layers.append((face_index >= 0).to(corners.dtype)[..., None])
     rgb = alpha = None
@@ -187,13 +188,17 @@ def _checked_textures(textures: Any, batch: int, count: int, device: torch.devic
     validate.same_device(faces=torch.empty(0, device=device), textures=textures)
     images, owned, a, b, c = textures.shape[:5]
     if images not in (1, batch) or owned != count:
-        raise ValueError(f"textures: expected [{batch} or 1, {count}, T, T, T, 3] like faces, got {validate.shape_of(textures)}")
+        raise ValueError(
+            f"textures: expected [{batch} or 1, {count}, T, T, T, 3] like faces, got {validate.shape_of(textures)}"
+        )
     if not (a == b == c and a >= 2):
         raise ValueError(f"textures: expected cubes of equal sides T >= 2, got {a} x {b} x {c}")
     return textures.float()
 
 
-def _checked_light(light: Tensor, batch: int, count: int, device: torch.device) -> Tensor:
+def _checked_light(light: Tensor | None, batch: int, count: int, device: torch.device) -> Tensor:
+    if light is None:
+        return torch.ones((1, 2, count, 3), device=device)
     validate.floating("light", light, ("B", 2, count, 3))
     validate.same_device(faces=torch.empty(0, device=device), light=light)
     if light.shape[0] not in (1, batch):
@@ -215,5 +220,6 @@ def _checked_background(background: Any, batch: int, height: int, width: int, de
     if shape == (3, height, width) or (len(shape) == 4 and shape[0] in (1, batch) and shape[1:] == (3, height, width)):
         return color.reshape(-1, 3, height, width).permute(0, 2, 3, 1)
     raise ValueError(
-        f"background: expected [3], [{batch}, 3], [3, {height}, {width}] or [{batch}, 3, {height}, {width}], got {list(shape)}"
+        f"background: expected [3], [{batch}, 3], [3, {height}, {width}] or [{batch}, 3, {height}, {width}], "
+        f"got {list(shape)}"
     )

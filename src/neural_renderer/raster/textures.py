@@ -7,18 +7,27 @@ from torch import Tensor
 
 from .geometry import facing, in_front, pixel_box
 from .launch import array, face_lanes, launch
+from .registration import operator
 
 wp.set_module_options({"enable_backward": False})
 
 
-@torch.library.custom_op("neural_renderer::sample_textures", mutates_args=())
+@operator
 def sample_textures(
-    textures: Tensor, light: Tensor, background: Tensor, faces: Tensor, face_index: Tensor, weights: Tensor, depth: Tensor,
-    eps: float, perspective: bool,
+    textures: Tensor,
+    light: Tensor,
+    background: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    weights: Tensor,
+    depth: Tensor,
+    eps: float,
+    perspective: bool,
 ) -> Tensor:
     """The colour [B, H, W, 3] of each pixel; differentiable in textures, light and background.
 
-    textures: [B or 1, F, T, T, T, 3] float32, T >= 2; texel [a][b][c] belongs to corner weights (0, 1, 2) in that order.
+    textures: [B or 1, F, T, T, T, 3] float32, T >= 2; texel [a][b][c] belongs to corner weights (0, 1, 2) in that
+    order.
     light: [B or 1, 2, F, 3] factors on the side that is seen when the corners run counter-clockwise, and on the other.
     background: [B, H, W, 3], seen where no face is.
     faces, face_index, weights, depth: as `coverage` and `barycentrics` take and give them.
@@ -34,15 +43,23 @@ def sample_textures(
     return color
 
 
-@sample_textures.register_fake
+@torch.library.register_fake("neural_renderer::sample_textures")
 def _(textures, light, background, faces, face_index, weights, depth, eps, perspective):  # type: ignore[no-untyped-def]
     return faces.new_empty((*face_index.shape, 3))
 
 
-@torch.library.custom_op("neural_renderer::sample_textures_backward", mutates_args=())
+@operator
 def sample_textures_backward(
-    grad: Tensor, textures: Tensor, light: Tensor, faces: Tensor, face_index: Tensor, weights: Tensor, depth: Tensor,
-    eps: float, perspective: bool, light_too: bool,
+    grad: Tensor,
+    textures: Tensor,
+    light: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    weights: Tensor,
+    depth: Tensor,
+    eps: float,
+    perspective: bool,
+    light_too: bool,
 ) -> tuple[Tensor, Tensor]:
     """The gradients of `sample_textures` to textures and light (zero if not ``light_too``)."""
     batch, height, width = face_index.shape
@@ -54,11 +71,16 @@ def sample_textures_backward(
     # Textures that images share belong to one task, which takes the images in turn.
     images = 1 if textures.shape[0] < batch else batch
     tasks = images * faces.shape[1] * lanes
-    launch(_backward, tasks, [*arguments, array(grad.contiguous(), wp.vec3), int(light_too), images, lanes, *results], faces.device)
+    launch(
+        _backward,
+        tasks,
+        [*arguments, array(grad.contiguous(), wp.vec3), int(light_too), images, lanes, *results],
+        faces.device,
+    )
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light
 
 
-@sample_textures_backward.register_fake
+@torch.library.register_fake("neural_renderer::sample_textures_backward")
 def _(grad, textures, light, faces, face_index, weights, depth, eps, perspective, light_too):  # type: ignore[no-untyped-def]
     return textures.new_empty(textures.shape), light.new_empty(light.shape)
 
@@ -66,7 +88,15 @@ def _(grad, textures, light, faces, face_index, weights, depth, eps, perspective
 def _arguments(textures, light, faces, face_index, weights, depth, eps, perspective):  # type: ignore[no-untyped-def]
     cubes = array(textures.contiguous().view(*textures.shape[:2], -1, 3), wp.vec3)
     maps = [array(face_index), array(weights, wp.vec3), array(depth)]
-    return [cubes, array(light.contiguous(), wp.vec3), array(faces.contiguous(), wp.vec3), *maps, textures.shape[2], eps, int(perspective)]
+    return [
+        cubes,
+        array(light.contiguous(), wp.vec3),
+        array(faces.contiguous(), wp.vec3),
+        *maps,
+        textures.shape[2],
+        eps,
+        int(perspective),
+    ]
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
@@ -84,7 +114,7 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
     return to_textures, to_light, to_background, None, None, None, None, None, None
 
 
-sample_textures.register_autograd(_to_inputs, setup_context=_save)
+torch.library.register_autograd("neural_renderer::sample_textures", _to_inputs, setup_context=_save)
 
 
 @wp.func
@@ -183,7 +213,7 @@ def _backward(
     to_textures: wp.array3d(dtype=wp.vec3),
     to_light: wp.array3d(dtype=wp.vec3),
 ):
-    """One face, of one image or of all, over the pixels that show it; with several lanes, each takes some of the rows."""
+    """One face, of one image or of all, over the pixels that show it; with several lanes, each takes some rows."""
     task = first + wp.tid()
     lane = task % lanes
     f = (task // lanes) % faces.shape[1]

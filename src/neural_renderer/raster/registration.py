@@ -1,0 +1,19 @@
+"""Registering a Python function as a torch operator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+
+
+def operator(function: Callable[..., Any]) -> Any:
+    """Make the annotated function the operator ``neural_renderer::<its name>``, opaque to torch.compile.
+
+    `torch.library.custom_op` does the same, but its first call imports torch's compiler, over a second in each process.
+    """
+    name = f"neural_renderer::{function.__name__}"
+    torch.library.define(name, torch.library.infer_schema(function, mutates_args=()))
+    torch.library.impl(name, "default", function)
+    return getattr(torch.ops.neural_renderer, function.__name__).default
