@@ -23,7 +23,8 @@ class Renderer(nn.Module):
     camera_mode: "projection" (K, R, t, dist_coeffs, orig_size: an OpenCV camera), "look_at" (eye), "look" (eye,
         camera_direction); any other string: vertices are in screen space already.
     perspective: divide by depth ("look_at" and "look" only), with half field of view viewing_angle in degrees.
-    near, far, rasterizer_eps: of colour renders. Silhouettes and depth use 0.1, 100 and 1e-4, as they always did.
+    near, far: only what has near < depth < far at a pixel is seen, in every mode.
+    rasterizer_eps: eps of colour renders (see `rasterize_images`); that of silhouettes is 1e-4, as it always was.
     light_*: intensities, colours and direction (towards the light) as in `Light`.
     gradient: the estimator through visibility.
 
