@@ -1,4 +1,4 @@
-"""The whole pipeline against the first published implementation's inputs and outputs, the cameras' gradients included."""
+"""The whole pipeline against the first published implementation's inputs and outputs, cameras' gradients included."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def test_operators_are_well_formed(device, name):
                     True,
                 ),
             ),
-            (textures.sample_textures_backward, (image, cubes, light, faces, index, weights, depth, 1e-3, True)),
+            (textures.sample_textures_backward, (image, cubes, light, faces, index, weights, depth, 1e-3, True, True)),
         ],
         "edges": [
             (edges.nmr_edges, (image.clone().requires_grad_(), leaf, index, 1e-3, True, False)),
@@ -75,7 +75,7 @@ def test_operators_are_well_formed(device, name):
 def test_compiles_as_one_graph(device, backend):
     if backend == "inductor" and device == "cpu" and not _has_compiler():
         pytest.skip("torch's inductor needs a C++ compiler")
-    scene, faces, *_ = scene_inputs(device)
+    _, faces, *_ = scene_inputs(device)
     torch._dynamo.reset()
 
     def loss(corners):
@@ -217,18 +217,31 @@ def test_what_is_asked_for_does_not_change_it(device):
         assert sum(image is not None for image in alone) == 1
 
 
-def test_backgrounds(device):
-    faces = torch.full((2, 1, 3, 3), 5.0, device=device)
-    cubes = torch.zeros(2, 1, 2, 2, 2, 3, device=device)
-    picture = torch.rand(2, 3, 4, 6, device=device)
-    for given in (picture, picture[0], picture[:, :, 0, 0], picture[0, :, 0, 0], picture[0, :, 0, 0].tolist()):
+def empty_scene(device):
+    return torch.full((2, 1, 3, 3), 5.0, device=device), torch.zeros(2, 1, 2, 2, 2, 3, device=device)
+
+
+@pytest.mark.parametrize("batched", [False, True])
+def test_background_colors(device, batched):
+    faces, cubes = empty_scene(device)
+    color = torch.rand(2, 3, device=device) if batched else torch.rand(3, device=device)
+    for given in (color, color.tolist()):
         image = nr.rasterize_images(faces, (4, 6), textures=cubes, background=given, outputs=("rgb",)).rgb
-        expected = torch.as_tensor(given, device=device)
-        expected = expected if expected.dim() >= 3 else expected[..., None, None]
-        assert torch.allclose(image, expected.expand(2, 3, 4, 6))
-    leaf = picture.clone().requires_grad_()
-    nr.rasterize_images(faces, (4, 6), textures=cubes, background=leaf, outputs=("rgb",)).rgb.sum().backward()
-    assert torch.allclose(leaf.grad, torch.ones_like(leaf))
+        assert torch.allclose(image, color[..., None, None].expand(2, 3, 4, 6))
+
+
+@pytest.mark.parametrize("batched", [False, True])
+@pytest.mark.parametrize("anti_aliasing", [False, True])
+def test_background_pictures(device, batched, anti_aliasing):
+    faces, cubes = empty_scene(device)
+    picture = torch.rand(2, 3, 4, 6, device=device) if batched else torch.rand(3, 4, 6, device=device)
+    picture.requires_grad_()
+    image = nr.rasterize_images(
+        faces, (4, 6), textures=cubes, background=picture, outputs=("rgb",), anti_aliasing=anti_aliasing
+    ).rgb
+    assert torch.allclose(image, picture.expand(2, 3, 4, 6))
+    image.sum().backward()
+    assert torch.allclose(picture.grad, torch.full_like(picture, 1.0 if batched else 2.0))
 
 
 def test_two_sided_is_appending_reversed_faces(device):

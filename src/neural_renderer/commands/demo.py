@@ -144,8 +144,8 @@ def stages_of(history: list[Mesh], fitted: Mesh, target: Mesh) -> dict[str, Mesh
     plain = clay(fitted.vertices, fitted.faces)
     return {
         "start": history[0],
-        "on the way": early,
-        "": late,
+        "at first": early,
+        "half-way": late,
         "shape": plain,
         "shape and colours": fitted,
         "target": target,

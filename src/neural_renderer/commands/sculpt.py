@@ -10,7 +10,6 @@ from torch import Tensor
 
 from .. import losses, metrics
 from ..camera import Camera, get_points_from_angles
-from ..lighting import Light
 from ..mesh import Mesh
 from ..optim import Adam
 from ..primitives import icosphere
@@ -26,7 +25,8 @@ class Views:
 
     eyes: Tensor  # [N, 3]
     silhouettes: Tensor  # [N, H, W]
-    colours: Tensor  # [N, 3, H, W]
+    photos: Tensor  # [N, 3, 2H, 2W], without light
+    masks: Tensor  # [N, 2H, 2W], the silhouettes at that size
 
     @classmethod
     def of(cls, target: Mesh, count: int, size: int) -> Views:
@@ -35,17 +35,15 @@ class Views:
         azimuth, elevation = 360 / count * index, torch.tensor([-25.0, 10.0, 40.0])[index % 3]
         eyes = get_points_from_angles(3.2, elevation, azimuth).to(target.vertices.device)
         with torch.no_grad():
-            images = render(target, camera(eyes), size, light=LIGHT, outputs=("rgb", "alpha"))
-        return cls(eyes, images.alpha, images.rgb)  # type: ignore[arg-type]
+            alpha = render((target.vertices, target.faces), camera(eyes), size, outputs="alpha").alpha
+            photos = render(target, camera(eyes), 2 * size, light=None, outputs=("rgb", "alpha"))
+        return cls(eyes, alpha, photos.rgb, photos.alpha)  # type: ignore[arg-type]
 
     def iou(self, vertices: Tensor, faces: Tensor) -> Tensor:
         """The intersection over union of each view's silhouette [N] with that of another shape."""
         with torch.no_grad():
             alpha = render((vertices, faces), camera(self.eyes), self.silhouettes.shape[-1], outputs="alpha").alpha
         return metrics.silhouette_iou(alpha, self.silhouettes)  # type: ignore[arg-type]
-
-
-LIGHT = Light(ambient=0.6, directional=0.4)
 
 
 def camera(eyes: Tensor) -> Camera:
@@ -93,12 +91,13 @@ def sculpt(
 def paint(views: Views, vertices: Tensor, faces: Tensor, steps: int, report: Report, batch: int = 8) -> Mesh:
     """A mesh of this shape whose texture makes it look like ``views``, after ``steps`` steps of Adam."""
     textures = torch.full((len(faces), 4, 4, 4, 3), 0.7, device=vertices.device, requires_grad=True)
-    optimizer = Adam([textures], lr=0.05)
+    optimizer = Adam([textures])
     for step in range(steps):
         chosen = torch.randperm(len(views.eyes))[:batch].to(vertices.device)
         shape = vertices, faces, textures
-        images = render(shape, camera(views.eyes[chosen]), views.colours.shape[-1], light=LIGHT, outputs="rgb")
-        loss = losses.photometric(images.rgb, views.colours[chosen], views.silhouettes[chosen])  # type: ignore[arg-type]
+        images = render(shape, camera(views.eyes[chosen]), views.photos.shape[-1], light=None, outputs="rgb")
+        loss = losses.photometric(images.rgb, views.photos[chosen], views.masks[chosen])  # type: ignore[arg-type]
+        optimizer.param_groups[0]["lr"] = 0.1 * (1 - step / steps)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -54,8 +54,8 @@ def _beak(p: np.ndarray) -> np.ndarray:
 
 
 def _tail(p: np.ndarray) -> np.ndarray:
-    y, z = p[..., 1] + 0.13, p[..., 2] + 0.74
-    turned = np.stack([p[..., 0], 0.77 * y + 0.64 * z, 0.77 * z - 0.64 * y], axis=-1)  # 40°: its tip points up
+    x, y, z = p[..., 0], p[..., 1] + 0.13, p[..., 2] + 0.74
+    turned = np.stack([x, 0.77 * y + 0.64 * z, 0.77 * z - 0.64 * y], axis=-1)  # 40°: its tip points up
     return _ellipsoid(turned, (0, 0, 0), (0.19, 0.12, 0.34))
 
 
@@ -79,7 +79,7 @@ def isosurface(field: Field, steps: int, half: float = 1.15) -> tuple[Tensor, Te
     crossed edge gets a quad between its four cells. Returns vertices float32 [V, 3], faces int64 [F, 3], outward.
     """
     n = steps + 1
-    grid = np.stack(np.indices((n, n, n)), axis=-1).astype(np.float64)
+    grid = np.moveaxis(np.indices((n, n, n)), 0, -1).astype(np.float64)
     values = field(grid * (2 * half / steps) - half)
     total, count = np.zeros((steps, steps, steps, 3)), np.zeros((steps, steps, steps))
     quads: list[np.ndarray] = []

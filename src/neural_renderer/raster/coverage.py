@@ -198,7 +198,7 @@ def _draw(
                 continue
             if wp.max(v0[2], wp.max(v1[2], v2[2])) <= near or wp.min(v0[2], wp.min(v1[2], v2[2])) >= far:
                 continue
-        side = facing(v0, v1, v2)
+        side = facing(v0, v1, v2, perspective)
         if side == 0 or (side < 0 and two_sided == 0):
             continue
         index = f

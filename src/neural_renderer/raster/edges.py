@@ -363,7 +363,8 @@ def pull_edge(
         outer_row, outer_column = place(axis, u, outer, height)
         inner_pixel = (wp.int64(b) * wp.int64(height) + wp.int64(inner_row)) * wp.int64(width) + wp.int64(inner_column)
         outer_pixel = (wp.int64(b) * wp.int64(height) + wp.int64(outer_row)) * wp.int64(width) + wp.int64(outer_column)
-        # How far a corner travels, in screen units, for the edge to move by one pixel on this line.
+        # How far a corner travels, in screen units, for the edge to move by one pixel on this line; on the line through
+        # the other corner no travel moves it, and it gets nothing.
         lever_p = float(NEVER)
         lever_q = float(NEVER)
         if float(u) != qu:
@@ -394,14 +395,18 @@ def pull_edge(
                     lever_q,
                     eps,
                 )
-                far_p += sums[0]
-                far_q += sums[1]
+                if float(u) != qu:
+                    far_p += sums[0]
+                if float(u) != pu:
+                    far_q += sums[1]
 
         if binary == 1 and face_index[b, outer_row, outer_column] >= 0:
             continue
-        # Where the line leaves the face again: through p-r, or through q-r.
+        # Where the line leaves the face again: through p-r, or through q-r; nowhere if r is behind the camera.
         limit = rv
-        if (pu < float(u) and float(u) < ru) or (ru < float(u) and float(u) < pu):
+        if r[2] <= 0.0:
+            limit = float(wp.where(outward > 0, 0, length))
+        elif (pu < float(u) and float(u) < ru) or (ru < float(u) and float(u) < pu):
             limit = pv + (rv - pv) * (float(u) - pu) / (ru - pu)
         elif qu != ru:
             limit = qv + (rv - qv) * (float(u) - qu) / (ru - qu)
@@ -429,8 +434,10 @@ def pull_edge(
                 lever_q,
                 eps,
             )
-            near_p += sums[0]
-            near_q += sums[1]
+            if float(u) != qu:
+                near_p += sums[0]
+            if float(u) != pu:
+                near_q += sums[1]
     return d * wp.vec2(near_p - far_p, near_q - far_q)
 
 
@@ -461,7 +468,7 @@ def _pull(
     v0 = faces[b, f, 0]
     v1 = faces[b, f, 1]
     v2 = faces[b, f, 2]
-    side = facing(v0, v1, v2)
+    side = facing(v0, v1, v2, 1)
     turned = side < 0
     if turned:
         v1, v2 = v2, v1

@@ -29,7 +29,7 @@ def to_pixels(x: float, size: int) -> float:
 
 
 @wp.func
-def facing(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> int:
+def facing(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
     """1 if the corners run counter-clockwise on the screen, -1 if clockwise, 0 if they are on one line."""
     left = (v2[1] - v0[1]) * (v1[0] - v0[0])
     right = (v1[1] - v0[1]) * (v2[0] - v0[0])
@@ -38,13 +38,14 @@ def facing(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> int:
         side = 1
     if left < right:
         side = -1
-    # Each corner behind the camera turns the projected triangle over.
-    if v0[2] <= 0.0:
-        side = -side
-    if v1[2] <= 0.0:
-        side = -side
-    if v2[2] <= 0.0:
-        side = -side
+    if perspective == 1:
+        # Each corner behind the camera turns the projected triangle over.
+        if v0[2] <= 0.0:
+            side = -side
+        if v1[2] <= 0.0:
+            side = -side
+        if v2[2] <= 0.0:
+            side = -side
     return side
 
 

@@ -28,14 +28,18 @@ _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 
 
-def _forget_threads() -> None:
+def _after_fork() -> None:
+    # A forked child has none of its parent's threads, and perhaps a lock that nobody will release. OpenMP does not
+    # start its threads anew, so torch would wait for them forever: the child computes on one, as torch's own data
+    # loading does.
     global _pool, _lock
     _pool, _lock = None, threading.Lock()
+    if _ready:
+        torch.set_num_threads(1)
 
 
-# A forked child has none of its parent's threads, and perhaps a lock that nobody will release.
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_threads)
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 @contextlib.contextmanager

@@ -120,6 +120,8 @@ def rasterize_images(
     if layers:
         image = layers[0] if len(layers) == 1 else torch.cat(layers, -1)
         if corners.requires_grad and torch.is_grad_enabled():
+            if not perspective:  # depth has no part in it, and a corner behind an orthographic camera is like any other
+                corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
             image = nmr_edges(image, corners, face_index, eps, two_sided, "rgb" not in outputs)
         image = image.permute(0, 3, 1, 2)
         if anti_aliasing:

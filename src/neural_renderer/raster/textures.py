@@ -145,8 +145,8 @@ def texel(c: wp.vec3, size: int, corner: int):
 
 
 @wp.func
-def side_seen(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> int:
-    if facing(v0, v1, v2) < 0:
+def side_seen(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
+    if facing(v0, v1, v2, perspective) < 0:
         return 1
     return 0
 
@@ -185,7 +185,7 @@ def _forward(
                 v1 = faces[b, f, 1]
                 v2 = faces[b, f, 2]
                 z = wp.vec3(v0[2], v1[2], v2[2])
-                factor = light[wp.min(b, light.shape[0] - 1), side_seen(v0, v1, v2), f]
+                factor = light[wp.min(b, light.shape[0] - 1), side_seen(v0, v1, v2, perspective), f]
             c = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
             blend = wp.vec3(0.0, 0.0, 0.0)
             for corner in range(8):
@@ -232,7 +232,7 @@ def _backward(
         front = in_front(v0, v1, v2, perspective)
         if front < 0:
             continue
-        side = side_seen(v0, v1, v2)
+        side = side_seen(v0, v1, v2, perspective)
         factor = light[wp.min(b, light.shape[0] - 1), side, f]
         z = wp.vec3(v0[2], v1[2], v2[2])
         lit = wp.vec3(0.0, 0.0, 0.0)

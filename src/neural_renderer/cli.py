@@ -1,0 +1,85 @@
+"""The console command `neural-renderer`: finds the subcommand, and turns errors into one sentence and an exit code."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.text import Text
+
+# Name → (module, its dataclass with a method `run` that returns the exit code, summary). A module is imported only when
+# its command is called, so that a new one costs the others nothing.
+COMMANDS = {
+    "render": ("neural_renderer.commands.render", "Render", "Draw a mesh file as a picture or as a turntable."),
+    "info": ("neural_renderer.commands.info", "Info", "Show versions and devices, and check that rendering works."),
+    "demo": ("neural_renderer.commands.demo", "Demo", "Make pictures that show what the package does."),
+}
+
+_DESCRIPTION = """A differentiable mesh renderer: `neural-renderer COMMAND --help` explains each command.
+
+Exit codes: 0 done, 1 something was wrong (one sentence says what), 2 wrong usage, 130 interrupted. With --debug after
+the command, or NEURAL_RENDERER_DEBUG=1 in the environment, an error shows where it happened."""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command line ``args`` (sys.argv without the program's name by default) and return the exit code."""
+    arguments = list(sys.argv[1:] if args is None else args)
+    debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in arguments
+    arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
+    try:
+        return _parse(arguments).run()
+    except SystemExit as stop:  # --help (0) and wrong usage (2)
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # the reader of our output, such as `head`, has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:
+        if debug:
+            raise
+        Console(stderr=True).print(Text(_sentence(error), style="red"), soft_wrap=True)
+        return 1
+
+
+def _parse(arguments: list[str]) -> Any:
+    """The dataclass of the command that ``arguments`` name, filled in."""
+    commands = {
+        name: _load(module, kind) if name == arguments[0] else _stand_in(summary)
+        for name, (module, kind, summary) in COMMANDS.items()
+    }
+    return tyro.extras.subcommand_cli_from_dict(
+        commands, prog="neural-renderer", description=_DESCRIPTION, args=arguments
+    )
+
+
+def _load(module: str, kind: str) -> Callable[..., Any]:
+    return getattr(importlib.import_module(module), kind)
+
+
+def _stand_in(summary: str) -> Callable[..., Any]:
+    """A command as the list of commands needs it."""
+
+    def command() -> None: ...
+
+    command.__doc__ = summary
+    return command
+
+
+def _sentence(error: Exception) -> str:
+    """What went wrong, on one line; an error that nobody foresaw is named and says how to learn more."""
+    message = " ".join(str(error).split())
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    if isinstance(error, (ValueError, TypeError, OSError)) and message:
+        return message
+    return f"{type(error).__name__}: {message} (--debug shows where)"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

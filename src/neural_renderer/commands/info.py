@@ -1,0 +1,145 @@
+"""`neural-renderer info`: what is installed, where kernels are kept, and whether rendering works here."""
+
+from __future__ import annotations
+
+import platform
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import warp as wp
+from rich.console import Console
+from rich.table import Table
+
+from ..primitives import icosphere
+from ..raster import rasterize_images, vertices_to_faces
+from ..raster.reference import coverage_reference, nmr_edges_reference
+from ..version import __version__
+
+# Two triangles and a pixel each, with the gradient that the first package published for them: the loss is |I − target|
+# at (row, column) of a silhouette of 64 x 64 pixels, the gradient is in (x, y) of the three corners.
+_CASES = (
+    ([[0.8, 0.8], [0.0, -0.5], [0.2, -0.4]], (25, 35), 1.0,
+     [[1.6725862, -0.26021874], [1.41986704, -1.64284933], [0.0, 0.0]]),
+    ([[0.8, 0.8], [-0.5, -0.8], [0.8, -0.8]], (40, 50), 0.0,
+     [[0.98646867, 1.04628897], [-1.03415668, -0.10403691], [3.00094461, -1.55173182]]),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Info:
+    """Show versions and devices, and check on each device that a small picture and its gradient come out right.
+
+    Example: neural-renderer info
+    """
+
+    def run(self) -> int:
+        """Print the table; returns 0 if every check is as expected, else 1."""
+        devices = ["cpu", *(f"cuda:{i}" for i in range(torch.cuda.device_count()))]
+        table = Table(show_header=False, box=None, pad_edge=False)
+        table.add_row("neural-renderer", __version__)
+        table.add_row("python", f"{platform.python_version()} on {platform.system()} {platform.machine()}")
+        table.add_row("torch", str(torch.__version__))
+        table.add_row("warp", wp.__version__)
+        table.add_row("numpy", np.__version__)
+        table.add_row("CPU threads", str(torch.get_num_threads()))
+        for device in devices[1:] or ["none"]:
+            table.add_row(
+                "CUDA device", device if device == "none" else f"{device} {torch.cuda.get_device_name(device)}"
+            )
+        good = True
+        for device in devices:
+            start = time.perf_counter()
+            problems = self_check(torch.device(device))
+            good = good and not problems
+            took = f" ({time.perf_counter() - start:.1f} s)"
+            table.add_row(
+                f"check on {device}", "[red]" + "; ".join(problems) if problems else f"[green]ok[/green]{took}"
+            )
+        table.add_row("kernel cache", _cache())  # known to Warp only after its first kernel
+        Console().print(table, highlight=False, soft_wrap=True)
+        return 0 if good else 1
+
+
+def self_check(device: torch.device) -> list[str]:
+    """What a small picture, its depth and its gradient have that they should not; empty if all is as expected."""
+    try:
+        return [*_picture(device), *_sphere(device), *_gradient(device)]
+    except Exception as error:  # whatever it is, the rest of the table is worth seeing
+        return [f"{type(error).__name__}: {error}"]
+
+
+def _picture(device: torch.device) -> list[str]:
+    """A square of depth 2 in red on the left and one of depth 3 in blue behind it, both on the pixels' borders."""
+
+    def square(left: float, right: float, z: float) -> list[list[list[float]]]:
+        a, b, c, d = [left, -0.5, z], [right, -0.5, z], [right, 0.5, z], [left, 0.5, z]
+        return [[a, b, c], [a, c, d]]
+
+    faces = torch.tensor([square(-0.5, 0.25, 2.0) + square(-0.25, 0.5, 3.0)], device=device)
+    textures = torch.zeros(1, 4, 2, 2, 2, 3, device=device)
+    textures[:, :2, ..., 0] = textures[:, 2:, ..., 2] = 1
+    images = rasterize_images(faces, 16, textures=textures, anti_aliasing=False)
+    rgb = torch.zeros(1, 3, 16, 16)
+    rgb[:, 0, 4:12, 4:10] = rgb[:, 2, 4:12, 10:12] = 1
+    depth = torch.full((1, 16, 16), 100.0)
+    depth[:, 4:12, 4:10], depth[:, 4:12, 10:12] = 2, 3
+    expected = {"rgb": rgb, "alpha": rgb.sum(1), "depth": depth}
+    found = {name: getattr(images, name) for name in expected}
+    return [_difference(n, found[n], e, 1e-4) for n, e in expected.items() if _off(found[n], e, 1e-4)]
+
+
+def _sphere(device: torch.device) -> list[str]:
+    """A sphere's silhouette and its gradient, against the float64 reference of the kernels."""
+    vertices, index = icosphere(1, 0.7)
+    screen = (vertices + torch.tensor([0.03, -0.02, 2.0]))[None].to(device)
+    faces = vertices_to_faces(screen, index.to(device)).requires_grad_()
+    images = rasterize_images(faces, 24, outputs="alpha", anti_aliasing=False, eps=1e-3)
+    weight = torch.linspace(-1, 1, 24, device=device).expand(1, 24, 24)
+    (found,) = torch.autograd.grad((images.alpha * weight).sum(), faces)  # type: ignore[operator]
+
+    corners = faces.detach().cpu()
+    seen = coverage_reference(corners, 24, 24, 0.1, 100.0, False, True)
+    alpha = (seen >= 0).float()
+    expected = nmr_edges_reference(weight.cpu()[..., None], alpha[..., None], corners, seen, 1e-3, False).float()
+    problems = []
+    if _off(images.alpha, alpha, 0):  # type: ignore[arg-type]
+        problems.append(_difference("sphere", images.alpha, alpha, 0))  # type: ignore[arg-type]
+    if _off(found, expected, 1e-3):
+        problems.append(_difference("sphere's gradient", found, expected, 1e-3))
+    return problems
+
+
+def _gradient(device: torch.device) -> list[str]:
+    problems = []
+    for number, (corners, (row, column), target, gradient) in enumerate(_CASES, 1):
+        screen = torch.tensor(corners, device=device).requires_grad_()
+        faces = torch.cat((screen, torch.ones(3, 1, device=device)), dim=1)[None, None]
+        images = rasterize_images(
+            faces, 64, outputs="alpha", anti_aliasing=False, two_sided=True, perspective=False, gradient="nmr"
+        )
+        loss = (images.alpha[0, row, column] - target).abs()  # type: ignore[index]
+        (found,) = torch.autograd.grad(loss, screen)
+        expected = torch.tensor(gradient)
+        if _off(found, expected, 1e-2):
+            problems.append(_difference(f"gradient {number}", found, expected, 1e-2))
+    return problems
+
+
+def _off(found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> bool:
+    # Sums of large terms that cancel are as exact as the terms are.
+    least = 1e-5 * max(1.0, expected.abs().max().item())
+    return not torch.allclose(found.detach().cpu(), expected, rtol=tolerance, atol=least)
+
+
+def _difference(name: str, found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> str:
+    worst = (found.cpu() - expected).abs().max().item()
+    return f"{name}: expected agreement within {tolerance:g}, got a difference of {worst:.3g}"
+
+
+def _cache() -> str:
+    folder = Path(wp.config.kernel_cache_dir or "")
+    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
+    return f"{folder} ({size / 2**20:.1f} MiB)"

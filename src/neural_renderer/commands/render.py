@@ -1,0 +1,175 @@
+"""`neural-renderer render`: a mesh file as a picture or as a turntable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import torch
+import torch.nn.functional as F
+import tyro
+from rich.console import Console
+from rich.progress import track
+from torch import Tensor
+
+from ..camera import Camera, get_points_from_angles
+from ..io import load_mesh, save_animation, save_image
+from ..lighting import Light
+from ..mesh import Mesh
+from ..render import render
+from .common import checked_count, chosen_device
+from .studio import corner_cubes, vertex_normals
+
+_LAMP = (-0.4, 0.6, 0.7)  # towards the light: to the viewer's right, up, and from the scene to the viewer
+_COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": (0.0, 0.0, 0.0)}
+_GREY = 0.82  # of a mesh without colours
+_PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
+
+
+@dataclass(frozen=True)
+class Render:
+    """Draw a mesh file as a picture (.png, .jpg) or as a turntable (.gif, .mp4).
+
+    Example: neural-renderer render bunny.obj -o bunny.png --size 512
+
+    Example: neural-renderer render bunny.obj -o bunny.gif --turntable 60
+    """
+
+    mesh: tyro.conf.Positional[Path]
+    """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Picture to write: .png or .jpg; .gif or .mp4 for a turntable."""
+    size: int | tuple[int, int] = 512
+    """Side of the picture, or height and width, in pixels (1 to 32768)."""
+    azimuth: float = 150.0
+    """Where the camera stands around the y axis, in degrees: 180 on +z, in front of most models, 90 on +x, 0 on -z."""
+    elevation: float = 20.0
+    """How high the camera stands, in degrees (above -90, below 90): 0 level with the model, positive above it."""
+    distance: float | None = None
+    """From the camera to the origin, in the model's units (above 0); by default the whole model is in the picture."""
+    viewing_angle: float = 20.0
+    """Half of the vertical field of view, in degrees (above 0, below 90)."""
+    orthographic: bool = False
+    """Draw without perspective; then distance and viewing angle do not change sizes."""
+    mode: Literal["rgb", "silhouettes", "depth", "normals"] = "rgb"
+    """What to draw: colours; silhouettes, white on black; depth, near bright and far dark; or normals as the camera
+    sees them, red to the right, green up, blue towards the viewer."""
+    turntable: int | None = None
+    """Number of pictures of a turntable that begins at the azimuth (at least 1); 60 for an animation."""
+    fps: float = 20.0
+    """Pictures per second of an animation (above 0)."""
+    background: Literal["white", "black", "transparent"] | tuple[float, float, float] = "white"
+    """Colour behind the model in mode rgb or normals: a name, or red, green and blue from 0 to 1; transparent is for
+    .png."""
+    light: bool = True
+    """Light the model from over the viewer's shoulder; without light its colours are drawn as they are."""
+    normalize: bool = True
+    """Move the model to the origin and scale its longest side to 2 units."""
+    texture_size: int = 4
+    """Texels along the side of a face's texture (at least 2); more for detailed pictures on few faces."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to compute; auto is CUDA where there is one."""
+
+    def run(self) -> int:
+        """Draw; returns the exit code 0. Raises ValueError, TypeError or OSError with a sentence."""
+        self._check()
+        device = chosen_device(self.device)
+        vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
+        if textures is None:
+            textures = torch.full((len(faces), 2, 2, 2, 3), _GREY)
+        mesh = Mesh(vertices, faces, textures).to(device)
+        mesh = mesh.normalize() if self.normalize else mesh
+        animated = self.output.suffix.lower() in _ANIMATIONS
+        count = (60 if self.turntable is None else self.turntable) if animated else 1
+        angles = [self.azimuth + 360 * index / count for index in range(count)]
+        pictures: Iterator[Tensor] = (self.picture(mesh, angle).cpu() for angle in angles)
+        console = Console(stderr=True)
+        if animated:
+            shown = track(pictures, "Turntable", total=count, console=console, transient=True)
+            save_animation(self.output, shown, self.fps)
+        else:
+            save_image(self.output, next(pictures))
+        Console().print(f"{self.output}", highlight=False, soft_wrap=True)
+        return 0
+
+    def _check(self) -> None:
+        suffix = self.output.suffix.lower()
+        if suffix not in _PICTURES + _ANIMATIONS:
+            expected = ", ".join(_PICTURES + _ANIMATIONS)
+            raise ValueError(f"--output: expected a name that ends in {expected}, got {self.output.name!r}")
+        if self.turntable is not None:
+            checked_count("turntable", self.turntable, 1)
+            if suffix in _PICTURES:
+                raise ValueError(f"--output: expected a .gif or .mp4 for a turntable, got {self.output.name!r}")
+        checked_count("texture_size", self.texture_size, 2)
+        self._between("fps", self.fps, 0, math.inf)
+        self._between("viewing-angle", self.viewing_angle, 0, 90)
+        self._between("elevation", self.elevation, -90, 90)
+        if not math.isfinite(self.azimuth):
+            raise ValueError(f"--azimuth: expected a finite number of degrees, got {self.azimuth}")
+        if self.distance is not None:
+            self._between("distance", self.distance, 0, math.inf)
+        if self.background == "transparent" and suffix != ".png":
+            raise ValueError(f"--background transparent: expected a .png, got {self.output.name!r}")
+        if not isinstance(self.background, str) and not all(0 <= value <= 1 for value in self.background):
+            raise ValueError(f"--background: expected three numbers from 0 to 1, got {self.background}")
+
+    @staticmethod
+    def _between(name: str, value: float, low: float, high: float) -> None:
+        if not low < value < high:
+            limit = f" and below {high}" if math.isfinite(high) else ""
+            raise ValueError(f"--{name}: expected a number above {low}{limit}, got {value}")
+
+    @torch.no_grad()
+    def picture(self, mesh: Mesh, azimuth: float) -> Tensor:
+        """One view: [3, H, W] or, with transparency, [4, H, W]; [H, W] for silhouettes and depth."""
+        height, width = (self.size, self.size) if isinstance(self.size, int) else self.size
+        aspect = min(1.0, width / max(height, 1))
+        radius = max(mesh.vertices.norm(dim=1).max().item(), 1e-6)
+        fit = 1.05 * radius / (math.sin(math.radians(self.viewing_angle)) * max(aspect, 1e-6))
+        distance = fit if self.distance is None else self.distance
+        eye = torch.tensor(get_points_from_angles(distance, self.elevation, azimuth), device=mesh.vertices.device)
+        scale = aspect / (1.05 * radius)
+        camera = Camera.look_at(eye, viewing_angle=self.viewing_angle, orthographic=self.orthographic, scale=scale)
+        size = (height, width)
+        # Planes around the model, whatever its units are.
+        near, far = max(distance - 1.1 * radius, 1e-3 * distance), distance + 1.1 * radius
+
+        if self.mode in ("silhouettes", "depth"):
+            shape = mesh.vertices, mesh.faces
+            images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far)
+            alpha, depth = images.alpha[0], images.depth[0]  # type: ignore[index]
+            return alpha if self.mode == "silhouettes" else _grey_depth(depth, alpha, far)
+        right, up, forward = camera.rotation[0]
+        light: Light | None = None
+        shown: Mesh | tuple[Tensor, ...] = mesh
+        if self.mode == "normals":
+            normals = vertex_normals(mesh.vertices, mesh.faces) @ torch.stack((right, up, -forward), dim=1)
+            shown = mesh.vertices, mesh.faces, corner_cubes((normals + 1) / 2, mesh.faces)
+        elif self.light:
+            lamp = F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)
+            light = Light(ambient=0.4, directional=0.65, direction=lamp)
+        colour = _COLOURS[self.background] if isinstance(self.background, str) else self.background
+        images = render(
+            shown, camera, size, light=light, background=colour, outputs=("rgb", "alpha"), near=near, far=far
+        )
+        rgb, alpha = images.rgb[0], images.alpha[0]  # type: ignore[index]
+        if self.background != "transparent":
+            return rgb
+        # On black, colours at the outline are already multiplied by alpha; PNG wants them without.
+        return torch.cat((rgb / alpha.clamp(min=1e-6), alpha[None]))
+
+
+def _grey_depth(depth: Tensor, alpha: Tensor, far: float) -> Tensor:
+    """Depth as grey [H, W]: the nearest point white, the farthest dark, what is no mesh black."""
+    seen = alpha > 0
+    if not seen.any():
+        return torch.zeros_like(depth)
+    # At the outline an anti-aliased depth is mixed with the far plane; this takes the plane's part out.
+    own = (depth - (1 - alpha) * far) / alpha.clamp(min=1e-6)
+    low, high = own[seen].min(), own[seen].max()
+    grey = 1 - 0.8 * (own - low) / (high - low).clamp(min=1e-6)
+    return torch.where(seen, grey * alpha, 0.0)

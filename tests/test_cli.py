@@ -1,0 +1,192 @@
+"""The console command: help, pictures of each mode, errors as one sentence, exit codes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+import neural_renderer as nr
+from neural_renderer import cli
+from neural_renderer.commands import info
+
+
+@pytest.fixture
+def ball(tmp_path: Path) -> str:
+    path = tmp_path / "ball.obj"
+    nr.save_obj(path, *nr.icosphere(2))
+    return str(path)
+
+
+def render(ball: str, output: Path, *options: str) -> torch.Tensor:
+    assert cli.main(["render", ball, "-o", str(output), *options]) == 0
+    return nr.load_image(output)
+
+
+def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one sentence of a command that ends with 1."""
+    assert cli.main(list(arguments)) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    return captured.err.strip()
+
+
+@pytest.mark.parametrize("command", ["render", "info", "demo"])
+def test_help_of_each_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([command, "--help"]) == 0
+    assert f"Example: neural-renderer {command}" in capsys.readouterr().out
+
+
+def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out and summary in out for name, (_, _, summary) in cli.COMMANDS.items())
+
+
+@pytest.mark.parametrize("arguments", [["nonsense"], ["render"], ["render", "a.obj", "-o", "b.png", "--size", "big"]])
+def test_wrong_usage_is_2(arguments: list[str]) -> None:
+    assert cli.main(arguments) == 2
+
+
+def test_rgb_is_lit_from_the_front(ball: str, tmp_path: Path) -> None:
+    picture = render(ball, tmp_path / "a.png", "--size", "48", "64")
+    assert picture.shape == (48, 64, 3)
+    assert torch.equal(picture[0, 0], torch.ones(3))
+    assert 0.3 < picture[24, 32, 0] < 0.9
+    assert picture[14, 28, 0] > picture[36, 38, 0] + 0.1  # brighter on the side of the light
+
+
+def test_no_light_draws_the_colour_itself(ball: str, tmp_path: Path) -> None:
+    picture = render(ball, tmp_path / "a.png", "--size", "32", "--no-light", "--background", "0", "0.5", "1")
+    assert torch.allclose(picture[16, 16], torch.tensor(0.82), atol=3e-3)
+    assert torch.allclose(picture[0, 0], torch.tensor([0, 0.5, 1]), atol=3e-3)
+
+
+@pytest.mark.parametrize("lens", [[], ["--orthographic"]])
+def test_silhouette_fits_into_the_picture(ball: str, tmp_path: Path, lens: list[str]) -> None:
+    for height, width in ((64, 64), (64, 40)):
+        size = ["--size", str(height), str(width)]
+        picture = render(ball, tmp_path / "a.png", *size, "--mode", "silhouettes", *lens)[..., 0]
+        assert picture[32, width // 2] == 1
+        assert not picture[0].any() and not picture[:, 0].any() and not picture[:, -1].any()
+        across = (picture[32] > 0.5).sum().item()
+        assert 0.85 * min(height, width) < across < min(height, width)
+
+
+def test_depth_is_bright_where_near_and_black_outside(ball: str, tmp_path: Path) -> None:
+    picture = render(ball, tmp_path / "a.png", "--size", "48", "--mode", "depth")[..., 0]
+    assert picture[24, 24] > 0.95
+    assert 0.1 < picture[24, 4] < 0.75
+    assert picture[0, 0] == 0
+
+
+def test_normals_are_those_of_the_camera(ball: str, tmp_path: Path) -> None:
+    picture = render(ball, tmp_path / "a.png", "--size", "64", "--mode", "normals", "--orthographic")
+    assert torch.allclose(picture[32, 32], torch.tensor([0.5, 0.5, 1]), atol=0.03)
+    assert picture[32, 55, 0] > 0.85 and picture[32, 8, 0] < 0.15  # red to the right
+    assert picture[8, 32, 1] > 0.85 and picture[55, 32, 1] < 0.15  # green up
+
+
+def test_azimuth_180_sees_the_side_of_plus_z(tmp_path: Path) -> None:
+    path = tmp_path / "two.ply"
+    vertices, faces = nr.cube()
+    textures = torch.zeros(12, 2, 2, 2, 3)
+    front = (vertices[faces.long()][..., 2] == 1).all(1)
+    assert front.sum() == 2
+    textures[front, ..., 0] = 1
+    nr.save_mesh(path.with_suffix(".glb"), vertices, faces, textures)
+    for azimuth, red in (("180", 1.0), ("0", 0.0), ("90", 0.0)):
+        options = ["--azimuth", azimuth, "--elevation", "0", "--size", "16", "--no-light"]
+        picture = render(str(path.with_suffix(".glb")), tmp_path / "a.png", *options)
+        assert picture[8, 8, 0].item() == pytest.approx(red, abs=0.02)
+
+
+def test_transparent_background(ball: str, tmp_path: Path) -> None:
+    picture = render(ball, tmp_path / "a.png", "--size", "40", "--background", "transparent", "--no-light")
+    assert picture.shape == (40, 40, 4)
+    assert picture[0, 0, 3] == 0 and picture[20, 20, 3] == 1
+    outline = (picture[..., 3] > 0) & (picture[..., 3] < 1)
+    assert outline.any()
+    assert torch.allclose(picture[outline][:, :3], torch.tensor(0.82), atol=0.01)  # not darkened by what is behind
+
+
+def test_turntable(ball: str, tmp_path: Path) -> None:
+    for name in ("a.gif", "a.mp4"):
+        path = tmp_path / name
+        assert cli.main(["render", ball, "-o", str(path), "--turntable", "3", "--size", "32"]) == 0
+        assert path.stat().st_size > 100
+    with Image.open(tmp_path / "a.gif") as animation:
+        assert animation.n_frames >= 1  # a ball looks alike from all sides
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["-o", "a.bmp"], "--output: expected a name that ends in .png, .jpg, .jpeg, .gif, .mp4, got 'a.bmp'"),
+        (["-o", "a.png", "--size", "0"], "size: expected between 1 and 32768 pixels"),
+        (["-o", "a.png", "--elevation", "90"], "--elevation: expected a number above -90 and below 90, got 90.0"),
+        (["-o", "a.png", "--viewing-angle", "nan"], "--viewing-angle: expected a number above 0 and below 90, got nan"),
+        (["-o", "a.png", "--distance", "-1"], "--distance: expected a number above 0, got -1.0"),
+        (["-o", "a.png", "--azimuth", "inf"], "--azimuth: expected a finite number of degrees, got inf"),
+        (["-o", "a.png", "--texture-size", "1"], "--texture-size: expected at least 2, got 1"),
+        (["-o", "a.png", "--turntable", "9"], "--output: expected a .gif or .mp4 for a turntable, got 'a.png'"),
+        (["-o", "a.gif", "--turntable", "0"], "--turntable: expected at least 1, got 0"),
+        (["-o", "a.gif", "--fps", "0"], "--fps: expected a number above 0, got 0.0"),
+        (["-o", "a.jpg", "--background", "transparent"], "--background transparent: expected a .png, got 'a.jpg'"),
+        (["-o", "a.png", "--background", "0", "0", "2"], "--background: expected three numbers from 0 to 1"),
+    ],
+)
+def test_errors_are_one_sentence(
+    ball: str, options: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert sentence in fails(capsys, "render", ball, *options)
+
+
+def test_errors_about_the_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = str(tmp_path / "a.png")
+    assert "nowhere.obj: expected a file, got nothing there" in fails(capsys, "render", "nowhere.obj", "-o", output)
+    assert "expected a file that ends in .obj" in fails(capsys, "render", "model.xyz", "-o", output)
+    (tmp_path / "broken.obj").write_text("v 1 2\nf 1 2 3\n")
+    assert "broken.obj" in fails(capsys, "render", str(tmp_path / "broken.obj"), "-o", output)
+
+
+def test_debug_shows_where(monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = ["render", "nowhere.obj", "-o", "a.png"]
+    with pytest.raises(FileNotFoundError):
+        cli.main([*arguments, "--debug"])
+    monkeypatch.setenv("NEURAL_RENDERER_DEBUG", "1")
+    with pytest.raises(FileNotFoundError):
+        cli.main(arguments)
+
+
+def test_interruption_is_quiet(ball: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("neural_renderer.commands.render.load_mesh", interrupted)
+    assert cli.main(["render", ball, "-o", "a.png"]) == 130
+    assert capsys.readouterr() == ("", "")
+
+
+def test_info_says_ok(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info"]) == 0
+    out = capsys.readouterr().out
+    assert "check on cpu" in out and "ok" in out and torch.__version__ in out and nr.__version__ in out
+
+
+def test_info_says_what_differs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(info, "_CASES", tuple((c, p, 0.5, [[1.0, 0.0]] * 3) for c, p, _, _ in info._CASES))
+    assert cli.main(["info"]) == 1
+    assert "gradient 1: expected agreement within 0.01" in " ".join(capsys.readouterr().out.split())
+
+
+def test_as_a_program() -> None:
+    command = [sys.executable, "-m", "neural_renderer.cli", "render", "nowhere.obj", "-o", "a.png"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.strip() == "nowhere.obj: expected a file, got nothing there"
