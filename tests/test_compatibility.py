@@ -51,7 +51,7 @@ def test_teapot_covers_the_pixels_of_blender(teapot, blender, mode):
     assert int((drawn[2] != blender).sum()) == 0
     assert not drawn[[0, 1, 3]].any()
     if mode != "depth":
-        assert image.unique().tolist() == pytest.approx([0, 1], abs=1e-6)
+        assert ((image < 1e-6) | ((image - 1).abs() < 1e-5)).all()
 
 
 def test_teapot_depth(teapot, references):
@@ -92,7 +92,7 @@ def test_gradient_fixtures(references, device, case, mode):
 
 
 def test_depth_gradient_fixture(references, device):
-    """Against finite differences, at the image of the batch that shows the triangle (the published test looks at another)."""
+    """Against finite differences, in the image that shows the triangle (the published test looks at another)."""
     fixture = json.loads((references / "gradient_cases.json").read_text())["depth_case"]
     vertices, faces = (to_batch(torch.tensor(fixture[name], device=device)) for name in ("vertices", "faces"))
     renderer = nr.Renderer(64, anti_aliasing=False, camera_mode="none")
@@ -117,11 +117,11 @@ def test_depth_gradient_fixture(references, device):
 
 
 def test_teapot_shaded(teapot, references):
-    """The published picture of the lit teapot, drawn by another program; a few pixels on edges differ."""
-    renderer = nr.Renderer(camera_mode="look_at")
+    """The published picture of the lit teapot: of its 196,608 values, a few at edges are off by more than 2."""
+    renderer = look_at_renderer()
     found = (renderer(*teapot, mode="rgb")[2].permute(1, 2, 0).cpu() * 255).round()
     expected = torch.from_numpy(np.asarray(Image.open(references / "test_rasterize1.png")).astype(np.float32))
-    assert int(((found - expected).abs() > 2).sum()) <= 200
+    assert int(((found - expected).abs() > 2).sum()) <= 12
 
 
 def test_look_at_and_perspective(device):
@@ -187,7 +187,8 @@ def test_rasterize_functions(device):
 SIGNATURES = {
     "rasterize_rgbad": "faces textures=None image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001 "
     "background_color=(0, 0, 0) return_rgb=True return_alpha=True return_depth=True",
-    "rasterize": "faces textures image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001 background_color=(0, 0, 0)",
+    "rasterize": "faces textures image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001 "
+    "background_color=(0, 0, 0)",
     "rasterize_silhouettes": "faces image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001",
     "rasterize_depth": "faces image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001",
     "Rasterize": "image_size near far eps background_color return_rgb=False return_alpha=False return_depth=False",
@@ -209,6 +210,6 @@ def test_signatures(name):
 
 
 def test_names():
-    published = """Renderer Rasterize rasterize rasterize_depth rasterize_rgbad rasterize_silhouettes look look_at perspective
-    projection lighting get_points_from_angles vertices_to_faces load_obj save_obj Mesh Adam __version__"""
+    published = """Renderer Rasterize rasterize rasterize_depth rasterize_rgbad rasterize_silhouettes look look_at
+    perspective projection lighting get_points_from_angles vertices_to_faces load_obj save_obj Mesh Adam __version__"""
     assert all(hasattr(nr, name) for name in published.split())

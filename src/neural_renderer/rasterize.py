@@ -70,19 +70,8 @@ def rasterize(
     gradient: str = "nmr",
 ) -> Tensor:
     """Colour [B, 3, H, W]; arguments as in `rasterize_rgbad`."""
-    images = rasterize_images(
-        faces,
-        image_size,
-        outputs=("rgb",),
-        textures=textures,
-        background=background_color,
-        near=near,
-        far=far,
-        eps=eps,
-        anti_aliasing=anti_aliasing,
-        gradient=gradient,
-    )
-    return _present(images.rgb)
+    options = (image_size, anti_aliasing, near, far, eps, background_color, True, False, False, gradient)
+    return rasterize_rgbad(faces, textures, *options)["rgb"]  # type: ignore[return-value]
 
 
 def rasterize_silhouettes(
@@ -95,17 +84,8 @@ def rasterize_silhouettes(
     gradient: str = "nmr",
 ) -> Tensor:
     """Silhouettes [B, H, W]: 1 where a face is seen, 0 elsewhere; arguments as in `rasterize_rgbad`."""
-    images = rasterize_images(
-        faces,
-        image_size,
-        outputs=("alpha",),
-        near=near,
-        far=far,
-        eps=eps,
-        anti_aliasing=anti_aliasing,
-        gradient=gradient,
-    )
-    return _present(images.alpha)
+    options = (image_size, anti_aliasing, near, far, eps, DEFAULT_BACKGROUND_COLOR, False, True, False, gradient)
+    return rasterize_rgbad(faces, None, *options)["alpha"]  # type: ignore[return-value]
 
 
 def rasterize_depth(
@@ -117,10 +97,8 @@ def rasterize_depth(
     eps: float = DEFAULT_EPS,
 ) -> Tensor:
     """Depth [B, H, W], ``far`` where no face is seen; arguments as in `rasterize_rgbad`."""
-    images = rasterize_images(
-        faces, image_size, outputs=("depth",), near=near, far=far, eps=eps, anti_aliasing=anti_aliasing
-    )
-    return _present(images.depth)
+    options = (image_size, anti_aliasing, near, far, eps, DEFAULT_BACKGROUND_COLOR, False, False, True)
+    return rasterize_rgbad(faces, None, *options)["depth"]  # type: ignore[return-value]
 
 
 class Rasterize(nn.Module):
@@ -175,12 +153,6 @@ class Rasterize(nn.Module):
             None if alpha is None else alpha.flip(1),
             None if depth is None else depth.flip(1),
         )
-
-
-def _present(image: Tensor | None) -> Tensor:
-    if image is None:
-        raise RuntimeError("the rasteriser did not return the image that was asked for")
-    return image
 
 
 __all__ = ["Images", "Rasterize", "rasterize", "rasterize_depth", "rasterize_rgbad", "rasterize_silhouettes"]
