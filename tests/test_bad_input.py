@@ -114,7 +114,7 @@ def test_renderers(device, what):
         arguments = {key: t.expand(*batch, *t.shape[1:]) for key, t in arguments.items()}
     # What the parts call it may be the end of the attribute's name.
     parts = {
-        "gradient": "gradient",
+        "eye": "eye|camera",
         "rasterizer_eps": "eps",
         "background_color": "background",
         "viewing_angle": "angle",
@@ -170,9 +170,9 @@ def test_a_device_without_numbers():
 
 @pytest.mark.parametrize("batch", [0, 1, 2])
 @pytest.mark.parametrize("count", [0, 20])
-def test_empty_batch_and_empty_mesh_show_the_background(device, batch, count):
+def test_empty_batch_and_empty_mesh_show_the_background(request, device, batch, count):
     if not (batch and count):
-        pytest.xfail("textures without elements cannot be reshaped")
+        request.applymarker(pytest.mark.xfail(reason="textures without elements cannot be reshaped"))
     vertices = VERTICES.to(device).expand(batch, -1, -1).clone().requires_grad_()
     faces, textures = FACES[:count].to(device), torch.ones(batch, count, 2, 2, 2, 3, device=device, requires_grad=True)
     for anti_aliasing in (False, True):
@@ -228,28 +228,28 @@ device = sys.argv[1]
 nr.check_values(False)
 nan, inf = float("nan"), float("inf")
 random = torch.Generator().manual_seed(0)
-for number, wild in itertools.product(range(3), (nan, inf, -inf, 3e38, -3e38, 1e20, 1e-45, 0.0)):
-    vertices = torch.randn(2, 30, 3, generator=random)
-    vertices[torch.rand(2, 30, 3, generator=random) < (0.02, 0.3, 1)[number]] = wild
+for number, wild in itertools.product(range(3), (nan, inf, -inf, 3e38, -3e38, 1e20, 0.0)):
+    vertices = torch.randn(2, 20, 3, generator=random)
+    vertices[torch.rand(2, 20, 3, generator=random) < (0.02, 0.3, 1)[number]] = wild
     vertices = vertices.to(device).requires_grad_()
-    faces = torch.randint(-3, 34, (2, 60, 3), generator=random)
+    faces = torch.randint(-2, 22, (2, 40, 3), generator=random)
     faces[0, :6] = torch.tensor([2**31 - 1, -(2**31), 2**31 - 2])
     faces = faces.to(device)
-    textures = torch.randn(2, 60, 3, 3, 3, 3, generator=random)
+    textures = torch.randn(2, 40, 3, 3, 3, 3, generator=random)
     textures[0, 0] = wild
     textures = textures.to(device).requires_grad_()
     for mode, perspective in (("look_at", True), ("look_at", False), ("none", True)):
-        renderer = nr.Renderer(24, camera_mode=mode, perspective=perspective)
+        renderer = nr.Renderer(16, camera_mode=mode, perspective=perspective)
         rgb, depth, alpha = renderer(vertices, faces, textures)
         assert ((alpha >= 0) & (alpha <= 1)).all()
         if abs(wild) != 3e38:  # whose sums and squares are infinite
             assert ((depth > 0) & (depth <= 100.001)).all()
         (rgb.sum() + depth.sum() + alpha.sum()).backward()
         assert vertices.grad.shape == vertices.shape
-    corners = torch.randn(2, 60, 3, 3, generator=random) * 10 ** (torch.randn(2, 60, 3, 3, generator=random) * 12)
+    corners = torch.randn(2, 40, 3, 3, generator=random) * 10 ** (torch.randn(2, 40, 3, 3, generator=random) * 12)
     corners[torch.rand(corners.shape, generator=random) < 0.1] = wild
     corners = corners.to(device).requires_grad_()
-    for size in ((1, 1), (3, 50), (64, 64)):
+    for size in ((1, 1), (3, 50), (32, 32)):
         images = nr.rasterize_images(corners, size, textures=textures, two_sided=True, perspective=number != 1)
         sum(image.sum() for image in images).backward()
 print("done")

@@ -7,13 +7,13 @@ from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from .. import validate
 from .barycentrics import barycentrics
 from .corners import gather_corners
 from .coverage import coverage
+from .downsample import halve
 from .edges import nmr_edges
 from .textures import sample_textures
 
@@ -125,7 +125,7 @@ def rasterize_images(
             image = nmr_edges(image, corners, face_index, eps, two_sided, "rgb" not in outputs)
         image = image.permute(0, 3, 1, 2)
         if anti_aliasing:
-            image = F.avg_pool2d(image, 2) if image.numel() else image[:, :, ::2, ::2]
+            image = halve(image)
         if "rgb" in outputs:
             rgb = image[:, :3].contiguous()
         if "alpha" in outputs:
@@ -133,7 +133,7 @@ def rasterize_images(
     if "depth" not in outputs:
         depth = None
     elif anti_aliasing and depth is not None:
-        depth = F.avg_pool2d(depth[:, None], 2)[:, 0] if depth.numel() else depth[:, ::2, ::2]
+        depth = halve(depth[:, None])[:, 0]
     return Images(rgb, alpha, depth)
 
 
