@@ -1,6 +1,6 @@
 """Time of the renderer, forward and backward, over batch, size, faces and threads: ``python -m benchmarks``.
 
-Prints a table, and with ``--json FILE`` writes the same numbers with the hardware named. Each number is the median over
+Prints a table and the same numbers as JSON, with the hardware named. Each number is the median over
 ``--repeats`` runs after one to warm up, through the public function, without anti-aliasing.
 """
 
@@ -11,6 +11,7 @@ import json
 import os
 import platform
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -41,7 +42,7 @@ def main() -> None:
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--threads", type=int, nargs="*", help="CPU threads to try (default: 1 and all)")
     parser.add_argument("--repeats", type=int, default=11)
-    parser.add_argument("--json", type=Path, help="also write the numbers here")
+    parser.add_argument("--json", type=Path, help="also write the JSON here")
     options = parser.parse_args()
     all_threads = torch.get_num_threads()
     threads = options.threads or ([all_threads] if options.device != "cpu" else sorted({1, all_threads}))
@@ -69,8 +70,14 @@ def main() -> None:
     torch.set_num_threads(all_threads)
     console.print(table)
     console.print(f"first call, compilation or cache included: {report['first_call_s']} s")
+    if sys.platform != "win32":
+        import resource
+
+        report["peak_memory_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+    text = json.dumps(report, indent=2)
+    print(text)
     if options.json:
-        options.json.write_text(json.dumps(report, indent=2) + "\n")
+        options.json.write_text(text + "\n")
 
 
 def measure(

@@ -84,8 +84,7 @@ torch.set_num_threads(2)
 def total(_=0):
     random = torch.Generator().manual_seed(0)
     faces = (torch.rand(3, 9, 3, 3, generator=random) * 2 - 1 + torch.tensor([0, 0, 2.0])).requires_grad_()
-    # Without anti-aliasing: torch's own pooling hangs after a fork unless it has one thread.
-    nr.rasterize_silhouettes(faces, 32, anti_aliasing=False).square().sum().backward()
+    nr.rasterize_silhouettes(faces, 32).square().sum().backward()
     return float(faces.grad.abs().sum())
 """
 

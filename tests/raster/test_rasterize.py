@@ -231,10 +231,7 @@ def test_background_colors(device, batched):
 
 
 @pytest.mark.parametrize("batched", [False, True])
-@pytest.mark.parametrize(
-    "anti_aliasing",
-    [pytest.param(False, marks=pytest.mark.xfail(reason="the picture's strides reach the kernel")), True],
-)
+@pytest.mark.parametrize("anti_aliasing", [False, True])
 def test_background_pictures(device, batched, anti_aliasing):
     faces, cubes = empty_scene(device)
     picture = torch.rand(2, 3, 4, 6, device=device) if batched else torch.rand(3, 4, 6, device=device)

@@ -28,7 +28,7 @@ def coverage(
     perspective: depth between the corners is ``1 / sum(w_k / z_k)``; linear in the weights otherwise.
 
     Returns [B, height, width] int32, row 0 at the top, -1 where nothing is seen. A pixel centre on an edge is inside.
-    A face with a non-finite corner is not drawn.
+    A face with a corner that is not finite, or beyond 1e12, is not drawn.
     """
     batch, count = faces.shape[:2]
     key = torch.full((batch, height, width), _EMPTY, dtype=torch.int64, device=faces.device)

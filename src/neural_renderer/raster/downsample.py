@@ -25,12 +25,12 @@ def halve_backward(grad: Tensor) -> Tensor:
 
 
 @torch.library.register_fake("neural_renderer::halve")
-def _(image):  # type: ignore[no-untyped-def]
+def _(image):
     return image.new_empty((*image.shape[:2], image.shape[2] // 2, image.shape[3] // 2))
 
 
 @torch.library.register_fake("neural_renderer::halve_backward")
-def _(grad):  # type: ignore[no-untyped-def]
+def _(grad):
     return grad.new_empty((*grad.shape[:2], 2 * grad.shape[2], 2 * grad.shape[3]))
 
 

@@ -144,8 +144,8 @@ def pull_edge(
     far_q = float(0.0)
     near_p = float(0.0)
     near_q = float(0.0)
-    start = int(wp.ceil(wp.max(wp.min(pu, qu), 0.0)))
-    stop = int(wp.floor(wp.min(wp.max(pu, qu), float(count - 1))))
+    start = int(wp.ceil(wp.clamp(wp.min(pu, qu), 0.0, float(count))))
+    stop = int(wp.floor(wp.clamp(wp.max(pu, qu), -1.0, float(count - 1))))
     for u in range(start + lane, stop + 1, lanes):
         c = wp.clamp(pv + (qv - pv) * (float(u) - pu) / (qu - pu), -2.0, float(length) + 1.0)
         inner = int(wp.ceil(c))

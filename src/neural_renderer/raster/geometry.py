@@ -14,6 +14,8 @@ the homogeneous form of the same test, so nothing needs to be clipped (Olano and
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import warp as wp
 
+# Corners beyond have no products in float32.
+FARTHEST = wp.constant(1.0e12)
 Int4 = wp.types.vector(length=4, dtype=wp.int32)
 
 
@@ -52,7 +54,8 @@ def facing(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
 @wp.func
 def in_front(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
     """1 if the plain formulas hold, 0 if the face crosses the camera's plane, -1 if it cannot be drawn."""
-    if not (wp.isfinite(v0) and wp.isfinite(v1) and wp.isfinite(v2)):
+    largest = wp.max(wp.max(wp.abs(v0)), wp.max(wp.max(wp.abs(v1)), wp.max(wp.abs(v2))))
+    if not (wp.isfinite(v0) and wp.isfinite(v1) and wp.isfinite(v2)) or largest > FARTHEST:
         return -1
     if perspective == 0:
         return 1

@@ -104,6 +104,8 @@ def face_lanes(faces: Tensor, pixels: int) -> int:
 
 def array(tensor: Tensor, dtype: Any = None) -> Any:
     """The tensor as a kernel argument, without a copy; vectors take the trailing dimension(s)."""
+    if tensor.numel() == 0:  # strides of nothing can be anything, and Warp looks at them
+        tensor = tensor.new_empty(tensor.shape)
     return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False, return_ctype=True)
 
 

@@ -220,7 +220,7 @@ def _checked_background(background: Any, batch: int, height: int, width: int, de
     if shape == (3,) or (len(shape) == 2 and shape[0] in (1, batch) and shape[1] == 3):
         return color.reshape(-1, 1, 1, 3)
     if shape == (3, height, width) or (len(shape) == 4 and shape[0] in (1, batch) and shape[1:] == (3, height, width)):
-        return color.reshape(-1, 3, height, width).permute(0, 2, 3, 1)
+        return color.reshape(-1, 3, height, width).permute(0, 2, 3, 1).contiguous()
     raise ValueError(
         f"background: expected [3], [{batch}, 3], [3, {height}, {width}] or [{batch}, 3, {height}, {width}], "
         f"got {list(shape)}"

@@ -67,7 +67,10 @@ def sample_textures_backward(
     to_light = torch.zeros((batch, *light.shape[1:]), device=faces.device)
     lanes = face_lanes(faces, height * width)
     arguments = _arguments(textures, light, faces, face_index, weights, depth, eps, perspective)
-    results = [array(to_textures.view(*textures.shape[:2], -1, 3), wp.vec3), array(to_light, wp.vec3)]
+    results = [
+        array(to_textures.view(*textures.shape[:2], textures.shape[2] ** 3, 3), wp.vec3),
+        array(to_light, wp.vec3),
+    ]
     # Textures that images share belong to one task, which takes the images in turn.
     images = 1 if textures.shape[0] < batch else batch
     tasks = images * faces.shape[1] * lanes
@@ -86,7 +89,7 @@ def _(grad, textures, light, faces, face_index, weights, depth, eps, perspective
 
 
 def _arguments(textures, light, faces, face_index, weights, depth, eps, perspective):  # type: ignore[no-untyped-def]
-    cubes = array(textures.contiguous().view(*textures.shape[:2], -1, 3), wp.vec3)
+    cubes = array(textures.contiguous().view(*textures.shape[:2], textures.shape[2] ** 3, 3), wp.vec3)
     maps = [array(face_index), array(weights, wp.vec3), array(depth)]
     return [
         cubes,
