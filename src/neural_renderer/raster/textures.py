@@ -131,20 +131,31 @@ def cube_coordinate(w: wp.vec3, depth: float, z: wp.vec3, size: int, eps: float,
     return c
 
 
-@wp.func
-def texel(c: wp.vec3, size: int, corner: int):
-    """Index and share of one of the 8 texels around a cube coordinate; bit k of ``corner`` belongs to axis k."""
-    index = int(0)
-    share = float(1.0)
-    for k in range(3):
-        low = int(c[k])
-        part = c[k] - float(low)
-        step = (corner >> k) & 1
-        if step == 0:
-            part = 1.0 - part
-        index = index * size + low + step
-        share = share * part
-    return index, share
+# The 8 texels around a cube coordinate and their shares, in plain C++: compilers keep this loop in registers.
+_TEXELS = """
+    const int low[3] = {(int)c[0], (int)c[1], (int)c[2]};
+    const float up[3] = {c[0] - (float)low[0], c[1] - (float)low[1], c[2] - (float)low[2]};
+    const wp::int64 first = ((cube * size + low[0]) * size + low[1]) * size + low[2];
+    wp::vec_t<3, float> sum(0.0f);
+    for (int corner = 0; corner < 8; ++corner) {
+        const int i = corner >> 2, j = (corner >> 1) & 1, k = corner & 1;
+        const float share = (i ? up[0] : 1.0f - up[0]) * (j ? up[1] : 1.0f - up[1]) * (k ? up[2] : 1.0f - up[2]);
+        const wp::int64 texel = first + (i * size + j) * size + k;
+        DO
+    }
+"""
+
+
+@wp.func_native(_TEXELS.replace("DO", "sum += share * textures.data[texel];") + "    return sum;")
+def blend(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int, c: wp.vec3) -> wp.vec3:
+    """The colour at a coordinate of the cube of that number."""
+    ...
+
+
+@wp.func_native(_TEXELS.replace("DO", "wp::atomic_add(&textures.data[texel], share * part);"))
+def scatter(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int, c: wp.vec3, part: wp.vec3):
+    """Its transpose: add ``part`` to the texels, each its share."""
+    ...
 
 
 @wp.func
@@ -176,7 +187,7 @@ def _forward(
     last = int(-1)
     z = wp.vec3(0.0, 0.0, 0.0)
     factor = wp.vec3(0.0, 0.0, 0.0)
-    cubes = textures[wp.min(b, textures.shape[0] - 1)]
+    cubes = wp.int64(wp.min(b, textures.shape[0] - 1)) * wp.int64(textures.shape[1])
     for i in range(face_index.shape[2]):
         f = face_index[b, row, i]
         if f < 0:
@@ -190,11 +201,7 @@ def _forward(
                 z = wp.vec3(v0[2], v1[2], v2[2])
                 factor = light[wp.min(b, light.shape[0] - 1), side_seen(v0, v1, v2, perspective), f]
             c = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
-            blend = wp.vec3(0.0, 0.0, 0.0)
-            for corner in range(8):
-                index, share = texel(c, size, corner)
-                blend += share * cubes[f, index]
-            color[b, row, i] = wp.cw_mul(blend, factor)
+            color[b, row, i] = wp.cw_mul(blend(textures, cubes + wp.int64(f), size, c), factor)
 
 
 @wp.kernel
@@ -223,6 +230,7 @@ def _backward(
     own = (task // lanes) // faces.shape[1]
     height = face_index.shape[1]
     width = face_index.shape[2]
+    cube = wp.int64(own) * wp.int64(faces.shape[1]) + wp.int64(f)
     from_image = own
     to_image = own + 1
     if images == 1:
@@ -245,13 +253,8 @@ def _backward(
             for i in range(box[0], box[1] + 1):
                 if face_index[b, row, i] == f:
                     g = grad[b, row, i]
-                    scaled = wp.cw_mul(g, factor)
                     c = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
-                    blend = wp.vec3(0.0, 0.0, 0.0)
-                    for corner in range(8):
-                        index, share = texel(c, size, corner)
-                        if light_too == 1:
-                            blend += share * textures[own, f, index]
-                        wp.atomic_add(to_textures, own, f, index, share * scaled)
-                    lit += wp.cw_mul(blend, g)
+                    scatter(to_textures, cube, size, c, wp.cw_mul(g, factor))
+                    if light_too == 1:
+                        lit += wp.cw_mul(blend(textures, cube, size, c), g)
         wp.atomic_add(to_light, b, side, f, lit)
