@@ -57,8 +57,7 @@ class Mesh(nn.Module):
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
         if textures is None:
-            if texture_size < 2:
-                raise ValueError(f"texture_size: expected at least 2, got {texture_size}")
+            texture_size = validate.whole("texture_size", texture_size, 2)
             textures = 0.05 * torch.randn(len(faces), *[texture_size] * 3, 3, device=vertices.device)
         textures = _as_tensor(textures)
         validate.floating("textures", textures, [len(faces), "T", "T", "T", 3])

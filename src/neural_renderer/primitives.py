@@ -6,6 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from . import validate
+
 
 def icosphere(level: int = 3, radius: float = 1.0) -> tuple[Tensor, Tensor]:
     """A sphere: vertices float32 [10·4ˡ + 2, 3], faces int32 [20·4ˡ, 3], where l is the level.
@@ -15,7 +17,7 @@ def icosphere(level: int = 3, radius: float = 1.0) -> tuple[Tensor, Tensor]:
     vertices and 1280 faces; exactly 4, 40 and 32 vertices have x, y and z = 0, where the published file, written with
     six decimals, has 4, 33 and 30. Raises ValueError for a level outside [0, 8] or a radius not above 0.
     """
-    if not 0 <= level <= 8:
+    if validate.whole("level", level, 0) > 8:
         raise ValueError(f"level: expected 0 to 8, got {level}")
     _positive("radius", radius)
     ring = np.arange(5)

@@ -60,7 +60,7 @@ def rasterize_rgbad(
 
 def rasterize(
     faces: Tensor,
-    textures: Tensor,
+    textures: Tensor | None = None,
     image_size: int | tuple[int, int] = DEFAULT_IMAGE_SIZE,
     anti_aliasing: bool = DEFAULT_ANTI_ALIASING,
     near: float = DEFAULT_NEAR,

@@ -11,7 +11,7 @@ from . import validate
 from .camera import Camera
 from .lighting import Light
 from .mesh import Mesh
-from .raster.rasterize import OUTPUTS, Images, image_size, rasterize_images, vertices_to_faces
+from .raster.rasterize import OUTPUTS, Images, checked_outputs, image_size, rasterize_images, vertices_to_faces
 
 
 def render(
@@ -53,7 +53,9 @@ def render(
         raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
     if light is not None and not isinstance(light, Light):
         raise TypeError(f"light: expected a Light or None, got {type(light).__name__}")
+    validate.floating("vertices", vertices, ("V", 3) if getattr(vertices, "ndim", 3) == 2 else ("B", "V", 3))
     validate.finite("vertices", vertices)
+    outputs = checked_outputs(outputs)
     height, width = image_size("size", size)
     screen = camera(vertices, aspect=width / height)
     factors = None

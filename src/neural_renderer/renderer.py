@@ -68,7 +68,10 @@ class Renderer(nn.Module):
         self.orig_size = orig_size
         self.perspective = perspective
         self.viewing_angle = viewing_angle
-        half = math.tan(math.radians(validate.number("viewing_angle", viewing_angle)))
+        half_angle = validate.number("viewing_angle", viewing_angle)
+        if not 0 < half_angle < 90:
+            raise ValueError(f"viewing_angle: expected more than 0 and less than 90 degrees, got {half_angle}")
+        half = math.tan(math.radians(half_angle))
         self.eye: Any = [0, 0, -(1.0 / half + 1)]
         self.camera_direction = _own(camera_direction)
         self.near = near

@@ -17,7 +17,7 @@ def check_values(enabled: bool) -> None:
 
     They find NaN or infinite vertices and face indices out of range. On CUDA each makes the host wait for the
     device once; shapes, dtypes and devices are always checked, because that costs nothing. With the checks off, a
-    face that has such a vertex or index is not drawn; nothing worse happens.
+    face that has such a vertex or index is not drawn and nothing crashes, but gradients may not be numbers.
     """
     global _check_values
     _check_values = bool(enabled)
@@ -36,7 +36,7 @@ def shape_of(value: Tensor) -> str:
 def floating(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
     """``value`` if it is a floating tensor whose shape fits: an int must match, a name stands for any size.
 
-    A leading ``"..."`` allows any leading dimensions. Raises TypeError for anything else than a floating tensor and
+    Raises TypeError for anything else than a floating tensor and
     ValueError for another shape.
     """
     if not isinstance(value, Tensor):
@@ -58,12 +58,9 @@ def indices(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
 
 
 def _match(name: str, value: Tensor, shape: Sequence[int | str]) -> None:
-    tail = [s for s in shape if s != "..."]
-    sizes = value.shape[len(value.shape) - len(tail) :] if shape and shape[0] == "..." else value.shape
-    fits = len(sizes) == len(tail) and all(
-        isinstance(want, str) or want == have for want, have in zip(tail, sizes, strict=True)
-    )
-    if not fits:
+    if len(shape) != value.dim() or any(
+        isinstance(want, int) and want != have for want, have in zip(shape, value.shape, strict=True)
+    ):
         wanted = "[" + ", ".join(str(s) for s in shape) + "]"
         raise ValueError(f"{name}: expected shape {wanted}, got {shape_of(value)}")
 
@@ -83,6 +80,7 @@ def finite(name: str, value: Tensor) -> None:
     # by the second look.
     if (
         values_are_checked()
+        and value.device.type != "meta"
         and value.numel()
         and not math.isfinite(value.detach().sum().item())
         and not bool(torch.isfinite(value.detach()).all())
@@ -93,7 +91,7 @@ def finite(name: str, value: Tensor) -> None:
 
 def in_range(name: str, value: Tensor, size: int) -> None:
     """ValueError if an index is outside ``[0, size)`` and values are checked (see `check_values`)."""
-    if values_are_checked() and value.numel():
+    if values_are_checked() and value.device.type != "meta" and value.numel():
         low, high = (int(v) for v in torch.aminmax(value))
         if low < 0 or high >= size:
             raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
@@ -111,3 +109,19 @@ def number(name: str, value: Any) -> float:
     if not -math.inf < value < math.inf:
         raise ValueError(f"{name}: expected a finite number, got {value}")
     return float(value)
+
+
+def flag(name: str, value: Any) -> bool:
+    """``value`` if it is True or False (0 and 1 pass too); TypeError otherwise."""
+    if value not in (0, 1):
+        raise TypeError(f"{name}: expected True or False, got {value!r}")
+    return bool(value)
+
+
+def whole(name: str, value: Any, least: int) -> int:
+    """``value`` as an int of at least ``least``; TypeError or ValueError otherwise."""
+    if number(name, value) != int(value):
+        raise TypeError(f"{name}: expected a whole number, got {value}")
+    if value < least:
+        raise ValueError(f"{name}: expected at least {least}, got {value}")
+    return int(value)

@@ -90,7 +90,10 @@ def projection(
     """
     world_vertices(vertices)
     K, R, t, dist_coeffs = calibration(K, R, t, dist_coeffs, vertices.dtype, vertices.device)
-    batch_size(vertices=batch_of(vertices, 2), K=batch_of(K, 2), R=batch_of(R, 2), t=batch_of(t, 1))
+    distortion = 1 if dist_coeffs is None else batch_of(dist_coeffs, 1)
+    batch_size(
+        vertices=batch_of(vertices, 2), K=batch_of(K, 2), R=batch_of(R, 2), t=batch_of(t, 1), dist_coeffs=distortion
+    )
     return pixels_to_screen(rotate(R, vertices) + t[..., None, :], K, dist_coeffs, image_size(orig_size), eps)
 
 

@@ -86,7 +86,7 @@ class Demo:
 
     def _fit(self, target: Mesh, progress: Progress) -> Tensor:
         views = sculpt.Views.of(target, self.views, self.view_size)
-        every = max(self.iterations // 40, 1)
+        every = max(self.iterations // 24, 1)
         history: list[Tensor] = []
         task = progress.add_task("Sphere to duck: shape", total=self.iterations, note="")
         note = ""
@@ -133,7 +133,7 @@ class Demo:
         frames = []
         for index, mesh in enumerate(history + last):
             angle = 145 + 360 * index / len(history + last)
-            frames.append(sheet([[picture(m, angle, self.size * 3 // 4) for m in (mesh, target)]]))
+            frames.append(sheet([[picture(m, angle, self.size * 5 // 8) for m in (mesh, target)]]))
             progress.update(task, advance=1)
         save_animation(self.output / "fit.gif", frames, fps=12)
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from .geometry import homogeneous_weights, in_front, pixel_box, pixel_centre, to_pixels
 from .launch import array, face_lanes, launch
-from .registration import operator
+from .registration import differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -25,8 +25,8 @@ def barycentrics(faces: Tensor, face_index: Tensor, far: float, perspective: boo
     face: with the pixel fixed, moving corner m by v changes w_k by ``-w_m grad(w_k) . v``.
     """
     batch, height, width = face_index.shape
-    weights = torch.empty((batch, height, width, 3), device=faces.device)
-    depth = torch.empty((batch, height, width), device=faces.device)
+    weights = torch.empty((batch, height, width, 3), dtype=torch.float32, device=faces.device)
+    depth = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
     arguments = [array(faces.contiguous(), wp.vec3), array(face_index), far, int(perspective)]
     launch(_forward, batch * height, [*arguments, array(weights, wp.vec3), array(depth)], faces.device)
     return weights, depth
@@ -38,7 +38,7 @@ def _(faces, face_index, far, perspective):  # type: ignore[no-untyped-def]
     return faces.new_empty((*shape, 3)), faces.new_empty(shape)
 
 
-@operator
+@differentiable_once
 def barycentrics_backward(
     grad_weights: Tensor,
     grad_depth: Tensor,
@@ -50,7 +50,7 @@ def barycentrics_backward(
 ) -> Tensor:
     """The gradient [B, F, 3, 3] of `barycentrics` to the corners."""
     batch, height, width = face_index.shape
-    result = torch.zeros(faces.shape, device=faces.device)
+    result = torch.zeros(faces.shape, dtype=torch.float32, device=faces.device)
     lanes = face_lanes(faces, height * width)
     maps = [array(face_index), array(weights, wp.vec3), array(depth)]
     grads = [array(grad_weights.contiguous(), wp.vec3), array(grad_depth.contiguous())]

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from .launch import array, launch
-from .registration import operator
+from .registration import differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
 
@@ -17,7 +17,7 @@ def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
 
     An index outside [0, V) gives a corner that is not a number, and no memory beyond the vertices is read.
     """
-    corners = torch.empty((vertices.shape[0], *faces.shape[1:], 3), device=vertices.device)
+    corners = torch.empty((vertices.shape[0], *faces.shape[1:], 3), dtype=torch.float32, device=vertices.device)
     arguments = [array(vertices.contiguous(), wp.vec3), array(faces), array(corners, wp.vec3)]
     launch(_forward, corners.shape[0] * corners.shape[1], arguments, vertices.device)
     return corners
@@ -28,11 +28,11 @@ def _(vertices, faces):  # type: ignore[no-untyped-def]
     return vertices.new_empty((vertices.shape[0], *faces.shape[1:], 3))
 
 
-@operator
+@differentiable_once
 def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
     """The gradient [B, V, 3] of `gather_corners` to its ``count`` vertices: the sum over the corners at each."""
     batch = grad.shape[0]
-    result = torch.zeros((batch, count, 3), device=grad.device)
+    result = torch.zeros((batch, count, 3), dtype=torch.float32, device=grad.device)
     if grad.device.type == "cuda" and torch.are_deterministic_algorithms_enabled():
         image = torch.arange(batch, device=grad.device)[:, None] * count
         valid = (faces >= 0) & (faces < count)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from .geometry import facing, to_pixels
 from .launch import array, face_lanes, launch
-from .registration import operator
+from .registration import differentiable_once, operator
 from .scanlines import PADDING, WIDE, copy_lines, place, shrink, sweep
 
 wp.set_module_options({"enable_backward": False})
@@ -40,7 +40,7 @@ def _(image, faces, face_index, eps, two_sided, binary):  # type: ignore[no-unty
     return torch.empty_like(image, memory_format=torch.contiguous_format)
 
 
-@operator
+@differentiable_once
 def nmr_edges_backward(
     grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool
 ) -> Tensor:
@@ -54,8 +54,8 @@ def nmr_edges_backward(
 
     # Rows and columns side by side, channel by channel. Of a silhouette, one channel of ready gains is enough.
     planes = 1 if binary else 2 * channels
-    rows = torch.zeros((batch, height, planes, width + PADDING), device=device)
-    columns = torch.zeros((batch, width, planes, height + PADDING), device=device)
+    rows = torch.zeros((batch, height, planes, width + PADDING), dtype=torch.float32, device=device)
+    columns = torch.zeros((batch, width, planes, height + PADDING), dtype=torch.float32, device=device)
     spans = torch.empty((batch, height + width, 2), dtype=torch.int32, device=device)
     seen = torch.zeros((batch, faces.shape[1]), dtype=torch.int32, device=device)
     maps = [array(image), array(grad), array(face_index)]

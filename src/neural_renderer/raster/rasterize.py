@@ -32,18 +32,20 @@ class Images(NamedTuple):
 def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     """The corners of each face.
 
-    vertices: [B, V, 3] floating. faces: [F, 3] shared by the batch, or [B, F, 3]; int32 or int64, in [0, V).
+    vertices: [B or 1, V, 3] floating. faces: [F, 3] shared by the batch, or [B or 1, F, 3]; int32 or int64, in [0, V).
     Returns [B, F, 3, 3] float32. Raises TypeError or ValueError for other dtypes, shapes, devices or indices.
     """
     validate.floating("vertices", vertices, ("B", "V", 3))
     validate.indices("faces", faces, ("F", 3) if isinstance(faces, Tensor) and faces.dim() == 2 else ("B", "F", 3))
     validate.same_device(vertices=vertices, faces=faces)
-    if faces.dim() == 2:
-        faces = faces[None]
-    elif faces.shape[0] not in (1, vertices.shape[0]):
+    faces = faces[None] if faces.dim() == 2 else faces
+    batch = max(vertices.shape[0], faces.shape[0]) if vertices.shape[0] else 0
+    if vertices.shape[0] not in (1, batch) or faces.shape[0] not in (1, batch):
         raise ValueError(f"faces: expected a batch of {vertices.shape[0]} like vertices, got {faces.shape[0]}")
     validate.in_range("faces", faces, vertices.shape[1])
-    return gather_corners(vertices.float(), faces.int().contiguous())
+    if faces.dtype == torch.int64:  # an index that is out of range stays so in 32 bits
+        faces = faces.clamp(-1, 2**31 - 1)
+    return gather_corners(vertices.float().expand(batch, -1, -1), faces.int().contiguous())
 
 
 def rasterize_images(
@@ -83,7 +85,8 @@ def rasterize_images(
     Returns Images. An empty batch or mesh gives the background. Raises TypeError or ValueError for anything else.
     """
     height, width = image_size("image_size", size)
-    outputs = _checked_outputs(outputs)
+    two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
+    outputs = checked_outputs(outputs)
     if gradient not in GRADIENTS:
         raise ValueError(f"gradient: expected one of {', '.join(GRADIENTS)}, got {gradient!r}")
     near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
@@ -152,7 +155,9 @@ def image_size(name: str, size: Any) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
-def _checked_outputs(outputs: Collection[str]) -> Collection[str]:
+def checked_outputs(outputs: Collection[str]) -> Collection[str]:
+    if not isinstance(outputs, Collection):
+        raise TypeError(f"outputs: expected some of {', '.join(OUTPUTS)}, got {type(outputs).__name__}")
     names = (outputs,) if isinstance(outputs, str) else tuple(outputs)
     if not names or any(name not in OUTPUTS for name in names):
         raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)}, got {', '.join(map(str, names)) or 'none'}")
@@ -195,16 +200,17 @@ def _checked_textures(textures: Any, batch: int, count: int, device: torch.devic
         )
     if not (a == b == c and a >= 2):
         raise ValueError(f"textures: expected cubes of equal sides T >= 2, got {a} x {b} x {c}")
+    validate.finite("textures", textures)
     return textures.float()
 
 
 def _checked_light(light: Tensor | None, batch: int, count: int, device: torch.device) -> Tensor:
     if light is None:
-        return torch.ones((1, 2, count, 3), device=device)
+        return torch.ones((1, 2, count, 3), dtype=torch.float32, device=device)
     validate.floating("light", light, ("B", 2, count, 3))
     validate.same_device(faces=torch.empty(0, device=device), light=light)
     if light.shape[0] not in (1, batch):
-        raise ValueError(f"light: expected a batch of {batch} or 1, got {light.shape[0]}")
+        raise ValueError(f"light: expected parameters for {batch} images or for all, got {light.shape[0]}")
     return light.float()
 
 
@@ -216,9 +222,10 @@ def _checked_background(background: Any, batch: int, height: int, width: int, de
         except (TypeError, ValueError, RuntimeError):
             raise TypeError(f"background: expected a colour [3] or [B, 3] or an image, got {background!r}") from None
     color = background.to(device=device, dtype=torch.float32)
+    validate.finite("background", color)
     shape = tuple(color.shape)
     if shape == (3,) or (len(shape) == 2 and shape[0] in (1, batch) and shape[1] == 3):
-        return color.reshape(-1, 1, 1, 3)
+        return color.reshape(-1, 1, 1, 3).contiguous()
     if shape == (3, height, width) or (len(shape) == 4 and shape[0] in (1, batch) and shape[1:] == (3, height, width)):
         return color.reshape(-1, 3, height, width).permute(0, 2, 3, 1).contiguous()
     raise ValueError(

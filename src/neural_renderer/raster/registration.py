@@ -17,3 +17,16 @@ def operator(function: Callable[..., Any]) -> Any:
     torch.library.define(name, torch.library.infer_schema(function, mutates_args=()))
     torch.library.impl(name, "default", function)
     return getattr(torch.ops.neural_renderer, function.__name__).default
+
+
+def differentiable_once(function: Callable[..., Any]) -> Any:
+    """The same for the operator that computes a gradient: whoever asks for the gradient's gradient gets an error."""
+    backward = operator(function)
+
+    def refuse(ctx: Any, *grads: Any) -> Any:
+        raise RuntimeError(
+            f"{function.__name__}: the rasteriser has first derivatives only, got a second one to compute"
+        )
+
+    torch.library.register_autograd(f"neural_renderer::{function.__name__}", refuse)
+    return backward

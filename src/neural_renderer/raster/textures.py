@@ -7,7 +7,7 @@ from torch import Tensor
 
 from .geometry import facing, in_front, pixel_box
 from .launch import array, face_lanes, launch
-from .registration import operator
+from .registration import differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
 
@@ -36,7 +36,7 @@ def sample_textures(
     The coordinate along corner k's axis is ``w_k (T - 1) z / z_k``, so that textures lie flat in space (``w_k (T - 1)``
     without perspective), and the 8 texels around it are blended. The coordinate passes no gradient on.
     """
-    color = torch.empty((*face_index.shape, 3), device=faces.device)
+    color = torch.empty((*face_index.shape, 3), dtype=torch.float32, device=faces.device)
     batch, height = face_index.shape[:2]
     arguments = _arguments(textures, light, faces, face_index, weights, depth, eps, perspective)
     launch(_forward, batch * height, [*arguments, array(background, wp.vec3), array(color, wp.vec3)], faces.device)
@@ -48,7 +48,7 @@ def _(textures, light, background, faces, face_index, weights, depth, eps, persp
     return faces.new_empty((*face_index.shape, 3))
 
 
-@operator
+@differentiable_once
 def sample_textures_backward(
     grad: Tensor,
     textures: Tensor,
@@ -63,8 +63,8 @@ def sample_textures_backward(
 ) -> tuple[Tensor, Tensor]:
     """The gradients of `sample_textures` to textures and light (zero if not ``light_too``)."""
     batch, height, width = face_index.shape
-    to_textures = torch.zeros(textures.shape, device=faces.device)
-    to_light = torch.zeros((batch, *light.shape[1:]), device=faces.device)
+    to_textures = torch.zeros(textures.shape, dtype=torch.float32, device=faces.device)
+    to_light = torch.zeros((batch, *light.shape[1:]), dtype=torch.float32, device=faces.device)
     lanes = face_lanes(faces, height * width)
     arguments = _arguments(textures, light, faces, face_index, weights, depth, eps, perspective)
     results = [
