@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from .geometry import homogeneous_weights, in_front, pixel_box, pixel_centre, to_pixels
-from .launch import array, face_lanes, launch
+from .launch import array, face_lanes, launch, zeros
 from .registration import differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -50,7 +50,7 @@ def barycentrics_backward(
 ) -> Tensor:
     """The gradient [B, F, 3, 3] of `barycentrics` to the corners."""
     batch, height, width = face_index.shape
-    result = torch.zeros(faces.shape, dtype=torch.float32, device=faces.device)
+    result = zeros(faces.shape, faces.device)
     lanes = face_lanes(faces, height * width)
     maps = [array(face_index), array(weights, wp.vec3), array(depth)]
     grads = [array(grad_weights.contiguous(), wp.vec3), array(grad_depth.contiguous())]

@@ -5,7 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from .launch import array, launch
+from .launch import array, launch, zeros
 from .registration import differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -32,7 +32,7 @@ def _(vertices, faces):  # type: ignore[no-untyped-def]
 def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
     """The gradient [B, V, 3] of `gather_corners` to its ``count`` vertices: the sum over the corners at each."""
     batch = grad.shape[0]
-    result = torch.zeros((batch, count, 3), dtype=torch.float32, device=grad.device)
+    result = zeros((batch, count, 3), grad.device)
     if grad.device.type == "cuda" and torch.are_deterministic_algorithms_enabled():
         image = torch.arange(batch, device=grad.device)[:, None] * count
         valid = (faces >= 0) & (faces < count)

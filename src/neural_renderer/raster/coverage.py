@@ -13,7 +13,7 @@ from .registration import operator
 # neighbours leave no gap between them, and the CPU and CUDA agree to the bit.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-_EMPTY = 0x7FFFFFFF_FFFFFFFF
+EMPTY = wp.constant(wp.int64(0x7FFFFFFF_FFFFFFFF))
 
 
 @operator
@@ -31,21 +31,23 @@ def coverage(
     A face with a corner that is not finite, or beyond 1e12, is not drawn.
     """
     batch, count = faces.shape[:2]
-    key = torch.full((batch, height, width), _EMPTY, dtype=torch.int64, device=faces.device)
     face_index = torch.empty((batch, height, width), dtype=torch.int32, device=faces.device)
+    key = torch.empty((batch, height, width), dtype=torch.int64, device=faces.device)
     on_cuda = faces.device.type == "cuda"
-    # CUDA: one task per face, its rows shared by a few threads, more of them where faces are few and large.
-    # CPU: one task per image, or band of rows of it, which runs through all faces.
-    lanes = (
-        max(1, min(height, 1 << (max(1, 8 * height * width // max(count, 1)) // width).bit_length())) if on_cuda else 1
-    )
-    groups = count if on_cuda else 1
-    bands = 1 if on_cuda else min(height, cpu_bands(batch))
-    if batch * height * width and count:
-        corners = array(faces.contiguous(), wp.vec3)
-        arguments = [corners, array(key), groups, bands, lanes, near, far, int(two_sided), int(perspective)]
-        launch(_draw, batch * groups * bands * lanes, arguments, faces.device)
-    launch(_decode, batch * height, [array(key), array(face_index), count], faces.device)
+    if on_cuda:
+        # One task per face, its rows shared by a few threads, more of them where faces are few and large.
+        key.fill_(torch.iinfo(torch.int64).max)
+        pixels = 8 * height * width // max(count, 1)
+        lanes = max(1, min(height, 1 << (max(1, pixels) // width).bit_length()))
+        groups, bands = count, 1
+    else:
+        # One task per image, or band of rows of it, which runs through all faces from first to last.
+        lanes, groups, bands = 1, 1, min(height, cpu_bands(batch))
+    options = [groups, bands, lanes, near, far, int(two_sided), int(perspective), int(not on_cuda)]
+    maps = [array(key), array(face_index)]
+    launch(_draw, batch * groups * bands * lanes, [array(faces.contiguous(), wp.vec3), *maps, *options], faces.device)
+    if on_cuda:
+        launch(_decode, batch * height, [*maps, count], faces.device)
     return face_index
 
 
@@ -129,6 +131,24 @@ def draw_face(
 
 
 @wp.func
+def empty_row(key: wp.array3d(dtype=wp.int64), b: int, row: int):
+    for i in range(key.shape[2]):
+        key[b, row, i] = EMPTY
+
+
+@wp.func
+def decode_row(key: wp.array3d(dtype=wp.int64), face_index: wp.array3d(dtype=wp.int32), b: int, row: int, count: int):
+    for i in range(key.shape[2]):
+        k = key[b, row, i]
+        index = int(-1)
+        if k != EMPTY:
+            index = int(k & wp.int64(0xFFFFFFFF))
+            if index >= count:
+                index -= count
+        face_index[b, row, i] = index
+
+
+@wp.func
 def draw_crossing_face(
     key: wp.array3d(dtype=wp.int64),
     b: int,
@@ -160,6 +180,7 @@ def _draw(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
     key: wp.array3d(dtype=wp.int64),
+    face_index: wp.array3d(dtype=wp.int32),
     groups: int,
     bands: int,
     lanes: int,
@@ -167,7 +188,9 @@ def _draw(
     far: float,
     two_sided: int,
     perspective: int,
+    alone: int,
 ):
+    """Some faces into some rows of one image; ``alone`` if nobody else draws there."""
     task = first + wp.tid()
     lane = task % lanes
     band = (task // lanes) % bands
@@ -185,6 +208,9 @@ def _draw(
         last_face = count
     low = pixel_centre(bottom, height)
     high = pixel_centre(top, height)
+    if alone == 1:
+        for row in range(height - 1 - top, height - bottom):
+            empty_row(key, b, row)
     for f in range(first_face, last_face):
         v0 = faces[b, f, 0]
         v1 = faces[b, f, 1]
@@ -222,18 +248,12 @@ def _draw(
                 )
         else:
             draw_crossing_face(key, b, index, v0, v1, v2, near, far, height, width, from_row, to_row, lanes)
+    if alone == 1:
+        for row in range(height - 1 - top, height - bottom):
+            decode_row(key, face_index, b, row, count)
 
 
 @wp.kernel
 def _decode(first: int, key: wp.array3d(dtype=wp.int64), face_index: wp.array3d(dtype=wp.int32), count: int):
     task = first + wp.tid()
-    b = task // key.shape[1]
-    row = task % key.shape[1]
-    for i in range(key.shape[2]):
-        k = key[b, row, i]
-        index = int(-1)
-        if k != wp.int64(0x7FFFFFFFFFFFFFFF):
-            index = int(k & wp.int64(0xFFFFFFFF))
-            if index >= count:
-                index -= count
-        face_index[b, row, i] = index
+    decode_row(key, face_index, task // key.shape[1], task % key.shape[1], count)

@@ -12,7 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from .geometry import facing, to_pixels
-from .launch import array, face_lanes, launch
+from .launch import array, face_lanes, launch, zeros
 from .registration import differentiable_once, operator
 from .scanlines import PADDING, WIDE, copy_lines, place, shrink, sweep
 
@@ -47,17 +47,17 @@ def nmr_edges_backward(
     """The gradient [B, F, 3, 3] that `nmr_edges` sends to its faces; z gets none."""
     grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
     batch, height, width, channels = image.shape
-    result = torch.zeros_like(faces)
+    result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or image.numel() == 0:
         return result
     device = faces.device
 
     # Rows and columns side by side, channel by channel. Of a silhouette, one channel of ready gains is enough.
     planes = 1 if binary else 2 * channels
-    rows = torch.zeros((batch, height, planes, width + PADDING), dtype=torch.float32, device=device)
-    columns = torch.zeros((batch, width, planes, height + PADDING), dtype=torch.float32, device=device)
+    rows = zeros((batch, height, planes, width + PADDING), device)
+    columns = zeros((batch, width, planes, height + PADDING), device)
     spans = torch.empty((batch, height + width, 2), dtype=torch.int32, device=device)
-    seen = torch.zeros((batch, faces.shape[1]), dtype=torch.int32, device=device)
+    seen = zeros((batch, faces.shape[1]), device, torch.int32)
     maps = [array(image), array(grad), array(face_index)]
     lines = [array(rows), array(columns), array(spans, wp.vec2i), array(seen), int(binary)]
     launch(copy_lines, batch * (height + width), [*maps, *lines], device)

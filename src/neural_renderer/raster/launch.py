@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
@@ -100,6 +101,17 @@ def face_lanes(faces: Tensor, pixels: int) -> int:
     if faces.device.type != "cuda" or torch.are_deterministic_algorithms_enabled():
         return 1
     return min(32, 1 << (8 * pixels // max(faces.shape[1], 1)).bit_length() // 2)
+
+
+def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
+    """A tensor of zeros, float32 or int32.
+
+    On the CPU the system's own empty pages: torch would write zeros on all its threads, which then spin for a while
+    where a kernel's threads want to run.
+    """
+    if device.type != "cpu":
+        return torch.zeros(shape, dtype=dtype, device=device)
+    return torch.from_numpy(np.zeros(tuple(shape), np.float32 if dtype == torch.float32 else np.int32))
 
 
 def array(tensor: Tensor, dtype: Any = None) -> Any:

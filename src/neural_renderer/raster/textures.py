@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from .geometry import facing, in_front, pixel_box
-from .launch import array, face_lanes, launch
+from .launch import array, face_lanes, launch, zeros
 from .registration import differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -63,8 +63,8 @@ def sample_textures_backward(
 ) -> tuple[Tensor, Tensor]:
     """The gradients of `sample_textures` to textures and light (zero if not ``light_too``)."""
     batch, height, width = face_index.shape
-    to_textures = torch.zeros(textures.shape, dtype=torch.float32, device=faces.device)
-    to_light = torch.zeros((batch, *light.shape[1:]), dtype=torch.float32, device=faces.device)
+    to_textures = zeros(textures.shape, faces.device)
+    to_light = zeros((batch, *light.shape[1:]), faces.device)
     lanes = face_lanes(faces, height * width)
     arguments = _arguments(textures, light, faces, face_index, weights, depth, eps, perspective)
     results = [
