@@ -187,7 +187,7 @@ def test_rasterize_functions(device):
 SIGNATURES = {
     "rasterize_rgbad": "faces textures=None image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001 "
     "background_color=(0, 0, 0) return_rgb=True return_alpha=True return_depth=True",
-    "rasterize": "faces textures image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001 "
+    "rasterize": "faces textures=None image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001 "
     "background_color=(0, 0, 0)",
     "rasterize_silhouettes": "faces image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001",
     "rasterize_depth": "faces image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001",

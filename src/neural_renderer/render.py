@@ -55,12 +55,15 @@ def render(
         raise TypeError(f"light: expected a Light or None, got {type(light).__name__}")
     validate.floating("vertices", vertices, ("V", 3) if getattr(vertices, "ndim", 3) == 2 else ("B", "V", 3))
     validate.finite("vertices", vertices)
+    validate.indices("faces", faces, ("F", 3) if getattr(faces, "ndim", 3) == 2 else ("B", "F", 3))
     outputs = checked_outputs(outputs)
     height, width = image_size("size", size)
     screen = camera(vertices, aspect=width / height)
     factors = None
     if light is not None and "rgb" in outputs:
         world = vertices if vertices.dim() == 3 else vertices[None]
+        if faces.dim() == 3 and len(faces) == len(screen):  # one mesh seen by several cameras, with faces for each
+            world = world.expand(len(screen), -1, -1)
         factors = light.two_sided(vertices_to_faces(world, faces), camera.mirrored)
     if textures is None and "rgb" in outputs:
         raise ValueError('mesh: expected textures to draw "rgb", got (vertices, faces) alone')

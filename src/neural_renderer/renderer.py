@@ -148,6 +148,8 @@ class Renderer(nn.Module):
     ) -> Images:
         validate.floating("vertices", vertices, ("B", "V", 3))
         validate.finite("vertices", vertices)
+        validate.indices("faces", faces, ("F", 3) if getattr(faces, "ndim", 3) == 2 else ("B", "F", 3))
+        screen, in_perspective = self._project(vertices, *camera)
         light = None
         if "rgb" in outputs:
             lamp = Light(
@@ -158,8 +160,10 @@ class Renderer(nn.Module):
                 self.light_direction,
             )
             # Light falls on the world, before the camera; on the side that the first packages lit (see the class).
-            light = lamp.two_sided(vertices_to_faces(vertices, faces), mirrored=True)
-        screen, in_perspective = self._project(vertices, *camera)
+            world = vertices
+            if faces.dim() == 3 and len(faces) == len(screen):  # one mesh seen by several cameras, with faces for each
+                world = vertices.expand(len(screen), -1, -1)
+            light = lamp.two_sided(vertices_to_faces(world, faces), mirrored=True)
         return rasterize_images(
             vertices_to_faces(screen, faces),
             self.image_size,

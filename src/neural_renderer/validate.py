@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -82,7 +83,8 @@ def finite(name: str, value: Tensor) -> None:
     # A sum is NaN or infinite if any term is: one pass without a mask. The second look rules out that finite numbers
     # overflowed. NumPy's sum on the CPU, because torch's threads would go on spinning where the kernels' want to run.
     plain = value.device.type == "cpu" and value.dtype in (torch.float32, torch.float64)
-    total = float(value.numpy().sum()) if plain else value.sum().item()
+    with np.errstate(all="ignore"):
+        total = float(value.numpy().sum()) if plain else value.sum().item()
     if not math.isfinite(total) and not bool(torch.isfinite(value).all()):
         raise ValueError(
             f"{name}: expected finite numbers, got {int((~torch.isfinite(value)).sum())} that are NaN or infinite"

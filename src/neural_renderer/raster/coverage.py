@@ -51,6 +51,20 @@ def coverage(
     return face_index
 
 
+@operator
+def silhouette(face_index: Tensor) -> Tensor:
+    """1 where a face is seen, 0 elsewhere: [B, H, W, 1] float32 of ``face_index`` [B, H, W] int32."""
+    batch, height, width = face_index.shape
+    alpha = torch.empty((batch, height, width, 1), dtype=torch.float32, device=face_index.device)
+    launch(_cover, batch * height, [array(face_index), array(alpha)], face_index.device)
+    return alpha
+
+
+@torch.library.register_fake("neural_renderer::silhouette")
+def _(face_index):  # type: ignore[no-untyped-def]
+    return face_index.new_empty((*face_index.shape, 1), dtype=torch.float32)
+
+
 @torch.library.register_fake("neural_renderer::coverage")
 def _(faces, height, width, near, far, two_sided, perspective):  # type: ignore[no-untyped-def]
     return faces.new_empty((faces.shape[0], height, width), dtype=torch.int32)
@@ -257,3 +271,12 @@ def _draw(
 def _decode(first: int, key: wp.array3d(dtype=wp.int64), face_index: wp.array3d(dtype=wp.int32), count: int):
     task = first + wp.tid()
     decode_row(key, face_index, task // key.shape[1], task % key.shape[1], count)
+
+
+@wp.kernel
+def _cover(first: int, face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float)):
+    task = first + wp.tid()
+    b = task // face_index.shape[1]
+    row = task % face_index.shape[1]
+    for i in range(face_index.shape[2]):
+        alpha[b, row, i, 0] = wp.where(face_index[b, row, i] >= 0, 1.0, 0.0)

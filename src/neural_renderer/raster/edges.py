@@ -12,7 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from .geometry import facing, to_pixels
-from .launch import array, face_lanes, launch, zeros
+from .launch import array, copy, face_lanes, launch, zeros
 from .registration import differentiable_once, operator
 from .scanlines import PADDING, WIDE, copy_lines, place, shrink, sweep
 
@@ -32,7 +32,7 @@ def nmr_edges(image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_
     two_sided: faces whose corners run clockwise are seen too.
     binary: the image is the silhouette, 1 where a face is seen and 0 elsewhere; the result is the same without, slower.
     """
-    return image.clone(memory_format=torch.contiguous_format)
+    return copy(image)
 
 
 @torch.library.register_fake("neural_renderer::nmr_edges")

@@ -114,6 +114,13 @@ def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch
     return torch.from_numpy(np.zeros(tuple(shape), np.float32 if dtype == torch.float32 else np.int32))
 
 
+def copy(tensor: Tensor) -> Tensor:
+    """A contiguous copy, on the CPU by the calling thread alone: see `zeros`."""
+    if tensor.device.type != "cpu":
+        return tensor.clone(memory_format=torch.contiguous_format)
+    return torch.from_numpy(tensor.detach().numpy().copy(order="C"))
+
+
 def array(tensor: Tensor, dtype: Any = None) -> Any:
     """The tensor as a kernel argument, without a copy; vectors take the trailing dimension(s)."""
     if tensor.numel() == 0:  # strides of nothing can be anything, and Warp looks at them

@@ -12,7 +12,7 @@ from torch import Tensor
 from .. import validate
 from .barycentrics import barycentrics
 from .corners import gather_corners
-from .coverage import coverage
+from .coverage import coverage, silhouette
 from .downsample import halve
 from .edges import nmr_edges
 from .textures import sample_textures
@@ -32,20 +32,19 @@ class Images(NamedTuple):
 def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     """The corners of each face.
 
-    vertices: [B or 1, V, 3] floating. faces: [F, 3] shared by the batch, or [B or 1, F, 3]; int32 or int64, in [0, V).
+    vertices: [B, V, 3] floating. faces: [F, 3] shared by the batch, or [B or 1, F, 3]; int32 or int64, in [0, V).
     Returns [B, F, 3, 3] float32. Raises TypeError or ValueError for other dtypes, shapes, devices or indices.
     """
     validate.floating("vertices", vertices, ("B", "V", 3))
     validate.indices("faces", faces, ("F", 3) if isinstance(faces, Tensor) and faces.dim() == 2 else ("B", "F", 3))
     validate.same_device(vertices=vertices, faces=faces)
     faces = faces[None] if faces.dim() == 2 else faces
-    batch = max(vertices.shape[0], faces.shape[0]) if vertices.shape[0] else 0
-    if vertices.shape[0] not in (1, batch) or faces.shape[0] not in (1, batch):
+    if faces.shape[0] not in (1, vertices.shape[0]):
         raise ValueError(f"faces: expected a batch of {vertices.shape[0]} like vertices, got {faces.shape[0]}")
     validate.in_range("faces", faces, vertices.shape[1])
     if faces.dtype == torch.int64:  # an index that is out of range stays so in 32 bits
         faces = faces.clamp(-1, 2**31 - 1)
-    return gather_corners(vertices.float().expand(batch, -1, -1), faces.int().contiguous())
+    return gather_corners(vertices.float(), faces.int().contiguous())
 
 
 def rasterize_images(
@@ -118,7 +117,7 @@ def rasterize_images(
             places = (still, face_index, weights.detach(), depth.detach())
             layers.append(sample_textures(cubes, factors, behind, *places, eps, perspective))
     if "alpha" in outputs:
-        layers.append((face_index >= 0).to(corners.dtype)[..., None])
+        layers.append(silhouette(face_index))
     rgb = alpha = None
     if layers:
         image = layers[0] if len(layers) == 1 else torch.cat(layers, -1)
@@ -129,10 +128,14 @@ def rasterize_images(
         image = image.permute(0, 3, 1, 2)
         if anti_aliasing:
             image = halve(image)
-        if "rgb" in outputs:
-            rgb = image[:, :3].contiguous()
-        if "alpha" in outputs:
-            alpha = image[:, -1].contiguous()
+        # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied.
+        if len(layers) == 2:
+            rgb, alpha = (part.contiguous() for part in image.split((3, 1), 1))
+            alpha = alpha.squeeze(1)
+        elif "rgb" in outputs:
+            rgb = image.contiguous()
+        else:
+            alpha = image.squeeze(1)
     if "depth" not in outputs:
         depth = None
     elif anti_aliasing and depth is not None:
