@@ -18,8 +18,8 @@ from .scanlines import PADDING, WIDE, copy_lines, place, shrink, sweep
 
 wp.set_module_options({"enable_backward": False})
 
-# The travel of a corner that no movement of its own brings nearer.
-NEVER = wp.constant(1.0e12)
+# Keeps a quotient finite where a pixel lies on the edge and the corner has no share in it.
+TINY = wp.constant(1.0e-20)
 
 
 @operator
@@ -139,7 +139,8 @@ def pull_edge(
     if (pu < qu) == (axis == 1):
         outward = int(-1)
     d = float(outward)
-    unit = 2.0 / float(length)
+    reach = wp.abs(qu - pu) * 2.0 / float(length)
+    slope = (qv - pv) / (qu - pu)
     far_p = float(0.0)
     far_q = float(0.0)
     near_p = float(0.0)
@@ -147,7 +148,7 @@ def pull_edge(
     start = int(wp.ceil(wp.clamp(wp.min(pu, qu), 0.0, float(count))))
     stop = int(wp.floor(wp.clamp(wp.max(pu, qu), -1.0, float(count - 1))))
     for u in range(start + lane, stop + 1, lanes):
-        c = wp.clamp(pv + (qv - pv) * (float(u) - pu) / (qu - pu), -2.0, float(length) + 1.0)
+        c = wp.clamp(pv + slope * (float(u) - pu), -2.0, float(length) + 1.0)
         inner = int(wp.ceil(c))
         if outward > 0:
             inner = int(wp.floor(c))
@@ -158,15 +159,13 @@ def pull_edge(
         outer_row, outer_column = place(axis, u, outer, height)
         inner_pixel = (wp.int64(b) * wp.int64(height) + wp.int64(inner_row)) * wp.int64(width) + wp.int64(inner_column)
         outer_pixel = (wp.int64(b) * wp.int64(height) + wp.int64(outer_row)) * wp.int64(width) + wp.int64(outer_column)
-        # How far a corner travels, in screen units, for the edge to move by one pixel on this line; on the line through
-        # the other corner no travel moves it, and it gets nothing.
-        lever_p = float(NEVER)
-        lever_q = float(NEVER)
-        if float(u) != qu:
-            lever_p = wp.min((qu - pu) / (qu - float(u)) * unit, NEVER)
-        if float(u) != pu:
-            lever_q = wp.min((qu - pu) / (float(u) - pu) * unit, NEVER)
-
+        # For the edge to reach a pixel at the distance x on this line, p travels reach x / share_p, and q likewise (in
+        # screen units): their shares of the gradient, times what the pixels gain, over that and eps. The line through
+        # one corner is moved by that corner alone.
+        share_p = wp.abs(qu - float(u))
+        share_q = wp.abs(float(u) - pu)
+        slack_p = eps * share_p + TINY
+        slack_q = eps * share_q + TINY
         if face_index[b, inner_row, inner_column] == f:
             span = spans[b, first_line + u]
             begin = wp.max(span[0], outer)
@@ -186,14 +185,12 @@ def pull_edge(
                     outward,
                     pixels,
                     wp.abs(float(begin) - c),
-                    lever_p,
-                    lever_q,
-                    eps,
+                    reach,
+                    slack_p,
+                    slack_q,
                 )
-                if float(u) != qu:
-                    far_p += sums[0]
-                if float(u) != pu:
-                    far_q += sums[1]
+                far_p += share_p * sums[0]
+                far_q += share_q * sums[1]
 
         if binary == 1 and face_index[b, outer_row, outer_column] >= 0:
             continue
@@ -225,14 +222,12 @@ def pull_edge(
                 pixels,
                 image.shape[3],
                 wp.abs(float(inner) - c),
-                lever_p,
-                lever_q,
-                eps,
+                reach,
+                slack_p,
+                slack_q,
             )
-            if float(u) != qu:
-                near_p += sums[0]
-            if float(u) != pu:
-                near_q += sums[1]
+            near_p += share_p * sums[0]
+            near_q += share_q * sums[1]
     return d * wp.vec2(near_p - far_p, near_q - far_q)
 
 

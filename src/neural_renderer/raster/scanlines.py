@@ -125,8 +125,8 @@ _SWEEP = """
         }
         for (int k = 0; k < 16; ++k) {
             const float away = offset + (float)n + slope * (float)k;
-            const float travel_p = lever_p * away + eps;
-            const float travel_q = lever_q * away + eps;
+            const float travel_p = reach * away + slack_p;
+            const float travel_q = reach * away + slack_q;
             const float share = gain[k] / (travel_p * travel_q);
             sum_p[k] += share * travel_q;
             sum_q[k] += share * travel_p;
@@ -152,9 +152,9 @@ def sweep(
     outward: int,
     count: int,
     distance: float,
-    lever_p: float,
-    lever_q: float,
-    eps: float,
+    reach: float,
+    slack_p: float,
+    slack_q: float,
 ) -> wp.vec2:
     """Sum over pixels of a scan line what they gain by the colour at ``pixel``, over the corners' travel.
 
@@ -176,7 +176,7 @@ _SHRINK = """
             c];
         if (gain <= 0.0f) continue;
         const float away = distance + (float)n;
-        const float travel_p = lever_p * away + eps, travel_q = lever_q * away + eps;
+        const float travel_p = reach * away + slack_p, travel_q = reach * away + slack_q;
         const float share = gain / (travel_p * travel_q);
         sum_p += share * travel_q;
         sum_q += share * travel_p;
@@ -197,9 +197,9 @@ def shrink(
     count: int,
     channels: int,
     distance: float,
-    lever_p: float,
-    lever_q: float,
-    eps: float,
+    reach: float,
+    slack_p: float,
+    slack_q: float,
 ) -> wp.vec2:
     """The same sum over the ``count`` pixels from ``inner`` on that show the face, by the colour at ``outer``.
 
