@@ -81,6 +81,7 @@ def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
     image, faces, face_index = ctx.saved_tensors
+    grad = grad.contiguous()  # once, for what comes before the image as well
     to_faces = None
     if ctx.needs_input_grad[1]:
         to_faces = nmr_edges_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary)
