@@ -11,7 +11,16 @@ from . import validate
 from .camera import Camera
 from .lighting import Light
 from .mesh import Mesh
-from .raster.rasterize import OUTPUTS, Images, checked_outputs, image_size, rasterize_images, vertices_to_faces
+from .raster.rasterize import (
+    OUTPUTS,
+    Images,
+    checked_faces,
+    checked_outputs,
+    image_size,
+    rasterize_images,
+    vertices_to_faces,
+    world_corners,
+)
 
 
 def render(
@@ -55,16 +64,13 @@ def render(
         raise TypeError(f"light: expected a Light or None, got {type(light).__name__}")
     validate.floating("vertices", vertices, ("V", 3) if getattr(vertices, "ndim", 3) == 2 else ("B", "V", 3))
     validate.finite("vertices", vertices)
-    validate.indices("faces", faces, ("F", 3) if getattr(faces, "ndim", 3) == 2 else ("B", "F", 3))
+    checked_faces(faces)
     outputs = checked_outputs(outputs)
     height, width = image_size("size", size)
     screen = camera(vertices, aspect=width / height)
     factors = None
     if light is not None and "rgb" in outputs:
-        world = vertices if vertices.dim() == 3 else vertices[None]
-        if faces.dim() == 3 and len(faces) == len(screen):  # one mesh seen by several cameras, with faces for each
-            world = world.expand(len(screen), -1, -1)
-        factors = light.two_sided(vertices_to_faces(world, faces), camera.mirrored)
+        factors = light.two_sided(world_corners(vertices, faces, len(screen)), camera.mirrored)
     if textures is None and "rgb" in outputs:
         raise ValueError('mesh: expected textures to draw "rgb", got (vertices, faces) alone')
     if textures is not None and textures.dim() == 5:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from . import validate
 from .camera import look, look_at, perspective, projection
 from .lighting import Light
-from .raster.rasterize import Images, rasterize_images, vertices_to_faces
+from .raster.rasterize import Images, checked_faces, rasterize_images, vertices_to_faces, world_corners
 from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR
 
 
@@ -148,7 +148,7 @@ class Renderer(nn.Module):
     ) -> Images:
         validate.floating("vertices", vertices, ("B", "V", 3))
         validate.finite("vertices", vertices)
-        validate.indices("faces", faces, ("F", 3) if getattr(faces, "ndim", 3) == 2 else ("B", "F", 3))
+        checked_faces(faces)
         screen, in_perspective = self._project(vertices, *camera)
         light = None
         if "rgb" in outputs:
@@ -160,10 +160,7 @@ class Renderer(nn.Module):
                 self.light_direction,
             )
             # Light falls on the world, before the camera; on the side that the first packages lit (see the class).
-            world = vertices
-            if faces.dim() == 3 and len(faces) == len(screen):  # one mesh seen by several cameras, with faces for each
-                world = vertices.expand(len(screen), -1, -1)
-            light = lamp.two_sided(vertices_to_faces(world, faces), mirrored=True)
+            light = lamp.two_sided(world_corners(vertices, faces, len(screen)), mirrored=True)
         return rasterize_images(
             vertices_to_faces(screen, faces),
             self.image_size,

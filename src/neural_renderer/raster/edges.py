@@ -1,9 +1,8 @@
 """The paper's approximate gradient through visibility, as an operation on an image (paper, section 3.2).
 
 Forward it is the identity. Backward it asks, for every edge of every seen face and every scan line that the edge
-crosses,
-what each pixel of the line would change to if the edge moved there, whether that would lower the loss, and how far the
-edge's corners would have to travel. How the image was shaded does not matter.
+crosses, what each pixel of the line would change to if the edge moved there, whether that would lower the loss, and how
+far the edge's corners would have to travel. How the image was shaded does not matter.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.

@@ -1,9 +1,8 @@
 """A face on the pixel grid: what the kernels of all operations share.
 
 Screen space: a corner is ``(x, y, z)``, x to the right and y up in [-1, 1] over the image, z the depth along the
-viewing
-axis. Pixel units: ``u = (size * x + size - 1) / 2``, so that pixel centres are the integers; rows count from the
-bottom. Maps in memory have row 0 at the top.
+viewing axis. Pixel units: ``u = (size * x + size - 1) / 2``, so that pixel centres are the integers; rows count from
+the bottom. Maps in memory have row 0 at the top.
 
 A face some of whose corners lie behind the camera (z <= 0) still has a visible part. With ``a_k = w_k / z_k`` for the
 (extrapolated) screen-space weights ``w_k``, a pixel shows the face where all ``a_k >= 0``, at depth ``1 / sum(a_k)``:

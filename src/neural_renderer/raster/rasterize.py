@@ -36,7 +36,7 @@ def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     Returns [B, F, 3, 3] float32. Raises TypeError or ValueError for other dtypes, shapes, devices or indices.
     """
     validate.floating("vertices", vertices, ("B", "V", 3))
-    validate.indices("faces", faces, ("F", 3) if isinstance(faces, Tensor) and faces.dim() == 2 else ("B", "F", 3))
+    checked_faces(faces)
     validate.same_device(vertices=vertices, faces=faces)
     faces = faces[None] if faces.dim() == 2 else faces
     if faces.shape[0] not in (1, vertices.shape[0]):
@@ -45,6 +45,17 @@ def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     if faces.dtype == torch.int64:  # an index that is out of range stays so in 32 bits
         faces = faces.clamp(-1, 2**31 - 1)
     return gather_corners(vertices.float(), faces.int().contiguous())
+
+
+def world_corners(vertices: Tensor, faces: Tensor, images: int) -> Tensor:
+    """The corners of ``vertices`` [V, 3] or [B, V, 3] in the world, where light falls, for so many images.
+
+    Where several cameras see one mesh and there are faces for each of them, the one mesh serves them all.
+    """
+    vertices = vertices if vertices.dim() == 3 else vertices[None]
+    if faces.dim() == 3 and len(faces) == images:
+        vertices = vertices.expand(images, -1, -1)
+    return vertices_to_faces(vertices, faces)
 
 
 def rasterize_images(
@@ -156,6 +167,11 @@ def image_size(name: str, size: Any) -> tuple[int, int]:
             raise ValueError(f"{name}: expected between 1 and 32768 pixels, got {size!r}")
         sides.append(int(side))
     return sides[0], sides[1]
+
+
+def checked_faces(faces: Any) -> Tensor:
+    """``faces`` if it is an int32 or int64 tensor [F, 3] or [B, F, 3]; TypeError or ValueError otherwise."""
+    return validate.indices("faces", faces, ("F", 3) if getattr(faces, "ndim", 3) == 2 else ("B", "F", 3))
 
 
 def checked_outputs(outputs: Collection[str]) -> Collection[str]:
