@@ -73,6 +73,16 @@ def test_meshes(device, what):
         nr.Renderer(8, camera_mode="look_at")(*arguments.values())
 
 
+@pytest.mark.parametrize("name", ["vertices", "faces", "textures"])
+def test_sparse_meshes(device, name):
+    arguments = good(device)
+    arguments[name] = arguments[name].to_sparse()
+    with pytest.raises(TypeError, match=rf"^{name}: expected a dense tensor, got"):
+        nr.Renderer(8, camera_mode="look_at")(*arguments.values())
+    with pytest.raises(TypeError, match=rf"^{name}: expected a dense tensor, got"):
+        nr.render(tuple(value[0] for value in arguments.values()), nr.Camera.look_at((0, 0, 3)), 8)
+
+
 RENDERER = {
     "no pixels": ("image_size", 0, ValueError),
     "fewer than no pixels": ("image_size", -5, ValueError),
@@ -89,6 +99,9 @@ RENDERER = {
     "near behind the camera": ("near", -1.0, ValueError),
     "near not a number": ("near", NAN, ValueError),
     "far as a word": ("far", "away", TypeError),
+    "far as digits": ("far", "100", TypeError),
+    "far without a number": ("far", torch.ones((), device="meta"), TypeError),
+    "far as two numbers": ("far", torch.ones(2), TypeError),
     "far infinite": ("far", INF, ValueError),
     "an unknown estimator": ("gradient", "exact", ValueError),
     "a background of two colours": ("background_color", [0, 1], ValueError),

@@ -221,6 +221,71 @@ def test_degenerate_views_raise_or_stay_finite():
         validate.check_values(True)
 
 
+NUMBERS = {
+    "look_at": lambda v, n: nr.look_at(v, [0, n, -2]),
+    "look": lambda v, n: nr.look(v, [0, n, -2]),
+    "perspective": lambda v, n: nr.perspective(v, 30 + n),
+    "orthographic": lambda v, n: nr.orthographic(v, 1 + n),
+    "projection": lambda v, n: nr.projection(v, np.eye(3), np.eye(3), [0, 0, 1], eps=1e-9 + n),
+    "points": lambda v, n: nr.get_points_from_angles(2, n, 0),
+    "camera": lambda v, n: Camera.look_at((0, 0, 3))(v, aspect=1 + n),
+}
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_numbers_that_are_not_finite_are_named(name):
+    call, vertices = NUMBERS[name], points(4)
+    call(vertices, 0.0)
+    for number in (math.nan, math.inf):
+        with pytest.raises(ValueError, match=r"^\w+: expected .*got"):
+            call(vertices, number)
+        vertices[2, 1] = number
+        if name != "points":
+            with pytest.raises(ValueError, match=r"^vertices: expected finite numbers, got 1 "):
+                call(vertices, 0.0)
+    validate.check_values(False)
+    try:
+        call(vertices, 0.0)
+    finally:
+        validate.check_values(True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ((None, None, None), TypeError, "rotation: expected a floating-point torch tensor, got NoneType"),
+        ((torch.eye(3), None, None), ValueError, r"rotation: expected shape \[B, 3, 3\]"),
+        ((torch.eye(3)[None], torch.zeros(2, 3), torch.zeros(1, 3)), ValueError, r"origin: expected shape \[1, 3\]"),
+        ((torch.eye(3)[None], *torch.zeros(2, 1, 3), None, 1.0, torch.eye(3)[None]), TypeError, "orig_size: expected"),
+    ],
+)
+def test_cameras_of_wrong_parts_are_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        Camera(*arguments)
+
+
+@pytest.mark.parametrize("dtype", [torch.int32, torch.complex64, "float32"])
+def test_cameras_keep_floating_numbers(dtype):
+    with pytest.raises(TypeError, match="dtype: expected a floating dtype, got"):
+        Camera.look_at((0, 0, 3)).to(dtype=dtype)
+
+
+def test_without_numbers_only_shapes_are_computed():
+    """Tensors of torch's device "meta" go in and come out; they cannot be moved to where there are numbers."""
+    vertices, eye = points(4).float().to("meta"), torch.ones(2, 3, device="meta")
+    assert nr.perspective(nr.look_at(vertices, eye), torch.ones(2, device="meta")).shape == (2, 4, 3)
+    assert Camera.look_at(eye)(vertices).is_meta and nr.get_points_from_angles(eye[:, 0], 0, 0).is_meta
+    for call in (
+        lambda v: nr.look_at(v, eye),
+        lambda v: nr.perspective(v, eye[:, 0]),
+        lambda v: nr.projection(v, torch.eye(3, device="meta"), np.eye(3), [0, 0, 1]),
+        lambda v: Camera.look_at((0, 0, 3), viewing_angle=eye[0, 0])(v),
+        lambda v: Camera.projection(np.eye(3), np.eye(3), eye)(v),
+    ):
+        with pytest.raises(ValueError, match="expected a tensor with numbers, got one on the device"):
+            call(points(4).float())
+
+
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
@@ -228,6 +293,9 @@ def test_degenerate_views_raise_or_stay_finite():
         (lambda v: nr.look_at(v[0], [0, 0, 1]), ValueError, r"vertices: expected shape \[B, V, 3\]"),
         (lambda v: nr.look_at(v, [0, 1]), ValueError, r"eye: expected shape \[3\] or \[B, 3\]"),
         (lambda v: nr.look_at(v, "here"), TypeError, "eye: expected numbers, got str"),
+        (lambda v: nr.look_at(v, torch.ones(3).to_sparse()), TypeError, "eye: expected a dense tensor"),
+        (lambda v: nr.look_at(v.to_sparse(), [0, 0, 1]), TypeError, "vertices: expected a dense tensor"),
+        (lambda v: nr.get_points_from_angles("far", 0, 0), TypeError, "distance: expected numbers, got str"),
         (lambda v: nr.perspective(v, 90), ValueError, r"angle: expected degrees in \(0, 90\)"),
         (lambda v: nr.perspective(v, torch.tensor([30.0, -1.0])), ValueError, "angle: expected degrees"),
         (lambda v: nr.projection(v, np.eye(4), np.eye(3), [0, 0, 1]), ValueError, "K: expected shape"),
@@ -237,6 +305,14 @@ def test_degenerate_views_raise_or_stay_finite():
 def test_mistakes_are_named(call, error, message):
     with pytest.raises(error, match=message):
         call(points(4).float())
+
+
+def test_the_checks_leave_torch_func_alone():
+    vertices = points(2, 4)
+    found = torch.func.grad(lambda v: nr.perspective(nr.look_at(v, [0, 1, -2])).square().sum())(vertices)
+    leaf = vertices.clone().requires_grad_()
+    nr.perspective(nr.look_at(leaf, [0, 1, -2])).square().sum().backward()
+    torch.testing.assert_close(found, leaf.grad)
 
 
 def test_everything_compiles_in_one_graph():

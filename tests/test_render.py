@@ -141,6 +141,15 @@ def test_outputs_and_plain_meshes(device):
         nr.render((mesh.vertices, mesh.faces), camera, 24)
 
 
+@pytest.mark.parametrize("name", ["look_at", "orthographic", "projection"])
+def test_vertices_are_checked_once(device, name, monkeypatch):
+    checked = []
+    mesh, camera = white_sphere(device), cameras(device)[name]
+    monkeypatch.setattr(nr.validate, "finite", lambda name, value: checked.append(name))
+    nr.render(mesh, camera, 16)
+    assert checked.count("vertices") == 1 and checked.count("faces") == 1  # the latter on the screen
+
+
 def test_gradients_reach_everything(device):
     mesh = white_sphere(device)
     random = torch.Generator().manual_seed(0)

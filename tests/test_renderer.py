@@ -88,6 +88,16 @@ def test_modes_are_the_same_pictures(device, mode):
         renderer(vertices, faces, textures, mode="normals")
 
 
+@pytest.mark.parametrize("mode", ["look_at", "look", "projection", "none"])
+def test_vertices_are_checked_once(device, mode, monkeypatch):
+    checked = []
+    monkeypatch.setattr(nr.validate, "finite", lambda name, value: checked.append((name, value.shape)))
+    vertices, faces, textures = sphere(device)
+    nr.Renderer(16, camera_mode=mode, **calibrated(device))(vertices, faces, textures)
+    assert checked.count(("vertices", vertices.shape)) == 1
+    assert [name for name, _ in checked].count("faces") == 1  # their corners on the screen
+
+
 def test_without_a_camera_matrix_it_says_so(device):
     vertices, faces, textures = sphere(device)
     renderer = nr.Renderer(16)

@@ -46,7 +46,7 @@ class Light:
             other. Index 1 is its back.
 
         Raises:
-            TypeError, ValueError: wrong types or shapes; numbers that are not finite if values are checked.
+            TypeError, ValueError: wrong types or shapes; parameters that are not finite if values are checked.
         """
         facing = self._facing(corners)
         if not mirrored:
@@ -122,7 +122,7 @@ def lighting(
 
     Args:
         faces: the faces' corners in world space, [B, F, 3 corners, 3 coordinates], floating.
-        textures: [B, F, T, T, T, 3], floating; they are not changed.
+        textures: [B, F, T, T, T, 3], floating, T at least 2; they are not changed.
         intensity_ambient, intensity_directional: numbers, or tensors [] or [B].
         color_ambient, color_directional: RGB, [3] or [B, 3]: list, tuple, array or tensor.
         direction: towards the light, likewise; it is used as it is, so its length counts.
@@ -134,8 +134,10 @@ def lighting(
         TypeError, ValueError: wrong types or shapes; numbers that are not finite if values are checked.
     """
     validate.floating("faces", faces, ("B", "F", 3, 3))
-    validate.floating("textures", textures, ("B", faces.shape[1], "T", "T", "T", 3))
+    validate.cubes("textures", textures, "B", faces.shape[1])
     validate.same_device(faces=faces, textures=textures)
     batch_size(faces=faces.shape[0], textures=textures.shape[0])
+    validate.finite("faces", faces)
+    validate.finite("textures", textures)
     light = face_light(faces, intensity_ambient, intensity_directional, color_ambient, color_directional, direction)
     return textures * light[:, :, None, None, None, :]

@@ -7,7 +7,6 @@ from typing import Any
 
 from torch import Tensor
 
-from . import validate
 from .camera import Camera
 from .lighting import Light
 from .mesh import Mesh
@@ -62,8 +61,6 @@ def render(
         raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
     if light is not None and not isinstance(light, Light):
         raise TypeError(f"light: expected a Light or None, got {type(light).__name__}")
-    validate.floating("vertices", vertices, ("V", 3) if getattr(vertices, "ndim", 3) == 2 else ("B", "V", 3))
-    validate.finite("vertices", vertices)
     checked_faces(faces)
     outputs = checked_outputs(outputs)
     height, width = image_size("size", size)

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from . import validate
-from .camera import look, look_at, perspective, projection
+from .camera import look, look_at, projection
+from .camera.lens import in_perspective
 from .lighting import Light
 from .raster.rasterize import Images, checked_faces, rasterize_images, vertices_to_faces, world_corners
 from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR
@@ -147,7 +148,6 @@ class Renderer(nn.Module):
         camera: tuple[Any, ...],
     ) -> Images:
         validate.floating("vertices", vertices, ("B", "V", 3))
-        validate.finite("vertices", vertices)
         checked_faces(faces)
         screen, in_perspective = self._project(vertices, *camera)
         light = None
@@ -191,9 +191,9 @@ class Renderer(nn.Module):
         elif self.camera_mode == "look":
             vertices = look(vertices, self.eye, self.camera_direction)
         else:
-            return vertices, True
+            return validate.vertices(vertices), True
         if self.perspective:
-            vertices = perspective(vertices, angle=self.viewing_angle)
+            vertices = in_perspective(vertices, self.viewing_angle)
         return vertices, bool(self.perspective)
 
     def _given(self, name: str, value: Any) -> Any:

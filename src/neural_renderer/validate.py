@@ -16,17 +16,22 @@ _check_values = True
 def check_values(enabled: bool) -> None:
     """Turn the checks that must read a tensor's numbers on (default) or off, for hot loops.
 
-    They find NaN or infinite vertices and face indices out of range. On CUDA each makes the host wait for the
-    device once; shapes, dtypes and devices are always checked, because that costs nothing. With the checks off, a
-    face that has such a vertex or index is not drawn and nothing crashes, but gradients may not be numbers.
+    They find numbers that are NaN or infinite and face indices out of range. On CUDA each makes the host wait for the
+    device once; shapes, dtypes and devices are always checked, because that costs nothing, and so is what goes into a
+    file. With the checks off, a face that has such a vertex or index is not drawn and nothing crashes, but gradients
+    may not be numbers.
     """
     global _check_values
     _check_values = bool(enabled)
 
 
-def values_are_checked() -> bool:
-    """Whether numbers are checked now: never while torch.compile traces, where there are none yet."""
-    return _check_values and not torch.compiler.is_compiling()
+def values_are_checked(value: Tensor) -> bool:
+    """Whether the numbers of ``value`` are checked now.
+
+    Never where they cannot be read: while torch.compile traces, under torch.func, on the device "meta".
+    """
+    readable = not (torch.compiler.is_compiling() or value.is_meta or torch._C._are_functorch_transforms_active())
+    return _check_values and readable
 
 
 def shape_of(value: Tensor) -> str:
@@ -58,7 +63,37 @@ def indices(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
     return value
 
 
+def vertices(value: Any) -> Tensor:
+    """``value`` if it is a floating tensor [V, 3] or [B, V, 3] of finite numbers; TypeError or ValueError otherwise."""
+    floating("vertices", value, ("V", 3) if getattr(value, "ndim", 3) == 2 else ("B", "V", 3))
+    finite("vertices", value)
+    return value
+
+
+def cubes(name: str, value: Any, *owners: int | str) -> Tensor:
+    """``value`` if it is a floating tensor of texture cubes [*owners, T, T, T, 3], T at least 2 (see `floating`)."""
+    floating(name, value, (*owners, "T", "T", "T", 3))
+    if len(set(value.shape[-4:-1])) != 1 or value.shape[-2] < 2:
+        raise ValueError(f"{name}: expected cubes [T, T, T, 3] with T at least 2, got {shape_of(value)}")
+    return value
+
+
+def dense(name: str, value: Tensor) -> Tensor:
+    """``value`` if it is not sparse; TypeError otherwise."""
+    if value.layout != torch.strided:
+        raise TypeError(f"{name}: expected a dense tensor, got {shape_of(value)} of layout {value.layout}")
+    return value
+
+
+def has_numbers(name: str, value: Tensor) -> Tensor:
+    """``value`` if it is on a device that holds numbers; ValueError otherwise."""
+    if value.is_meta:
+        raise ValueError(f'{name}: expected a tensor with numbers, got one on the device "meta"')
+    return value
+
+
 def _match(name: str, value: Tensor, shape: Sequence[int | str]) -> None:
+    dense(name, value)
     if len(shape) != value.dim() or any(
         isinstance(want, int) and want != have for want, have in zip(shape, value.shape, strict=True)
     ):
@@ -75,9 +110,9 @@ def same_device(**tensors: Tensor | None) -> torch.device:
     return first.device
 
 
-def finite(name: str, value: Tensor) -> None:
-    """ValueError if ``value`` holds NaN or infinity and values are checked (see `check_values`)."""
-    if not values_are_checked() or value.device.type == "meta" or not value.numel():
+def finite(name: str, value: Tensor, always: bool = False) -> None:
+    """ValueError if ``value`` holds NaN or infinity and values are checked (see `check_values`), or ``always``."""
+    if not (always or values_are_checked(value)) or not value.numel():
         return
     value = value.detach()
     # A sum is NaN or infinite if any term is: one pass without a mask. The second look rules out that finite numbers
@@ -91,9 +126,9 @@ def finite(name: str, value: Tensor) -> None:
         )
 
 
-def in_range(name: str, value: Tensor, size: int) -> None:
-    """ValueError if an index is outside ``[0, size)`` and values are checked (see `check_values`)."""
-    if values_are_checked() and value.device.type != "meta" and value.numel():
+def in_range(name: str, value: Tensor, size: int, always: bool = False) -> None:
+    """ValueError if an index is outside ``[0, size)`` and values are checked (see `check_values`), or ``always``."""
+    if (always or values_are_checked(value)) and value.numel():
         low, high = (int(v) for v in torch.aminmax(value))
         if low < 0 or high >= size:
             raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
@@ -101,16 +136,25 @@ def in_range(name: str, value: Tensor, size: int) -> None:
 
 def number(name: str, value: Any) -> float:
     """``value`` as a finite float; TypeError or ValueError otherwise."""
-    if isinstance(value, Tensor) and value.numel() == 1:
-        value = value.item()
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    if not isinstance(value, (int, float)):
         try:
-            value = float(value)
-        except (TypeError, ValueError):
-            raise TypeError(f"{name}: expected a number, got {type(value).__name__}") from None
+            if isinstance(value, str):  # which float() would read
+                raise TypeError
+            value = float(value.item() if isinstance(value, Tensor) else value)
+        except (TypeError, ValueError, RuntimeError):
+            got = shape_of(value) if isinstance(value, Tensor) else type(value).__name__
+            raise TypeError(f"{name}: expected a number, got {got}") from None
     if not -math.inf < value < math.inf:
         raise ValueError(f"{name}: expected a finite number, got {value}")
     return float(value)
+
+
+def positive(name: str, value: Any) -> float:
+    """``value`` as a finite float above 0; TypeError or ValueError otherwise."""
+    found = number(name, value)
+    if found <= 0:
+        raise ValueError(f"{name}: expected a finite number above 0, got {value}")
+    return found
 
 
 def flag(name: str, value: Any) -> bool:
@@ -122,8 +166,9 @@ def flag(name: str, value: Any) -> bool:
 
 def whole(name: str, value: Any, least: int) -> int:
     """``value`` as an int of at least ``least``; TypeError or ValueError otherwise."""
-    if number(name, value) != int(value):
+    found = number(name, value)
+    if found != int(found):
         raise TypeError(f"{name}: expected a whole number, got {value}")
-    if value < least:
+    if found < least:
         raise ValueError(f"{name}: expected at least {least}, got {value}")
-    return int(value)
+    return int(found)

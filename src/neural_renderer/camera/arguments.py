@@ -26,7 +26,7 @@ def parameter(
     NaN or infinity if values are checked.
     """
     if isinstance(value, Tensor):
-        tensor = value
+        tensor = validate.dense(name, value)
     else:
         try:
             tensor = torch.as_tensor(value, dtype=dtype)
@@ -39,6 +39,8 @@ def parameter(
         raise ValueError(f"{name}: expected shape [{sizes}] or [{batched}], got {validate.shape_of(tensor)}")
     if tensor.is_floating_point():
         validate.finite(name, tensor)  # before the move: what was given on the CPU is read there, without a wait
+    if device is not None and device.type != "meta":
+        validate.has_numbers(name, tensor)
     return tensor.to(device=device, dtype=dtype)
 
 
@@ -47,12 +49,6 @@ def scalar(name: str, value: Any, dtype: torch.dtype, device: torch.device | Non
     if isinstance(value, (int, float)):
         return validate.number(name, value)
     return parameter(name, value, (), dtype, device)
-
-
-def world_vertices(vertices: Any) -> Tensor:
-    """``vertices`` if it is a floating tensor [B, V, 3] or [V, 3]; TypeError or ValueError otherwise."""
-    shape = ("V", 3) if getattr(vertices, "ndim", 3) == 2 else ("B", "V", 3)
-    return validate.floating("vertices", vertices, shape)
 
 
 def float_type(*values: Any) -> torch.dtype:

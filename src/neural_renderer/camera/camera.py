@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .arguments import Array, Scalar, batch_of, batch_size, common_device, float_type, scalar, world_vertices
-from .lens import calibration, image_size, orthographic, perspective, pixels_to_screen, viewing_angle
+from .arguments import Array, Scalar, batch_of, batch_size, common_device, float_type, scalar
+from .lens import calibration, image_size, in_parallel, in_perspective, pixels_to_screen, viewing_angle
 from .view import look_at_frame, look_frame, transform
 
 
@@ -50,6 +50,16 @@ class Camera:
     dist_coeffs: Tensor | None = None
     orig_size: tuple[float, float] | None = None
     mirrored: bool = False
+
+    def __post_init__(self) -> None:
+        validate.floating("rotation", self.rotation, ("B", 3, 3))
+        for name, size in (("origin", (3,)), ("translation", (3,)), ("K", (3, 3)), ("dist_coeffs", (5,))):
+            value = getattr(self, name)
+            if value is not None or name in ("origin", "translation"):
+                validate.floating(name, value, (len(self.rotation), *size))
+                validate.same_device(rotation=self.rotation, **{name: value})
+        if self.K is not None:
+            image_size(self.orig_size)
 
     @classmethod
     def look_at(
@@ -143,28 +153,29 @@ class Camera:
                 `Camera.projection`, whose ``orig_size`` says it.
 
         Raises:
-            TypeError, ValueError: wrong types or shapes, batches that do not fit, an aspect that is not positive.
+            TypeError, ValueError: wrong types or shapes, batches that do not fit, an aspect that is not positive;
+                vertices that are not finite if values are checked.
         """
-        world_vertices(vertices)
-        aspect = validate.number("aspect", aspect)
-        if aspect <= 0:
-            raise ValueError(f"aspect: expected width / height, a positive number, got {aspect}")
+        validate.vertices(vertices)
+        aspect = validate.positive("aspect", aspect)
         points = transform(vertices, self.rotation, self.origin)
         if self.K is not None and self.orig_size is not None:
             points = points + self.translation.to(points)[..., None, :]
             dist_coeffs = None if self.dist_coeffs is None else self.dist_coeffs.to(points)
             return pixels_to_screen(points, self.K.to(points), dist_coeffs, self.orig_size)
         if self.viewing_angle is not None:
-            screen = perspective(points, self.viewing_angle)
+            screen = in_perspective(points, self.viewing_angle)
         else:
-            screen = orthographic(points, self.scale)
+            screen = in_parallel(points, self.scale)
         if aspect == 1:
             return screen
         x, y, z = screen.unbind(-1)
         return torch.stack((x / aspect, y, z), dim=-1)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Camera:
-        """The same cameras with their tensors on another device or of another floating dtype."""
+        """The same cameras with their tensors on another device or of another floating dtype (TypeError otherwise)."""
+        if not (dtype is None or (isinstance(dtype, torch.dtype) and dtype.is_floating_point)):
+            raise TypeError(f"dtype: expected a floating dtype, got {dtype!r}")
         tensors = {f.name: v for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)}
         moved: dict[str, Any] = {name: v.to(device=device, dtype=dtype) for name, v in tensors.items()}
         return replace(self, **moved)

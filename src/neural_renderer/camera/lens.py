@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .arguments import Array, Scalar, batch_of, batch_size, parameter, scalar, world_vertices
+from .arguments import Array, Scalar, batch_of, batch_size, parameter, scalar
 from .view import rotate
 
 _NEAREST = 1e-6  # |z| by which x and y are divided at the least, in world units
@@ -29,9 +29,14 @@ def perspective(vertices: Tensor, angle: Scalar = 30.0) -> Tensor:
         with finite gradients; points behind the camera keep their negative z. Differentiable in both.
 
     Raises:
-        TypeError, ValueError: wrong types or shapes; an angle outside (0, 90) (a tensor's only if values are checked).
+        TypeError, ValueError: wrong types or shapes; an angle outside (0, 90); numbers that are not finite (a tensor's
+            numbers are only looked at if values are checked).
     """
-    world_vertices(vertices)
+    return in_perspective(validate.vertices(vertices), angle)
+
+
+def in_perspective(vertices: Tensor, angle: Scalar) -> Tensor:
+    """`perspective` of vertices that are checked already."""
     angle = viewing_angle("angle", angle, vertices.dtype, vertices.device)
     width = torch.tan(torch.deg2rad(torch.as_tensor(angle, dtype=vertices.dtype)))
     batch_size(vertices=batch_of(vertices, 2), angle=batch_of(width, 0))
@@ -47,7 +52,11 @@ def orthographic(vertices: Tensor, scale: Scalar = 1.0) -> Tensor:
     ``scale`` is in screen units (the image is 2 high) per world unit: a number, or a tensor [] or [B]. Otherwise as
     `perspective`.
     """
-    world_vertices(vertices)
+    return in_parallel(validate.vertices(vertices), scale)
+
+
+def in_parallel(vertices: Tensor, scale: Scalar) -> Tensor:
+    """`orthographic` of vertices that are checked already."""
     scale = scalar("scale", scale, vertices.dtype, vertices.device)
     batch_size(vertices=batch_of(vertices, 2), scale=batch_of(scale, 0))
     across = scale[..., None] if isinstance(scale, Tensor) and scale.ndim else scale
@@ -88,7 +97,8 @@ def projection(
         TypeError, ValueError: wrong types or shapes; a size that is not positive; numbers that are not finite if
             values are checked.
     """
-    world_vertices(vertices)
+    validate.vertices(vertices)
+    eps = validate.number("eps", eps)
     K, R, t, dist_coeffs = calibration(K, R, t, dist_coeffs, vertices.dtype, vertices.device)
     distortion = 1 if dist_coeffs is None else batch_of(dist_coeffs, 1)
     batch_size(
@@ -146,7 +156,7 @@ def viewing_angle(name: str, angle: Any, dtype: torch.dtype, device: torch.devic
     """Half a field of view in degrees, checked to be in (0, 90): a number, or a tensor [] or [B]."""
     value = scalar(name, angle, dtype, device)
     if isinstance(value, Tensor):
-        outside = validate.values_are_checked() and not bool(((value > 0) & (value < 90)).all())
+        outside = validate.values_are_checked(value) and not bool(((value > 0) & (value < 90)).all())
     else:
         outside = not 0 < value < 90
     if outside:

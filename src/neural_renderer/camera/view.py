@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .. import validate
-from .arguments import Array, batch_of, batch_size, common_device, float_type, parameter, world_vertices
+from .arguments import Array, batch_of, batch_size, common_device, float_type, parameter
 
 _FLOOR = 1e-5  # lengths below it count as zero, as in the published code
 
@@ -37,7 +37,7 @@ def look_at(vertices: Tensor, eye: Array, at: Array | None = None, up: Array | N
         TypeError, ValueError: wrong types or shapes; and, if values are checked, a number that is not finite,
             ``eye`` equal to ``at``, or ``up`` parallel to the viewing direction.
     """
-    dtype = world_vertices(vertices).dtype
+    dtype = validate.vertices(vertices).dtype
     rotation, origin = look_at_frame(eye, (0, 0, 0) if at is None else at, (0, 1, 0) if up is None else up, dtype)
     return transform(vertices, rotation, origin)
 
@@ -47,7 +47,7 @@ def look(vertices: Tensor, eye: Array, direction: Array | None = None, up: Array
 
     Everything else is as in `look_at`, the handedness too.
     """
-    dtype = world_vertices(vertices).dtype
+    dtype = validate.vertices(vertices).dtype
     forward = (0, 0, 1) if direction is None else direction
     rotation, origin = look_frame(eye, forward, (0, 1, 0) if up is None else up, dtype)
     return transform(vertices, rotation, origin)
@@ -74,6 +74,8 @@ def look_frame(
 
 def transform(vertices: Tensor, rotation: Tensor, origin: Tensor) -> Tensor:
     """rotation · (X − origin) for all X of vertices [V, 3] or [B, V, 3]; the others on any device, of any dtype."""
+    if not vertices.is_meta:
+        validate.has_numbers("camera", rotation)
     rotation, origin = rotation.to(vertices), origin.to(vertices)
     batch_size(vertices=batch_of(vertices, 2), camera=max(batch_of(rotation, 2), batch_of(origin, 1)))
     return rotate(rotation, vertices - origin[..., None, :])
@@ -101,10 +103,12 @@ def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees:
         broadcast, and a tensor [B, 3] comes back, differentiable, of the tensors' dtype and on their device.
 
     Raises:
-        TypeError: an argument that is not numbers. ValueError: shapes that do not broadcast.
+        TypeError: an argument that is not numbers. ValueError: shapes that do not broadcast; numbers that are not
+            finite (a tensor's only if values are checked).
     """
     values = {"distance": distance, "elevation": elevation, "azimuth": azimuth}
     if all(isinstance(v, Real) for v in values.values()):
+        distance, elevation, azimuth = (validate.number(name, v) for name, v in values.items())
         if degrees:
             elevation, azimuth = math.radians(elevation), math.radians(azimuth)
         across = distance * math.cos(elevation)
@@ -128,7 +132,7 @@ def _vectors(dtype: torch.dtype, **values: Any) -> list[Tensor]:
 def _axes(forward: Tensor, up: Tensor, mirrored: bool, problem: str) -> Tensor:
     z = F.normalize(forward, dim=-1, eps=_FLOOR)
     side = torch.linalg.cross(*torch.broadcast_tensors(F.normalize(up, dim=-1, eps=_FLOOR), z), dim=-1)
-    if validate.values_are_checked():
+    if validate.values_are_checked(side):
         if not bool((forward.detach().norm(dim=-1) >= _FLOOR).all()):
             raise ValueError(problem)
         if not bool((side.detach().norm(dim=-1) >= _FLOOR).all()):
