@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from neural_renderer import losses, metrics
+from neural_renderer import losses, metrics, validate
 from neural_renderer.topology import Topology
 
 TETRAHEDRON = torch.tensor([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -116,7 +116,56 @@ def test_mesh_losses_have_right_gradients_and_take_a_topology(loss):
         loss(v[:, :3], TETRAHEDRON)
 
 
+@pytest.mark.parametrize("loss", [losses.laplacian, losses.edge_length, losses.normal_consistency, losses.smoothness])
+def test_mesh_losses_check_their_vertices_once(loss, monkeypatch):
+    v = vertices(2, 4)
+    v[1, 2, 0] = float("nan")
+    with pytest.raises(ValueError, match="vertices: expected finite numbers, got 1 "):
+        loss(v, TETRAHEDRON)
+    checked = []
+    monkeypatch.setattr(validate, "finite", lambda name, value: checked.append(name))
+    loss(v, TETRAHEDRON)
+    assert checked == ["vertices"]
+    value = torch.func.grad(loss)(vertices(2, 4), Topology.of(TETRAHEDRON))
+    assert value.any()
+
+
+@pytest.mark.parametrize(
+    ("loss", "shape", "other"),
+    [
+        (losses.silhouette_iou, (0, 4, 4), torch.ones(0, 4, 4)),
+        (losses.photometric, (0, 3, 4, 4), torch.ones(0, 3, 4, 4)),
+        (lambda image, mask: losses.photometric(image, image, mask), (0, 3, 4, 4), torch.ones(0, 4, 4)),
+        (losses.total_variation, (0, 3, 4, 4), torch.ones(0, 4, 4)),
+        (losses.laplacian, (0, 4, 3), TETRAHEDRON),
+        (losses.edge_length, (0, 4, 3), TETRAHEDRON),
+        (losses.normal_consistency, (0, 4, 3), TETRAHEDRON),
+        (losses.smoothness, (0, 4, 3), TETRAHEDRON),
+    ],
+)
+def test_an_empty_batch_costs_nothing(loss, shape, other):
+    value = torch.zeros(shape, requires_grad=True)
+    found = loss(value, other)
+    found.backward()
+    assert found == 0 and value.grad.shape == shape
+
+
+def test_nan_in_an_image_is_nan_in_its_loss():
+    image, target = torch.full((1, 4, 4), float("nan")), torch.ones(1, 4, 4)
+    assert losses.silhouette_iou(image, target).isnan() and losses.silhouette_iou(target, image).isnan()
+    assert losses.photometric(image[None], target[None]).isnan()
+
+
 def test_mistakes_are_named():
+    sparse = torch.ones(2, 4, 4).to_sparse()
+    for call in (losses.silhouette_iou, metrics.silhouette_iou):
+        for pair in ((sparse, sparse), (torch.ones(2, 4, 4), sparse)):
+            with pytest.raises(TypeError, match="expected a dense tensor, got"):
+                call(*pair)
+    with pytest.raises(TypeError, match="mask: expected a dense tensor"):
+        losses.photometric(torch.rand(2, 3, 4, 4), torch.rand(2, 3, 4, 4), sparse)
+    with pytest.raises(ValueError, match="faces: expected a tensor with numbers"):
+        losses.laplacian(vertices(4), TETRAHEDRON.to("meta"))
     with pytest.raises(ValueError, match="target: expected shape"):
         losses.silhouette_iou(torch.rand(2, 4, 4), torch.rand(1, 4, 4))
     with pytest.raises(TypeError, match="faces: expected an int32 or int64"):

@@ -1,4 +1,8 @@
-"""Losses on images and on meshes; each returns one number and is differentiable in its floating arguments."""
+"""Losses on images and on meshes; each returns one number and is differentiable in its floating arguments.
+
+An empty batch costs 0, with a gradient (of no elements). A NaN in an image makes the loss NaN; one in vertices is a
+ValueError if values are checked.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,7 @@ def silhouette_iou(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tens
     intersection = (predicted * target).sum((1, 2))
     union = (predicted + target - predicted * target).sum((1, 2))
     iou = intersection / union.clamp(min=eps)
-    return (1 - torch.where(union > eps, iou, torch.ones_like(iou))).mean()
+    return _mean(1 - torch.where(union <= eps, torch.ones_like(iou), iou))  # this way round NaN stays NaN
 
 
 def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None) -> Tensor:
@@ -45,7 +49,7 @@ def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None) -> Te
     validate.floating("image", image, ("B", "C", "H", "W"))
     squared = (image - _like("target", target, image)).square()
     if mask is None:
-        return squared.mean()
+        return _mean(squared)
     weight = _like("mask", mask, image[:, 0])
     return (squared.mean(1) * weight).sum() / weight.sum().clamp(min=1e-6)
 
@@ -83,7 +87,8 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
         The mean over the batch; a vertex without edges counts as 0. O(E).
 
     Raises:
-        TypeError, ValueError: wrong types, shapes or devices; face indices out of range if values are checked.
+        TypeError, ValueError: wrong types, shapes or devices; face indices out of range and vertices that are not
+            finite if values are checked.
     """
     edges = _topology(vertices, faces).edges
     start, end = torch.cat((edges, edges.flip(1))).unbind(1)
@@ -128,7 +133,7 @@ def _bend(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 
 
 def _topology(vertices: Tensor, faces: Tensor | Topology) -> Topology:
-    validate.floating("vertices", vertices, ("V", 3) if getattr(vertices, "ndim", 3) == 2 else ("B", "V", 3))
+    validate.vertices(vertices)
     topology = faces if isinstance(faces, Topology) else Topology.of(faces)
     validate.same_device(vertices=vertices, faces=topology.edges)
     if topology.vertices > vertices.shape[-2]:
@@ -136,10 +141,15 @@ def _topology(vertices: Tensor, faces: Tensor | Topology) -> Topology:
     return topology
 
 
+def _mean(value: Tensor) -> Tensor:
+    return value.mean() if value.numel() else value.sum()
+
+
 def _like(name: str, value: Tensor, other: Tensor) -> Tensor:
     """``value`` in the dtype of ``other``, whose shape and device it must have."""
     if not isinstance(value, Tensor):
         raise TypeError(f"{name}: expected a torch tensor, got {type(value).__name__}")
+    validate.dense(name, value)
     if value.shape != other.shape:
         raise ValueError(f"{name}: expected shape {list(other.shape)}, got {validate.shape_of(value)}")
     validate.same_device(**{"the other image": other, name: value})

@@ -24,6 +24,7 @@ def silhouette_iou(predicted: Tensor, target: Tensor, threshold: float = 0.5) ->
     for name, value in (("predicted", predicted), ("target", target)):
         if not isinstance(value, Tensor):
             raise TypeError(f"{name}: expected a torch tensor, got {type(value).__name__}")
+        validate.dense(name, value)
     if predicted.ndim != 3 or predicted.shape != target.shape:
         shapes = f"{validate.shape_of(predicted)} and {validate.shape_of(target)}"
         raise ValueError(f"predicted and target: expected the same shape [B, H, W], got {shapes}")

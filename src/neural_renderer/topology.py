@@ -34,8 +34,7 @@ class Topology:
 
         Raises TypeError or ValueError for another dtype or shape, ValueError for a negative index.
         """
-        validate.indices("faces", faces, ("F", 3))
-        faces = faces.long()
+        faces = validate.has_numbers("faces", validate.indices("faces", faces, ("F", 3))).long()
         count = int(faces.max()) + 1 if len(faces) else 0
         validate.in_range("faces", faces, max(count, 1))
         faces = faces[(faces != faces.roll(1, dims=1)).all(1)]
