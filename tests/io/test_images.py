@@ -64,8 +64,16 @@ def test_errors(tmp_path):
         save_animation(tmp_path / "a.gif", [])
     with pytest.raises(ValueError, match=r"frames\[1\]: expected 8 x 6 pixels like the first frame, got 8 x 5"):
         save_animation(tmp_path / "a.gif", [torch.zeros(6, 8), torch.zeros(5, 8, 3)])
-    with pytest.raises(ValueError, match="fps: expected more than 0"):
+    with pytest.raises(ValueError, match="fps: expected a finite number above 0, got 0"):
         save_animation(tmp_path / "a.gif", torch.zeros(2, 3, 8, 8), fps=0)
+    with pytest.raises(TypeError, match="fps: expected a number, got str"):
+        save_animation(tmp_path / "a.gif", torch.zeros(2, 3, 8, 8), fps="a")
+    with pytest.raises(TypeError, match="frames: expected pictures, got NoneType"):
+        save_animation(tmp_path / "a.gif", None)
+    with pytest.raises(ValueError, match="image: expected a tensor with numbers"):
+        save_image(tmp_path / "a.png", torch.zeros(3, 8, 8, device="meta"))
+    with pytest.raises(TypeError, match="image: expected a dense tensor"):
+        save_image(tmp_path / "a.png", torch.ones(3, 8, 8).to_sparse())
 
 
 def moving_square(size: tuple[int, int]) -> torch.Tensor:

@@ -146,6 +146,11 @@ def test_encodings_and_line_ends(tmp_path, encoding):
     [
         (TRIANGLE + "f 1 2 9", "line 4: expected a vertex index up to 3, got 9"),
         (TRIANGLE + "\nf 1 2 -4", "line 5: expected a vertex index that is not 0 nor below -3, got -4"),
+        (
+            "f -1 -2 -3\n" + TRIANGLE,
+            "line 1: expected a vertex index that is above 0, because no vertex comes before it",
+        ),
+        ("f 1 2 3\n", "line 1: expected a vertex index of a vertex in the file, got 1"),
         (TRIANGLE + "f 1 2 x", "line 4: cannot read 'f 1 2 x'"),
         (TRIANGLE + "v 1 2\nf 1 2 3", "line 4: cannot read 'v 1 2'"),
         (TRIANGLE + "v 1 inf 2\nf 1 2 3", "line 4: expected finite coordinates"),
@@ -316,6 +321,10 @@ def test_save_without_textures_and_errors(tmp_path, shared):
         save_obj(bad, vertices, faces, torch.ones(3, 4, 4, 4, 3))
     with pytest.raises(ValueError, match="textures: expected cubes"):
         save_obj(bad, vertices, faces, torch.ones(len(faces), 4, 4, 5, 3))
+    with pytest.raises(ValueError, match="faces: expected a tensor with numbers"):
+        save_obj(bad, vertices, faces.to("meta"))
+    with pytest.raises(TypeError, match="textures: expected a dense tensor"):
+        save_obj(bad, vertices, faces, torch.ones(len(faces), 2, 2, 2, 3).to_sparse())
     with pytest.raises(TypeError, match="vertices: expected a floating"):
         save_obj(bad, vertices.tolist(), faces)
     assert not bad.exists()

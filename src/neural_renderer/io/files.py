@@ -70,27 +70,24 @@ def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.n
     """The mesh as host arrays (float32 [V, 3], int64 [F, 3], float32 [F, T, T, T, 3] clamped to [0, 1] or None).
 
     Takes tensors on any device, with or without gradient, and numpy arrays. Raises TypeError or ValueError for other
-    types and shapes, NaN or infinity, indices out of range, no faces, and textures of another number of faces.
+    types and shapes, NaN or infinity, indices out of range, no faces, and textures of another number of faces; with
+    `check_values(False)` too, since a broken file would meet somebody else.
     """
-    vertices, faces = _tensor(vertices), _tensor(faces)
+    vertices, faces = _on_host("vertices", vertices), _on_host("faces", faces)
     validate.floating("vertices", vertices, ["V", 3])
     validate.indices("faces", faces, ["F", 3])
     if not len(faces):
         raise ValueError("faces: expected at least one, got none")
-    validate.finite("vertices", vertices)
-    validate.in_range("faces", faces, len(vertices))
+    validate.finite("vertices", vertices, always=True)
+    validate.in_range("faces", faces, len(vertices), always=True)
     if textures is not None:
-        textures = _tensor(textures)
-        validate.floating("textures", textures, [len(faces), "T", "T", "T", 3])
-        if len(set(textures.shape[1:4])) != 1 or textures.shape[1] < 2:
-            shape = validate.shape_of(textures)
-            raise ValueError(f"textures: expected cubes [F, T, T, T, 3] with T at least 2, got {shape}")
-        validate.finite("textures", textures)
+        textures = validate.cubes("textures", _on_host("textures", textures), len(faces))
+        validate.finite("textures", textures, always=True)
         textures = textures.float().clamp(0, 1).numpy()
     return vertices.float().numpy(), faces.long().numpy(), textures
 
 
-def _tensor(value: Any) -> Any:
+def _on_host(name: str, value: Any) -> Any:
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
-    return value.detach().cpu() if isinstance(value, Tensor) else value
+    return validate.has_numbers(name, value).detach().cpu() if isinstance(value, Tensor) else value

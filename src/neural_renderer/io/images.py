@@ -13,6 +13,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from neural_renderer import validate
 from neural_renderer.io.files import existing
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -68,14 +69,17 @@ def save_animation(
     ``frames`` is anything that gives pictures as `save_image` takes them, all of one size, for example a tensor
     [N, 3, H, W]. Transparent ones are shown on white. GIF times are multiples of 1/100 s, at least 2/100. MP4 pictures
     of odd width or height get their last column or row twice, because the format wants even ones. Raises ValueError
-    for another suffix, fps not above 0, no frames, and frames of different sizes.
+    for another suffix, fps not above 0, no frames, and frames of different sizes; TypeError for other types.
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in _ANIMATION_SUFFIXES:
         raise ValueError(f"path: expected a name that ends in {', '.join(_ANIMATION_SUFFIXES)}, got {path.name!r}")
-    if not fps > 0:
-        raise ValueError(f"fps: expected more than 0, got {fps}")
+    fps = validate.positive("fps", fps)
+    try:
+        frames = iter(frames)
+    except TypeError:
+        raise TypeError(f"frames: expected pictures, got {type(frames).__name__}") from None
     pictures: list[np.ndarray] = []
     for index, frame in enumerate(frames):
         picture = _opaque(_pixels(f"frames[{index}]", frame))
@@ -112,7 +116,7 @@ def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
 def _pixels(name: str, image: Any) -> np.ndarray:
     """A picture as uint8, [H, W] or [H, W, 3 | 4]."""
     if isinstance(image, Tensor):
-        image = image.detach().cpu()
+        image = validate.has_numbers(name, validate.dense(name, image)).detach().cpu()
         image = (image.float() if image.is_floating_point() else image).numpy()
     if not isinstance(image, np.ndarray):
         raise TypeError(f"{name}: expected a tensor or array, got {type(image).__name__}")

@@ -137,7 +137,8 @@ class _Parser:
         if index > 0:
             return index - 1
         if index == 0 or known + index < 0:
-            raise _OutOfRange(f"expected a {what} index that is not 0 nor below -{known}, got {index}")
+            limit = f"not 0 nor below -{known}" if known else f"above 0, because no {what} comes before it"
+            raise _OutOfRange(f"expected a {what} index that is {limit}, got {index}")
         return known + index
 
     def finish(self, with_uv: bool) -> ObjFile:
@@ -178,6 +179,5 @@ class _Parser:
         if bad.any():
             at = int(bad.argmax())
             line = np.repeat(self.face_lines, self.sizes)[at]
-            raise ValueError(
-                f"{self.path}, line {line}: expected a {what} index up to {known}, got {int(corners[at]) + 1}"
-            )
+            limit = f"up to {known}" if known else f"of a {what} in the file"
+            raise ValueError(f"{self.path}, line {line}: expected a {what} index {limit}, got {int(corners[at]) + 1}")
