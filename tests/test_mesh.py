@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +12,7 @@ import torch
 from neural_renderer.io.obj import load_obj, save_obj
 from neural_renderer.mesh import Mesh
 from neural_renderer.primitives import cube, icosphere
+from neural_renderer.validate import check_values
 
 
 @pytest.fixture
@@ -87,6 +91,56 @@ def test_module_habits():
     assert mesh.to("meta").faces.device.type == "meta"
 
 
+def test_copies_and_pickles_keep_the_rates(tmp_path):
+    mesh = Mesh.icosphere(0, texture_size=2)
+    mesh.set_lr(0.1, 2.0)
+    torch.save(mesh, tmp_path / "mesh.pt")
+    for other in (
+        copy.deepcopy(mesh),
+        copy.deepcopy(torch.nn.ModuleList([mesh, mesh]))[1],
+        pickle.loads(pickle.dumps(mesh)),
+        torch.load(tmp_path / "mesh.pt", weights_only=False),
+    ):
+        assert (other.vertices.lr, other.textures.lr) == (0.1, 2.0) and isinstance(other, Mesh)
+        assert torch.equal(other.vertices, mesh.vertices) and torch.equal(other.faces, mesh.faces)
+        assert other.vertices.data_ptr() != mesh.vertices.data_ptr() and other.vertices.requires_grad
+        other.set_lr(0.5, 0.5)
+    twice = copy.deepcopy([mesh, mesh])
+    assert twice[0] is twice[1] and (mesh.vertices.lr, mesh.textures.lr) == (0.1, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "sentence"),
+    [
+        (lambda m: m.get_batch(-1), ValueError, "batch_size: expected at least 0, got -1"),
+        (lambda m: m.get_batch(1.5), TypeError, "batch_size: expected a whole number, got 1.5"),
+        (lambda m: m.get_batch("a"), TypeError, "batch_size: expected a number, got str"),
+        (lambda m: m.to("meta").normalize(), ValueError, "vertices: expected a tensor with numbers"),
+        (lambda m: Mesh.icosphere(1, "a"), TypeError, "radius: expected a number, got str"),
+        (lambda m: Mesh.icosphere(1, texture_size="a"), TypeError, "texture_size: expected a number, got str"),
+    ],
+)
+def test_odd_arguments(call, error, sentence):
+    with pytest.raises(error, match=sentence):
+        call(Mesh.icosphere(0, texture_size=2))
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])
+@pytest.mark.parametrize("checked", [True, False])
+def test_a_broken_mesh_is_not_saved(tmp_path, suffix, checked):
+    vertices, faces = cube()
+    check_values(False)
+    try:
+        broken = [(Mesh(vertices, faces + 5), "faces: expected indices"), (Mesh(vertices / 0, faces), "vertices: exp")]
+        check_values(checked)
+        for mesh, sentence in broken:
+            with pytest.raises(ValueError, match=sentence):
+                mesh.save(tmp_path / f"new/mesh{suffix}")
+    finally:
+        check_values(True)
+    assert not (tmp_path / "new").exists()
+
+
 @pytest.mark.parametrize(
     ("change", "error", "sentence"),
     [
@@ -99,6 +153,8 @@ def test_module_habits():
         ({"textures": torch.zeros(11, 2, 2, 2, 3)}, ValueError, r"textures: expected shape \[12, T, T, T, 3\]"),
         ({"textures": torch.zeros(12, 2, 2, 3, 3)}, ValueError, "textures: expected cubes"),
         ({"textures": torch.zeros(12, 1, 1, 1, 3)}, ValueError, "T at least 2"),
+        ({"vertices": torch.ones(8, 3).to_sparse()}, TypeError, "vertices: expected a dense tensor"),
+        ({"faces": cube()[1].to_sparse()}, TypeError, "faces: expected a dense tensor"),
         ({"texture_size": 1}, ValueError, "texture_size: expected at least 2, got 1"),
     ],
 )

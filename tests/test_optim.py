@@ -87,6 +87,16 @@ def test_rates_out_of_range_are_named(wrong):
         Adam([torch.nn.Parameter(torch.ones(1))], **wrong)
 
 
+@pytest.mark.parametrize("betas", [(0.9,), (0.9, 0.99, 0.999), 0.9, None, "ab", (None, 0.9), ("0.9", 0.9)])
+def test_betas_that_are_not_two_numbers_are_named(betas):
+    parameter = torch.nn.Parameter(torch.ones(1))
+    for parameters, options in (([parameter], {"betas": betas}), ([{"params": [parameter], "betas": betas}], {})):
+        with pytest.raises(
+            (TypeError, ValueError), match=r"^(betas: expected two numbers|beta1: expected a number), got"
+        ):
+            Adam(parameters, **options)
+
+
 def test_sparse_gradients_are_refused():
     parameter = torch.nn.Parameter(torch.ones(2))
     parameter.grad = torch.ones(2).to_sparse()

@@ -52,5 +52,12 @@ def test_errors():
         icosphere(9)
     with pytest.raises(ValueError, match="radius: expected a finite number above 0, got -1"):
         icosphere(1, -1)
-    with pytest.raises(ValueError, match="segments, sides"):
+    with pytest.raises(ValueError, match="segments: expected at least 3, got 2"):
         torus(segments=2)
+    for call in (icosphere, cube, torus):
+        for wrong in ("a", None, [1.0, 2.0], torch.ones(2)):
+            with pytest.raises(TypeError, match=r"^(level|size|radius): expected a number, got"):
+                call(wrong)
+    with pytest.raises(TypeError, match="sides: expected a whole number, got"):
+        torus(sides=3.5)
+    assert torch.equal(cube(torch.tensor(2.0))[0], cube()[0]) and torch.equal(icosphere(1.0)[0], icosphere(1)[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from typing import Any
 
@@ -60,10 +61,7 @@ class Mesh(nn.Module):
             texture_size = validate.whole("texture_size", texture_size, 2)
             textures = 0.05 * torch.randn(len(faces), *[texture_size] * 3, 3, device=vertices.device)
         textures = _as_tensor(textures)
-        validate.floating("textures", textures, [len(faces), "T", "T", "T", 3])
-        if len(set(textures.shape[1:4])) != 1 or textures.shape[1] < 2:
-            shape = validate.shape_of(textures)
-            raise ValueError(f"textures: expected cubes [F, T, T, T, 3] with T at least 2, got {shape}")
+        validate.cubes("textures", textures, len(faces))
         validate.same_device(vertices=vertices, faces=faces, textures=textures)
         validate.finite("vertices", vertices)
         validate.finite("textures", textures)
@@ -122,7 +120,7 @@ class Mesh(nn.Module):
 
         Raises ValueError if all vertices coincide.
         """
-        vertices = self.vertices.detach().double()
+        vertices = validate.has_numbers("vertices", self.vertices).detach().double()
         low, high = vertices.min(dim=0).values, vertices.max(dim=0).values
         longest = float((high - low).max())
         if longest == 0:
@@ -134,14 +132,25 @@ class Mesh(nn.Module):
 
         The textures are the sigmoid of the parameter, so that optimising it cannot leave [0, 1].
         """
+        batch_size = validate.whole("batch_size", batch_size, 0)
         parts = self.vertices, self.faces, torch.sigmoid(self.textures)
         vertices, faces, textures = (part.expand(batch_size, *part.shape) for part in parts)
         return vertices, faces, textures
 
     def set_lr(self, lr_vertices: float, lr_textures: float) -> None:
-        """Set the factors by which `neural_renderer.Adam` multiplies its step for the vertices and the textures."""
+        """Set the factors by which `neural_renderer.Adam` multiplies its step for the vertices and the textures.
+
+        They stay with copies and pickles of the mesh, but are no part of its `state_dict`.
+        """
         self.vertices.lr = lr_vertices  # type: ignore[attr-defined]
         self.textures.lr = lr_textures  # type: ignore[attr-defined]
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Mesh:
+        result = memo[id(self)] = type(self).__new__(type(self))
+        result.__dict__ = copy.deepcopy(self.__dict__, memo)
+        for mine, theirs in zip(self.parameters(), result.parameters(), strict=True):
+            theirs.__dict__.update(mine.__dict__)  # the rates of `set_lr`, which torch leaves behind
+        return result
 
     def __repr__(self) -> str:
         device = self.vertices.device
@@ -155,6 +164,4 @@ def _as_tensor(value: Any) -> Any:
 
 
 def _white(faces: Tensor, texture_size: int) -> Tensor:
-    if texture_size < 2:
-        raise ValueError(f"texture_size: expected at least 2, got {texture_size}")
-    return torch.ones(len(faces), *[texture_size] * 3, 3)
+    return torch.ones(len(faces), *[validate.whole("texture_size", texture_size, 2)] * 3, 3)

@@ -45,7 +45,8 @@ class Adam(torch.optim.Optimizer):
         beta1: float | None = None,
         beta2: float | None = None,
     ) -> None:
-        rates = (betas[0] if beta1 is None else beta1, betas[1] if beta2 is None else beta2)
+        first, second = _pair(betas)
+        rates = (first if beta1 is None else beta1, second if beta2 is None else beta2)
         defaults = {"lr": lr if alpha is None else alpha, "betas": rates, "eps": eps, "step": 0}
         super().__init__(params, defaults)
 
@@ -56,7 +57,7 @@ class Adam(torch.optim.Optimizer):
             raise ValueError(f"lr: expected a number of at least 0, got {options['lr']}")
         if validate.number("eps", options["eps"]) <= 0:  # an untouched element has m / (√v + eps) = 0 / eps
             raise ValueError(f"eps: expected a positive number, got {options['eps']}")
-        for name, beta in zip(("beta1", "beta2"), options["betas"], strict=True):
+        for name, beta in zip(("beta1", "beta2"), _pair(options["betas"]), strict=True):
             if not 0 <= validate.number(name, beta) < 1:
                 raise ValueError(f"{name}: expected a number in [0, 1), got {beta}")
         super().add_param_group(param_group)
@@ -89,3 +90,9 @@ class Adam(torch.optim.Optimizer):
         m.lerp_(gradient, live * (1 - beta1))
         v.lerp_(gradient * gradient, live * (1 - beta2))
         parameter.addcdiv_(live * m, v.sqrt().add_(eps), value=-rate)
+
+
+def _pair(betas: Any) -> tuple[Any, Any]:
+    if not isinstance(betas, (tuple, list)) or len(betas) != 2:
+        raise ValueError(f"betas: expected two numbers, got {betas!r}")
+    return betas[0], betas[1]

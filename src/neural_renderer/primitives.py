@@ -15,11 +15,11 @@ def icosphere(level: int = 3, radius: float = 1.0) -> tuple[Tensor, Tensor]:
     An icosahedron, its poles on the y axis and a mirror plane at z = 0, has each edge cut into 2ˡ equal parts, and the
     points are pushed out onto the sphere. Level 3 is the usual template of single-image reconstruction to 1e-5: 642
     vertices and 1280 faces; exactly 4, 40 and 32 vertices have x, y and z = 0, where the published file, written with
-    six decimals, has 4, 33 and 30. Raises ValueError for a level outside [0, 8] or a radius not above 0.
+    six decimals, has 4, 33 and 30. Raises TypeError or ValueError for a level outside [0, 8] or a radius not above 0.
     """
-    if validate.whole("level", level, 0) > 8:
+    level, radius = validate.whole("level", level, 0), validate.positive("radius", radius)
+    if level > 8:
         raise ValueError(f"level: expected 0 to 8, got {level}")
-    _positive("radius", radius)
     ring = np.arange(5)
     angle = 2 * np.pi * ring / 5
     upper = np.stack([2 * np.cos(angle), np.ones(5), -2 * np.sin(angle)], axis=1) / np.sqrt(5)
@@ -49,8 +49,8 @@ def _subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def cube(size: float = 2.0) -> tuple[Tensor, Tensor]:
-    """A cube of the given side: vertices float32 [8, 3], faces int32 [12, 3]. ValueError unless size > 0."""
-    _positive("size", size)
+    """A cube of this side: vertices float32 [8, 3], faces int32 [12, 3]. TypeError or ValueError unless size > 0."""
+    size = validate.positive("size", size)
     vertices = np.array(list(np.ndindex(2, 2, 2))) - 0.5  # vertex 4x + 2y + z
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     return _mesh(vertices * size, quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3))
@@ -59,13 +59,11 @@ def cube(size: float = 2.0) -> tuple[Tensor, Tensor]:
 def torus(radius: float = 0.7, tube: float = 0.3, segments: int = 48, sides: int = 24) -> tuple[Tensor, Tensor]:
     """A ring around the y axis: vertices float32 [segments·sides, 3], faces int32 [2·segments·sides, 3].
 
-    ``radius`` reaches from the axis to the middle of the tube, whose own radius is ``tube``. ValueError unless
-    radius > 0, tube > 0 and both counts are at least 3.
+    ``radius`` reaches from the axis to the middle of the tube, whose own radius is ``tube``. TypeError or
+    ValueError unless radius > 0, tube > 0 and both counts are at least 3.
     """
-    _positive("radius", radius)
-    _positive("tube", tube)
-    if min(segments, sides) < 3:
-        raise ValueError(f"segments, sides: expected at least 3 each, got {segments} and {sides}")
+    radius, tube = validate.positive("radius", radius), validate.positive("tube", tube)
+    segments, sides = validate.whole("segments", segments, 3), validate.whole("sides", sides, 3)
     i, j = np.indices((segments, sides)).reshape(2, -1)
     around, across = 2 * np.pi * i / segments, 2 * np.pi * j / sides
     distance = radius + tube * np.cos(across)
@@ -73,11 +71,6 @@ def torus(radius: float = 0.7, tube: float = 0.3, segments: int = 48, sides: int
     right, up = (i + 1) % segments, (j + 1) % sides
     a, b, c, d = i * sides + j, right * sides + j, right * sides + up, i * sides + up
     return _mesh(vertices, np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3))
-
-
-def _positive(name: str, value: float) -> None:
-    if not 0 < value < float("inf"):
-        raise ValueError(f"{name}: expected a finite number above 0, got {value}")
 
 
 def _mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[Tensor, Tensor]:
