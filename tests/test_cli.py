@@ -88,6 +88,9 @@ def test_depth_is_bright_where_near_and_black_outside(ball: str, tmp_path: Path)
 def test_normals_are_those_of_the_camera(ball: str, tmp_path: Path) -> None:
     picture = render(ball, tmp_path / "a.png", "--size", "64", "--mode", "normals", "--orthographic")
     assert torch.allclose(picture[32, 32], torch.tensor([0.5, 0.5, 1]), atol=0.03)
+    assert torch.equal(picture[0, 0], torch.ones(3))
+    blue = render(ball, tmp_path / "b.png", "--size", "64", "--mode", "normals", "--background", "0", "0", "1")
+    assert blue[0, 0].tolist() == [0, 0, 1]
     assert picture[32, 55, 0] > 0.85 and picture[32, 8, 0] < 0.15  # red to the right
     assert picture[8, 32, 1] > 0.85 and picture[55, 32, 1] < 0.15  # green up
 
@@ -138,6 +141,11 @@ def test_turntable(ball: str, tmp_path: Path) -> None:
         (["-o", "a.gif", "--turntable", "0"], "--turntable: expected at least 1, got 0"),
         (["-o", "a.gif", "--fps", "0"], "--fps: expected a number above 0, got 0.0"),
         (["-o", "a.jpg", "--background", "transparent"], "--background transparent: expected a .png, got 'a.jpg'"),
+        (
+            ["-o", "a.png", "--mode", "depth", "--background", "white"],
+            "--background: expected --mode rgb or normals, got",
+        ),
+        (["-o", "a.png", "--mode", "silhouettes", "--background", "transparent"], "got silhouettes, which is on black"),
         (["-o", "a.png", "--background", "0", "0", "2"], "--background: expected three numbers from 0 to 1"),
     ],
 )

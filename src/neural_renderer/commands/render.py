@@ -61,9 +61,9 @@ class Render:
     """Number of pictures of a turntable that begins at the azimuth (at least 1); 60 for an animation."""
     fps: float = 20.0
     """Pictures per second of an animation (above 0)."""
-    background: Literal["white", "black", "transparent"] | tuple[float, float, float] = "white"
-    """Colour behind the model in mode rgb or normals: a name, or red, green and blue from 0 to 1; transparent is for
-    .png."""
+    background: Literal["white", "black", "transparent"] | tuple[float, float, float] | None = None
+    """Colour behind the model, for mode rgb or normals only: a name, or red, green and blue from 0 to 1; transparent is
+    for .png. White by default."""
     light: bool = True
     """Light the model from over the viewer's shoulder; without light its colours are drawn as they are."""
     normalize: bool = True
@@ -112,9 +112,11 @@ class Render:
             raise ValueError(f"--azimuth: expected a finite number of degrees, got {self.azimuth}")
         if self.distance is not None:
             self._between("distance", self.distance, 0, math.inf)
+        if self.background is not None and self.mode in ("silhouettes", "depth"):
+            raise ValueError(f"--background: expected --mode rgb or normals, got {self.mode}, which is on black")
         if self.background == "transparent" and suffix != ".png":
             raise ValueError(f"--background transparent: expected a .png, got {self.output.name!r}")
-        if not isinstance(self.background, str) and not all(0 <= value <= 1 for value in self.background):
+        if isinstance(self.background, tuple) and not all(0 <= value <= 1 for value in self.background):
             raise ValueError(f"--background: expected three numbers from 0 to 1, got {self.background}")
 
     @staticmethod
@@ -152,7 +154,7 @@ class Render:
         elif self.light:
             lamp = F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)
             light = Light(ambient=0.4, directional=0.65, direction=lamp)
-        colour = _COLOURS[self.background] if isinstance(self.background, str) else self.background
+        colour = self.background if isinstance(self.background, tuple) else _COLOURS[self.background or "white"]
         images = render(
             shown, camera, size, light=light, background=colour, outputs=("rgb", "alpha"), near=near, far=far
         )
