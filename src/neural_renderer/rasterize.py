@@ -10,7 +10,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from .raster.rasterize import Images, rasterize_images
+from .raster.rasterize import rasterize_images
 
 DEFAULT_IMAGE_SIZE = 256
 DEFAULT_ANTI_ALIASING = True
@@ -153,6 +153,3 @@ class Rasterize(nn.Module):
             None if alpha is None else alpha.flip(1),
             None if depth is None else depth.flip(1),
         )
-
-
-__all__ = ["Images", "Rasterize", "rasterize", "rasterize_depth", "rasterize_rgbad", "rasterize_silhouettes"]
