@@ -61,10 +61,10 @@ def render(
         raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
     if light is not None and not isinstance(light, Light):
         raise TypeError(f"light: expected a Light or None, got {type(light).__name__}")
-    checked_faces(faces)
     outputs = checked_outputs(outputs)
     height, width = image_size("size", size)
     screen = camera(vertices, aspect=width / height)
+    checked_faces(faces)
     factors = None
     if light is not None and "rgb" in outputs:
         factors = light.two_sided(world_corners(vertices, faces, len(screen)), camera.mirrored)
