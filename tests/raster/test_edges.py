@@ -68,7 +68,7 @@ def test_random_scenes(device, scene, channels, eps, ones):
     """Any image, whatever the faces have to do with it; and the silhouette, also by the faster path for it."""
     faces = scene.faces
     index = coverage(faces.to(device), scene.height, scene.width, NEAR, FAR, scene.two_sided, scene.perspective)
-    image = (index >= 0).float()[..., None] if ones else scene.noise(*index.shape, channels).to(device)
+    image = (index >= 0).float()[:, None] if ones else scene.noise(len(index), channels, *index.shape[1:]).to(device)
     grad = scene.noise(*image.shape).flip(0).to(device)
     expected = nmr_edges_reference(grad, image, faces, index, eps, scene.two_sided)
     size = expected.abs().flatten(2).amax(2)
@@ -90,7 +90,7 @@ def test_most_gradients_agree_closely(device):
         scene = Scene(seed, 1, 10, 24, 31, seed % 2 == 0, True, ("plain", "outside", "tiny"))
         faces = scene.faces
         index = coverage(faces.to(device), 24, 31, NEAR, FAR, scene.two_sided, True)
-        image, grad = (scene.noise(2, *index.shape, 3)).to(device)
+        image, grad = (scene.noise(2, 1, 3, *index.shape[1:])).to(device)
         found = gradient(image, faces.to(device), index, 1e-3, scene.two_sided, False, grad)
         expected = nmr_edges_reference(grad, image, faces, index, 1e-3, scene.two_sided)
         drawn = expected.abs().flatten(2).amax(2) > 0
@@ -115,11 +115,11 @@ def test_centres_exactly_on_edges(device, side, binary):
     """A pixel on the edge, at no distance from it, takes the sign of its side."""
     for faces in on_pixels(side):
         index = coverage(faces.to(device), side, side, NEAR, FAR, True, True)
-        image = (index >= 0).float()[..., None]
+        image = (index >= 0).float()[:, None]
         for seed in range(3):
             grad = torch.randn(image.shape, generator=torch.Generator().manual_seed(seed)).to(device)
             for x, y in ((side * faces[0, 0, :, :2] + side - 1) / 2).int().tolist():
-                grad[0, side - 1 - y, x] = 0  # for the corners see the next test
+                grad[0, 0, side - 1 - y, x] = 0  # for the corners see the next test
             expected = nmr_edges_reference(grad, image, faces, index, 1e-3, True)
             found = gradient(image, faces.to(device), index, 1e-3, True, binary, grad)
             # Terms of the size 1 / eps that cancel leave their float32 rounding.
@@ -130,7 +130,7 @@ def test_centres_exactly_on_corners(device):
     """On the line through its one end, an edge moves with that end alone."""
     for faces in on_pixels(8):
         index = coverage(faces.to(device), 8, 8, NEAR, FAR, True, True)
-        image = (index >= 0).float()[..., None]
+        image = (index >= 0).float()[:, None]
         expected = nmr_edges_reference(image, image, faces, index, 1e-3, True)
         found = gradient(image, faces.to(device), index, 1e-3, True, False, image)
         torch.testing.assert_close(found.double(), expected, rtol=1e-5, atol=1e-4)
@@ -139,7 +139,7 @@ def test_centres_exactly_on_corners(device):
 def crossing_case(scene, device, sign):
     faces = scene.faces
     index = coverage(faces.to(device), scene.height, scene.width, NEAR, FAR, scene.two_sided, True)
-    image = (index >= 0).float()[..., None]
+    image = (index >= 0).float()[:, None]
     grad = sign * scene.noise(*image.shape).abs().to(device)
     expected = nmr_edges_reference(grad, image, faces, index, 1e-3, scene.two_sided)
     found = gradient(image, faces.to(device), index, 1e-3, scene.two_sided, True, grad)
@@ -164,7 +164,7 @@ def test_what_is_not_seen_has_no_gradient(device):
     faces = torch.tensor([[[-0.5, -0.5, 1.0], [0.5, -0.5, 1], [0, 0.5, 1]]])
     faces = torch.stack((faces[0], faces[0] + torch.tensor([0, 0, 1.0]), faces[0].flip(0)))[None].to(device)
     index = coverage(faces, 16, 16, NEAR, FAR, False, True)
-    image = (index >= 0).float()[..., None]
+    image = (index >= 0).float()[:, None]
     found = gradient(image, faces, index, 1e-3, False, False, -torch.ones_like(image))
     assert found[0, 0].any() and not found[0, 1:].any()
 
@@ -175,9 +175,9 @@ def test_size_does_not_depend_on_channels_that_do_not_change(device, binary):
     scene = Scene(5, 2, 5, 20, 20, True, True, ("plain",))
     faces = scene.faces.to(device)
     index = coverage(faces, 20, 20, NEAR, FAR, True, True)
-    image = (index >= 0).float()[..., None]
+    image = (index >= 0).float()[:, None]
     grad = scene.noise(*image.shape).to(device)
     alone = gradient(image, faces, index, 1e-3, True, binary, grad)
-    images = torch.cat((image, torch.ones_like(image), torch.randn_like(image)), -1)
-    grads = torch.cat((grad, grad, torch.zeros_like(grad)), -1)
+    images = torch.cat((image, torch.ones_like(image), torch.randn_like(image)), 1)
+    grads = torch.cat((grad, grad, torch.zeros_like(grad)), 1)
     torch.testing.assert_close(gradient(images, faces, index, 1e-3, True, False, grads), alone, rtol=1e-5, atol=1e-5)

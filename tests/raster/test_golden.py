@@ -40,22 +40,22 @@ def test_case(shared, device, case):
 
     images, grads, loss = [], [], torch.zeros((), device=device)
     if "alpha" in data:
-        images, grads = [(index >= 0).float()[..., None]], [get("grad_alpha")[..., None]]
-        assert torch.equal(images[0][same][:, 0], get("alpha")[same])
+        images, grads = [(index >= 0).float()[:, None]], [get("grad_alpha")[:, None]]
+        assert torch.equal(images[0][:, 0][same], get("alpha")[same])
     if "rgb" in data:
         textures = get("textures").requires_grad_()
         light = torch.ones(1, 2, faces.shape[1], 3, device=device)
-        background = get("background").expand(*index.shape, 3)
+        background = get("background").reshape(-1, 3, 1, 1).expand(len(index), 3, side, side)
         maps = (faces.detach(), index, weights.detach(), depth.detach())
         rgb = sample_textures(textures, light, background, *maps, eps, True)
-        torch.testing.assert_close(rgb[same], get("rgb")[same], rtol=0, atol=1e-4)
-        images, grads = [*images, rgb], [*grads, get("grad_rgb")]
+        torch.testing.assert_close(rgb.permute(0, 2, 3, 1)[same], get("rgb")[same], rtol=0, atol=1e-4)
+        images, grads = [*images, rgb], [*grads, get("grad_rgb").permute(0, 3, 1, 2)]
     if images:
-        image = torch.cat(images, -1)
+        image = torch.cat(images, 1)
         loss = (
             loss
             + (
-                nmr_edges(image, faces, index, eps, False, len(images) == 1 and "alpha" in data) * torch.cat(grads, -1)
+                nmr_edges(image, faces, index, eps, False, len(images) == 1 and "alpha" in data) * torch.cat(grads, 1)
             ).sum()
         )
     if "depth" in data:

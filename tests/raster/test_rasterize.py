@@ -35,7 +35,7 @@ def test_operators_are_well_formed(device, name):
 
     leaf = faces.clone().requires_grad_()
     light, cubes = noise(1, 2, 9, 3), noise(2, 9, 3, 3, 3, 3)
-    image, behind = noise(*index.shape, 3), noise(*index.shape, 3)
+    image, behind = noise(2, 3, 14, 18), noise(2, 3, 14, 18)
     triangles = torch.randint(0, 5, (1, 9, 3), dtype=torch.int32, device=device)
     calls = {
         "coverage": [(coverage.coverage, (faces, 14, 18, NEAR, FAR, True, True))],

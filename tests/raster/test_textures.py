@@ -36,7 +36,7 @@ def test_random_scenes(device, scene, size, shared_textures, shared_light, eps):
     a, b = (faces[:, :, k, :2].cpu() - faces[:, :, 0, :2].cpu() for k in (1, 2))
     thin = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).abs() < 1e-5
     light[:, 1] = torch.where(thin.any(0)[:, None], light[:, 0], light[:, 1])
-    background = scene.noise(*index.shape, 3)
+    background = scene.noise(len(index), 3, *index.shape[1:])
     inputs = [t.to(device).requires_grad_() for t in (textures, light, background)]
     maps = (faces, index, weights, depth)
     color = sample_textures(*inputs, *maps, eps, scene.perspective)
@@ -50,7 +50,7 @@ def test_random_scenes(device, scene, size, shared_textures, shared_light, eps):
     for ours, theirs in zip(found, expected, strict=True):
         error = (ours.cpu() - theirs).norm()
         assert error <= 1e-5 * theirs.norm() + 1e-6, float(error)
-    assert torch.equal(found[2].cpu(), to_color * (index.cpu() < 0)[..., None])
+    assert torch.equal(found[2].cpu(), to_color * (index.cpu() < 0)[:, None])
 
 
 @pytest.mark.parametrize("perspective", [True, False])
@@ -65,10 +65,10 @@ def test_textures_lie_flat_in_space(device, perspective):
     weights, depth = barycentrics(screen, index, FAR, perspective)
     ones = torch.ones(1, 2, 1, 3, device=device)
     color = sample_textures(
-        textures, ones, torch.zeros(*index.shape, 3, device=device), screen, index, weights, depth, 0.0, perspective
+        textures, ones, torch.zeros(1, 3, 32, 32, device=device), screen, index, weights, depth, 0.0, perspective
     )
     inside = (index >= 0) & (weights.amax(-1) < 0.9)
-    torch.testing.assert_close(color[inside][:, 2], depth[inside], rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(color[:, 2][inside], depth[inside], rtol=1e-4, atol=1e-4)
 
 
 def test_each_side_has_its_light(device):
@@ -78,7 +78,7 @@ def test_each_side_has_its_light(device):
     weights, depth = barycentrics(faces, index, FAR, True)
     light = torch.tensor([[[[1.0, 2, 3]], [[4.0, 5, 6]]]], device=device)
     textures = torch.ones(1, 1, 2, 2, 2, 3, device=device)
-    black = torch.zeros(2, 4, 4, 3, device=device)
+    black = torch.zeros(2, 3, 4, 4, device=device)
     color = sample_textures(textures, light, black, faces, index, weights, depth, 1e-3, True).cpu()
-    assert torch.allclose(color[0][index.cpu()[0] >= 0], torch.tensor([1.0, 2, 3]))
-    assert torch.allclose(color[1][index.cpu()[1] >= 0], torch.tensor([4.0, 5, 6]))
+    assert torch.allclose(color[0, :, index.cpu()[0] >= 0].T, torch.tensor([1.0, 2, 3]))
+    assert torch.allclose(color[1, :, index.cpu()[1] >= 0].T, torch.tensor([4.0, 5, 6]))

@@ -103,7 +103,7 @@ def _sphere(device: torch.device) -> list[str]:
     corners = faces.detach().cpu()
     seen = coverage_reference(corners, 24, 24, 0.1, 100.0, False, True)
     alpha = (seen >= 0).float()
-    expected = nmr_edges_reference(weight.cpu()[..., None], alpha[..., None], corners, seen, 1e-3, False).float()
+    expected = nmr_edges_reference(weight.cpu()[:, None], alpha[:, None], corners, seen, 1e-3, False).float()
     problems = []
     if _off(images.alpha, alpha, 0):  # type: ignore[arg-type]
         problems.append(_difference("sphere", images.alpha, alpha, 0))  # type: ignore[arg-type]

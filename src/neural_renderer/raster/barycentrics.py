@@ -8,6 +8,7 @@ from torch import Tensor
 from .geometry import homogeneous_weights, in_front, pixel_box, pixel_centre, to_pixels
 from .launch import array, face_lanes, launch, zeros
 from .registration import differentiable_once, operator
+from .seen import next_shown, seen_faces
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -54,7 +55,16 @@ def barycentrics_backward(
     lanes = face_lanes(faces, height * width)
     maps = [array(face_index), array(weights, wp.vec3), array(depth)]
     grads = [array(grad_weights.contiguous(), wp.vec3), array(grad_depth.contiguous())]
-    arguments = [array(faces.contiguous(), wp.vec3), *maps, *grads, int(perspective), lanes, array(result, wp.vec3)]
+    seen = array(seen_faces(face_index, faces.shape[1]))
+    arguments = [
+        array(faces.contiguous(), wp.vec3),
+        *maps,
+        *grads,
+        seen,
+        int(perspective),
+        lanes,
+        array(result, wp.vec3),
+    ]
     launch(_backward, batch * faces.shape[1] * lanes, arguments, faces.device)
     return result
 
@@ -159,6 +169,7 @@ def _backward(
     depth: wp.array3d(dtype=float),
     grad_weights: wp.array3d(dtype=wp.vec3),
     grad_depth: wp.array3d(dtype=float),
+    seen: wp.array2d(dtype=int),
     perspective: int,
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
@@ -168,6 +179,8 @@ def _backward(
     lane = task % lanes
     b = (task // lanes) // faces.shape[1]
     f = (task // lanes) % faces.shape[1]
+    if seen[b, f] == 0:
+        return
     height = face_index.shape[1]
     width = face_index.shape[2]
     v0 = faces[b, f, 0]
@@ -193,17 +206,19 @@ def _backward(
     box = pixel_box(v0, v1, v2, front, height, width)
     for j in range(box[2] + lane, box[3] + 1, lanes):
         row = height - 1 - j
-        for i in range(box[0], box[1] + 1):
-            if face_index[b, row, i] == f:
-                w = weights[b, row, i]
-                scale = grad_depth[b, row, i]
-                if perspective == 1:
-                    scale *= -depth[b, row, i] * depth[b, row, i]
-                # Depth depends on the corners' z directly, and on x and y through the weights.
-                g = grad_weights[b, row, i] + scale * q
-                to_x -= wp.dot(g, dx) * w
-                to_y -= wp.dot(g, dy) * w
-                to_z += scale * w
+        line = wp.int64(b) * wp.int64(height) + wp.int64(row)
+        i = next_shown(face_index, line, width, box[0], box[1] + 1, f)
+        while i <= box[1]:
+            w = weights[b, row, i]
+            scale = grad_depth[b, row, i]
+            if perspective == 1:
+                scale *= -depth[b, row, i] * depth[b, row, i]
+            # Depth depends on the corners' z directly, and on x and y through the weights.
+            g = grad_weights[b, row, i] + scale * q
+            to_x -= wp.dot(g, dx) * w
+            to_y -= wp.dot(g, dy) * w
+            to_z += scale * w
+            i = next_shown(face_index, line, width, i + 1, box[1] + 1, f)
     if perspective == 1:
         to_z = -wp.cw_mul(to_z, wp.cw_mul(q, q))
     for k in range(3):

@@ -53,16 +53,17 @@ def coverage(
 
 @operator
 def silhouette(face_index: Tensor) -> Tensor:
-    """1 where a face is seen, 0 elsewhere: [B, H, W, 1] float32 of ``face_index`` [B, H, W] int32."""
+    """1 where a face is seen, 0 elsewhere: [B, 1, H, W] float32 of ``face_index`` [B, H, W] int32."""
     batch, height, width = face_index.shape
-    alpha = torch.empty((batch, height, width, 1), dtype=torch.float32, device=face_index.device)
+    alpha = torch.empty((batch, 1, height, width), dtype=torch.float32, device=face_index.device)
     launch(_cover, batch * height, [array(face_index), array(alpha)], face_index.device)
     return alpha
 
 
 @torch.library.register_fake("neural_renderer::silhouette")
 def _(face_index):  # type: ignore[no-untyped-def]
-    return face_index.new_empty((*face_index.shape, 1), dtype=torch.float32)
+    batch, height, width = face_index.shape
+    return face_index.new_empty((batch, 1, height, width), dtype=torch.float32)
 
 
 @torch.library.register_fake("neural_renderer::coverage")
@@ -150,16 +151,28 @@ def empty_row(key: wp.array3d(dtype=wp.int64), b: int, row: int):
         key[b, row, i] = EMPTY
 
 
-@wp.func
-def decode_row(key: wp.array3d(dtype=wp.int64), face_index: wp.array3d(dtype=wp.int32), b: int, row: int, count: int):
-    for i in range(key.shape[2]):
-        k = key[b, row, i]
-        index = int(-1)
-        if k != EMPTY:
-            index = int(k & wp.int64(0xFFFFFFFF))
-            if index >= count:
-                index -= count
-        face_index[b, row, i] = index
+_DECODE_ROW = """
+    const wp::int64 first = ((wp::int64)b * key.shape[1] + row) * key.shape[2];
+    const wp::int64* keys = key.data + first;
+    int* shown = face_index.data + first;
+    for (int i = 0; i < key.shape[2]; ++i) {
+        const unsigned index = (unsigned)keys[i];
+        shown[i] = keys[i] == empty ? -1 : (int)(index < (unsigned)count ? index : index - count);
+    }
+"""
+
+
+@wp.func_native(_DECODE_ROW)
+def decode_row(
+    key: wp.array3d(dtype=wp.int64),
+    face_index: wp.array3d(dtype=wp.int32),
+    b: int,
+    row: int,
+    count: int,
+    empty: wp.int64,
+):
+    """From the nearest keys of a row of pixels to the faces they show."""
+    ...
 
 
 @wp.func
@@ -264,19 +277,28 @@ def _draw(
             draw_crossing_face(key, b, index, v0, v1, v2, near, far, height, width, from_row, to_row, lanes)
     if alone == 1:
         for row in range(height - 1 - top, height - bottom):
-            decode_row(key, face_index, b, row, count)
+            decode_row(key, face_index, b, row, count, EMPTY)
 
 
 @wp.kernel
 def _decode(first: int, key: wp.array3d(dtype=wp.int64), face_index: wp.array3d(dtype=wp.int32), count: int):
     task = first + wp.tid()
-    decode_row(key, face_index, task // key.shape[1], task % key.shape[1], count)
+    decode_row(key, face_index, task // key.shape[1], task % key.shape[1], count, EMPTY)
+
+
+_COVER_ROW = """
+    const int* shown = face_index.data + row * width;
+    float* covered = alpha.data + row * width;
+    for (int i = 0; i < width; ++i) covered[i] = shown[i] >= 0 ? 1.0f : 0.0f;
+"""
+
+
+@wp.func_native(_COVER_ROW)
+def cover_row(face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float), row: wp.int64, width: int):
+    """Of all rows of all images, this one."""
+    ...
 
 
 @wp.kernel
 def _cover(first: int, face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float)):
-    task = first + wp.tid()
-    b = task // face_index.shape[1]
-    row = task % face_index.shape[1]
-    for i in range(face_index.shape[2]):
-        alpha[b, row, i, 0] = wp.where(face_index[b, row, i] >= 0, 1.0, 0.0)
+    cover_row(face_index, alpha, wp.int64(first + wp.tid()), face_index.shape[2])

@@ -13,7 +13,8 @@ from torch import Tensor
 from .geometry import facing, to_pixels
 from .launch import array, copy, face_lanes, launch, zeros
 from .registration import differentiable_once, operator
-from .scanlines import PADDING, WIDE, copy_lines, place, shrink, sweep
+from .scanlines import WIDE, copy_lines, empty_lines, place, shrink, sweep
+from .seen import seen_faces
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,7 +26,7 @@ TINY = wp.constant(1.0e-20)
 def nmr_edges(image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool) -> Tensor:
     """The image unchanged; its gradient also flows to the faces' x and y, by the estimator "nmr".
 
-    image: [B, H, W, C] float32, any number of channels, background included, before anti-aliasing.
+    image: [B, C, H, W] float32, any number of channels, background included, before anti-aliasing.
     faces: [B, F, 3, 3] float32 screen-space corners; face_index: [B, H, W] int32, as `coverage` returns it.
     eps: added to every distance (screen units), which bounds the gradient of a pixel that touches the edge.
     two_sided: faces whose corners run clockwise are seen too.
@@ -45,25 +46,25 @@ def nmr_edges_backward(
 ) -> Tensor:
     """The gradient [B, F, 3, 3] that `nmr_edges` sends to its faces; z gets none."""
     grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
-    batch, height, width, channels = image.shape
+    batch, channels, height, width = image.shape
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or image.numel() == 0:
         return result
     device = faces.device
 
-    # Rows and columns side by side, channel by channel. Of a silhouette, one channel of ready gains is enough.
-    planes = 1 if binary else 2 * channels
-    rows = zeros((batch, height, planes, width + PADDING), device)
-    columns = zeros((batch, width, planes, height + PADDING), device)
+    rows = empty_lines(batch, height, width, channels, binary, device)
+    columns = empty_lines(batch, width, height, channels, binary, device)
     spans = torch.empty((batch, height + width, 2), dtype=torch.int32, device=device)
-    seen = zeros((batch, faces.shape[1]), device, torch.int32)
-    maps = [array(image), array(grad), array(face_index)]
-    lines = [array(rows), array(columns), array(spans, wp.vec2i), array(seen), int(binary)]
-    launch(copy_lines, batch * (height + width), [*maps, *lines], device)
+    lines = [array(rows), array(columns), array(spans, wp.vec2i)]
+    abreast = 1 if faces.is_cuda else WIDE
+    tasks = batch * (height + -(-width // abreast))
+    launch(copy_lines, tasks, [array(image), array(grad), *lines, abreast], device)
     lanes = face_lanes(faces, height * width)
     # Zero would divide by zero where a pixel touches the edge.
-    options = [max(eps, 1e-12), int(two_sided), lanes]
-    arguments = [array(faces, wp.vec3), *maps, *lines, *options, array(result, wp.vec3)]
+    options = [int(binary), max(eps, 1e-12), int(two_sided), lanes]
+    seen = array(seen_faces(face_index, faces.shape[1]))
+    shown = [array(image), array(face_index)]
+    arguments = [array(faces, wp.vec3), *shown, *lines, seen, *options, array(result, wp.vec3)]
     launch(_pull, batch * faces.shape[1] * lanes, arguments, device)
     return result
 
@@ -101,7 +102,6 @@ def pull_edge(
     q: wp.vec3,
     r: wp.vec3,
     image: wp.array4d(dtype=float),
-    grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
     lines: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
@@ -113,8 +113,8 @@ def pull_edge(
     axis 0: to x, by the rows the edge crosses; axis 1: to y, by the columns. Scan lines are numbered by u and run along
     v, in pixel units from the bottom left.
     """
-    height = image.shape[1]
-    width = image.shape[2]
+    height = image.shape[2]
+    width = image.shape[3]
     count = width
     length = height
     first_line = height
@@ -122,10 +122,10 @@ def pull_edge(
         count = height
         length = width
         first_line = int(0)
-    channels = image.shape[3]
+    channels = image.shape[1]
     if binary == 1:
         channels = int(0)
-    plane = wp.int64(length + PADDING)
+    plane = wp.int64(lines.shape[3])
     pu = to_pixels(p[1 - axis], count)
     qu = to_pixels(q[1 - axis], count)
     ru = to_pixels(r[1 - axis], count)
@@ -139,6 +139,7 @@ def pull_edge(
     if (pu < qu) == (axis == 1):
         outward = int(-1)
     d = float(outward)
+    area = wp.int64(height) * wp.int64(width)
     reach = wp.abs(qu - pu) * 2.0 / float(length)
     slope = (qv - pv) / (qu - pu)
     far_p = float(0.0)
@@ -157,8 +158,9 @@ def pull_edge(
             continue
         inner_row, inner_column = place(axis, u, inner, height)
         outer_row, outer_column = place(axis, u, outer, height)
-        inner_pixel = (wp.int64(b) * wp.int64(height) + wp.int64(inner_row)) * wp.int64(width) + wp.int64(inner_column)
-        outer_pixel = (wp.int64(b) * wp.int64(height) + wp.int64(outer_row)) * wp.int64(width) + wp.int64(outer_column)
+        image_row = wp.int64(b) * wp.int64(image.shape[1]) * wp.int64(height)
+        inner_pixel = (image_row + wp.int64(inner_row)) * wp.int64(width) + wp.int64(inner_column)
+        outer_pixel = (image_row + wp.int64(outer_row)) * wp.int64(width) + wp.int64(outer_column)
         # For the edge to reach a pixel at the distance x on this line, p travels reach x / share_p, and q likewise (in
         # screen units): their shares of the gradient, times what the pixels gain, over that and eps. The line through
         # one corner is moved by that corner alone.
@@ -166,6 +168,7 @@ def pull_edge(
         share_q = wp.abs(float(u) - pu)
         slack_p = eps * share_p + TINY
         slack_q = eps * share_q + TINY
+        line = (wp.int64(b) * wp.int64(count) + wp.int64(u)) * wp.int64(lines.shape[2]) * plane + wp.int64(WIDE)
         if face_index[b, inner_row, inner_column] == f:
             span = spans[b, first_line + u]
             begin = wp.max(span[0], outer)
@@ -174,13 +177,12 @@ def pull_edge(
                 begin = wp.min(span[1], outer)
                 pixels = begin - span[0] + 1
             if pixels > 0:
-                line = (wp.int64(b) * wp.int64(count) + wp.int64(u)) * wp.int64(lines.shape[2]) * plane
                 sums = sweep(
                     lines,
-                    line + wp.int64(begin + WIDE),
+                    line + wp.int64(begin),
                     plane,
                     image,
-                    inner_pixel * wp.int64(image.shape[3]),
+                    inner_pixel,
                     channels,
                     outward,
                     pixels,
@@ -208,23 +210,26 @@ def pull_edge(
             last = int(wp.ceil(limit))
         pixels = (inner - last) * outward + 1
         if pixels > 0:
-            step = wp.int64(-outward)
+            step = -outward
             if axis == 1:
-                step = wp.int64(outward) * wp.int64(width)
+                step = outward * width
             sums = shrink(
-                face_index,
-                f,
+                lines,
+                line + wp.int64(inner),
+                plane,
                 image,
-                grad,
-                inner_pixel,
                 outer_pixel,
-                step,
+                channels,
+                -outward,
                 pixels,
-                image.shape[3],
                 wp.abs(float(inner) - c),
                 reach,
                 slack_p,
                 slack_q,
+                f,
+                face_index,
+                inner_pixel - wp.int64(b) * wp.int64(image.shape[1] - 1) * area,
+                step,
             )
             near_p += share_p * sums[0]
             near_q += share_q * sums[1]
@@ -236,7 +241,6 @@ def _pull(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
     image: wp.array4d(dtype=float),
-    grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
     rows: wp.array4d(dtype=float),
     columns: wp.array4d(dtype=float),
@@ -271,8 +275,8 @@ def _pull(
             p, q, r = v1, v2, v0
         if k == 2:
             p, q, r = v2, v0, v1
-        to_x = pull_edge(b, f, 0, lane, lanes, p, q, r, image, grad, face_index, rows, spans, eps, binary)
-        to_y = pull_edge(b, f, 1, lane, lanes, p, q, r, image, grad, face_index, columns, spans, eps, binary)
+        to_x = pull_edge(b, f, 0, lane, lanes, p, q, r, image, face_index, rows, spans, eps, binary)
+        to_y = pull_edge(b, f, 1, lane, lanes, p, q, r, image, face_index, columns, spans, eps, binary)
         x[k] += to_x[0]
         y[k] += to_y[0]
         x[(k + 1) % 3] += to_x[1]

@@ -122,21 +122,20 @@ def rasterize_images(
             cubes = _checked_textures(textures, batch, count, device)
             factors = _checked_light(light, batch, count, device)
             behind = _checked_background(background, batch, height, width, device)
-            if anti_aliasing and behind.shape[1] > 1:
-                behind = behind.repeat_interleave(2, 1).repeat_interleave(2, 2)
-            behind = behind.expand(*face_index.shape, 3)
+            if anti_aliasing and behind.shape[2] > 1:
+                behind = behind.repeat_interleave(2, 2).repeat_interleave(2, 3)
+            behind = behind.expand(batch, 3, *face_index.shape[1:])
             places = (still, face_index, weights.detach(), depth.detach())
             layers.append(sample_textures(cubes, factors, behind, *places, eps, perspective))
     if "alpha" in outputs:
         layers.append(silhouette(face_index))
     rgb = alpha = None
     if layers:
-        image = layers[0] if len(layers) == 1 else torch.cat(layers, -1)
+        image = layers[0] if len(layers) == 1 else torch.cat(layers, 1)
         if corners.requires_grad and torch.is_grad_enabled():
             if not perspective:  # depth has no part in it, and a corner behind an orthographic camera is like any other
                 corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
             image = nmr_edges(image, corners, face_index, eps, two_sided, "rgb" not in outputs)
-        image = image.permute(0, 3, 1, 2)
         if anti_aliasing:
             image = halve(image)
         # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied.
@@ -144,7 +143,7 @@ def rasterize_images(
             rgb, alpha = (part.contiguous() for part in image.split((3, 1), 1))
             alpha = alpha.squeeze(1)
         elif "rgb" in outputs:
-            rgb = image.contiguous()
+            rgb = image
         else:
             alpha = image.squeeze(1)
     if "depth" not in outputs:
@@ -234,7 +233,7 @@ def _checked_light(light: Tensor | None, batch: int, count: int, device: torch.d
 
 
 def _checked_background(background: Any, batch: int, height: int, width: int, device: torch.device) -> Tensor:
-    """The background as [1 or B, 1 or H, 1 or W, 3] float32."""
+    """The background as [1 or B, 3, 1 or H, 1 or W] float32."""
     if not isinstance(background, Tensor):
         try:
             background = torch.as_tensor(background, dtype=torch.float32, device=device)
@@ -244,9 +243,9 @@ def _checked_background(background: Any, batch: int, height: int, width: int, de
     validate.finite("background", color)
     shape = tuple(color.shape)
     if shape == (3,) or (len(shape) == 2 and shape[0] in (1, batch) and shape[1] == 3):
-        return color.reshape(-1, 1, 1, 3).contiguous()
+        return color.reshape(-1, 3, 1, 1)
     if shape == (3, height, width) or (len(shape) == 4 and shape[0] in (1, batch) and shape[1:] == (3, height, width)):
-        return color.reshape(-1, 3, height, width).permute(0, 2, 3, 1).contiguous()
+        return color.reshape(-1, 3, height, width)
     raise ValueError(
         f"background: expected [3], [{batch}, 3], [3, {height}, {width}] or [{batch}, 3, {height}, {width}], "
         f"got {list(shape)}"

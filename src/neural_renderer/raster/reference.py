@@ -116,7 +116,7 @@ def sample_textures_reference(
     eps: float,
     perspective: bool,
 ) -> Tensor:
-    """The colour [B, H, W, 3], differentiable in textures, light and background; see `sample_textures`."""
+    """The colour [B, 3, H, W], differentiable in textures, light and background; see `sample_textures`."""
     batch, size, seen = len(faces), textures.shape[2], (face_index >= 0)[..., None]
     if not faces.shape[1]:
         return background.double()
@@ -132,7 +132,7 @@ def sample_textures_reference(
     back = _own((sides(faces, perspective) < 0)[..., None], face_index)
     front_light, back_light = light.double().expand(batch, *light.shape[1:]).unbind(1)
     lit = blend * torch.where(back, _own(back_light, face_index), _own(front_light, face_index))
-    return torch.where(seen, lit, background.double())
+    return torch.where(seen, lit, background.double().permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
 
 
 def gather_corners_reference(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -153,7 +153,8 @@ def nmr_edges_reference(
     corners, side = faces.double().cpu(), sides(faces, True).cpu()
     for b in range(len(faces)):
         # From here on rows count from the bottom. Rows serve the gradient to x, columns that to y.
-        rows = [m[b].detach().cpu().flip(0) for m in (grad.double(), image.double(), face_index)]
+        maps = (grad[b].double().permute(1, 2, 0), image[b].double().permute(1, 2, 0), face_index[b])
+        rows = [m.detach().cpu().flip(0) for m in maps]
         columns = [m.transpose(0, 1) for m in rows]
         for f in range(faces.shape[1]):
             if not corners[b, f].isfinite().all() or not (side[b, f] > 0 or (side[b, f] < 0 and two_sided)):

@@ -5,47 +5,107 @@ come out scalar.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+import math
+
+import torch
 import warp as wp
+from torch import Tensor
 
 wp.set_module_options({"enable_backward": False})
 
-# Pixels of a scan line that are handled at once; each stored line has as many zeros before and behind it.
+# Pixels of a scan line that are handled at once; before each stored line, and behind the last, there are as many zeros.
 WIDE = 16
-PADDING = 2 * WIDE
 
 
-_COPY_LINE = """
-    for (int v = 0; v < length; ++v) {
-        const float pull = grad.data[pixel + v * step], value = image.data[pixel + v * step];
-        if (binary) {
-            // A pixel beside the shape gains by being covered if its gradient is negative.
-            lines.data[line + v] = (pull < 0.0f ? -pull : 0.0f) * (1.0f - value);
-        } else {
-            lines.data[line + v] = pull;
-            lines.data[line + values + v] = value;
+def empty_lines(batch: int, lines: int, length: int, channels: int, binary: bool, device: torch.device) -> Tensor:
+    """Room for scan lines: [batch, lines, planes, WIDE + length]; what is stored of a pixel is a plane apart.
+
+    First the sum over channels of value times gradient, then each channel's gradient. Of a silhouette, one number: what
+    a pixel beside the shape gains by being covered, or, less than zero, what one of the shape gains by being uncovered.
+    """
+    shape = (batch, lines, 1 if binary else 1 + channels, WIDE + length)
+    room = torch.empty(math.prod(shape) + WIDE, dtype=torch.float32, device=device)
+    room[-WIDE:] = 0
+    return room[:-WIDE].view(shape)
+
+
+_COPY = """
+    #pragma clang fp contract(fast)
+    const wp::int64 area = (wp::int64)image.shape[2] * image.shape[3], next = planes * plane;
+    const int channels = image.shape[1];
+    float* stored = lines.data + line;
+    for (int k = 0; k < count * planes; ++k)
+        for (int i = 1; i <= 16; ++i) stored[k * plane - i] = 0.0f;
+    const float *value = image.data + b * channels * area + pixel, *pull = grad.data + b * channels * area + pixel;
+    if (planes == 1) {
+        EACH {
+            const float gain = -pull[from];
+            stored[to] = gain > 0.0f ? gain * (1.0f - value[from]) : gain * value[from];
+        }
+    } else {
+        EACH stored[to] = 0.0f;
+        for (int c = 0; c < channels; ++c, value += area, pull += area) {
+            // Summed as `_SUM` does it: a pixel of the very colour it would change to must gain nothing at all.
+            float* pulls = stored + (c + 1) * plane;
+            EACH {
+                stored[to] += value[from] * pull[from];
+                pulls[to] = pull[from];
+            }
         }
     }
-    int low = span[0], high = span[1];
-    for (int v = 0; v < low; ++v) if (lines.data[line + v] != 0.0f) low = v;
-    for (int v = length - 1; v > high; --v) if (lines.data[line + v] != 0.0f) high = v;
-    return wp::vec_t<2, int>(low, high);
+    for (int k = 0; k < count; ++k) {
+        int low = length, high = -1;
+        for (int c = planes == 1 ? 0 : 1; c < planes; ++c) {
+            const float* line_of = stored + k * next + c * plane;
+            for (int v = 0; v < low; ++v) if (planes == 1 ? line_of[v] > 0.0f : line_of[v] != 0.0f) low = v;
+            for (int v = length - 1; v > high; --v) if (planes == 1 ? line_of[v] > 0.0f : line_of[v] != 0.0f) high = v;
+        }
+        spans.data[span + k] = wp::vec_t<2, int>(low, high);
+    }
 """
 
 
-@wp.func_native(_COPY_LINE)
-def copy_line(
-    grad: wp.array4d(dtype=float),
+@wp.func_native(_COPY.replace("EACH", "for (int from = 0, to = 0; to < length; ++from, ++to)"))
+def copy_row(
     image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    b: int,
     pixel: wp.int64,
-    step: wp.int64,
+    count: int,
+    length: int,
     lines: wp.array4d(dtype=float),
     line: wp.int64,
-    values: wp.int64,
+    plane: wp.int64,
+    planes: int,
+    spans: wp.array2d(dtype=wp.vec2i),
+    span: wp.int64,
+):
+    """Store the row of ``length`` pixels that starts at ``pixel`` of image ``b`` at ``line``, and its span."""
+    ...
+
+
+@wp.func_native(
+    _COPY.replace(
+        "EACH",
+        "for (int v = 0; v < length; ++v) for (wp::int64 k = 0, from = -(wp::int64)v * image.shape[3], to = v;"
+        " k < count; ++k, ++from, to += next)",
+    )
+)
+def copy_columns(
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    b: int,
+    pixel: wp.int64,
+    count: int,
     length: int,
-    binary: int,
-    span: wp.vec2i,
-) -> wp.vec2i:
-    """Copy one channel of a scan line from ``pixel`` on to ``line``, the image's ``values`` further; widen the span."""
+    lines: wp.array4d(dtype=float),
+    line: wp.int64,
+    plane: wp.int64,
+    planes: int,
+    spans: wp.array2d(dtype=wp.vec2i),
+    span: wp.int64,
+):
+    """Store ``count`` neighbouring columns, the first of which starts at ``pixel``, and their spans."""
     ...
 
 
@@ -54,80 +114,75 @@ def copy_lines(
     first: int,
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
-    face_index: wp.array3d(dtype=int),
     rows: wp.array4d(dtype=float),
     columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
-    seen: wp.array2d(dtype=int),
-    binary: int,
+    abreast: int,
 ):
-    """One scan line (rows first, then columns; counted from the bottom left): its pixels side by side, channel by
-    channel, and the span outside which no pixel can pull an edge outward. Also marks the faces that are seen."""
+    """One row, or as many neighbouring columns as are read ``abreast``; all are counted from the bottom left.
+
+    A line's span is from the first to the last pixel that can pull an edge outward.
+    """
     task = first + wp.tid()
-    height = image.shape[1]
-    width = image.shape[2]
-    channels = image.shape[3]
-    b = task // (height + width)
-    line = task % (height + width)
-    bottom = (wp.int64(b) * wp.int64(height) + wp.int64(height - 1)) * wp.int64(width)
-    span = wp.vec2i(width, -1)
-    if line < height:
-        plane = wp.int64(width + PADDING)
-        to = (wp.int64(b) * wp.int64(height) + wp.int64(line)) * wp.int64(rows.shape[2]) * plane + wp.int64(WIDE)
-        for c in range(channels):
-            pixel = (bottom - wp.int64(line) * wp.int64(width)) * wp.int64(channels) + wp.int64(c)
-            here = to + wp.int64(c) * plane
-            ahead = wp.int64(channels) * plane
-            span = copy_line(grad, image, pixel, wp.int64(channels), rows, here, ahead, width, binary, span)
-        for i in range(width):
-            f = face_index[b, height - 1 - line, i]
-            if f >= 0:
-                seen[b, f] = 1
+    height = image.shape[2]
+    width = image.shape[3]
+    planes = rows.shape[2]
+    tasks = height + (width + abreast - 1) // abreast
+    b = task // tasks
+    own = task % tasks
+    bottom = wp.int64(height - 1) * wp.int64(width)
+    span = wp.int64(b) * wp.int64(height + width)
+    if own < height:
+        plane = wp.int64(rows.shape[3])
+        to = (wp.int64(b) * wp.int64(height) + wp.int64(own)) * wp.int64(planes) * plane + wp.int64(WIDE)
+        pixel = bottom - wp.int64(own) * wp.int64(width)
+        span += wp.int64(own)
+        copy_row(image, grad, b, pixel, 1, width, rows, to, plane, planes, spans, span)
     else:
-        u = line - height
-        span = wp.vec2i(height, -1)
-        plane = wp.int64(height + PADDING)
-        to = (wp.int64(b) * wp.int64(width) + wp.int64(u)) * wp.int64(columns.shape[2]) * plane + wp.int64(WIDE)
-        for c in range(channels):
-            pixel = (bottom + wp.int64(u)) * wp.int64(channels) + wp.int64(c)
-            here = to + wp.int64(c) * plane
-            ahead = wp.int64(channels) * plane
-            up = -wp.int64(channels) * wp.int64(width)
-            span = copy_line(grad, image, pixel, up, columns, here, ahead, height, binary, span)
-    spans[b, line] = span
+        u = (own - height) * abreast
+        count = wp.min(abreast, width - u)
+        plane = wp.int64(columns.shape[3])
+        to = (wp.int64(b) * wp.int64(width) + wp.int64(u)) * wp.int64(planes) * plane + wp.int64(WIDE)
+        pixel = bottom + wp.int64(u)
+        span += wp.int64(height + u)
+        copy_columns(image, grad, b, pixel, count, height, columns, to, plane, planes, spans, span)
 
 
-_SWEEP = """
-    float gain[16], sum_p[16], sum_q[16];
+# The sum over ``count`` pixels of a scan line, from ``line`` on in the direction ``way``, of what they gain by the
+# colour at ``pixel``, over the travel of an edge's two corners: for each corner reach * distance + its slack.
+# What is read beyond the count must be zero, or not be kept. Operands may be fused: an exact zero stays one.
+_SUM = """
+    #pragma clang fp contract(fast)
+    float gain[16], lost[16], sum_p[16], sum_q[16];
     for (int k = 0; k < 16; ++k) sum_p[k] = sum_q[k] = 0.0f;
     // The usual three channels are spelled out, so that their colours stay in registers.
-    const float red = image.data[pixel], green = channels < 3 ? 0.0f : image.data[pixel + 1];
-    const float blue = channels < 3 ? 0.0f : image.data[pixel + 2];
-    const float slope = outward > 0 ? 1.0f : -1.0f;
-    const float offset = outward > 0 ? distance : distance + 15.0f;
+    const wp::int64 area = (wp::int64)image.shape[2] * image.shape[3];
+    const float red = image.data[pixel], green = channels < 3 ? 0.0f : image.data[pixel + area];
+    const float blue = channels < 3 ? 0.0f : image.data[pixel + 2 * area];
+    const float slope = way > 0 ? 1.0f : -1.0f;
+    const float offset = way > 0 ? distance : distance + 15.0f;
     for (int n = 0; n < count; n += 16) {
-        const long long start = line + (outward > 0 ? n : -n - 15);
-        const float* pull = lines.data + start;
-        if (channels == 0) {
-            for (int k = 0; k < 16; ++k) gain[k] = pull[k];
-        } else {
-            const float* value = pull + channels * plane;
-            for (int k = 0; k < 16; ++k) gain[k] = (value[k] - red) * pull[k];
-            if (channels >= 3)
-                for (int k = 0; k < 16; ++k)
-                    gain[k] += (value[plane + k] - green) * pull[plane + k]
-                             + (value[2 * plane + k] - blue) * pull[2 * plane + k];
-            for (int c = channels < 3 ? 1 : 3; c < channels; ++c) {
-                const float shown = image.data[pixel + c];
-                for (int k = 0; k < 16; ++k) gain[k] += (value[c * plane + k] - shown) * pull[c * plane + k];
+        const wp::int64 start = line + (way > 0 ? n : -n - 15);
+        const float* stored = lines.data + start;
+        BLOCK
+        if (channels > 0) {
+            const float* pull = stored + plane;
+            for (int k = 0; k < 16; ++k) lost[k] = red * pull[k];
+            if (channels >= 3) {
+                for (int k = 0; k < 16; ++k) lost[k] += green * pull[plane + k];
+                for (int k = 0; k < 16; ++k) lost[k] += blue * pull[2 * plane + k];
             }
-            for (int k = 0; k < 16; ++k) gain[k] = gain[k] > 0.0f ? gain[k] : 0.0f;
+            for (int c = channels < 3 ? 1 : 3; c < channels; ++c) {
+                const float color = image.data[pixel + c * area];
+                for (int k = 0; k < 16; ++k) lost[k] += color * pull[c * plane + k];
+            }
+            for (int k = 0; k < 16; ++k) gain[k] -= lost[k];
         }
         for (int k = 0; k < 16; ++k) {
             const float away = offset + (float)n + slope * (float)k;
             const float travel_p = reach * away + slack_p;
             const float travel_q = reach * away + slack_q;
-            const float share = gain[k] / (travel_p * travel_q);
+            const float share = (KEEP ? gain[k] : 0.0f) / (travel_p * travel_q);
             sum_p[k] += share * travel_q;
             sum_q[k] += share * travel_p;
         }
@@ -141,7 +196,9 @@ _SWEEP = """
 """
 
 
-@wp.func_native(_SWEEP)
+@wp.func_native(
+    _SUM.replace("BLOCK", "for (int k = 0; k < 16; ++k) gain[k] = stored[k];").replace("KEEP", "gain[k] > 0.0f")
+)
 def sweep(
     lines: wp.array4d(dtype=float),
     line: wp.int64,
@@ -149,62 +206,50 @@ def sweep(
     image: wp.array4d(dtype=float),
     pixel: wp.int64,
     channels: int,
-    outward: int,
+    way: int,
     count: int,
     distance: float,
     reach: float,
     slack_p: float,
     slack_q: float,
 ) -> wp.vec2:
-    """Sum over pixels of a scan line what they gain by the colour at ``pixel``, over the corners' travel.
-
-    line: where the first pixel lies in ``lines``, from which ``count`` pixels follow in the direction ``outward``;
-    plane: from one channel to the next; channels: 0 where the stored values are the gains;
-    distance: of the first pixel from the edge. Whatever is read beyond the count lies outside the line's span: no gain.
-    """
+    """Outward, to the end of the line's span. channels: 0 where what is stored at ``line`` are the gains themselves;
+    distance: of the first pixel from the edge."""
     ...
 
 
-_SHRINK = """
-    float sum_p = 0.0f, sum_q = 0.0f;
-    for (int n = 0; n < count; ++n) {
-        const wp::int64 here = inner + n * step;
-        if (face_index.data[here] != f) continue;
-        float gain = 0.0f;
-        for (int c = 0; c < channels; ++c)
-            gain += (image.data[here * channels + c] - image.data[outer * channels + c]) * grad.data[here * channels +
-            c];
-        if (gain <= 0.0f) continue;
-        const float away = distance + (float)n;
-        const float travel_p = reach * away + slack_p, travel_q = reach * away + slack_q;
-        const float share = gain / (travel_p * travel_q);
-        sum_p += share * travel_q;
-        sum_q += share * travel_p;
-    }
-    return wp::vec_t<2, float>(sum_p, sum_q);
+_SHOWN = """
+        const int* pixels = face_index.data + shown;
+        int face[16];
+        for (int k = 0; k < 16; ++k) {
+            const int here = way > 0 ? n + k : n + 15 - k;
+            face[k] = pixels[here < count ? here * step : 0];
+        }
+        for (int k = 0; k < 16; ++k) gain[k] = channels > 0 ? stored[k] : -stored[k];
 """
+_IS_SHOWN = "gain[k] > 0.0f && face[k] == f && (way > 0 ? n + k : n + 15 - k) < count"
 
 
-@wp.func_native(_SHRINK)
+@wp.func_native(_SUM.replace("BLOCK", _SHOWN).replace("KEEP", _IS_SHOWN))
 def shrink(
-    face_index: wp.array3d(dtype=int),
-    f: int,
+    lines: wp.array4d(dtype=float),
+    line: wp.int64,
+    plane: wp.int64,
     image: wp.array4d(dtype=float),
-    grad: wp.array4d(dtype=float),
-    inner: wp.int64,
-    outer: wp.int64,
-    step: wp.int64,
-    count: int,
+    pixel: wp.int64,
     channels: int,
+    way: int,
+    count: int,
     distance: float,
     reach: float,
     slack_p: float,
     slack_q: float,
+    f: int,
+    face_index: wp.array3d(dtype=int),
+    shown: wp.int64,
+    step: int,
 ) -> wp.vec2:
-    """The same sum over the ``count`` pixels from ``inner`` on that show the face, by the colour at ``outer``.
-
-    They are few, and not stored side by side; ``inner``, ``outer`` and ``step`` count pixels of the images.
-    """
+    """Inward, over the pixels that show the face ``f`` by ``face_index`` from ``shown`` on, ``step`` apart."""
     ...
 
 

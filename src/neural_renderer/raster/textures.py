@@ -8,6 +8,7 @@ from torch import Tensor
 from .geometry import facing, in_front, pixel_box
 from .launch import array, face_lanes, launch, zeros
 from .registration import differentiable_once, operator
+from .seen import next_shown, seen_faces
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,28 +25,29 @@ def sample_textures(
     eps: float,
     perspective: bool,
 ) -> Tensor:
-    """The colour [B, H, W, 3] of each pixel; differentiable in textures, light and background.
+    """The colour [B, 3, H, W] of each pixel; differentiable in textures, light and background.
 
     textures: [B or 1, F, T, T, T, 3] float32, T >= 2; texel [a][b][c] belongs to corner weights (0, 1, 2) in that
     order.
     light: [B or 1, 2, F, 3] factors on the side that is seen when the corners run counter-clockwise, and on the other.
-    background: [B, H, W, 3], seen where no face is.
+    background: [B, 3, H, W], seen where no face is.
     faces, face_index, weights, depth: as `coverage` and `barycentrics` take and give them.
     eps: cube coordinates end at T - 1 - eps.
 
     The coordinate along corner k's axis is ``w_k (T - 1) z / z_k``, so that textures lie flat in space (``w_k (T - 1)``
     without perspective), and the 8 texels around it are blended. The coordinate passes no gradient on.
     """
-    color = torch.empty((*face_index.shape, 3), dtype=torch.float32, device=faces.device)
-    batch, height = face_index.shape[:2]
+    batch, height, width = face_index.shape
+    color = torch.empty((batch, 3, height, width), dtype=torch.float32, device=faces.device)
     arguments = _arguments(textures, light, faces, face_index, weights, depth, eps, perspective)
-    launch(_forward, batch * height, [*arguments, array(background, wp.vec3), array(color, wp.vec3)], faces.device)
+    launch(_forward, batch * height, [*arguments, array(background), array(color)], faces.device)
     return color
 
 
 @torch.library.register_fake("neural_renderer::sample_textures")
 def _(textures, light, background, faces, face_index, weights, depth, eps, perspective):  # type: ignore[no-untyped-def]
-    return faces.new_empty((*face_index.shape, 3))
+    batch, height, width = face_index.shape
+    return faces.new_empty((batch, 3, height, width))
 
 
 @differentiable_once
@@ -63,9 +65,12 @@ def sample_textures_backward(
 ) -> tuple[Tensor, Tensor]:
     """The gradients of `sample_textures` to textures and light (zero if not ``light_too``)."""
     batch, height, width = face_index.shape
-    to_textures = zeros(textures.shape, faces.device)
-    to_light = zeros((batch, *light.shape[1:]), faces.device)
     lanes = face_lanes(faces, height * width)
+    # A face's only task clears its cubes itself, which spares the memory one pass.
+    to_textures = torch.empty(textures.shape, dtype=torch.float32, device=faces.device)
+    if lanes > 1:
+        to_textures.zero_()
+    to_light = zeros((batch, *light.shape[1:]), faces.device)
     arguments = _arguments(textures, light, faces, face_index, weights, depth, eps, perspective)
     results = [
         array(to_textures.view(*textures.shape[:2], textures.shape[2] ** 3, 3), wp.vec3),
@@ -74,10 +79,11 @@ def sample_textures_backward(
     # Textures that images share belong to one task, which takes the images in turn.
     images = 1 if textures.shape[0] < batch else batch
     tasks = images * faces.shape[1] * lanes
+    seen = array(seen_faces(face_index, faces.shape[1]))
     launch(
         _backward,
         tasks,
-        [*arguments, array(grad.contiguous(), wp.vec3), int(light_too), images, lanes, *results],
+        [*arguments, array(grad.contiguous()), seen, int(light_too), images, lanes, *results],
         faces.device,
     )
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light
@@ -113,7 +119,7 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
         light_too = ctx.needs_input_grad[1]
         to_textures, to_light = sample_textures_backward(grad, *ctx.saved_tensors, ctx.eps, ctx.perspective, light_too)
     if ctx.needs_input_grad[2]:
-        to_background = grad * (ctx.saved_tensors[3] < 0)[..., None]
+        to_background = grad * (ctx.saved_tensors[3] < 0)[:, None]
     return to_textures, to_light, to_background, None, None, None, None, None, None
 
 
@@ -158,6 +164,15 @@ def scatter(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int, c: w
     ...
 
 
+@wp.func_native("""
+    const wp::int64 texels = (wp::int64)size * size * size;
+    memset(textures.data + cube * texels, 0, texels * sizeof(wp::vec_t<3, float>));
+""")
+def clear(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int):
+    """Set the cube of that number to zero."""
+    ...
+
+
 @wp.func
 def side_seen(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
     if facing(v0, v1, v2, perspective) < 0:
@@ -177,8 +192,8 @@ def _forward(
     size: int,
     eps: float,
     perspective: int,
-    background: wp.array3d(dtype=wp.vec3),
-    color: wp.array3d(dtype=wp.vec3),
+    background: wp.array4d(dtype=float),
+    color: wp.array4d(dtype=float),
 ):
     task = first + wp.tid()
     height = face_index.shape[1]
@@ -191,7 +206,8 @@ def _forward(
     for i in range(face_index.shape[2]):
         f = face_index[b, row, i]
         if f < 0:
-            color[b, row, i] = background[b, row, i]
+            for c in range(3):
+                color[b, c, row, i] = background[b, c, row, i]
         else:
             if f != last:  # neighbours mostly show the same face
                 last = f
@@ -200,8 +216,10 @@ def _forward(
                 v2 = faces[b, f, 2]
                 z = wp.vec3(v0[2], v1[2], v2[2])
                 factor = light[wp.min(b, light.shape[0] - 1), side_seen(v0, v1, v2, perspective), f]
-            c = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
-            color[b, row, i] = wp.cw_mul(blend(textures, cubes + wp.int64(f), size, c), factor)
+            at = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
+            lit = wp.cw_mul(blend(textures, cubes + wp.int64(f), size, at), factor)
+            for c in range(3):
+                color[b, c, row, i] = lit[c]
 
 
 @wp.kernel
@@ -216,7 +234,8 @@ def _backward(
     size: int,
     eps: float,
     perspective: int,
-    grad: wp.array3d(dtype=wp.vec3),
+    grad: wp.array4d(dtype=float),
+    seen: wp.array2d(dtype=int),
     light_too: int,
     images: int,
     lanes: int,
@@ -233,10 +252,14 @@ def _backward(
     cube = wp.int64(own) * wp.int64(faces.shape[1]) + wp.int64(f)
     from_image = own
     to_image = own + 1
+    if lanes == 1:
+        clear(to_textures, cube, size)
     if images == 1:
         from_image = 0
         to_image = faces.shape[0]
     for b in range(from_image, to_image):
+        if seen[b, f] == 0:
+            continue
         v0 = faces[b, f, 0]
         v1 = faces[b, f, 1]
         v2 = faces[b, f, 2]
@@ -250,11 +273,13 @@ def _backward(
         box = pixel_box(v0, v1, v2, front, height, width)
         for j in range(box[2] + lane, box[3] + 1, lanes):
             row = height - 1 - j
-            for i in range(box[0], box[1] + 1):
-                if face_index[b, row, i] == f:
-                    g = grad[b, row, i]
-                    c = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
-                    scatter(to_textures, cube, size, c, wp.cw_mul(g, factor))
-                    if light_too == 1:
-                        lit += wp.cw_mul(blend(textures, cube, size, c), g)
+            line = wp.int64(b) * wp.int64(height) + wp.int64(row)
+            i = next_shown(face_index, line, width, box[0], box[1] + 1, f)
+            while i <= box[1]:
+                g = wp.vec3(grad[b, 0, row, i], grad[b, 1, row, i], grad[b, 2, row, i])
+                c = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
+                scatter(to_textures, cube, size, c, wp.cw_mul(g, factor))
+                if light_too == 1:
+                    lit += wp.cw_mul(blend(textures, cube, size, c), g)
+                i = next_shown(face_index, line, width, i + 1, box[1] + 1, f)
         wp.atomic_add(to_light, b, side, f, lit)
