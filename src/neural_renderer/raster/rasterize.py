@@ -209,15 +209,12 @@ def _check_memory(batch: int, height: int, width: int, channels: int, device: to
 def _checked_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:
     if textures is None:
         raise ValueError('textures: expected a tensor [B, F, T, T, T, 3] to draw "rgb", got None')
-    validate.floating("textures", textures, ("B", "F", "T", "T", "T", 3))
+    validate.cubes("textures", textures, "B", "F")
     validate.same_device(faces=torch.empty(0, device=device), textures=textures)
-    images, owned, a, b, c = textures.shape[:5]
-    if images not in (1, batch) or owned != count:
+    if textures.shape[0] not in (1, batch) or textures.shape[1] != count:
         raise ValueError(
             f"textures: expected [{batch} or 1, {count}, T, T, T, 3] like faces, got {validate.shape_of(textures)}"
         )
-    if not (a == b == c and a >= 2):
-        raise ValueError(f"textures: expected cubes of equal sides T >= 2, got {a} x {b} x {c}")
     validate.finite("textures", textures)
     return textures.float()
 
@@ -239,6 +236,9 @@ def _checked_background(background: Any, batch: int, height: int, width: int, de
             background = torch.as_tensor(background, dtype=torch.float32, device=device)
         except (TypeError, ValueError, RuntimeError):
             raise TypeError(f"background: expected a colour [3] or [B, 3] or an image, got {background!r}") from None
+    validate.dense("background", background)
+    if device.type != "meta":
+        validate.has_numbers("background", background)
     color = background.to(device=device, dtype=torch.float32)
     validate.finite("background", color)
     shape = tuple(color.shape)
