@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from .geometry import facing, homogeneous_weights, in_front, pixel_box, pixel_centre
-from .launch import array, cpu_bands, launch
+from .launch import MANY_PIXELS, array, cpu_bands, launch
 from .registration import operator
 
 # Without fused multiply-adds an edge a -> b and its twin b -> a have exactly opposite signs at every pixel, so
@@ -55,8 +55,9 @@ def coverage(
 def silhouette(face_index: Tensor) -> Tensor:
     """1 where a face is seen, 0 elsewhere: [B, 1, H, W] float32 of ``face_index`` [B, H, W] int32."""
     batch, height, width = face_index.shape
+    many_rows = MANY_PIXELS // max(width, 1)
     alpha = torch.empty((batch, 1, height, width), dtype=torch.float32, device=face_index.device)
-    launch(_cover, batch * height, [array(face_index), array(alpha)], face_index.device)
+    launch(_cover, batch * height, [array(face_index), array(alpha)], face_index.device, many_rows)
     return alpha
 
 

@@ -23,6 +23,9 @@ from torch import Tensor
 # Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
 _PIECES = 4
 
+# Pixels to look at before another CPU thread is worth waking.
+MANY_PIXELS = 1 << 20
+
 _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
 _pool: ThreadPoolExecutor | None = None
@@ -128,11 +131,12 @@ def array(tensor: Tensor, dtype: Any = None) -> Any:
     return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False, return_ctype=True)
 
 
-def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torch.device) -> None:
+def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torch.device, least: int = 1) -> None:
     """Run ``kernel(first, *arguments)`` for ``tasks`` tasks on ``device``.
 
     tasks: how many tasks; the kernel adds ``first`` to its thread index.
     arguments: tensors as `array` gives them, and numbers.
+    least: how many tasks are worth another CPU thread.
     """
     if tasks == 0:
         return
@@ -143,7 +147,7 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
             wp.launch(kernel, tasks, [0, *arguments], stream=stream, record_tape=False)
         return
     _load(kernel, "cpu")
-    threads = min(torch.get_num_threads(), tasks)
+    threads = min(torch.get_num_threads(), max(1, tasks // least))
     pieces = min(tasks, _PIECES * threads) if threads > 1 else 1
     numbers = itertools.count()
 

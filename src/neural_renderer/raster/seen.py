@@ -5,7 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from .launch import array, launch, zeros
+from .launch import MANY_PIXELS, array, launch, zeros
 
 wp.set_module_options({"enable_backward": False})
 
@@ -16,7 +16,9 @@ def seen_faces(face_index: Tensor, count: int) -> Tensor:
     face_index: [B, H, W] int32, as `coverage` returns it. The last entry is for the pixels that show none.
     """
     seen = zeros((len(face_index), count + 1), face_index.device, torch.int32)
-    launch(_mark, face_index.shape[0] * face_index.shape[1], [array(face_index), array(seen)], face_index.device)
+    batch, height, width = face_index.shape
+    many_rows = MANY_PIXELS // max(width, 1)
+    launch(_mark, batch * height, [array(face_index), array(seen)], face_index.device, many_rows)
     return seen
 
 
