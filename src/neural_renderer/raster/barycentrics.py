@@ -20,10 +20,10 @@ def barycentrics(faces: Tensor, face_index: Tensor, far: float, perspective: boo
     faces: [B, F, 3, 3] float32 screen-space corners; face_index: [B, H, W] int32.
     perspective: depth is ``1 / sum(w_k / z_k)``; ``sum(w_k z_k)`` otherwise.
 
-    Returns weights [B, H, W, 3], screen-space barycentric, of sum 1, in [0, 1] for a face in front of the camera, 0
-    where
-    no face is seen; and depth [B, H, W], ``far`` where no face is seen. Backward is the analytic derivative inside the
-    face: with the pixel fixed, moving corner m by v changes w_k by ``-w_m grad(w_k) . v``.
+    Returns weights [B, H, W, 3], the shares of the corners in the point that is seen, in space: what a quantity given
+    at the corners is interpolated with. They are ``w_k z / z_k`` (``w_k`` without perspective), in [0, 1], of sum 1, and
+    0 where no face is seen. And depth [B, H, W], ``far`` where no face is seen. Backward is the analytic derivative
+    inside the face: with the pixel fixed, moving corner m by v on the screen changes w_k by ``-w_m grad(w_k) . v``.
     """
     batch, height, width = face_index.shape
     weights = torch.empty((batch, height, width, 3), dtype=torch.float32, device=faces.device)
@@ -150,12 +150,14 @@ def _forward(
                 w = w / (w[0] + w[1] + w[2])
                 if perspective == 1:
                     z = 1.0 / (w[0] / v0[2] + w[1] / v1[2] + w[2] / v2[2])
+                    w = wp.vec3(w[0] * z / v0[2], w[1] * z / v1[2], w[2] * z / v2[2])
                 else:
                     z = w[0] * v0[2] + w[1] * v1[2] + w[2] * v2[2]
             else:
                 a = homogeneous_weights(v0, v1, v2, pixel_centre(i, width), y)
-                z = float(wp.float64(1.0) / (a[0] + a[1] + a[2]))
-                w = wp.vec3(float(a[0]) * v0[2], float(a[1]) * v1[2], float(a[2]) * v2[2])
+                whole = a[0] + a[1] + a[2]
+                z = float(wp.float64(1.0) / whole)
+                w = wp.vec3(float(a[0] / whole), float(a[1] / whole), float(a[2] / whole))
         weights[b, row, i] = w
         depth[b, row, i] = z
 
@@ -196,10 +198,10 @@ def _backward(
     dx = wp.vec3(v1[1] - v2[1], v2[1] - v0[1], v0[1] - v1[1]) / area
     dy = wp.vec3(v2[0] - v1[0], v0[0] - v2[0], v1[0] - v0[0]) / area
     z = wp.vec3(v0[2], v1[2], v2[2])
-    # The quantity that is linear in the weights: 1 / z, or z itself.
-    q = z
+    # In perspective, depth and the weights in space are made of w_k / z_k: 1 / depth is their sum.
+    inverse = wp.vec3(1.0, 1.0, 1.0)
     if perspective == 1:
-        q = wp.vec3(1.0 / z[0], 1.0 / z[1], 1.0 / z[2])
+        inverse = wp.vec3(1.0 / z[0], 1.0 / z[1], 1.0 / z[2])
     to_x = wp.vec3(0.0, 0.0, 0.0)
     to_y = wp.vec3(0.0, 0.0, 0.0)
     to_z = wp.vec3(0.0, 0.0, 0.0)
@@ -210,17 +212,20 @@ def _backward(
         i = next_shown(face_index, line, width, box[0], box[1] + 1, f)
         while i <= box[1]:
             w = weights[b, row, i]
-            scale = grad_depth[b, row, i]
+            to_weights = grad_weights[b, row, i]
+            to_depth = grad_depth[b, row, i]
             if perspective == 1:
-                scale *= -depth[b, row, i] * depth[b, row, i]
-            # Depth depends on the corners' z directly, and on x and y through the weights.
-            g = grad_weights[b, row, i] + scale * q
+                d = depth[b, row, i]
+                same = wp.dot(to_weights, w) + d * to_depth
+                g = d * wp.cw_mul(to_weights - wp.vec3(same, same, same), inverse)
+                w = wp.vec3(w[0] * z[0], w[1] * z[1], w[2] * z[2]) / d
+                to_z -= wp.cw_mul(g, wp.cw_mul(w, inverse))
+            else:
+                g = to_weights + to_depth * z
+                to_z += to_depth * w
             to_x -= wp.dot(g, dx) * w
             to_y -= wp.dot(g, dy) * w
-            to_z += scale * w
             i = next_shown(face_index, line, width, i + 1, box[1] + 1, f)
-    if perspective == 1:
-        to_z = -wp.cw_mul(to_z, wp.cw_mul(q, q))
     for k in range(3):
         part = wp.vec3(to_x[k], to_y[k], to_z[k])
         if lanes == 1:

@@ -125,7 +125,7 @@ def rasterize_images(
             if anti_aliasing and behind.shape[2] > 1:
                 behind = behind.repeat_interleave(2, 2).repeat_interleave(2, 3)
             behind = behind.expand(batch, 3, *face_index.shape[1:])
-            places = (still, face_index, weights.detach(), depth.detach())
+            places = (still, face_index, weights.detach())
             layers.append(sample_textures(cubes, factors, behind, *places, eps, perspective))
     if "alpha" in outputs:
         layers.append(silhouette(face_index))

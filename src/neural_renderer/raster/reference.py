@@ -102,6 +102,7 @@ def barycentrics_reference(faces: Tensor, face_index: Tensor, far: float, perspe
         hit = _hit(torch.where(crossing[..., None, None], own, plain), x, y)
         weights = torch.where(crossing[..., None], hit.weights, weights)
         depth = torch.where(crossing, hit.depth, depth)
+        weights = weights * depth[..., None] / own[..., 2]
     return torch.where(seen[..., None], weights, 0.0), torch.where(seen, depth, far)
 
 
@@ -112,19 +113,14 @@ def sample_textures_reference(
     faces: Tensor,
     face_index: Tensor,
     weights: Tensor,
-    depth: Tensor,
     eps: float,
     perspective: bool,
 ) -> Tensor:
-    """The colour [B, 3, H, W], differentiable in textures, light and background; see `sample_textures`."""
+    """The colour [B, 3, H, W], differentiable in all but faces; see `sample_textures`."""
     batch, size, seen = len(faces), textures.shape[2], (face_index >= 0)[..., None]
     if not faces.shape[1]:
         return background.double()
-    c = weights.double() * (size - 1)
-    if perspective:
-        z = _own(faces.double(), face_index)[..., 2]
-        c = c * depth.double()[..., None] / torch.where(seen, z, 1.0)
-    c = c.clamp(0, size - 1 - eps)
+    c = (weights.double() * (size - 1)).clamp(0, size - 1 - eps)
     # A tent of width 1 around the coordinate along each axis: the trilinear blend as a sum over the whole cube.
     tents = (1 - (c[..., None] - torch.arange(size, dtype=torch.float64, device=c.device)).abs()).clamp(min=0)
     cubes = _own(textures.double().expand(batch, *textures.shape[1:]), face_index)

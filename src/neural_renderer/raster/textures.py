@@ -21,31 +21,29 @@ def sample_textures(
     faces: Tensor,
     face_index: Tensor,
     weights: Tensor,
-    depth: Tensor,
     eps: float,
     perspective: bool,
 ) -> Tensor:
-    """The colour [B, 3, H, W] of each pixel; differentiable in textures, light and background.
+    """The colour [B, 3, H, W] of each pixel; differentiable in textures, light, background and weights.
 
     textures: [B or 1, F, T, T, T, 3] float32, T >= 2; texel [a][b][c] belongs to corner weights (0, 1, 2) in that
     order.
     light: [B or 1, 2, F, 3] factors on the side that is seen when the corners run counter-clockwise, and on the other.
     background: [B, 3, H, W], seen where no face is.
-    faces, face_index, weights, depth: as `coverage` and `barycentrics` take and give them.
+    faces, face_index, weights: as `coverage` and `barycentrics` take and give them.
     eps: cube coordinates end at T - 1 - eps.
 
-    The coordinate along corner k's axis is ``w_k (T - 1) z / z_k``, so that textures lie flat in space (``w_k (T - 1)``
-    without perspective), and the 8 texels around it are blended. The coordinate passes no gradient on.
+    The coordinate along corner k's axis is T - 1 times its weight, and the 8 texels around it are blended.
     """
     batch, height, width = face_index.shape
     color = torch.empty((batch, 3, height, width), dtype=torch.float32, device=faces.device)
-    arguments = _arguments(textures, light, faces, face_index, weights, depth, eps, perspective)
+    arguments = _arguments(textures, light, faces, face_index, weights, eps, perspective)
     launch(_forward, batch * height, [*arguments, array(background), array(color)], faces.device)
     return color
 
 
 @torch.library.register_fake("neural_renderer::sample_textures")
-def _(textures, light, background, faces, face_index, weights, depth, eps, perspective):  # type: ignore[no-untyped-def]
+def _(textures, light, background, faces, face_index, weights, eps, perspective):  # type: ignore[no-untyped-def]
     batch, height, width = face_index.shape
     return faces.new_empty((batch, 3, height, width))
 
@@ -58,12 +56,12 @@ def sample_textures_backward(
     faces: Tensor,
     face_index: Tensor,
     weights: Tensor,
-    depth: Tensor,
     eps: float,
     perspective: bool,
     light_too: bool,
-) -> tuple[Tensor, Tensor]:
-    """The gradients of `sample_textures` to textures and light (zero if not ``light_too``)."""
+    weights_too: bool,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The gradients of `sample_textures` to textures, light (zero if not ``light_too``) and weights (likewise)."""
     batch, height, width = face_index.shape
     lanes = face_lanes(faces, height * width)
     # A face's only task clears its cubes itself, which spares the memory one pass.
@@ -71,10 +69,12 @@ def sample_textures_backward(
     if lanes > 1:
         to_textures.zero_()
     to_light = zeros((batch, *light.shape[1:]), faces.device)
-    arguments = _arguments(textures, light, faces, face_index, weights, depth, eps, perspective)
+    arguments = _arguments(textures, light, faces, face_index, weights, eps, perspective)
+    to_weights = zeros(weights.shape if weights_too else (0, 0, 0, 3), faces.device)
     results = [
         array(to_textures.view(*textures.shape[:2], textures.shape[2] ** 3, 3), wp.vec3),
         array(to_light, wp.vec3),
+        array(to_weights, wp.vec3),
     ]
     # Textures that images share belong to one task, which takes the images in turn.
     images = 1 if textures.shape[0] < batch else batch
@@ -83,20 +83,21 @@ def sample_textures_backward(
     launch(
         _backward,
         tasks,
-        [*arguments, array(grad.contiguous()), seen, int(light_too), images, lanes, *results],
+        [*arguments, array(grad.contiguous()), seen, int(light_too), int(weights_too), images, lanes, *results],
         faces.device,
     )
-    return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light
+    return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_weights
 
 
 @torch.library.register_fake("neural_renderer::sample_textures_backward")
-def _(grad, textures, light, faces, face_index, weights, depth, eps, perspective, light_too):  # type: ignore[no-untyped-def]
-    return textures.new_empty(textures.shape), light.new_empty(light.shape)
+def _(grad, textures, light, faces, face_index, weights, eps, perspective, light_too, weights_too):  # type: ignore[no-untyped-def]
+    to_weights = weights.new_empty(weights.shape if weights_too else (0, 0, 0, 3))
+    return textures.new_empty(textures.shape), light.new_empty(light.shape), to_weights
 
 
-def _arguments(textures, light, faces, face_index, weights, depth, eps, perspective):  # type: ignore[no-untyped-def]
+def _arguments(textures, light, faces, face_index, weights, eps, perspective):  # type: ignore[no-untyped-def]
     cubes = array(textures.contiguous().view(*textures.shape[:2], textures.shape[2] ** 3, 3), wp.vec3)
-    maps = [array(face_index), array(weights, wp.vec3), array(depth)]
+    maps = [array(face_index), array(weights, wp.vec3)]
     return [
         cubes,
         array(light.contiguous(), wp.vec3),
@@ -109,29 +110,30 @@ def _arguments(textures, light, faces, face_index, weights, depth, eps, perspect
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    textures, light, _, faces, face_index, weights, depth, ctx.eps, ctx.perspective = inputs
-    ctx.save_for_backward(textures, light, faces, face_index, weights, depth)
+    textures, light, _, faces, face_index, weights, ctx.eps, ctx.perspective = inputs
+    ctx.save_for_backward(textures, light, faces, face_index, weights)
 
 
 def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
-    to_textures = to_light = to_background = None
-    if ctx.needs_input_grad[0] or ctx.needs_input_grad[1]:
-        light_too = ctx.needs_input_grad[1]
-        to_textures, to_light = sample_textures_backward(grad, *ctx.saved_tensors, ctx.eps, ctx.perspective, light_too)
+    to_textures = to_light = to_background = to_weights = None
+    textures_too, light_too, weights_too = (ctx.needs_input_grad[k] for k in (0, 1, 5))
+    if textures_too or light_too or weights_too:
+        to_textures, to_light, to_weights = sample_textures_backward(
+            grad, *ctx.saved_tensors, ctx.eps, ctx.perspective, light_too, weights_too
+        )
     if ctx.needs_input_grad[2]:
         to_background = grad * (ctx.saved_tensors[3] < 0)[:, None]
-    return to_textures, to_light, to_background, None, None, None, None, None, None
+    weights_gradient = to_weights if weights_too else None
+    return to_textures, to_light, to_background, None, None, weights_gradient, None, None
 
 
 torch.library.register_autograd("neural_renderer::sample_textures", _to_inputs, setup_context=_save)
 
 
 @wp.func
-def cube_coordinate(w: wp.vec3, depth: float, z: wp.vec3, size: int, eps: float, perspective: int) -> wp.vec3:
+def cube_coordinate(w: wp.vec3, size: int, eps: float) -> wp.vec3:
     top = float(size - 1)
     c = top * w
-    if perspective == 1:
-        c = wp.vec3(c[0] * depth / z[0], c[1] * depth / z[1], c[2] * depth / z[2])
     for k in range(3):
         c[k] = wp.clamp(c[k], 0.0, top - eps)
     return c
@@ -155,6 +157,20 @@ _TEXELS = """
 @wp.func_native(_TEXELS.replace("DO", "sum += share * textures.data[texel];") + "    return sum;")
 def blend(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int, c: wp.vec3) -> wp.vec3:
     """The colour at a coordinate of the cube of that number."""
+    ...
+
+
+_SLOPE = """
+        const float gain = wp::dot(textures.data[texel], part);
+        sum[0] += (i ? gain : -gain) * (j ? up[1] : 1.0f - up[1]) * (k ? up[2] : 1.0f - up[2]);
+        sum[1] += (j ? gain : -gain) * (i ? up[0] : 1.0f - up[0]) * (k ? up[2] : 1.0f - up[2]);
+        sum[2] += (k ? gain : -gain) * (i ? up[0] : 1.0f - up[0]) * (j ? up[1] : 1.0f - up[1]);
+"""
+
+
+@wp.func_native(_TEXELS.replace("DO", _SLOPE) + "    return sum;")
+def slope(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int, c: wp.vec3, part: wp.vec3) -> wp.vec3:
+    """What the colour there, weighted with ``part``, gains along each axis of the cube."""
     ...
 
 
@@ -188,7 +204,6 @@ def _forward(
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
     weights: wp.array3d(dtype=wp.vec3),
-    depth: wp.array3d(dtype=float),
     size: int,
     eps: float,
     perspective: int,
@@ -200,7 +215,6 @@ def _forward(
     b = task // height
     row = task % height
     last = int(-1)
-    z = wp.vec3(0.0, 0.0, 0.0)
     factor = wp.vec3(0.0, 0.0, 0.0)
     cubes = wp.int64(wp.min(b, textures.shape[0] - 1)) * wp.int64(textures.shape[1])
     for i in range(face_index.shape[2]):
@@ -214,9 +228,8 @@ def _forward(
                 v0 = faces[b, f, 0]
                 v1 = faces[b, f, 1]
                 v2 = faces[b, f, 2]
-                z = wp.vec3(v0[2], v1[2], v2[2])
                 factor = light[wp.min(b, light.shape[0] - 1), side_seen(v0, v1, v2, perspective), f]
-            at = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
+            at = cube_coordinate(weights[b, row, i], size, eps)
             lit = wp.cw_mul(blend(textures, cubes + wp.int64(f), size, at), factor)
             for c in range(3):
                 color[b, c, row, i] = lit[c]
@@ -230,17 +243,18 @@ def _backward(
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
     weights: wp.array3d(dtype=wp.vec3),
-    depth: wp.array3d(dtype=float),
     size: int,
     eps: float,
     perspective: int,
     grad: wp.array4d(dtype=float),
     seen: wp.array2d(dtype=int),
     light_too: int,
+    weights_too: int,
     images: int,
     lanes: int,
     to_textures: wp.array3d(dtype=wp.vec3),
     to_light: wp.array3d(dtype=wp.vec3),
+    to_weights: wp.array3d(dtype=wp.vec3),
 ):
     """One face, of one image or of all, over the pixels that show it; with several lanes, each takes some rows."""
     task = first + wp.tid()
@@ -268,7 +282,6 @@ def _backward(
             continue
         side = side_seen(v0, v1, v2, perspective)
         factor = light[wp.min(b, light.shape[0] - 1), side, f]
-        z = wp.vec3(v0[2], v1[2], v2[2])
         lit = wp.vec3(0.0, 0.0, 0.0)
         box = pixel_box(v0, v1, v2, front, height, width)
         for j in range(box[2] + lane, box[3] + 1, lanes):
@@ -277,9 +290,14 @@ def _backward(
             i = next_shown(face_index, line, width, box[0], box[1] + 1, f)
             while i <= box[1]:
                 g = wp.vec3(grad[b, 0, row, i], grad[b, 1, row, i], grad[b, 2, row, i])
-                c = cube_coordinate(weights[b, row, i], depth[b, row, i], z, size, eps, perspective)
+                c = cube_coordinate(weights[b, row, i], size, eps)
                 scatter(to_textures, cube, size, c, wp.cw_mul(g, factor))
                 if light_too == 1:
                     lit += wp.cw_mul(blend(textures, cube, size, c), g)
+                if weights_too == 1:
+                    to_weight = float(size - 1) * slope(textures, cube, size, c, wp.cw_mul(g, factor))
+                    raw = float(size - 1) * weights[b, row, i]
+                    for k in range(3):
+                        to_weights[b, row, i][k] = wp.where(raw[k] == c[k], to_weight[k], 0.0)
                 i = next_shown(face_index, line, width, i + 1, box[1] + 1, f)
         wp.atomic_add(to_light, b, side, f, lit)
