@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import FAR, NEAR, Scene, examples, scenes
 
-from neural_renderer.raster.coverage import coverage
+from neural_renderer.raster.coverage import coverage, silhouette
 from neural_renderer.raster.edges import nmr_edges
 from neural_renderer.raster.reference import nmr_edges_reference
 
@@ -158,6 +158,19 @@ def test_faces_through_the_camera_plane_are_pulled_outward(device, scene):
 def test_faces_through_the_camera_plane_are_pulled_inward(device):
     for seed in range(20):
         crossing_case(Scene(seed, 1, 1, 16, 16, True, True, ("crossing",)), device, 1)
+
+
+def test_tensors_of_any_strides(device):
+    """What is expanded or cropped is read as what it holds."""
+    scene = Scene(3, 1, 6, 24, 30, True, True, ("plain",))
+    faces = scene.faces.to(device)
+    index = coverage(faces, 24, 30, NEAR, FAR, True, True)[:, 2:20, 4:28]
+    image, grad = scene.noise(2, 1, 3, 18, 24).to(device)
+    expected = gradient(image, faces, index.contiguous(), 1e-3, True, False, grad)
+    many = [t.expand(5, *t.shape[1:]) for t in (image, faces, index)]
+    found = gradient(many[0], many[1], many[2], 1e-3, True, False, grad.expand(5, -1, -1, -1))
+    assert torch.equal(found, expected.expand_as(found))
+    assert torch.equal(silhouette(many[2]), silhouette(index.contiguous()).expand(5, -1, -1, -1))
 
 
 def test_what_is_not_seen_has_no_gradient(device):

@@ -28,7 +28,7 @@ def barycentrics(faces: Tensor, face_index: Tensor, far: float, perspective: boo
     batch, height, width = face_index.shape
     weights = torch.empty((batch, height, width, 3), dtype=torch.float32, device=faces.device)
     depth = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
-    arguments = [array(faces.contiguous(), wp.vec3), array(face_index), far, int(perspective)]
+    arguments = [array(faces, wp.vec3), array(face_index), far, int(perspective)]
     launch(_forward, batch * height, [*arguments, array(weights, wp.vec3), array(depth)], faces.device)
     return weights, depth
 
@@ -54,10 +54,10 @@ def barycentrics_backward(
     result = zeros(faces.shape, faces.device)
     lanes = face_lanes(faces, height * width)
     maps = [array(face_index), array(weights, wp.vec3), array(depth)]
-    grads = [array(grad_weights.contiguous(), wp.vec3), array(grad_depth.contiguous())]
+    grads = [array(grad_weights, wp.vec3), array(grad_depth)]
     seen = array(seen_faces(face_index, faces.shape[1]))
     arguments = [
-        array(faces.contiguous(), wp.vec3),
+        array(faces, wp.vec3),
         *maps,
         *grads,
         seen,

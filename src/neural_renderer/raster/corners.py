@@ -18,7 +18,7 @@ def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
     An index outside [0, V) gives a corner that is not a number, and no memory beyond the vertices is read.
     """
     corners = torch.empty((vertices.shape[0], *faces.shape[1:], 3), dtype=torch.float32, device=vertices.device)
-    arguments = [array(vertices.contiguous(), wp.vec3), array(faces), array(corners, wp.vec3)]
+    arguments = [array(vertices, wp.vec3), array(faces), array(corners, wp.vec3)]
     launch(_forward, corners.shape[0] * corners.shape[1], arguments, vertices.device)
     return corners
 
@@ -41,7 +41,7 @@ def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
         return result.view(-1, 3).index_add_(0, index, part.reshape(-1, 3)).view_as(result)
     # On the CPU one task takes all faces of an image, since its additions would collide with another task's.
     groups = grad.shape[1] if grad.device.type == "cuda" else 1
-    arguments = [array(grad.contiguous(), wp.vec3), array(faces), groups, array(result, wp.vec3)]
+    arguments = [array(grad, wp.vec3), array(faces), groups, array(result, wp.vec3)]
     launch(_backward, batch * groups, arguments, grad.device)
     return result
 

@@ -45,7 +45,7 @@ def coverage(
         lanes, groups, bands = 1, 1, min(height, cpu_bands(batch))
     options = [groups, bands, lanes, near, far, int(two_sided), int(perspective), int(not on_cuda)]
     maps = [array(key), array(face_index)]
-    launch(_draw, batch * groups * bands * lanes, [array(faces.contiguous(), wp.vec3), *maps, *options], faces.device)
+    launch(_draw, batch * groups * bands * lanes, [array(faces, wp.vec3), *maps, *options], faces.device)
     if on_cuda:
         launch(_decode, batch * height, [*maps, count], faces.device)
     return face_index

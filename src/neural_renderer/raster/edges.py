@@ -30,6 +30,7 @@ def nmr_edges(image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_
     faces: [B, F, 3, 3] float32 screen-space corners; face_index: [B, H, W] int32, as `coverage` returns it.
     eps: added to every distance (screen units), which bounds the gradient of a pixel that touches the edge.
     two_sided: faces whose corners run clockwise are seen too.
+    The gains are differences of sums: of a contrast below some 1e-5 of the values themselves little is left in float32.
     binary: the image is the silhouette, 1 where a face is seen and 0 elsewhere; the result is the same without, slower.
     """
     return copy(image)

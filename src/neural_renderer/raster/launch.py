@@ -124,11 +124,17 @@ def copy(tensor: Tensor) -> Tensor:
     return torch.from_numpy(tensor.detach().numpy().copy(order="C"))
 
 
-def array(tensor: Tensor, dtype: Any = None) -> Any:
-    """The tensor as a kernel argument, without a copy; vectors take the trailing dimension(s)."""
+def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
+    """The tensor as a kernel argument; vectors take the trailing dimension(s).
+
+    Kernels may count on contiguous memory: another tensor is copied first, unless ``strided``.
+    """
     if tensor.numel() == 0:  # strides of nothing can be anything, and Warp looks at them
         tensor = tensor.new_empty(tensor.shape)
-    return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False, return_ctype=True)
+    tensor = tensor.detach() if strided else tensor.detach().contiguous()
+    argument = wp.from_torch(tensor, dtype=dtype, requires_grad=False, return_ctype=True)
+    argument.tensor = tensor  # the descriptor alone would not keep a copy alive
+    return argument
 
 
 def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torch.device, least: int = 1) -> None:

@@ -38,7 +38,7 @@ def sample_textures(
     batch, height, width = face_index.shape
     color = torch.empty((batch, 3, height, width), dtype=torch.float32, device=faces.device)
     arguments = _arguments(textures, light, faces, face_index, weights, eps, perspective)
-    launch(_forward, batch * height, [*arguments, array(background), array(color)], faces.device)
+    launch(_forward, batch * height, [*arguments, array(background, strided=True), array(color)], faces.device)
     return color
 
 
@@ -83,7 +83,7 @@ def sample_textures_backward(
     launch(
         _backward,
         tasks,
-        [*arguments, array(grad.contiguous()), seen, int(light_too), int(weights_too), images, lanes, *results],
+        [*arguments, array(grad), seen, int(light_too), int(weights_too), images, lanes, *results],
         faces.device,
     )
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_weights
@@ -96,12 +96,12 @@ def _(grad, textures, light, faces, face_index, weights, eps, perspective, light
 
 
 def _arguments(textures, light, faces, face_index, weights, eps, perspective):  # type: ignore[no-untyped-def]
-    cubes = array(textures.contiguous().view(*textures.shape[:2], textures.shape[2] ** 3, 3), wp.vec3)
+    cubes = array(textures.reshape(*textures.shape[:2], textures.shape[2] ** 3, 3), wp.vec3)
     maps = [array(face_index), array(weights, wp.vec3)]
     return [
         cubes,
-        array(light.contiguous(), wp.vec3),
-        array(faces.contiguous(), wp.vec3),
+        array(light, wp.vec3),
+        array(faces, wp.vec3),
         *maps,
         textures.shape[2],
         eps,
