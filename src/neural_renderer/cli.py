@@ -17,6 +17,7 @@ from rich.text import Text
 COMMANDS = {
     "render": ("neural_renderer.commands.render", "Render", "Draw a mesh file as a picture or as a turntable."),
     "info": ("neural_renderer.commands.info", "Info", "Show versions and devices, and check that rendering works."),
+    "fit": ("neural_renderer.commands.fit", "Fit", "Recover a textured mesh from images with known cameras."),
     "demo": ("neural_renderer.commands.demo", "Demo", "Make pictures that show what the package does."),
 }
 

@@ -10,9 +10,8 @@ import torch
 from torch import Tensor
 
 from ..io.cubes import barycentric_grid
+from ..isosurface import isosurface
 from ..mesh import Mesh
-
-Field = Callable[[np.ndarray], np.ndarray]  # points [..., 3] to a distance-like value [...], negative inside
 
 _EYE, _GLINT = (0.215, 0.56, 0.70), (0.0, 0.035, 0.03)
 _YELLOW, _ORANGE, _BLACK = (1.0, 0.78, 0.12), (0.96, 0.42, 0.07), (0.07, 0.06, 0.06)
@@ -70,43 +69,6 @@ def _blend(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
     """The union of two shapes with a fillet of the given width where they meet."""
     near = np.maximum(width - np.abs(a - b), 0) / width
     return np.minimum(a, b) - near**3 * width / 6
-
-
-def isosurface(field: Field, steps: int, half: float = 1.15) -> tuple[Tensor, Tensor]:
-    """The surface field = 0 inside [-half, half]³, by naive surface nets on steps³ cells.
-
-    Each cell that the surface passes through gets a vertex at the mean of where it crosses the cell's edges; each
-    crossed edge gets a quad between its four cells. Returns vertices float32 [V, 3], faces int64 [F, 3], outward.
-    """
-    n = steps + 1
-    grid = np.moveaxis(np.indices((n, n, n)), 0, -1).astype(np.float64)
-    values = field(grid * (2 * half / steps) - half)
-    total, count = np.zeros((steps, steps, steps, 3)), np.zeros((steps, steps, steps))
-    quads: list[np.ndarray] = []
-    for axis in range(3):
-        low, high = (np.take(values, range(i, steps + i), axis) for i in (0, 1))
-        crossed = (low < 0) != (high < 0)
-        where = np.take(grid, range(steps), axis)
-        where[..., axis] += low / np.where(crossed, low - high, 1)
-        p, q = (axis + 1) % 3, (axis + 2) % 3
-        for i in (0, 1):
-            for j in (0, 1):
-                part: list[slice] = [slice(None)] * 3
-                part[p], part[q] = slice(i, i + steps), slice(j, j + steps)
-                total += where[tuple(part)] * crossed[tuple(part)][..., None]
-                count += crossed[tuple(part)]
-        edge = np.argwhere(crossed)
-        step_p, step_q = np.eye(3, dtype=np.int64)[[p, q]]
-        quad = np.stack([edge - step_p - step_q, edge - step_q, edge, edge - step_p], axis=1)
-        outward = low[crossed] < 0
-        quads.append(np.where(outward[:, None, None], quad, quad[:, ::-1]))
-    cells = count > 0
-    number = np.full(count.shape, -1)
-    number[cells] = np.arange(cells.sum())
-    corners = number[tuple(np.moveaxis(np.concatenate(quads), -1, 0))]
-    vertices = total[cells] / count[cells][:, None] * (2 * half / steps) - half
-    faces = corners[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
-    return torch.from_numpy(vertices.astype(np.float32)), torch.from_numpy(faces)
 
 
 def knot(segments: int = 320, sides: int = 28, texture_size: int = 4) -> Mesh:

@@ -1,0 +1,1 @@
+"""What people do with a renderer, as library functions."""

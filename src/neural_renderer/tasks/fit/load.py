@@ -1,0 +1,245 @@
+"""Views in files: images, and one file that says where their cameras are.
+
+``transforms.json`` is the format of NeRF's data and of the tools that followed it: ``camera_angle_x`` (radians, the
+whole horizontal field of view) or ``fl_x``, ``fl_y``, ``cx``, ``cy`` with ``w`` and ``h`` (pixels) and distortion
+``k1``, ``k2``, ``p1``, ``p2``, ``k3``, for all frames or for each; and ``frames`` with ``file_path``, perhaps
+``mask_path``, and ``transform_matrix``, camera to world [4, 4], the camera looking along its -z with +y up.
+
+``cameras.json`` is {"viewing_angle": 30, "views": [{"file": "000.png", "azimuth": 0, "elevation": 30, "distance": 2.7},
+…]}, ``cameras.csv`` has these columns; perhaps ``mask``. Angles are in degrees, as in `get_points_from_angles`, and
+``viewing_angle`` is half the vertical field of view, 30 unless it is given.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ... import validate
+from ...camera import Camera, get_points_from_angles
+from ...io import load_image
+from ...io.files import existing, read_text
+from .views import Views
+
+_CAMERA_FILES = ("transforms.json", "transforms_train.json", "cameras.json", "cameras.csv")
+_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG")
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """An image, its mask, and what the camera file says of it."""
+
+    where: str
+    image: Path
+    mask: Path | None
+    numbers: dict[str, Any]
+
+
+def load_views(
+    path: str | os.PathLike[str],
+    *,
+    size: int = 256,
+    photos: bool = True,
+    background: tuple[float, float, float] | None = None,
+    tolerance: float = 0.05,
+) -> Views:
+    """Read images and their cameras.
+
+    The mask of an image is the file that its ``mask`` names, else its transparency, else, where a ``background`` is
+    given, every pixel that differs from that colour.
+
+    Args:
+        path: the folder of the images with a ``transforms.json``, ``cameras.json`` or ``cameras.csv`` (see this module's
+            text), or that file.
+        size: images whose longer side has more pixels are scaled down to so many, at least 16.
+        photos: whether to use the colours. If not, an image without transparency, mask and background is itself the
+            mask: white on black.
+        background: red, green and blue in [0, 1] of what is behind the object in images without transparency.
+        tolerance: the largest difference from the background, in any channel, that is still background.
+
+    Raises:
+        FileNotFoundError: no such folder, camera file or image.
+        ValueError: files that are not what they should be, keys that are missing, images of different sizes, masks
+            without an object, images without anything that tells the object from what is behind it.
+    """
+    size = validate.whole("size", size, 16)
+    camera_file = _camera_file(Path(path))
+    common, frames = _frames(camera_file)
+    images: list[Tensor] = []
+    masks: list[Tensor] = []
+    full = (0, 0)
+    for frame in frames:
+        image = load_image(frame.image)
+        full = full if images else (image.shape[0], image.shape[1])
+        _same_size(frame.image, image, full)
+        mask = _mask(frame, image, full, photos, background, tolerance)
+        if float(mask.max()) <= 0.5:
+            raise ValueError(f"{frame.mask or frame.image}: expected an object in the mask, got an empty one")
+        images.append(_smaller((image[..., :3] * mask[..., None]).permute(2, 0, 1), size))
+        masks.append(_smaller(mask[None], size)[0])
+    make = _nerf_camera if "frames" in common else _angles_camera
+    camera = make(camera_file, common, frames, full)
+    return Views(camera, torch.stack(masks), torch.stack(images) if photos else None)
+
+
+def _camera_file(path: Path) -> Path:
+    if path.is_file():
+        return path
+    if not path.is_dir():
+        raise FileNotFoundError(f"{path}: expected a folder of images or a camera file, got nothing there")
+    for name in _CAMERA_FILES:
+        if (path / name).is_file():
+            return path / name
+    raise FileNotFoundError(f"{path}: expected one of {', '.join(_CAMERA_FILES)} in the folder, got none")
+
+
+def _frames(path: Path) -> tuple[dict[str, Any], list[_Frame]]:
+    """What a camera file says of all images, and of each."""
+    if path.suffix.lower() == ".csv":
+        rows: list[Any] = list(csv.DictReader(read_text(path).splitlines()))
+        common: dict[str, Any] = {"views": rows}
+    else:
+        try:
+            common = json.loads(read_text(path))
+        except json.JSONDecodeError as error:
+            raise ValueError(f"{path}: expected JSON, got a file that cannot be read as such ({error})") from None
+        if not isinstance(common, dict) or not ("frames" in common or "views" in common):
+            raise ValueError(f'{path}: expected the key "frames" (NeRF) or "views", got neither')
+        rows = common["frames" if "frames" in common else "views"]
+    if not isinstance(rows, list) or not rows:
+        raise ValueError(f"{path}: expected at least one image, got none")
+    image_key, mask_key = ("file_path", "mask_path") if "frames" in common else ("file", "mask")
+    frames = []
+    for index, row in enumerate(rows):
+        where = f"{path}: image {index}"
+        if not isinstance(row, dict):
+            raise ValueError(f"{where}: expected an object with keys, got {type(row).__name__}")
+        mask = row.get(mask_key)
+        frames.append(_Frame(where, _file(path, _key(where, row, image_key)), _file(path, mask) if mask else None, row))
+    return common, frames
+
+
+def _file(camera_file: Path, name: Any) -> Path:
+    """A file named beside the camera file; NeRF's names have no suffix."""
+    for suffix in _SUFFIXES:
+        found = camera_file.parent / (str(name) + suffix)
+        if found.is_file():
+            return found
+    return existing(camera_file.parent / str(name))
+
+
+def _key(where: str, row: dict[str, Any], key: str) -> Any:
+    if row.get(key) in (None, ""):
+        raise ValueError(f'{where}: expected the key "{key}", got {", ".join(map(str, row)) or "none"}')
+    return row[key]
+
+
+def _number(where: str, row: dict[str, Any], key: str, default: float | None = None) -> float:
+    value = row.get(key, default) if default is not None else _key(where, row, key)
+    try:
+        return validate.number(key, float(value if value not in (None, "") else default))  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise ValueError(f"{where}: {key}: expected a finite number, got {value!r}") from None
+
+
+def _same_size(path: Path, image: Tensor, full: tuple[int, int]) -> None:
+    if tuple(image.shape[:2]) != full:
+        raise ValueError(
+            f"{path}: expected {full[1]} x {full[0]} pixels like the first image, got "
+            f"{image.shape[1]} x {image.shape[0]}"
+        )
+
+
+def _mask(
+    frame: _Frame,
+    image: Tensor,
+    full: tuple[int, int],
+    photos: bool,
+    background: tuple[float, float, float] | None,
+    tolerance: float,
+) -> Tensor:
+    """[H, W] in [0, 1]."""
+    if frame.mask is not None:
+        mask = load_image(frame.mask)
+        _same_size(frame.mask, mask, full)
+        transparent = mask.shape[2] == 4 and float(mask[..., 3].min()) < 1
+        return mask[..., 3] if transparent else mask[..., :3].mean(2)
+    if image.shape[2] == 4:
+        return image[..., 3]
+    if background is not None:
+        return ((image - torch.tensor(background)).abs().amax(2) > tolerance).float()
+    if not photos:
+        return image.mean(2)
+    raise ValueError(
+        f"{frame.image}: expected transparency, a mask or a background colour that tells the object from what is "
+        "behind it, got none of them"
+    )
+
+
+def _smaller(image: Tensor, size: int) -> Tensor:
+    """[C, H, W] with a longer side of at most ``size``; each pixel is the mean of those it covers."""
+    height, width = image.shape[1:]
+    if max(height, width) <= size:
+        return image
+    scale = size / max(height, width)
+    return F.interpolate(image[None], (max(round(height * scale), 1), max(round(width * scale), 1)), mode="area")[0]
+
+
+def _angles_camera(path: Path, common: dict[str, Any], frames: list[_Frame], full: tuple[int, int]) -> Camera:
+    rows = [[_number(f.where, f.numbers, key) for key in ("distance", "elevation", "azimuth")] for f in frames]
+    default = _number(str(path), common, "viewing_angle", 30.0)
+    angles = [_number(f.where, f.numbers, "viewing_angle", default) for f in frames]
+    distance, elevation, azimuth = torch.tensor(rows).unbind(1)
+    return Camera.look_at(get_points_from_angles(distance, elevation, azimuth), viewing_angle=torch.tensor(angles))
+
+
+def _nerf_camera(path: Path, common: dict[str, Any], frames: list[_Frame], full: tuple[int, int]) -> Camera:
+    matrices, lenses, distortions = [], [], []
+    for frame in frames:
+        given = {**{k: v for k, v in common.items() if k != "frames"}, **frame.numbers}
+        matrices.append(_pose(frame))
+        width, height = _number(frame.where, given, "w", full[1]), _number(frame.where, given, "h", full[0])
+        if "fl_x" in given:
+            across = _number(frame.where, given, "fl_x")
+        elif "camera_angle_x" in given:
+            across = width / 2 / math.tan(_number(frame.where, given, "camera_angle_x") / 2)
+        else:
+            raise ValueError(f'{path}: expected the key "camera_angle_x" or "fl_x", got neither')
+        down = _number(frame.where, given, "fl_y", across)
+        centre = _number(frame.where, given, "cx", width / 2), _number(frame.where, given, "cy", height / 2)
+        unit = full[1] / width, full[0] / height  # intrinsics of images that were scaled since
+        lenses.append(
+            [[across * unit[0], 0.0, centre[0] * unit[0]], [0.0, down * unit[1], centre[1] * unit[1]], [0.0, 0.0, 1.0]]
+        )
+        distortions.append([_number(frame.where, given, key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")])
+    pose, distortion = torch.tensor(matrices), torch.tensor(distortions)
+    # OpenGL's camera looks along -z with y up; OpenCV's along z with y down.
+    rotation = torch.diag(torch.tensor([1.0, -1.0, -1.0])) @ pose[:, :3, :3].transpose(1, 2)
+    translation = -torch.einsum("bij,bj->bi", rotation, pose[:, :3, 3])
+    bent = distortion if bool(distortion.any()) else None
+    return Camera.projection(torch.tensor(lenses), rotation, translation, bent, orig_size=full)
+
+
+def _pose(frame: _Frame) -> list[list[float]]:
+    value = _key(frame.where, frame.numbers, "transform_matrix")
+    try:
+        matrix = torch.tensor(value, dtype=torch.float64)
+    except (TypeError, ValueError):
+        matrix = torch.zeros(0)
+    if matrix.shape not in ((4, 4), (3, 4)) or not bool(torch.isfinite(matrix).all()):
+        raise ValueError(f"{frame.where}: transform_matrix: expected 4 x 4 finite numbers, got {value}")
+    turn = matrix[:3, :3]
+    if not torch.allclose(turn @ turn.t(), torch.eye(3, dtype=torch.float64), atol=1e-3) or torch.det(turn) < 0:
+        raise ValueError(
+            f"{frame.where}: transform_matrix: expected a rotation without scale or mirroring, got {value}"
+        )
+    return matrix[:3].tolist()
