@@ -60,6 +60,25 @@ def test_state_survives_saving():
     assert torch.equal(parameter, other) and parameter[2] == 0
 
 
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_parameters_move_as_those_of_float32(dtype):
+    """Where squares of gradients and eps are 0 in half precision; after a checkpoint, too."""
+    wide = torch.nn.Parameter(torch.ones(5))
+    half = torch.nn.Parameter(torch.ones(5, dtype=dtype))
+    pair = [(wide, Adam([wide], lr=0.1)), (half, Adam([half], lr=0.1))]
+    for step in range(4):
+        if step == 2:
+            saved = copy.deepcopy(pair[1][1].state_dict())
+            pair[1] = half, Adam([half])
+            pair[1][1].load_state_dict(saved)
+        gradient = torch.tensor([0, 1e-4, 1e-6, -1, (-3.0) ** step]).to(dtype)
+        for parameter, optimizer in pair:
+            parameter.grad = gradient.to(parameter.dtype)
+            optimizer.step()
+    torch.testing.assert_close(half.float(), wide, rtol=0, atol=2 * torch.finfo(dtype).eps)
+    assert half.dtype == dtype and half[0] == 1
+
+
 def test_closure_groups_and_scheduler():
     a, b = torch.nn.Parameter(torch.ones(2)), torch.nn.Parameter(torch.ones(2))
     optimizer = Adam([{"params": [a]}, {"params": [b], "lr": 0.0}], lr=0.1)

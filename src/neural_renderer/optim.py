@@ -18,7 +18,8 @@ class Adam(torch.optim.Optimizer):
     A texture's texels and a mesh's vertices that no image of this step shows have a gradient of exactly 0. For those
     elements the running means and the parameter stay as they are; the others follow Adam (Kingma and Ba, 2015):
     m += (1 − β1)(g − m), v += (1 − β2)(g² − v), p −= lr · √(1 − β2ᵗ) / (1 − β1ᵗ) · m / (√v + eps). t counts the calls
-    of `step` for the whole group, as in Chainer, and is kept in ``param_groups[i]["step"]``.
+    of `step` for the whole group, as in Chainer, and is kept in ``param_groups[i]["step"]``. Half and bfloat16
+    parameters are moved by steps computed in float32.
 
     The rate of a single parameter is multiplied by its attribute ``lr``, if it has one: ``mesh.vertices.lr = 0.01``.
     That attribute belongs to the tensor, so it is not part of the `state_dict`.
@@ -82,14 +83,31 @@ class Adam(torch.optim.Optimizer):
         gradient = parameter.grad
         if gradient is None or gradient.is_sparse or gradient.is_complex():
             raise TypeError("gradient: expected a dense real tensor, got a sparse or complex one")
+        wide = _at_least_float32(parameter.dtype)
         state = self.state[parameter]
         if not state:
-            state["m"], state["v"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
+            state["m"], state["v"] = (torch.zeros_like(parameter, dtype=wide) for _ in range(2))
         m, v = state["m"], state["v"]
-        live = (gradient != 0).to(parameter.dtype)  # as a weight: 0 leaves an element untouched
+        gradient = gradient.to(wide)
+        live = (gradient != 0).to(wide)  # as a weight: 0 leaves an element untouched
         m.lerp_(gradient, live * (1 - beta1))
         v.lerp_(gradient * gradient, live * (1 - beta2))
-        parameter.addcdiv_(live * m, v.sqrt().add_(eps), value=-rate)
+        parameter.copy_(parameter.to(wide).addcdiv_(live * m, v.sqrt().add_(eps), value=-rate))
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned, as for any torch optimiser."""
+        super().load_state_dict(state_dict)
+        # torch has cast the means to the parameters' dtype, which may not hold them.
+        numbers = (number for group in state_dict["param_groups"] for number in group["params"])
+        parameters = (parameter for group in self.param_groups for parameter in group["params"])
+        for number, parameter in zip(numbers, parameters, strict=True):
+            for name, mean in state_dict["state"].get(number, {}).items():
+                self.state[parameter][name] = mean.to(parameter.device, _at_least_float32(parameter.dtype), copy=True)
+
+
+def _at_least_float32(dtype: torch.dtype) -> torch.dtype:
+    """The dtype of the running means: half types hold neither squares of gradients nor eps."""
+    return torch.promote_types(dtype, torch.float32)
 
 
 def _pair(betas: Any) -> tuple[Any, Any]:
