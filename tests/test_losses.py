@@ -69,6 +69,24 @@ def test_total_variation():
     assert losses.total_variation(image, mask) == 4 + 0 + 1 + 1
 
 
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_precision_is_summed_in_float32(dtype):
+    image, target = torch.rand(2, 2, 1, 400, 400, generator=torch.Generator().manual_seed(0)).to(dtype)
+    image.requires_grad_()
+    mask = torch.ones(2, 400, 400)
+    for loss in (
+        lambda a, b: losses.silhouette_iou(a[:, 0], b[:, 0]),
+        lambda a, b: losses.photometric(a, b, mask),
+        lambda a, b: losses.total_variation(a - b),
+    ):
+        torch.testing.assert_close(loss(image, target), loss(image.float(), target.float()), rtol=5e-3, atol=0)
+        (found,) = torch.autograd.grad(loss(image, target), image)
+        assert found.dtype == dtype and found.isfinite().all() and found.any()
+    v = (vertices(2, 4) * 100).to(dtype)
+    for loss in (losses.laplacian, losses.edge_length, losses.normal_consistency, losses.smoothness):
+        torch.testing.assert_close(loss(v, TETRAHEDRON), loss(v.float(), TETRAHEDRON))
+
+
 def test_laplacian_and_edge_length():
     v = vertices(2, 4)
     neighbours_mean = (v.sum(1, keepdim=True) - v) / 3

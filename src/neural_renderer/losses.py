@@ -1,5 +1,6 @@
 """Losses on images and on meshes; each returns one number and is differentiable in its floating arguments.
 
+They compute in float32 what is given in half precision, whose numbers end at 65504: a sum over a picture is soon more.
 An empty batch costs 0, with a gradient (of no elements). A NaN in an image makes the loss NaN; one in vertices is a
 ValueError if values are checked.
 """
@@ -27,7 +28,7 @@ def silhouette_iou(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tens
     Raises:
         TypeError, ValueError: wrong types, shapes or devices.
     """
-    validate.floating("predicted", predicted, ("B", "H", "W"))
+    predicted = _wide(validate.floating("predicted", predicted, ("B", "H", "W")))
     target = _like("target", target, predicted)
     intersection = (predicted * target).sum((1, 2))
     union = (predicted + target - predicted * target).sum((1, 2))
@@ -46,7 +47,7 @@ def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None) -> Te
     Raises:
         TypeError, ValueError: wrong types, shapes or devices.
     """
-    validate.floating("image", image, ("B", "C", "H", "W"))
+    image = _wide(validate.floating("image", image, ("B", "C", "H", "W")))
     squared = (image - _like("target", target, image)).square()
     if mask is None:
         return _mean(squared)
@@ -67,7 +68,7 @@ def total_variation(images: Tensor, mask: Tensor | None = None) -> Tensor:
     Raises:
         TypeError, ValueError: wrong types, shapes or devices.
     """
-    validate.floating("images", images, ("B", "C", "H", "W"))
+    images = _wide(validate.floating("images", images, ("B", "C", "H", "W")))
     right = (images[..., :, 1:] - images[..., :, :-1]).square()
     down = (images[..., 1:, :] - images[..., :-1, :]).square()
     if mask is not None:
@@ -90,8 +91,8 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
         TypeError, ValueError: wrong types, shapes or devices; face indices out of range and vertices that are not
             finite if values are checked.
     """
-    edges = _topology(vertices, faces).edges
-    start, end = torch.cat((edges, edges.flip(1))).unbind(1)
+    vertices, topology = _prepared(vertices, faces)
+    start, end = torch.cat((topology.edges, topology.edges.flip(1))).unbind(1)
     total = torch.zeros_like(vertices).index_add(-2, start, vertices.index_select(-2, end))
     ones = torch.ones_like(start, dtype=vertices.dtype)
     degree = ones.new_zeros(vertices.shape[-2]).index_add(0, start, ones)[:, None]
@@ -101,7 +102,8 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 
 def edge_length(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
     """The mean squared length of the edges, over edges and batch; arguments and errors as `laplacian`."""
-    start, end = _topology(vertices, faces).edges.unbind(1)
+    vertices, topology = _prepared(vertices, faces)
+    start, end = topology.edges.unbind(1)
     edge = vertices.index_select(-2, end) - vertices.index_select(-2, start)
     return edge.square().sum() / max(edge.numel() // 3, 1)
 
@@ -126,19 +128,24 @@ def smoothness(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 
 def _bend(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
     """1 + cos θ = 1 − n·n' for each pair of faces at an edge, [I] or [B, I]."""
-    v0, v1, v2, v3 = (vertices.index_select(-2, i) for i in _topology(vertices, faces).hinges.unbind(1))
+    vertices, topology = _prepared(vertices, faces)
+    v0, v1, v2, v3 = (vertices.index_select(-2, i) for i in topology.hinges.unbind(1))
     normal = face_normals(torch.stack((v0, v1, v2), dim=-2))
     neighbour = face_normals(torch.stack((v1, v0, v3), dim=-2))
     return 1 - (normal * neighbour).sum(-1)
 
 
-def _topology(vertices: Tensor, faces: Tensor | Topology) -> Topology:
+def _prepared(vertices: Tensor, faces: Tensor | Topology) -> tuple[Tensor, Topology]:
     validate.vertices(vertices)
     topology = faces if isinstance(faces, Topology) else Topology.of(faces)
     validate.same_device(vertices=vertices, faces=topology.edges)
     if topology.vertices > vertices.shape[-2]:
         raise ValueError(f"faces: expected indices in [0, {vertices.shape[-2]}), got {topology.vertices - 1}")
-    return topology
+    return _wide(vertices), topology
+
+
+def _wide(value: Tensor) -> Tensor:
+    return value.to(torch.promote_types(value.dtype, torch.float32))
 
 
 def _mean(value: Tensor) -> Tensor:
