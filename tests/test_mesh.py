@@ -70,6 +70,24 @@ def test_load_save_normalize(file, tmp_path, shared):
         Mesh(torch.ones(3, 3), torch.tensor([[0, 1, 2]])).normalize()
 
 
+def test_normalized_copies_keep_rates_and_what_is_frozen():
+    class Named(Mesh):
+        pass
+
+    mesh = Named(*cube(5.0), texture_size=2)
+    mesh.set_lr(0.1, 2.0)
+    mesh.textures.requires_grad_(False)
+    copied = mesh.normalize()
+    assert type(copied) is Named and copied.vertices.abs().max() == 1 and mesh.vertices.max() == 2.5
+    assert (copied.vertices.lr, copied.textures.lr) == (0.1, 2.0)
+    assert copied.vertices.requires_grad and not copied.textures.requires_grad
+    assert copied.vertices.is_leaf and copied.textures.data_ptr() != mesh.textures.data_ptr()
+    with torch.no_grad():
+        mesh.vertices[0] = torch.nan
+    with pytest.raises(ValueError, match="vertices: expected finite"):
+        mesh.normalize()
+
+
 def test_batch_is_a_view_with_sigmoid():
     mesh = Mesh(*cube(), texture_size=2)
     vertices, faces, textures = mesh.get_batch(5)

@@ -116,16 +116,19 @@ class Mesh(nn.Module):
         save_mesh(path, self.vertices, self.faces, self.textures)
 
     def normalize(self) -> Mesh:
-        """A new mesh with its bounding box centred at the origin and the box's longest side from -1 to 1.
+        """A copy of the mesh with its bounding box centred at the origin and the box's longest side from -1 to 1.
 
-        Raises ValueError if all vertices coincide.
+        Raises ValueError if all vertices coincide, or are not finite.
         """
-        vertices = validate.has_numbers("vertices", self.vertices).detach().double()
+        vertices = validate.vertices(validate.has_numbers("vertices", self.vertices)).detach().double()
         low, high = vertices.min(dim=0).values, vertices.max(dim=0).values
         longest = float((high - low).max())
         if longest == 0:
             raise ValueError(f"vertices: expected a mesh to normalise, got {len(vertices)} vertices that all coincide")
-        return Mesh((vertices - (low + high) / 2) * (2 / longest), self.faces, self.textures)
+        result = copy.deepcopy(self)
+        with torch.no_grad():
+            result.vertices.copy_((vertices - (low + high) / 2) * (2 / longest))
+        return result
 
     def get_batch(self, batch_size: int) -> tuple[Tensor, Tensor, Tensor]:
         """The mesh ``batch_size`` times, as views: vertices [B, V, 3], faces [B, F, 3], textures [B, F, T, T, T, 3].
@@ -164,4 +167,5 @@ def _as_tensor(value: Any) -> Any:
 
 
 def _white(faces: Tensor, texture_size: int) -> Tensor:
-    return torch.ones(len(faces), *[validate.whole("texture_size", texture_size, 2)] * 3, 3)
+    size = validate.whole("texture_size", texture_size, 2)
+    return torch.ones(len(faces), size, size, size, 3, device=faces.device)
