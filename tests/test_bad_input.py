@@ -35,6 +35,7 @@ BAD = {
     "vertices with 2 coordinates": ("vertices", torch.zeros(1, 12, 2), ValueError),
     "vertices of integers": ("vertices", VERTICES[None].long(), TypeError),
     "vertices that are complex": ("vertices", VERTICES[None].to(torch.complex64), TypeError),
+    "vertices of 8 bits": ("vertices", VERTICES[None].to(torch.float8_e4m3fn), TypeError),
     "vertices as a list": ("vertices", VERTICES[None].tolist(), TypeError),
     "vertices as an array": ("vertices", VERTICES[None].numpy(), TypeError),
     "no vertices at all": ("vertices", None, TypeError),
@@ -59,6 +60,7 @@ BAD = {
     "textures that are no cubes": ("textures", torch.ones(1, 20, 2, 3, 2, 3), ValueError),
     "textures of size 1": ("textures", torch.ones(1, 20, 1, 1, 1, 3), ValueError),
     "textures of size 0": ("textures", torch.ones(1, 20, 0, 0, 0, 3), ValueError),
+    "textures of 8 bits": ("textures", torch.ones(1, 20, 2, 2, 2, 3).to(torch.float8_e4m3fn), TypeError),
     "textures of integers": ("textures", torch.ones(1, 20, 2, 2, 2, 3, dtype=torch.uint8), TypeError),
     "no textures at all": ("textures", None, ValueError),
 }

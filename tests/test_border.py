@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+
+import numpy as np
 import pytest
 import torch
+from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
+from torch.fx.experimental.proxy_tensor import make_fx
+from torch.utils.flop_counter import FlopCounterMode
 
 import neural_renderer as nr
 
@@ -33,6 +39,54 @@ def test_the_default_dtype_does_not_matter(scene):
     finally:
         torch.set_default_dtype(torch.float32)
     assert all(torch.equal(a, b) for a, b in zip(found, want, strict=True))
+
+
+@pytest.mark.parametrize("default", ["meta", "cuda"])
+def test_the_default_device_does_not_matter(tmp_path, default):
+    """Whatever `torch.set_default_device` says, lists and files are read on the CPU; without CUDA making one fails."""
+    path = tmp_path / "ball.obj"
+    nr.save_obj(path, *nr.icosphere(0))
+    with torch.device(default):
+        meshes = nr.Mesh.icosphere(0), nr.Mesh.load(path).normalize()
+        cameras = (
+            nr.Camera.look_at((0, 0, 3.0)),
+            nr.Camera.look((0, 0, 3.0), (0, 0, -1)),
+            nr.Camera.look_at(nr.get_points_from_angles(3, [0.0, 30.0], 0)),
+            nr.Camera.projection([[8, 0, 4], [0, 8, 4], [0, 0, 1]], np.eye(3), [0, 0, 3], orig_size=8),
+        )
+        for mesh, camera in itertools.product(meshes, cameras):
+            images = nr.render(mesh, camera, 8, background=[0.5, 0.5, 0.5])
+            assert images.rgb.device.type == "cpu" and images.alpha.any()
+        mesh = meshes[0]
+        found = nr.Renderer(8, camera_mode="look")(mesh.vertices[None], mesh.faces[None], mesh.textures[None])
+        assert found[0].device.type == "cpu" and nr.perspective(mesh.vertices).device.type == "cpu"
+
+
+def test_views_that_numpy_does_not_know(tmp_path, scene):
+    (vertices, faces, textures), camera = scene
+    want = nr.render((vertices, faces, textures), camera, 16)
+    views = torch._neg_view(-vertices), torch.complex(vertices, -vertices).conj().imag
+    for view in views:
+        assert view.is_neg()
+        found = nr.render((view, faces, textures), camera, 16)
+        assert all(torch.equal(a, b) for a, b in zip(found, want, strict=True))
+        nr.save_obj(tmp_path / "ball.obj", view, faces)
+        assert torch.equal(nr.load_obj(tmp_path / "ball.obj", False)[0], vertices.cpu())
+        with pytest.raises(ValueError, match="vertices: expected finite numbers, got"):
+            nr.render((view / 0, faces, textures), camera, 16)
+
+
+def test_tracers_are_not_asked_for_numbers(scene):
+    mesh, camera = scene
+    vertices, *others = mesh
+    traced = make_fx(lambda v: nr.render((v, *others), camera, 16).rgb)(vertices)
+    assert torch.equal(traced(vertices), nr.render(mesh, camera, 16).rgb)
+    with FakeTensorMode() as mode:
+        fakes = [mode.from_tensor(tensor) for tensor in mesh]
+        found = nr.render(tuple(fakes), nr.Camera.look_at((0.0, 0.0, -3.0)), 16)
+    assert type(found.rgb) is FakeTensor and found.rgb.shape == (1, 3, 16, 16)
+    with FlopCounterMode(display=False), pytest.raises(ValueError, match="vertices: expected finite numbers"):
+        nr.render((vertices / 0, *others), camera, 16)
 
 
 def test_indices_that_wrap_in_32_bits_are_out_of_range(scene):

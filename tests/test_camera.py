@@ -120,6 +120,18 @@ def test_projection_agrees_with_an_independent_formula():
     torch.testing.assert_close(nr.projection(vertices[0], K[0], R[0], t[0, 0], dist[0], (480, 640)), found[0])
 
 
+@pytest.mark.parametrize("make", [np.array, torch.tensor, list])
+def test_translations_have_one_of_three_shapes(make):
+    K, vertices = np.diag((2.0, 2, 1)), points(4) + 3
+    for t in ([0.0, 0, 3], [[0.0, 0, 3]], [[[0.0, 0, 3]]]):
+        found = nr.projection(vertices, K, np.eye(3), make(t), orig_size=2)
+        assert torch.equal(found.reshape(4, 3), nr.projection(vertices, K, np.eye(3), (0, 0, 3), orig_size=2))
+        camera = Camera.projection(K, np.eye(3), make(t), orig_size=2)
+        torch.testing.assert_close(camera(vertices), found.reshape(1, 4, 3))
+    with pytest.raises(ValueError, match="t: expected shape"):
+        nr.projection(vertices, K, np.eye(3), make([[[0.0, 0, 3]] * 2]))
+
+
 def test_projection_by_hand():
     K = [[100, 0, 50], [0, 100, 50], [0, 0, 1]]
     found = nr.projection(torch.tensor([[1.0, 2.0, 0.0]]), K, np.eye(3), [0, 0, 4], orig_size=100)
@@ -257,6 +269,8 @@ def test_numbers_that_are_not_finite_are_named(name):
         ((torch.eye(3), None, None), ValueError, r"rotation: expected shape \[B, 3, 3\]"),
         ((torch.eye(3)[None], torch.zeros(2, 3), torch.zeros(1, 3)), ValueError, r"origin: expected shape \[1, 3\]"),
         ((torch.eye(3)[None], *torch.zeros(2, 1, 3), None, 1.0, torch.eye(3)[None]), TypeError, "orig_size: expected"),
+        ((torch.eye(3)[None] / 0, *torch.zeros(2, 1, 3)), ValueError, "rotation: expected finite numbers, got 9 "),
+        ((torch.eye(3)[None], *torch.ones(2, 1, 3) / 0), ValueError, "origin: expected finite numbers, got 3 "),
     ],
 )
 def test_cameras_of_wrong_parts_are_refused(arguments, error, message):
@@ -294,6 +308,17 @@ def test_without_numbers_only_shapes_are_computed():
         (lambda v: nr.look_at(v, [0, 1]), ValueError, r"eye: expected shape \[3\] or \[B, 3\]"),
         (lambda v: nr.look_at(v, "here"), TypeError, "eye: expected numbers, got str"),
         (lambda v: nr.look_at(v, torch.ones(3).to_sparse()), TypeError, "eye: expected a dense tensor"),
+        (
+            lambda v: nr.look_at(v, torch.ones(3).to(torch.float8_e5m2)),
+            TypeError,
+            "eye: expected a floating-point tensor",
+        ),
+        (
+            lambda v: nr.look_at(v, torch.ones(3).to(torch.complex64)),
+            TypeError,
+            "eye: expected a floating-point tensor",
+        ),
+        (lambda v: nr.look_at(v.to(torch.float8_e5m2), [0, 0, 1]), TypeError, r"vertices: .* of 16 to 64 bits, got"),
         (lambda v: nr.look_at(v.to_sparse(), [0, 0, 1]), TypeError, "vertices: expected a dense tensor"),
         (lambda v: nr.get_points_from_angles("far", 0, 0), TypeError, "distance: expected numbers, got str"),
         (lambda v: nr.perspective(v, 90), ValueError, r"angle: expected degrees in \(0, 90\)"),

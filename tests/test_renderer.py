@@ -154,6 +154,34 @@ def test_changed_attributes_take_effect(device):
     assert not torch.equal(renderer(vertices, faces, mode="silhouettes"), moved)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("camera_mode", None), ("perspective", "no"), ("fill_back", None), ("viewing_angle", "wide")]
+)
+def test_attributes_are_checked_when_drawing(device, name, value):
+    vertices, faces, _ = sphere(device)
+    renderer = nr.Renderer(8, camera_mode="look_at")
+    setattr(renderer, name, value)
+    with pytest.raises(TypeError, match=f"^{name}: expected .*got"):
+        renderer(vertices, faces, mode="silhouettes")
+
+
+def test_each_view_may_have_its_angle(device):
+    vertices, faces, _ = sphere(device, 2)
+    angles = torch.tensor([20.0, 40.0], device=device, requires_grad=True)
+    both = nr.Renderer(16, camera_mode="look_at", viewing_angle=angles)
+    images = both(vertices, faces, mode="silhouettes")
+    for index, angle in enumerate((20.0, 40.0)):
+        one = nr.Renderer(16, camera_mode="look_at", viewing_angle=angle)
+        assert both.eye[index].tolist() == pytest.approx(one.eye)
+        assert torch.allclose(images[index], one(vertices[:1], faces[:1], mode="silhouettes")[0])
+    for _ in range(2):  # no graph is left in the renderer
+        both(vertices, faces, mode="silhouettes").sum().backward()
+    assert (angles.grad != 0).all()
+    for wrong in (0, 90, torch.tensor([30.0, 95.0])):
+        with pytest.raises(ValueError, match=r"^viewing_angle: expected degrees in \(0, 90\)"):
+            nr.Renderer(viewing_angle=wrong)
+
+
 def test_camera_direction_of_the_constructor(device):
     """The port ignored it."""
     vertices, faces, _ = sphere(device)

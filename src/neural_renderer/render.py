@@ -7,6 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
+from . import validate
 from .camera import Camera
 from .lighting import Light
 from .mesh import Mesh
@@ -63,20 +64,24 @@ def render(
         raise TypeError(f"light: expected a Light or None, got {type(light).__name__}")
     outputs = checked_outputs(outputs)
     height, width = image_size("size", size)
-    screen = camera(vertices, aspect=width / height)
+    screen = validate.in_float32("vertices on the screen", camera(vertices, aspect=width / height))
     checked_faces(faces)
     factors = None
-    if light is not None and "rgb" in outputs:
-        factors = light.two_sided(world_corners(vertices, faces, len(screen)), camera.mirrored)
-    if textures is None and "rgb" in outputs:
+    if "rgb" not in outputs:
+        textures = None
+    elif textures is None:
         raise ValueError('mesh: expected textures to draw "rgb", got (vertices, faces) alone')
-    if textures is not None and textures.dim() == 5:
-        textures = textures[None]
+    else:
+        owners = ("F",) if getattr(textures, "ndim", 6) == 5 else ("B", "F")
+        textures = validate.cubes("textures", textures, *owners)
+        textures = textures if textures.dim() == 6 else textures[None]
+        if light is not None:
+            factors = light.two_sided(world_corners(vertices, faces, len(screen)), camera.mirrored)
     return rasterize_images(
         vertices_to_faces(screen, faces),
         (height, width),
         outputs=outputs,
-        textures=textures if "rgb" in outputs else None,
+        textures=textures,
         light=factors,
         background=background,
         near=near,

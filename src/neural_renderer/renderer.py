@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from . import validate
 from .camera import look, look_at, projection
-from .camera.lens import in_perspective
+from .camera.lens import in_perspective, viewing_angle
 from .lighting import Light
 from .raster.rasterize import Images, checked_faces, rasterize_images, vertices_to_faces, world_corners
 from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR
@@ -23,7 +23,8 @@ class Renderer(nn.Module):
     background_color: [3], [B, 3] or an image. fill_back: draw both sides of every face.
     camera_mode: "projection" (K, R, t, dist_coeffs, orig_size: an OpenCV camera), "look_at" (eye), "look" (eye,
         camera_direction); any other string: vertices are in screen space already.
-    perspective: divide by depth ("look_at" and "look" only), with half field of view viewing_angle in degrees.
+    perspective: divide by depth ("look_at" and "look" only), with half field of view viewing_angle in degrees: a
+        number, or a tensor [] or [B].
     near, far: only what has near < depth < far at a pixel is seen, in every mode.
     rasterizer_eps: eps of colour renders (see `rasterize_images`); that of silhouettes is 1e-4, as it always was.
     light_*: intensities, colours and direction (towards the light) as in `Light`.
@@ -58,22 +59,16 @@ class Renderer(nn.Module):
         gradient: str = "nmr",
     ) -> None:
         super().__init__()
-        if not isinstance(camera_mode, str):
-            raise TypeError(f"camera_mode: expected a string, got {type(camera_mode).__name__}")
         self.image_size = image_size
         self.anti_aliasing = anti_aliasing
         self.background_color = _own(background_color)
         self.fill_back = fill_back
-        self.camera_mode = camera_mode
+        self.camera_mode = _mode(camera_mode)
         self.K, self.R, self.t, self.dist_coeffs = K, R, t, dist_coeffs
         self.orig_size = orig_size
         self.perspective = perspective
         self.viewing_angle = viewing_angle
-        half_angle = validate.number("viewing_angle", viewing_angle)
-        if not 0 < half_angle < 90:
-            raise ValueError(f"viewing_angle: expected more than 0 and less than 90 degrees, got {half_angle}")
-        half = math.tan(math.radians(half_angle))
-        self.eye: Any = [0, 0, -(1.0 / half + 1)]
+        self.eye: Any = _default_eye(viewing_angle)
         self.camera_direction = _own(camera_direction)
         self.near = near
         self.far = far
@@ -149,7 +144,8 @@ class Renderer(nn.Module):
     ) -> Images:
         validate.floating("vertices", vertices, ("B", "V", 3))
         checked_faces(faces)
-        screen, in_perspective = self._project(vertices, *camera)
+        screen, perspective = self._project(vertices, *camera)
+        screen = validate.in_float32("vertices on the screen", screen)
         light = None
         if "rgb" in outputs:
             lamp = Light(
@@ -172,8 +168,8 @@ class Renderer(nn.Module):
             far=self.far,
             eps=self.rasterizer_eps if "rgb" in outputs else DEFAULT_EPS,
             anti_aliasing=self.anti_aliasing,
-            two_sided=self.fill_back,
-            perspective=in_perspective,
+            two_sided=validate.flag("fill_back", self.fill_back),
+            perspective=perspective,
             gradient=self.gradient,
         )
 
@@ -181,20 +177,22 @@ class Renderer(nn.Module):
         self, vertices: Tensor, K: Any, R: Any, t: Any, dist_coeffs: Any, orig_size: Any
     ) -> tuple[Tensor, bool]:
         """Vertices in screen space, and whether depth runs in perspective between them."""
-        if self.camera_mode == "projection":
+        mode = _mode(self.camera_mode)
+        if mode == "projection":
             K, R, t = (self._given(name, value) for name, value in (("K", K), ("R", R), ("t", t)))
             dist_coeffs = self.dist_coeffs if dist_coeffs is None else dist_coeffs
             size = self.orig_size if orig_size is None else orig_size
             return projection(vertices, K, R, t, dist_coeffs, size), True
-        if self.camera_mode == "look_at":
+        divided = validate.flag("perspective", self.perspective)
+        if mode == "look_at":
             vertices = look_at(vertices, self.eye)
-        elif self.camera_mode == "look":
+        elif mode == "look":
             vertices = look(vertices, self.eye, self.camera_direction)
         else:
             return validate.vertices(vertices), True
-        if self.perspective:
-            vertices = in_perspective(vertices, self.viewing_angle)
-        return vertices, bool(self.perspective)
+        if divided:
+            vertices = in_perspective(vertices, self.viewing_angle, "viewing_angle")
+        return vertices, divided
 
     def _given(self, name: str, value: Any) -> Any:
         value = getattr(self, name) if value is None else value
@@ -204,6 +202,21 @@ class Renderer(nn.Module):
                 'Renderer or to the call, or choose camera_mode="look_at"'
             )
         return value
+
+
+def _mode(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"camera_mode: expected a string, got {type(value).__name__}")
+    return value
+
+
+def _default_eye(angle: Any) -> Any:
+    """The place on -z from which a square of side 2 at z = -1 fills the image: [3], or [B, 3] for angles [B]."""
+    angle = viewing_angle("viewing_angle", angle, torch.get_default_dtype())
+    if isinstance(angle, Tensor):
+        z = -1 / torch.tan(torch.deg2rad(angle.detach())) - 1
+        return torch.stack((torch.zeros_like(z), torch.zeros_like(z), z), -1)
+    return [0, 0, -(1.0 / math.tan(math.radians(angle)) + 1)]
 
 
 def _own(value: Any) -> Any:

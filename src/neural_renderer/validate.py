@@ -10,6 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+FLOATING = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+"""The floating dtypes that torch computes in; those of 8 bits and fewer only store."""
+
 _check_values = True
 
 
@@ -28,10 +31,16 @@ def check_values(enabled: bool) -> None:
 def values_are_checked(value: Tensor) -> bool:
     """Whether the numbers of ``value`` are checked now.
 
-    Never where they cannot be read: while torch.compile traces, under torch.func, on the device "meta".
+    Never where they cannot be read: while torch.compile traces, under torch.func, on the device "meta", in tensors
+    that only look like ones (FakeTensor), while make_fx traces.
     """
-    readable = not (torch.compiler.is_compiling() or value.is_meta or torch._C._are_functorch_transforms_active())
-    return _check_values and readable
+    return _check_values and not (
+        torch.compiler.is_compiling()
+        or value.is_meta
+        or type(value).__torch_dispatch__ is not Tensor.__torch_dispatch__
+        or torch._C._are_functorch_transforms_active()
+        or torch._C._get_dispatch_mode(torch._C._TorchDispatchModeKey.PROXY) is not None
+    )
 
 
 def shape_of(value: Tensor) -> str:
@@ -47,9 +56,14 @@ def floating(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
     """
     if not isinstance(value, Tensor):
         raise TypeError(f"{name}: expected a floating-point torch tensor, got {type(value).__name__}")
-    if not value.is_floating_point():
-        raise TypeError(f"{name}: expected a floating-point tensor, got {shape_of(value)}")
-    _match(name, value, shape)
+    _match(name, real(name, value), shape)
+    return value
+
+
+def real(name: str, value: Tensor) -> Tensor:
+    """``value`` if it is of 16 to 64 bits floating; TypeError otherwise."""
+    if value.dtype not in FLOATING:
+        raise TypeError(f"{name}: expected a floating-point tensor of 16 to 64 bits, got {shape_of(value)}")
     return value
 
 
@@ -75,6 +89,14 @@ def cubes(name: str, value: Any, *owners: int | str) -> Tensor:
     floating(name, value, (*owners, "T", "T", "T", 3))
     if len(set(value.shape[-4:-1])) != 1 or value.shape[-2] < 2:
         raise ValueError(f"{name}: expected cubes [T, T, T, 3] with T at least 2, got {shape_of(value)}")
+    return value
+
+
+def in_float32(name: str, value: Tensor) -> Tensor:
+    """``value`` in float32; ValueError if it had another type that does not fit and values are checked."""
+    if value.dtype != torch.float32:
+        value = value.float()
+        finite(f"{name}, in float32", value)
     return value
 
 
@@ -114,7 +136,7 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
     """ValueError if ``value`` holds NaN or infinity and values are checked (see `check_values`), or ``always``."""
     if not (always or values_are_checked(value)) or not value.numel():
         return
-    value = value.detach()
+    value = value.detach().resolve_neg()  # which NumPy does not know
     # A sum is NaN or infinite if any term is: one pass without a mask. The second look rules out that finite numbers
     # overflowed. NumPy's sum on the CPU, because torch's threads would go on spinning where the kernels' want to run.
     plain = value.device.type == "cpu" and value.dtype in (torch.float32, torch.float64)

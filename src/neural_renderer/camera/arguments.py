@@ -25,23 +25,28 @@ def parameter(
     Gradients flow through. Raises TypeError for anything that is not numbers; ValueError for another shape, and for
     NaN or infinity if values are checked.
     """
-    if isinstance(value, Tensor):
-        tensor = validate.dense(name, value)
-    else:
-        try:
-            tensor = torch.as_tensor(value, dtype=dtype)
-        except (TypeError, ValueError, RuntimeError):
-            raise TypeError(f"{name}: expected numbers, got {type(value).__name__}") from None
+    tensor = as_tensor(name, value, dtype)
     dims = tensor.ndim - len(size)
     if dims not in (0, 1) or tuple(tensor.shape[dims:]) != size:
         sizes = ", ".join(str(s) for s in size)
         batched = f"B, {sizes}" if size else "B"
         raise ValueError(f"{name}: expected shape [{sizes}] or [{batched}], got {validate.shape_of(tensor)}")
-    if tensor.is_floating_point():
+    if tensor.is_floating_point() or tensor.is_complex():
+        validate.real(name, tensor)
         validate.finite(name, tensor)  # before the move: what was given on the CPU is read there, without a wait
     if device is not None and device.type != "meta":
         validate.has_numbers(name, tensor)
     return tensor.to(device=device, dtype=dtype)
+
+
+def as_tensor(name: str, value: Any, dtype: torch.dtype) -> Tensor:
+    """A tensor as it is; anything else as a tensor of ``dtype`` on the CPU. TypeError if it is not numbers."""
+    if isinstance(value, Tensor):
+        return validate.dense(name, value)
+    try:
+        return torch.as_tensor(value, dtype=dtype, device="cpu")  # whatever torch.set_default_device says
+    except (TypeError, ValueError, RuntimeError):
+        raise TypeError(f"{name}: expected numbers, got {type(value).__name__}") from None
 
 
 def scalar(name: str, value: Any, dtype: torch.dtype, device: torch.device | None = None) -> Scalar:
@@ -53,7 +58,7 @@ def scalar(name: str, value: Any, dtype: torch.dtype, device: torch.device | Non
 
 def float_type(*values: Any) -> torch.dtype:
     """The floating dtype in which the tensors among ``values`` meet; torch's default dtype if there is none."""
-    found = [v.dtype for v in values if isinstance(v, Tensor) and v.is_floating_point()]
+    found = [v.dtype for v in values if isinstance(v, Tensor) and v.dtype in validate.FLOATING]
     if not found:
         return torch.get_default_dtype()
     dtype = found[0]

@@ -53,11 +53,13 @@ class Camera:
 
     def __post_init__(self) -> None:
         validate.floating("rotation", self.rotation, ("B", 3, 3))
+        validate.finite("rotation", self.rotation)
         for name, size in (("origin", (3,)), ("translation", (3,)), ("K", (3, 3)), ("dist_coeffs", (5,))):
             value = getattr(self, name)
             if value is not None or name in ("origin", "translation"):
                 validate.floating(name, value, (len(self.rotation), *size))
                 validate.same_device(rotation=self.rotation, **{name: value})
+                validate.finite(name, value)
         if self.K is not None:
             image_size(self.orig_size)
 

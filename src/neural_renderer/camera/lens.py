@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from .. import validate
-from .arguments import Array, Scalar, batch_of, batch_size, parameter, scalar
+from .arguments import Array, Scalar, as_tensor, batch_of, batch_size, parameter, scalar
 from .view import rotate
 
 _NEAREST = 1e-6  # |z| by which x and y are divided at the least, in world units
@@ -35,11 +34,11 @@ def perspective(vertices: Tensor, angle: Scalar = 30.0) -> Tensor:
     return in_perspective(validate.vertices(vertices), angle)
 
 
-def in_perspective(vertices: Tensor, angle: Scalar) -> Tensor:
-    """`perspective` of vertices that are checked already."""
-    angle = viewing_angle("angle", angle, vertices.dtype, vertices.device)
-    width = torch.tan(torch.deg2rad(torch.as_tensor(angle, dtype=vertices.dtype)))
-    batch_size(vertices=batch_of(vertices, 2), angle=batch_of(width, 0))
+def in_perspective(vertices: Tensor, angle: Scalar, name: str = "angle") -> Tensor:
+    """`perspective` of vertices that are checked already; errors call the angle ``name``."""
+    angle = viewing_angle(name, angle, vertices.dtype, vertices.device)
+    width = torch.tan(torch.deg2rad(as_tensor(name, angle, vertices.dtype)))
+    batch_size(vertices=batch_of(vertices, 2), **{name: batch_of(width, 0)})
     x, y, z = vertices.unbind(-1)
     across = width[..., None] if width.ndim else width
     near = _away_from_zero(z)
@@ -111,7 +110,8 @@ def calibration(
     K: Any, R: Any, t: Any, dist_coeffs: Any, dtype: torch.dtype, device: torch.device
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """The arguments of `projection` as tensors: [3, 3], [3, 3], [3] and [5] or None, each with or without a batch."""
-    if isinstance(t, (Tensor, np.ndarray)) and t.ndim == 3 and t.shape[1] == 1:
+    t = as_tensor("t", t, dtype)
+    if t.ndim == 3 and t.shape[1] == 1:
         t = t[:, 0]
     K, R = parameter("K", K, (3, 3), dtype, device), parameter("R", R, (3, 3), dtype, device)
     t = parameter("t", t, (3,), dtype, device)
