@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -131,7 +132,10 @@ def test_turntable(ball: str, tmp_path: Path) -> None:
     ("options", "sentence"),
     [
         (["-o", "a.bmp"], "--output: expected a name that ends in .png, .jpg, .jpeg, .gif, .mp4, got 'a.bmp'"),
-        (["-o", "a.png", "--size", "0"], "size: expected between 1 and 32768 pixels"),
+        (["-o", "a.png", "--size", "0"], "--size: expected between 1 and 32768 pixels, got 0"),
+        (["-o", "a.png", "--size", "4", "0"], "--size: expected between 1 and 32768 pixels, got (4, 0)"),
+        (["-o", "a.png", "--texture-size", "2000"], "--texture-size: expected cubes of at most 8 GiB, got"),
+        (["-o", "a.png", "--texture_size=2000"], "--texture-size: expected cubes of at most 8 GiB, got"),
         (["-o", "a.png", "--elevation", "90"], "--elevation: expected a number above -90 and below 90, got 90.0"),
         (["-o", "a.png", "--viewing-angle", "nan"], "--viewing-angle: expected a number above 0 and below 90, got nan"),
         (["-o", "a.png", "--distance", "-1"], "--distance: expected a number above 0, got -1.0"),
@@ -161,6 +165,22 @@ def test_errors_about_the_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "expected a file that ends in .obj" in fails(capsys, "render", "model.xyz", "-o", output)
     (tmp_path / "broken.obj").write_text("v 1 2\nf 1 2 3\n")
     assert "broken.obj" in fails(capsys, "render", str(tmp_path / "broken.obj"), "-o", output)
+
+
+def test_warnings_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a  b.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nmtllib absent.mtl\nf 1 2 3\n")
+    render(str(path), tmp_path / "a.png", "--size", "8")
+    assert capsys.readouterr().err == f"{path}: its material file 'absent.mtl' is missing\n"
+
+
+def test_a_kernel_cache_that_cannot_be_written(ball: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    command = [sys.executable, "-m", "neural_renderer.cli", "render", ball, "-o", str(tmp_path / "a.png")]
+    environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / "file")}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert str(tmp_path / "file") in done.stderr and "WARP_CACHE_PATH" in done.stderr
 
 
 def test_debug_shows_where(monkeypatch: pytest.MonkeyPatch) -> None:

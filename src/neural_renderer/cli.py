@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import sys
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import tyro
@@ -33,7 +36,8 @@ def main(args: Sequence[str] | None = None) -> int:
     debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
     try:
-        return _parse(arguments).run()
+        with _plain_warnings():
+            return _parse(arguments).run()
     except SystemExit as stop:  # --help (0) and wrong usage (2)
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except KeyboardInterrupt:
@@ -44,7 +48,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             raise
-        Console(stderr=True).print(Text(_sentence(error), style="red"), soft_wrap=True)
+        _say(_in_options(_sentence(error), arguments), "red")
         return 1
 
 
@@ -72,14 +76,44 @@ def _stand_in(summary: str) -> Callable[..., Any]:
     return command
 
 
+def _say(message: str, style: str) -> None:
+    """One line to the user, beside what the command puts out."""
+    Console(stderr=True).print(Text(message, style=style), soft_wrap=True)
+
+
+@contextlib.contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Warnings as what they say, without a place in a program that the user did not write."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_, **__: _say(" ".join(str(message).splitlines()), "yellow")
+        yield
+
+
+def _in_options(message: str, arguments: Sequence[str]) -> str:
+    """The message, with the library's name of an argument replaced by the option that gave it: ``--texture-size``."""
+    name, _, rest = message.partition(":")
+    option = "--" + name.replace("_", "-")
+    given = {argument.partition("=")[0].replace("_", "-") for argument in arguments}
+    return f"{option}:{rest}" if option in given else message
+
+
 def _sentence(error: Exception) -> str:
     """What went wrong, on one line; an error that nobody foresaw is named and says how to learn more."""
     message = " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        sentence = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        advice = "; WARP_CACHE_PATH in the environment can name another folder for compiled kernels"
+        return sentence + advice if error.filename and _in_kernel_cache(Path(error.filename)) else sentence
     if isinstance(error, (ValueError, TypeError, OSError)) and message:
         return message
     return f"{type(error).__name__}: {message} (--debug shows where)"
+
+
+def _in_kernel_cache(path: Path) -> bool:
+    """Whether Warp stumbled over ``path`` on its way to the folder where it keeps compiled kernels, or in it."""
+    warp = sys.modules.get("warp")
+    folder = Path((warp and warp.config.kernel_cache_dir) or os.devnull)
+    return path.is_relative_to(folder) or folder.is_relative_to(path)
 
 
 if __name__ == "__main__":

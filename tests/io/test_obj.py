@@ -13,6 +13,7 @@ from PIL import Image
 from neural_renderer.io.atlas import build_atlas
 from neural_renderer.io.cubes import bake_corners, barycentric_grid
 from neural_renderer.io.obj import load_obj, save_obj
+from neural_renderer.mesh import Mesh
 from neural_renderer.primitives import icosphere
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -102,6 +103,14 @@ def test_every_nasty_file_loads_or_is_refused(shared):
                 assert torch.isfinite(textures).all() and textures.min() >= 0 and textures.max() <= 1
 
 
+def test_warnings_point_at_the_caller(tmp_path):
+    path = write(tmp_path, TRIANGLE + "mtllib absent.mtl\nf 1 2 3")
+    for load in (lambda: load_obj(path, load_texture=True), lambda: Mesh.load(path)):
+        with pytest.warns(UserWarning, match=r"absent\.mtl") as found:
+            load()
+        assert {warning.filename for warning in found} == {__file__}
+
+
 def test_missing_files_are_named_and_grey(tmp_path, shared):
     folder = shared / "data/meshes/nasty/pytorch3d"
     with pytest.warns(UserWarning, match=r"model2\.mtl"):
@@ -171,7 +180,7 @@ def test_bad_arguments(tmp_path):
         load_obj(path)
     with pytest.raises(ValueError, match="texture_size: expected at least 2"):
         load_obj(path, False, texture_size=1, load_texture=True)
-    with pytest.raises(ValueError, match=r"11\.2 GiB .*smaller texture_size"):
+    with pytest.raises(ValueError, match=r"11\.2 GiB .*choose a smaller one"):
         load_obj(path, False, texture_size=1000, load_texture=True)
     with pytest.raises(ValueError, match="texture_wrapping: expected one of REPEAT"):
         textured(tmp_path, texture_wrapping="MIRROR")

@@ -19,6 +19,7 @@ from ..camera import Camera, get_points_from_angles
 from ..io import load_mesh, save_animation, save_image
 from ..lighting import Light
 from ..mesh import Mesh
+from ..raster.rasterize import image_size
 from ..render import render
 from .common import checked_count, chosen_device
 from .studio import corner_cubes, vertex_normals
@@ -45,7 +46,8 @@ class Render:
     size: int | tuple[int, int] = 512
     """Side of the picture, or height and width, in pixels (1 to 32768)."""
     azimuth: float = 150.0
-    """Where the camera stands around the y axis, in degrees: 180 on +z, in front of most models, 90 on +x, 0 on -z."""
+    """Where the camera stands around the y axis, in degrees: 180 on +z, in front of most models, 90 on +x, 0 on -z, in
+    front of some."""
     elevation: float = 20.0
     """How high the camera stands, in degrees (above -90, below 90): 0 level with the model, positive above it."""
     distance: float | None = None
@@ -104,6 +106,7 @@ class Render:
             checked_count("turntable", self.turntable, 1)
             if suffix in _PICTURES:
                 raise ValueError(f"--output: expected a .gif or .mp4 for a turntable, got {self.output.name!r}")
+        image_size("size", self.size)
         checked_count("texture_size", self.texture_size, 2)
         self._between("fps", self.fps, 0, math.inf)
         self._between("viewing-angle", self.viewing_angle, 0, 90)

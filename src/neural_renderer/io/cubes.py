@@ -31,7 +31,7 @@ def empty_cubes(faces: int, size: int, colour: float) -> np.ndarray:
     if needed > _MOST_BYTES:
         raise ValueError(
             f"texture_size: expected cubes of at most {_MOST_BYTES / 2**30:.0f} GiB, got {needed / 2**30:.1f} GiB "
-            f"({faces} faces of {size}³ texels); choose a smaller texture_size"
+            f"({faces} faces of {size}³ texels); choose a smaller one"
         )
     return np.full((faces, size, size, size, 3), colour, dtype=np.float32)
 

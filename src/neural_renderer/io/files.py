@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import codecs
 import os
+import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,14 @@ from torch import Tensor
 from neural_renderer import validate
 
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+
+
+def warn(message: str) -> None:
+    """A UserWarning at the line outside of this package that led here."""
+    frame, level = sys._getframe(), 1
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == __name__.partition(".")[0]:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, stacklevel=level)
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
@@ -90,4 +100,4 @@ def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.n
 def _on_host(name: str, value: Any) -> Any:
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
-    return validate.has_numbers(name, value).detach().cpu() if isinstance(value, Tensor) else value
+    return validate.has_numbers(name, value).detach().cpu().resolve_neg() if isinstance(value, Tensor) else value

@@ -116,7 +116,7 @@ def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
 def _pixels(name: str, image: Any) -> np.ndarray:
     """A picture as uint8, [H, W] or [H, W, 3 | 4]."""
     if isinstance(image, Tensor):
-        image = validate.has_numbers(name, validate.dense(name, image)).detach().cpu()
+        image = validate.has_numbers(name, validate.dense(name, image)).detach().cpu().resolve_neg()
         image = (image.float() if image.is_floating_point() else image).numpy()
     if not isinstance(image, np.ndarray):
         raise TypeError(f"{name}: expected a tensor or array, got {type(image).__name__}")

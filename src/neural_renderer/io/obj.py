@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from torch import Tensor
 
 from neural_renderer.io.atlas import build_atlas
 from neural_renderer.io.cubes import WRAPPINGS, bake_corners, bake_image, empty_cubes
-from neural_renderer.io.files import existing, find_file, mesh_to_write
+from neural_renderer.io.files import existing, find_file, mesh_to_write, warn
 from neural_renderer.io.images import load_image
 from neural_renderer.io.mtl import Material, read_mtl
 from neural_renderer.io.parse import ObjFile, read_obj
@@ -64,7 +63,7 @@ def load_obj(
     textures = obj_textures(obj, texture_size, texture_wrapping, use_bilinear)
     if textures is None:
         if not obj.libraries:
-            warnings.warn(f"{obj.path}: no mtllib and no vertex colours, so its texture is grey", stacklevel=2)
+            warn(f"{obj.path}: no mtllib and no vertex colours, so its texture is grey")
         textures = torch.from_numpy(empty_cubes(len(obj.faces), texture_size, 0.5))
     return *geometry, textures
 
@@ -96,7 +95,7 @@ def obj_textures(obj: ObjFile, size: int, wrapping: str = "REPEAT", bilinear: bo
         material = materials.get(name)
         if material is None:
             if materials:
-                _warn(f"{obj.path}: material {name!r} is in none of its material files")
+                warn(f"{obj.path}: material {name!r} is in none of its material files")
             continue
         chosen = np.flatnonzero(obj.material == index)
         if material.colour is not None:
@@ -114,11 +113,11 @@ def _paint(
     name = material.image or ""
     path = find_file(name, material.folder, obj.path.parent)
     if path is None:
-        _warn(f"{obj.path}: its image {name!r} is missing")
+        warn(f"{obj.path}: its image {name!r} is missing")
         return False
     placed = chosen[np.isfinite(obj.uv[chosen]).all(axis=(1, 2))]
     if len(placed) < len(chosen):
-        _warn(f"{obj.path}: {len(chosen) - len(placed)} faces have no texture coordinates for the image {name!r}")
+        warn(f"{obj.path}: {len(chosen) - len(placed)} faces have no texture coordinates for the image {name!r}")
     uv = obj.uv[placed] * material.scale + material.offset
     image = load_image(path)[..., :3].numpy()
     wrapping = "CLAMP_TO_EDGE" if material.clamp else wrapping
@@ -137,14 +136,10 @@ def _materials(obj: ObjFile) -> dict[str, Material]:
         for name in re.split(r"(?<!\\)\s+", text):
             path = find_file(name.replace("\\ ", " "), obj.path.parent)
             if path is None:
-                _warn(f"{obj.path}: its material file {name!r} is missing")
+                warn(f"{obj.path}: its material file {name!r} is missing")
             else:
                 materials |= read_mtl(path)
     return materials
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, stacklevel=2)
 
 
 def save_obj(filename: str | os.PathLike[str], vertices: Any, faces: Any, textures: Any = None) -> None:
