@@ -11,13 +11,14 @@ from torch import Tensor
 
 from .. import validate
 from .barycentrics import barycentrics
+from .boundaries import boundaries
 from .corners import gather_corners
 from .coverage import coverage, silhouette
 from .downsample import halve
 from .edges import nmr_edges
 from .textures import sample_textures
 
-GRADIENTS = ("nmr",)
+GRADIENTS = ("nmr", "edge")
 OUTPUTS = ("rgb", "alpha", "depth")
 
 
@@ -44,7 +45,7 @@ def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     validate.in_range("faces", faces, vertices.shape[1])
     if faces.dtype == torch.int64:  # an index that is out of range stays so in 32 bits
         faces = faces.clamp(-1, 2**31 - 1)
-    return gather_corners(vertices.float(), faces.int().contiguous())
+    return gather_corners(vertices.float(), faces.int())
 
 
 def world_corners(vertices: Tensor, faces: Tensor, images: int) -> Tensor:
@@ -90,7 +91,9 @@ def rasterize_images(
     anti_aliasing: draw at twice the size and average 2 x 2 pixels (colour, alpha and depth alike).
     two_sided: also draw faces whose corners run clockwise on the screen.
     perspective: interpolate depth and texture coordinates in perspective; False for orthographic cameras.
-    gradient: the estimator through visibility: "nmr", the paper's (section 3.2).
+    gradient: the estimator through visibility: "nmr", the paper's (section 3.2), which pulls from afar and whose size
+        is not a derivative's; or "edge", the derivative of the image averaged over sub-pixel shifts (see `boundaries`),
+        with that of texture coordinates and depth, depth through visibility included.
 
     Returns Images. An empty batch or mesh gives the background. Raises TypeError or ValueError for anything else.
     """
@@ -115,9 +118,10 @@ def rasterize_images(
     still = corners.detach()
     face_index = coverage(still, height * scale, width * scale, near, far, two_sided, perspective)
     depth = None
-    layers = []
+    layers = {}
+    whole = gradient == "edge"  # the derivative inside of faces, too
     if "rgb" in outputs or "depth" in outputs:
-        weights, depth = barycentrics(corners if "depth" in outputs else still, face_index, far, perspective)
+        weights, depth = barycentrics(corners if whole or "depth" in outputs else still, face_index, far, perspective)
         if "rgb" in outputs:
             cubes = _checked_textures(textures, batch, count, device)
             factors = _checked_light(light, batch, count, device)
@@ -125,28 +129,35 @@ def rasterize_images(
             if anti_aliasing and behind.shape[2] > 1:
                 behind = behind.repeat_interleave(2, 2).repeat_interleave(2, 3)
             behind = behind.expand(batch, 3, *face_index.shape[1:])
-            places = (still, face_index, weights.detach())
-            layers.append(sample_textures(cubes, factors, behind, *places, eps, perspective))
+            weights = weights if whole else weights.detach()
+            layers["rgb"] = sample_textures(cubes, factors, behind, still, face_index, weights, eps, perspective)
     if "alpha" in outputs:
-        layers.append(silhouette(face_index))
+        layers["alpha"] = silhouette(face_index)
+    if "depth" in outputs and whole:
+        layers["depth"] = depth[:, None]  # type: ignore[index]
     rgb = alpha = None
     if layers:
-        image = layers[0] if len(layers) == 1 else torch.cat(layers, 1)
+        image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
         if corners.requires_grad and torch.is_grad_enabled():
-            if not perspective:  # depth has no part in it, and a corner behind an orthographic camera is like any other
-                corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
-            image = nmr_edges(image, corners, face_index, eps, two_sided, "rgb" not in outputs)
+            if whole:
+                image = boundaries(image, corners, face_index, two_sided, perspective, "rgb" in outputs)
+            else:
+                if not perspective:  # depth has no part in it: a corner behind an orthographic camera is like any other
+                    corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
+                image = nmr_edges(image, corners, face_index, eps, two_sided, "rgb" not in outputs)
         if anti_aliasing:
             image = halve(image)
         # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied.
-        if len(layers) == 2:
-            rgb, alpha = (part.contiguous() for part in image.split((3, 1), 1))
-            alpha = alpha.squeeze(1)
-        elif "rgb" in outputs:
-            rgb = image
+        if len(layers) > 1:
+            parts = image.split([layer.shape[1] for layer in layers.values()], 1)
+            layers = {name: part.contiguous() for name, part in zip(layers, parts, strict=True)}
         else:
-            alpha = image.squeeze(1)
-    if "depth" not in outputs:
+            layers = dict.fromkeys(layers, image)
+        rgb = layers.get("rgb")
+        alpha = layers["alpha"].squeeze(1) if "alpha" in layers else None
+    if "depth" in layers:
+        depth = layers["depth"].squeeze(1)
+    elif "depth" not in outputs:
         depth = None
     elif anti_aliasing and depth is not None:
         depth = halve(depth[:, None])[:, 0]

@@ -1,0 +1,406 @@
+"""The derivative of an image through visibility: what moving the visible boundaries changes (`gradient="edge"`).
+
+An image averaged over sub-pixel shifts of the pixel grid changes smoothly with the corners. Where a boundary between two
+colours moves, it sweeps over area that changes from the one to the other: the derivative is an integral along the
+boundary of its motion times the difference of the colours (Li et al., "Differentiable Monte Carlo ray tracing through
+edge sampling", 2018; Reynolds' transport theorem). The rows and the columns of the image sample that integral: the rows
+take the motion along x, the columns that along y.
+"""
+
+# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+import torch
+import warp as wp
+from torch import Tensor
+
+from .geometry import facing, homogeneous_weights, to_pixels
+from .launch import array, copy, face_lanes, launch, zeros
+from .neighbors import neighbors
+from .registration import differentiable_once, operator
+from .scanlines import place
+from .seen import seen_faces
+
+wp.set_module_options({"enable_backward": False})
+
+# A crossing of a face that is seen on a line with a small probability counts the more, up to the inverse of this.
+LEAST_RUN = wp.constant(0.02)
+LEAST_JOINT_RUN = wp.constant(0.1)
+
+
+@operator
+def boundaries(
+    image: Tensor, faces: Tensor, face_index: Tensor, two_sided: bool, perspective: bool, seams: bool
+) -> Tensor:
+    """The image unchanged; its gradient also flows to the faces, by the motion of the boundaries that are seen.
+
+    image: [B, C, H, W] float32, any number of channels, background included, before anti-aliasing.
+    faces: [B, F, 3, 3] float32 screen-space corners; face_index: [B, H, W] int32, as `coverage` returns it.
+    two_sided, perspective: as in `coverage`.
+    seams: colours may jump where two faces of a surface meet, as texture cubes and light by the face make them; without,
+        such edges are left out, which is exact, and less noisy, where colours are interpolated.
+
+    Where the edge of a face crosses a row between the centres of two pixels, of which the inner shows the face and the
+    outer something behind it, x of the edge moves the crossing; the gradient of the pixel that contains the crossing,
+    times the difference of the two colours, goes to the edge's corners in the shares of the crossing. Colours are
+    continued to the crossing linearly where the next pixel shows the same face. A face narrower than a pixel along the
+    row is met by a centre only that often, and counts the more. Columns and y likewise. Where one face cuts through
+    another, the line of equal depth moves with all their corners, in z as well.
+
+    Exact in the mean over sub-pixel shifts but for: colours that curve within a pixel; gaps narrower than a pixel
+    between two boundaries; jumps between connected faces narrower than a pixel (``seams``); crossings in the half pixel
+    before the border of the image; edges with an end behind the camera.
+    """
+    return copy(image)
+
+
+@torch.library.register_fake("neural_renderer::boundaries")
+def _(image, faces, face_index, two_sided, perspective, seams):  # type: ignore[no-untyped-def]
+    return torch.empty_like(image, memory_format=torch.contiguous_format)
+
+
+@differentiable_once
+def boundaries_backward(
+    grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, two_sided: bool, perspective: bool, seams: bool
+) -> Tensor:
+    """The gradient [B, F, 3, 3] that `boundaries` sends to its faces."""
+    grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
+    result = zeros(faces.shape, faces.device)
+    if result.numel() == 0 or image.numel() == 0:
+        return result
+    batch, _, height, width = image.shape
+    count = faces.shape[1]
+    seen = seen_faces(face_index, count)
+    beyond = neighbors(faces, two_sided, perspective)
+    lanes = face_lanes(faces, height * width)
+    arguments = [array(faces, wp.vec3), array(image), array(grad), array(face_index), array(seen), array(beyond)]
+    options = [int(perspective), int(seams), lanes, array(result, wp.vec3)]
+    launch(_move, batch * count * lanes, [*arguments, *options], faces.device)
+    return result
+
+
+@torch.library.register_fake("neural_renderer::boundaries_backward")
+def _(grad, image, faces, face_index, two_sided, perspective, seams):  # type: ignore[no-untyped-def]
+    return torch.empty_like(faces, memory_format=torch.contiguous_format)
+
+
+def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+    _, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams = inputs
+    ctx.save_for_backward(output, faces, face_index)
+
+
+def _backward(ctx, grad):  # type: ignore[no-untyped-def]
+    image, faces, face_index = ctx.saved_tensors
+    to_faces = None
+    if ctx.needs_input_grad[1]:
+        to_faces = boundaries_backward(grad, image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams)
+    return grad, to_faces, None, None, None, None
+
+
+torch.library.register_autograd("neural_renderer::boundaries", _backward, setup_context=_save)
+
+
+_GAIN = """
+    #pragma clang fp contract(fast)
+    const wp::int64 area = (wp::int64)image.shape[2] * image.shape[3];
+    // The gradient of the pixel that contains the boundary. A centre within a narrow face lies to one side of it in the
+    // mean: there, between the two pixels.
+    const float share = narrow ? away : away < 0.5f ? 0.0f : 1.0f;
+    float sum = 0.0f;
+    for (int c = 0; c < image.shape[1]; ++c) {
+        const float* value = image.data + c * area;
+        const float inside = weights[0] * value[before] + weights[1] * value[inner];
+        const float outside = weights[2] * value[outer] + weights[3] * value[behind];
+        const float* pull = grad.data + c * area;
+        sum += (inside - outside) * ((1.0f - share) * pull[inner] + share * pull[outer]);
+    }
+    return sum;
+"""
+
+
+@wp.func_native(_GAIN)
+def gain(
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    before: wp.int64,
+    inner: wp.int64,
+    outer: wp.int64,
+    behind: wp.int64,
+    weights: wp.vec4,
+    away: float,
+    narrow: bool,
+) -> float:
+    """What the loss changes by if the boundary between two pixels moves outward by a pixel.
+
+    before, inner | outer, behind: pixels in a line, in the first channel, and their weights in the colours on the two
+    sides. away: from ``inner`` to the boundary. narrow: the face is narrower than a pixel here.
+    """
+    ...
+
+
+@wp.func
+def nearness(z: float, perspective: int) -> float:
+    """What is linear on the screen over a face, and larger for what hides the other."""
+    if perspective == 1:
+        return 1.0 / z
+    return -z
+
+
+@wp.func
+def plane_nearness(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float, perspective: int) -> float:
+    """The nearness of a face's plane at a place on the screen."""
+    a = homogeneous_weights(v0, v1, v2, x, y)
+    near = float(a[0] + a[1] + a[2])
+    if perspective == 0:
+        near = -float(a[0]) * v0[2] * v0[2] - float(a[1]) * v1[2] * v1[2] - float(a[2]) * v2[2] * v2[2]
+    elif v0[2] <= 0.0 or v1[2] <= 0.0 or v2[2] <= 0.0:
+        return near
+    # Not beyond the face's own: seen edge on, its plane goes anywhere within a pixel.
+    n0 = nearness(v0[2], perspective)
+    n1 = nearness(v1[2], perspective)
+    n2 = nearness(v2[2], perspective)
+    return wp.clamp(near, wp.min(n0, wp.min(n1, n2)), wp.max(n0, wp.max(n1, n2)))
+
+
+@wp.func
+def leaves(pu: float, pv: float, qu: float, qv: float, ru: float, rv: float, u: float) -> float:
+    """Where line u, which crosses the edge p - q of a triangle, leaves it again: through p - r or q - r."""
+    limit = rv
+    if (pu < u and u < ru) or (ru < u and u < pu):
+        limit = pv + (rv - pv) * (u - pu) / (ru - pu)
+    elif qu != ru:
+        limit = qv + (rv - qv) * (u - qu) / (ru - qu)
+    return limit
+
+
+@wp.func
+def end_of(
+    faces: wp.array3d(dtype=wp.vec3), b: int, g: int, axis: int, u: int, v: float, count: int, length: int
+) -> float:
+    """Where line u, which at v enters the face g, leaves it again."""
+    end = v
+    for k in range(3):
+        p = faces[b, g, k]
+        q = faces[b, g, (k + 1) % 3]
+        pu = to_pixels(p[1 - axis], count)
+        qu = to_pixels(q[1 - axis], count)
+        if (pu <= float(u)) != (qu <= float(u)):
+            pv = to_pixels(p[axis], length)
+            at = pv + (to_pixels(q[axis], length) - pv) * (float(u) - pu) / (qu - pu)
+            if wp.abs(at - v) > wp.abs(end - v):
+                end = at
+    return end
+
+
+@wp.func
+def pixel_at(image: wp.array4d(dtype=float), b: int, axis: int, u: int, v: int) -> wp.int64:
+    """Where the pixel v of scan line u lies in the image's memory, in the first channel."""
+    row, column = place(axis, u, v, image.shape[2])
+    first_row = wp.int64(b) * wp.int64(image.shape[1]) * wp.int64(image.shape[2])
+    return (first_row + wp.int64(row)) * wp.int64(image.shape[3]) + wp.int64(column)
+
+
+@wp.func
+def face_at(face_index: wp.array3d(dtype=int), b: int, axis: int, u: int, v: int, length: int) -> int:
+    """The face at the pixel v of scan line u; -2 beyond the image."""
+    if v < 0 or v >= length:
+        return -2
+    row, column = place(axis, u, v, face_index.shape[1])
+    return face_index[b, row, column]
+
+
+@wp.func
+def move_edge(
+    b: int,
+    f: int,
+    axis: int,
+    lane: int,
+    lanes: int,
+    p: wp.vec3,
+    q: wp.vec3,
+    r: wp.vec3,
+    next_pq: int,
+    next_pr: int,
+    next_qr: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    perspective: int,
+) -> wp.vec2:
+    """The gradient to x (axis 0) or y (axis 1) of p and q, from the lines that the edge p -> q crosses.
+
+    The face is counter-clockwise with the third corner r; next_: the faces beyond its edges. Lines are numbered by u and run along v, in pixel units.
+    """
+    count = image.shape[3]
+    length = image.shape[2]
+    if axis == 0:
+        count = image.shape[2]
+        length = image.shape[3]
+    pu = to_pixels(p[1 - axis], count)
+    qu = to_pixels(q[1 - axis], count)
+    pv = to_pixels(p[axis], length)
+    qv = to_pixels(q[axis], length)
+    ru = to_pixels(r[1 - axis], count)
+    rv = to_pixels(r[axis], length)
+    if pu == qu or (perspective == 1 and (p[2] <= 0.0 or q[2] <= 0.0)):
+        return wp.vec2(0.0, 0.0)
+    d = int(1)
+    if (pu < qu) == (axis == 1):
+        d = -1
+    slope = (qv - pv) / (qu - pu)
+    to_p = float(0.0)
+    to_q = float(0.0)
+    start = int(wp.ceil(wp.clamp(wp.min(pu, qu), 0.0, float(count))))
+    stop = int(wp.ceil(wp.clamp(wp.max(pu, qu), 0.0, float(count))))
+    for u in range(start + lane, stop, lanes):
+        c = wp.clamp(pv + slope * (float(u) - pu), -2.0, float(length) + 1.0)
+        inner = int(wp.ceil(c))
+        if d > 0:
+            inner = int(wp.floor(c))
+        outer = inner + d
+        shown = face_at(face_index, b, axis, u, inner, length)
+        other = face_at(face_index, b, axis, u, outer, length)
+        if shown < 0 or other == -2 or other == shown:
+            continue
+        share = (float(u) - pu) / (qu - pu)
+        # How far the line runs through the face. Where that is less than a pixel, and the surface goes on, the next face
+        # stands in for this one where the centres miss it.
+        run = float(1.0)
+        both = float(1.0)
+        second = int(-1)
+        if perspective == 0 or r[2] > 0.0:
+            by_p = (pu < float(u) and float(u) < ru) or (ru < float(u) and float(u) < pu)
+            limit = leaves(pu, pv, qu, qv, ru, rv, float(u))
+            run = wp.min(wp.abs(limit - c), 1.0)
+            both = run
+            if run < 1.0 and next_pq < 0:
+                second = next_qr
+                if by_p:
+                    second = next_pr
+                if second >= 0:
+                    both = wp.min(wp.abs(end_of(faces, b, second, axis, u, limit, count, length) - c), 1.0)
+        if shown != f and shown != second:
+            continue
+        run = wp.max(run, LEAST_RUN)
+        weight = 1.0 / wp.max(both, LEAST_RUN)
+        outside = weight
+        if next_pq >= 0:
+            # The centres of a pair of pixels show the two faces of a seam with this probability. Where it is next to
+            # none, at the ends of the seam, each face adds its own colour; else the first of the two takes the jump.
+            beyond = wp.abs(end_of(faces, b, next_pq, axis, u, c, count, length) - c)
+            joint = run + wp.min(beyond, 1.0) - 1.0
+            if joint < LEAST_JOINT_RUN:
+                weight = 1.0 / run
+                outside = 0.0
+                both = run
+            elif other != next_pq or other < f:
+                continue
+            else:
+                weight = 1.0 / joint
+                outside = weight
+                both = joint
+        elif other >= 0:
+            x = (2.0 * c + 1.0 - float(length)) / float(length)
+            y = (2.0 * float(u) + 1.0 - float(count)) / float(count)
+            if axis == 1:
+                x, y = y, x
+            own = (1.0 - share) * nearness(p[2], perspective) + share * nearness(q[2], perspective)
+            if plane_nearness(faces[b, other, 0], faces[b, other, 1], faces[b, other, 2], x, y, perspective) >= own:
+                continue  # what is seen there hides the edge, or moves by itself
+        # Colours are continued to the crossing along the slope between the last two pixels of each side.
+        away = wp.abs(c - float(inner))
+        weights = wp.vec4(0.0, weight, outside, 0.0)
+        before = inner - d
+        third = face_at(face_index, b, axis, u, before, length)
+        if third == shown:
+            weights[0] = -weight * away
+            weights[1] = weight * (1.0 + away)
+        elif shown == f and second >= 0 and third == second:
+            # What this face's colour differs by from the next one's, seen only so often.
+            weights[0] = weight - 1.0 / run
+            weights[1] = 1.0 / run
+        behind = outer + d
+        if face_at(face_index, b, axis, u, behind, length) == other:
+            weights[2] = outside * (2.0 - away)
+            weights[3] = -outside * (1.0 - away)
+        last = length - 1
+        part = gain(
+            image,
+            grad,
+            pixel_at(image, b, axis, u, wp.clamp(before, 0, last)),
+            pixel_at(image, b, axis, u, inner),
+            pixel_at(image, b, axis, u, outer),
+            pixel_at(image, b, axis, u, wp.clamp(behind, 0, last)),
+            weights,
+            away,
+            both < 1.0,
+        )
+        to_p += (1.0 - share) * part
+        to_q += share * part
+    return 0.5 * float(d * length) * wp.vec2(to_p, to_q)
+
+
+@wp.kernel
+def _move(
+    first: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    seen: wp.array2d(dtype=int),
+    beyond: wp.array3d(dtype=int),
+    perspective: int,
+    seams: int,
+    lanes: int,
+    result: wp.array3d(dtype=wp.vec3),
+):
+    """The edges of one face of one image; with several lanes, each takes every so manieth scan line."""
+    task = first + wp.tid()
+    lane = task % lanes
+    b = (task // lanes) // faces.shape[1]
+    f = (task // lanes) % faces.shape[1]
+    # A face that is missed by all centres still has its edges, if a neighbour can stand in for it.
+    near = seen[b, f]
+    for k in range(3):
+        if beyond[b, f, k] >= 0:
+            near += seen[b, beyond[b, f, k]]
+    if near == 0:
+        return
+    v0 = faces[b, f, 0]
+    v1 = faces[b, f, 1]
+    v2 = faces[b, f, 2]
+    turned = facing(v0, v1, v2, 1) < 0
+    x = wp.vec3(0.0, 0.0, 0.0)
+    y = wp.vec3(0.0, 0.0, 0.0)
+    corners = int(3)  # a variable, or Warp would unroll the loop sixfold
+    for k in range(corners):
+        if beyond[b, f, k] < 0 or seams == 1:
+            m = (k + 1) % 3
+            n = (k + 2) % 3
+            p = faces[b, f, k]
+            q = faces[b, f, m]
+            next_pr = beyond[b, f, n]
+            next_qr = beyond[b, f, m]
+            if turned:
+                p, q = q, p
+                next_pr, next_qr = next_qr, next_pr
+            to_x = move_edge(
+                b, f, 0, lane, lanes, p, q, faces[b, f, n], beyond[b, f, k], next_pr, next_qr, faces, image, grad,
+                face_index, perspective,
+            )  # fmt: skip
+            to_y = move_edge(
+                b, f, 1, lane, lanes, p, q, faces[b, f, n], beyond[b, f, k], next_pr, next_qr, faces, image, grad,
+                face_index, perspective,
+            )  # fmt: skip
+            if turned:
+                to_x = wp.vec2(to_x[1], to_x[0])
+                to_y = wp.vec2(to_y[1], to_y[0])
+            x[k] += to_x[0]
+            x[m] += to_x[1]
+            y[k] += to_y[0]
+            y[m] += to_y[1]
+    for k in range(3):
+        part = wp.vec3(x[k], y[k], 0.0)
+        if lanes == 1:
+            result[b, f, k] = part
+        else:
+            wp.atomic_add(result, b, f, k, part)
