@@ -1,9 +1,22 @@
 """A textured mesh from images with known cameras, a texture for a known mesh, or the camera of one image."""
 
 from .hull import carve, frame
-from .load import load_views
+from .load import load_photo, load_views
+from .mesh import MeshFit
+from .pose import CameraFit
 from .shape import ShapeFit, Weights
 from .texture import TextureFit
 from .views import Views
 
-__all__ = ["ShapeFit", "TextureFit", "Views", "Weights", "carve", "frame", "load_views"]
+__all__ = [
+    "CameraFit",
+    "MeshFit",
+    "ShapeFit",
+    "TextureFit",
+    "Views",
+    "Weights",
+    "carve",
+    "frame",
+    "load_photo",
+    "load_views",
+]

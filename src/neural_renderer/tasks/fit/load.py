@@ -21,14 +21,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from ... import validate
 from ...camera import Camera, get_points_from_angles
 from ...io import load_image
 from ...io.files import existing, read_text
-from .views import Views
+from .views import Views, smaller
 
 _CAMERA_FILES = ("transforms.json", "transforms_train.json", "cameras.json", "cameras.csv")
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG")
@@ -58,8 +57,8 @@ def load_views(
     given, every pixel that differs from that colour.
 
     Args:
-        path: the folder of the images with a ``transforms.json``, ``cameras.json`` or ``cameras.csv`` (see this module's
-            text), or that file.
+        path: the folder of the images with a ``transforms.json``, ``cameras.json`` or ``cameras.csv``, or that file;
+            the head of this module says what is in them.
         size: images whose longer side has more pixels are scaled down to so many, at least 16.
         photos: whether to use the colours. If not, an image without transparency, mask and background is itself the
             mask: white on black.
@@ -81,14 +80,42 @@ def load_views(
         image = load_image(frame.image)
         full = full if images else (image.shape[0], image.shape[1])
         _same_size(frame.image, image, full)
-        mask = _mask(frame, image, full, photos, background, tolerance)
-        if float(mask.max()) <= 0.5:
-            raise ValueError(f"{frame.mask or frame.image}: expected an object in the mask, got an empty one")
-        images.append(_smaller((image[..., :3] * mask[..., None]).permute(2, 0, 1), size))
-        masks.append(_smaller(mask[None], size)[0])
+        colours, mask = _prepared(frame, image, size, photos, background, tolerance)
+        images.append(colours)
+        masks.append(mask)
     make = _nerf_camera if "frames" in common else _angles_camera
     camera = make(camera_file, common, frames, full)
     return Views(camera, torch.stack(masks), torch.stack(images) if photos else None)
+
+
+def load_photo(
+    path: str | os.PathLike[str],
+    *,
+    size: int = 256,
+    photos: bool = True,
+    background: tuple[float, float, float] | None = None,
+    tolerance: float = 0.05,
+) -> tuple[Tensor, Tensor | None]:
+    """One image without a camera: its mask [H, W] and its colours on black [3, H, W]; see `load_views`."""
+    frame = _Frame(str(path), existing(path), None, {})
+    image = load_image(path)
+    colours, mask = _prepared(frame, image, validate.whole("size", size, 16), photos, background, tolerance)
+    return mask, colours if photos else None
+
+
+def _prepared(
+    frame: _Frame,
+    image: Tensor,
+    size: int,
+    photos: bool,
+    background: tuple[float, float, float] | None,
+    tolerance: float,
+) -> tuple[Tensor, Tensor]:
+    """Colours on black [3, H, W] and mask [H, W] of an image at the size of the fit."""
+    mask = _mask(frame, image, photos, background, tolerance)
+    if float(mask.max()) <= 0.5:
+        raise ValueError(f"{frame.mask or frame.image}: expected an object in the mask, got an empty one")
+    return smaller((image[..., :3] * mask[..., None]).permute(2, 0, 1), size), smaller(mask[None], size)[0]
 
 
 def _camera_file(path: Path) -> Path:
@@ -154,7 +181,7 @@ def _number(where: str, row: dict[str, Any], key: str, default: float | None = N
 def _same_size(path: Path, image: Tensor, full: tuple[int, int]) -> None:
     if tuple(image.shape[:2]) != full:
         raise ValueError(
-            f"{path}: expected {full[1]} x {full[0]} pixels like the first image, got "
+            f"{path}: expected {full[1]} x {full[0]} pixels as its companions have, got "
             f"{image.shape[1]} x {image.shape[0]}"
         )
 
@@ -162,7 +189,6 @@ def _same_size(path: Path, image: Tensor, full: tuple[int, int]) -> None:
 def _mask(
     frame: _Frame,
     image: Tensor,
-    full: tuple[int, int],
     photos: bool,
     background: tuple[float, float, float] | None,
     tolerance: float,
@@ -170,7 +196,7 @@ def _mask(
     """[H, W] in [0, 1]."""
     if frame.mask is not None:
         mask = load_image(frame.mask)
-        _same_size(frame.mask, mask, full)
+        _same_size(frame.mask, mask, (image.shape[0], image.shape[1]))
         transparent = mask.shape[2] == 4 and float(mask[..., 3].min()) < 1
         return mask[..., 3] if transparent else mask[..., :3].mean(2)
     if image.shape[2] == 4:
@@ -183,15 +209,6 @@ def _mask(
         f"{frame.image}: expected transparency, a mask or a background colour that tells the object from what is "
         "behind it, got none of them"
     )
-
-
-def _smaller(image: Tensor, size: int) -> Tensor:
-    """[C, H, W] with a longer side of at most ``size``; each pixel is the mean of those it covers."""
-    height, width = image.shape[1:]
-    if max(height, width) <= size:
-        return image
-    scale = size / max(height, width)
-    return F.interpolate(image[None], (max(round(height * scale), 1), max(round(width * scale), 1)), mode="area")[0]
 
 
 def _angles_camera(path: Path, common: dict[str, Any], frames: list[_Frame], full: tuple[int, int]) -> Camera:

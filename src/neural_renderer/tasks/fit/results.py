@@ -14,18 +14,10 @@ from torch import Tensor
 from ...commands.studio import photograph
 from ...io import save_animation, save_image
 from ...mesh import Mesh
+from .mesh import CLAY, coloured
 from .views import Views
 
-_CLAY = (0.55, 0.68, 0.84)
 _LINES = {"loss": (196, 78, 62), "iou": (52, 110, 180)}
-
-
-def coloured(shape: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
-    """Vertices, faces and textures of a shape that may have none: then it is the colour of clay."""
-    if len(shape) == 3:
-        return shape
-    clay = torch.tensor(_CLAY, device=shape[0].device).expand(len(shape[1]), 2, 2, 2, 3)
-    return shape[0], shape[1], clay
 
 
 @torch.no_grad()
@@ -41,7 +33,7 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
     images = some.draw(coloured(shape), ("rgb", "alpha"))
     rgb, alpha = images.rgb.clamp(0, 1), images.alpha[:, None]  # type: ignore[union-attr, index]
     mask = some.masks[:, None]
-    target = some.photos if some.photos is not None else mask * torch.tensor(_CLAY).to(mask)[:, None, None]
+    target = some.photos if some.photos is not None else mask * torch.tensor(CLAY).to(mask)[:, None, None]
     more, less = (alpha - mask).clamp(min=0), (mask - alpha).clamp(min=0)
     wrong = torch.cat((less, more + less, more), 1)
     if photos:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from ... import metrics, validate
@@ -125,6 +126,15 @@ def chosen(count: int, batch: int, seed: int, step: int) -> list[int]:
         generator = torch.Generator().manual_seed(1_000_003 * seed + place // count)
         rows.append(int(torch.randperm(count, generator=generator)[place % count]))
     return sorted(set(rows))
+
+
+def smaller(image: Tensor, size: int) -> Tensor:
+    """[C, H, W] with a longer side of at most ``size``; each pixel is the mean of those it covers."""
+    height, width = image.shape[1:]
+    if max(height, width) <= size:
+        return image
+    scale = size / max(height, width)
+    return F.interpolate(image[None], (max(round(height * scale), 1), max(round(width * scale), 1)), mode="area")[0]
 
 
 def _rows(camera: Camera, rows: Tensor) -> Camera:

@@ -1,0 +1,140 @@
+"""A whole fit: from views to a textured mesh, in the world of their cameras."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from ... import validate
+from ...mesh import Mesh
+from ...primitives import icosphere
+from .hull import carve, frame
+from .shape import ShapeFit, Weights
+from .texture import TextureFit
+from .views import Views
+
+CLAY = (0.55, 0.68, 0.84)
+
+
+class MeshFit:
+    """The shape and then the texture of what views show, step by step: call `advance` until ``done``.
+
+    >>> fit = MeshFit(load_views("photos"))
+    >>> while not fit.done:
+    ...     fit.advance()
+    >>> fit.mesh().save("object.glb")
+
+    Args:
+        views: with or without photos; without them there is no texture to be found.
+        start: "hull", the visual hull of the silhouettes; "sphere"; or a `Mesh` in the world of the cameras.
+        recover: "shape" moves the vertices, "texture" leaves the given mesh as it is.
+        steps, texture_steps: of descent for the shape and for the texture, at least 1 each.
+        cells: along each side of the grid that the hull is carved from, at least 8.
+        texture_size: T, texels along the edge of a face's cube, at least 2.
+        weights, batch, gradient, seed: see `ShapeFit`.
+
+    Raises:
+        TypeError, ValueError: what does not fit; silhouettes that have no point in common.
+    """
+
+    def __init__(
+        self,
+        views: Views,
+        start: Literal["hull", "sphere"] | Mesh = "hull",
+        *,
+        recover: Literal["shape", "texture"] = "shape",
+        steps: int = 150,
+        texture_steps: int = 150,
+        cells: int = 64,
+        texture_size: int = 4,
+        weights: Weights = Weights(),  # noqa: B008 (immutable)
+        batch: int = 6,
+        gradient: str = "nmr",
+        seed: int = 0,
+    ) -> None:
+        if recover == "texture" and not isinstance(start, Mesh):
+            raise ValueError("start: expected the mesh whose texture is looked for, got none")
+        self._centre, self._scale = frame(views)
+        self.views = views.moved(self._centre, self._scale)
+        """The views of a world in which the object lies in about [-1, 1]."""
+        self._common = {"batch": batch, "seed": seed}
+        self._texture_options = {"size": validate.whole("texture_size", texture_size, 2), "steps": texture_steps}
+        self._shape_options = {"steps": steps, "weights": weights, "gradient": gradient}
+        self._shape_options["subdivisions"] = 2 if start == "sphere" else 0
+        vertices, faces = self._start(start, validate.whole("cells", cells, 8))
+        self.phase = recover
+        self._fit: ShapeFit | TextureFit = self._begun(vertices, faces)
+
+    @property
+    def step(self) -> int:
+        """Steps taken in this phase."""
+        return self._fit.step
+
+    @property
+    def steps(self) -> int:
+        """Steps of this phase."""
+        return self._fit.steps
+
+    @property
+    def done(self) -> bool:
+        """Whether all phases are over."""
+        return self._fit.done and (self.phase == "texture" or self.views.photos is None)
+
+    @property
+    def shape(self) -> tuple[Tensor, ...]:
+        """The mesh as it is now, in the world of ``views``: vertices, faces and, as soon as it has any, textures."""
+        return tuple(part.detach() for part in self._fit.shape)
+
+    def placed(self, views: Views) -> Views:
+        """Other views of the same cameras' world, in the world of ``views``."""
+        return views.moved(self._centre, self._scale)
+
+    def mesh(self) -> Mesh:
+        """The mesh as it is now, in the world of the cameras; without colours it is the blue of clay."""
+        vertices, faces, textures = coloured(self.shape)
+        return Mesh(vertices * self._scale + self._centre, faces, textures)
+
+    def advance(self) -> dict[str, float]:
+        """Take one step; returns its ``loss`` and, while the shape is looked for, the mean ``iou`` of its views."""
+        if self._fit.done and not self.done:
+            vertices, faces, *_ = self.shape
+            colours = self._fit.colours if isinstance(self._fit, ShapeFit) else None
+            self.phase = "texture"
+            self._fit = self._begun(vertices, faces, colours)
+        return self._fit.advance()
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that changes from step to step."""
+        return {"phase": self.phase, "fit": self._fit.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` of a fit of the same views was taken."""
+        self.phase = state["phase"]
+        self._fit = self._begun(state["fit"]["vertices"], state["fit"]["faces"])
+        self._fit.load_state_dict(state["fit"])
+
+    def _begun(self, vertices: Tensor, faces: Tensor, colours: Tensor | None = None) -> ShapeFit | TextureFit:
+        if self.phase == "shape":
+            return ShapeFit(self.views, vertices, faces, **self._shape_options, **self._common)  # type: ignore[arg-type]
+        return TextureFit(self.views, vertices, faces, colours=colours, **self._texture_options, **self._common)
+
+    def _start(self, start: Any, cells: int) -> tuple[Tensor, Tensor]:
+        device = self.views.masks.device
+        if isinstance(start, Mesh):
+            return (start.vertices.detach().to(device) - self._centre) / self._scale, start.faces.to(device)
+        if start == "hull":
+            return carve(self.views, cells)
+        if start != "sphere":
+            raise ValueError(f'start: expected "hull", "sphere" or a Mesh, got {start!r}')
+        vertices, faces = icosphere(3, 0.6)
+        return vertices.to(device), faces.to(device)
+
+
+def coloured(shape: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
+    """Vertices, faces and textures of a shape that may have none: then it is the colour of clay."""
+    if len(shape) == 3:
+        return shape
+    clay = torch.tensor(CLAY, device=shape[0].device).expand(len(shape[1]), 2, 2, 2, 3)
+    return shape[0], shape[1], clay
