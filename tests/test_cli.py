@@ -167,6 +167,7 @@ def test_errors_about_the_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "broken.obj" in fails(capsys, "render", str(tmp_path / "broken.obj"), "-o", output)
 
 
+@pytest.mark.filterwarnings("always")
 def test_warnings_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "a  b.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nmtllib absent.mtl\nf 1 2 3\n")
