@@ -1,0 +1,187 @@
+"""The command `fit` on files: its results, going on after an interruption, and one sentence for what is wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from PIL import Image
+
+import neural_renderer as nr
+from neural_renderer import cli
+from neural_renderer.tasks.fit import MeshFit, Views, load_views
+
+EYES = nr.get_points_from_angles(3.0, torch.tensor([70.0, 10, -35, 20, 40, -5]), torch.arange(6) * 60.0)
+
+
+def thing() -> nr.Mesh:
+    vertices, faces = nr.icosphere(2)
+    cubes = (vertices[faces.long()].mean(1) * 0.5 + 0.5)[:, None, None, None].expand(-1, 2, 2, 2, -1)
+    return nr.Mesh(vertices * torch.tensor([0.9, 0.5, 0.7]), faces, cubes)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Six images with transparency, and their cameras in all three formats."""
+    camera = nr.Camera.look_at(EYES, viewing_angle=22.0)
+    views = Views.of(thing(), camera, 48)
+    frames, rows = [], []
+    for index in range(6):
+        colour = views.photos[index] / views.masks[index].clamp(min=1e-6)  # type: ignore[index]
+        nr.save_image(tmp_path / f"r_{index}.png", torch.cat((colour, views.masks[index][None])))
+        right, up, forward = camera.rotation[index]
+        matrix = torch.eye(4)
+        matrix[:3] = torch.stack((right, up, -forward, camera.origin[index]), 1)
+        frames.append({"file_path": f"./r_{index}", "transform_matrix": matrix.tolist()})
+        elevation = math.degrees(math.asin(EYES[index, 1] / 3))
+        azimuth = math.degrees(math.atan2(EYES[index, 0], -EYES[index, 2]))
+        rows.append({"file": f"r_{index}.png", "azimuth": azimuth, "elevation": elevation, "distance": 3.0})
+    nerf = {"camera_angle_x": math.radians(44), "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(nerf))
+    (tmp_path / "cameras.json").write_text(json.dumps({"viewing_angle": 22, "views": rows}))
+    lines = [",".join([*rows[0], "viewing_angle"]), *(",".join([*map(str, row.values()), "22"]) for row in rows)]
+    (tmp_path / "cameras.csv").write_text("\n".join(lines))
+    return tmp_path
+
+
+SMALL = ["--cells", "12", "--steps", "4", "--texture-steps", "4", "--turntable", "1", "--batch", "3"]
+
+
+@pytest.mark.parametrize("name", ["transforms.json", "cameras.json", "cameras.csv"])
+def test_cameras_in_files(folder: Path, name: str) -> None:
+    views = load_views(folder / name)
+    mesh = thing()
+    quality = views.quality((mesh.vertices.detach(), mesh.faces, mesh.textures.detach()))
+    assert len(views) == 6 and quality["iou"].min() == 1 and quality["psnr"].min() > 40
+    smaller = load_views(folder / name, size=24)
+    assert smaller.size == (24, 24) and smaller.quality((mesh.vertices.detach(), mesh.faces))["iou"].min() > 0.93
+
+
+def test_intrinsics_in_pixels(folder: Path) -> None:
+    given = json.loads((folder / "transforms.json").read_text())
+    del given["camera_angle_x"]
+    focal = 480 / math.tan(math.radians(22))  # of images ten times as large
+    given |= {"fl_x": focal, "fl_y": focal, "cx": 480, "cy": 480, "w": 960, "h": 960}
+    (folder / "transforms.json").write_text(json.dumps(given))
+    mesh = thing()
+    assert load_views(folder).quality((mesh.vertices.detach(), mesh.faces))["iou"].min() == 1
+
+
+def test_masks_and_backgrounds(folder: Path) -> None:
+    views = load_views(folder)
+    for index in range(6):
+        pixels = torch.cat((views.photos[index], views.masks[index][None]))  # type: ignore[index]
+        nr.save_image(folder / f"m_{index}.png", pixels[3])
+        nr.save_image(folder / f"r_{index}.png", pixels[:3] + (1 - pixels[3]))
+    with pytest.raises(ValueError, match="expected transparency, a mask or a background"):
+        load_views(folder)
+    assert (load_views(folder, background=(1.0, 1.0, 1.0)).masks - views.masks).abs().mean() < 0.03
+    given = json.loads((folder / "cameras.json").read_text())
+    for index, row in enumerate(given["views"]):
+        row["mask"] = f"m_{index}.png"
+    (folder / "cameras.json").write_text(json.dumps(given))
+    masked = load_views(folder / "cameras.json")
+    assert torch.allclose(masked.masks, views.masks, atol=0.01)
+    for index, row in enumerate(given["views"]):
+        row["file"] = f"m_{index}.png"
+    (folder / "cameras.json").write_text(json.dumps(given))
+    silhouettes = load_views(folder / "cameras.json", photos=False)
+    assert silhouettes.photos is None and torch.allclose(silhouettes.masks, views.masks, atol=0.01)
+
+
+def test_fit_writes_its_results(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert cli.main(["fit", str(folder), "-o", str(out), "--held-out", "3", *SMALL]) == 0
+    assert "held-out views: iou" in capsys.readouterr().out
+    for name in ("mesh.obj", "mesh.glb", "mesh.png", "preview.png", "comparison.png", "loss.png", "turntable.gif"):
+        assert (out / name).stat().st_size > 100
+    report = json.loads((out / "report.json").read_text())
+    assert report["finished"] and report["views"] == 4 and len(report["history"]) == 8
+    assert report["fitted"]["iou"]["mean"] > 0.85
+    mesh = nr.Mesh.load(out / "mesh.glb")
+    assert (mesh.vertices.amax(0) - torch.tensor([0.9, 0.5, 0.7])).abs().max() < 0.15
+    with Image.open(out / "comparison.png") as picture:
+        assert picture.size == (4 * 48, 3 * 48)
+
+
+def test_interrupted_and_resumed(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = ["fit", str(folder), "-o", str(tmp_path / "a"), *SMALL]
+    advance = MeshFit.advance
+
+    def interrupted(fit: MeshFit) -> dict[str, float]:
+        if fit.step == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+        return advance(fit)
+
+    monkeypatch.setattr(MeshFit, "advance", interrupted)
+    assert cli.main(arguments) == 130
+    assert not json.loads((tmp_path / "a" / "report.json").read_text())["finished"]
+    assert (tmp_path / "a" / "mesh.obj").is_file()
+    monkeypatch.setattr(MeshFit, "advance", advance)
+    assert cli.main([*arguments, "--resume"]) == 0
+    arguments[3] = str(tmp_path / "b")
+    assert cli.main(arguments) == 0
+    histories = [json.loads((tmp_path / name / "report.json").read_text())["history"] for name in "ab"]
+    assert histories[0] == histories[1]
+
+
+def test_texture_and_camera_of_a_known_mesh(folder: Path, tmp_path: Path) -> None:
+    thing().save(tmp_path / "thing.obj")
+    known = ["--mesh", str(tmp_path / "thing.obj"), *SMALL]
+    assert cli.main(["fit", str(folder), "-o", str(tmp_path / "t"), "--recover", "texture", *known]) == 0
+    assert nr.Mesh.load(tmp_path / "t" / "mesh.obj").num_faces == 320
+    photo = ["fit", str(folder / "r_0.png"), "-o", str(tmp_path / "c"), "--recover", "camera"]
+    assert cli.main([*photo, *known, "--starts", "2", "--viewing-angle", "22"]) == 0
+    assert len(json.loads((tmp_path / "c" / "report.json").read_text())["camera"]["eye"]) == 3
+
+
+def changed(folder: Path, **values: Any) -> None:
+    given = json.loads((folder / "transforms.json").read_text())
+    given["frames"][1].update(values)
+    given["frames"][1] = {key: value for key, value in given["frames"][1].items() if value is not None}
+    (folder / "transforms.json").write_text(json.dumps(given))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda f: (f / "transforms.json").write_text("{}"), 'expected the key "frames"'),
+        (lambda f: (f / "transforms.json").write_text("{"), "expected JSON"),
+        (lambda f: (f / "transforms.json").write_text('{"frames": []}'), "expected at least one image"),
+        (lambda f: changed(f, transform_matrix=None), 'expected the key "transform_matrix"'),
+        (lambda f: changed(f, transform_matrix=[[1.0]]), "expected 4 x 4 finite numbers"),
+        (lambda f: changed(f, transform_matrix=(2 * torch.eye(4)).tolist()), "expected a rotation"),
+        (lambda f: changed(f, file_path="nothing.png"), "expected a file"),
+        (lambda f: (f / "r_2.png").write_text("text"), "expected a picture"),
+        (lambda f: Image.new("RGBA", (48, 48)).save(f / "r_2.png"), "got an empty one"),
+        (lambda f: Image.new("RGBA", (24, 48), "red").save(f / "r_2.png"), "expected 48 x 48 pixels"),
+    ],
+)
+def test_bad_input(folder: Path, spoil: Any, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+    spoil(folder)
+    assert cli.main(["fit", str(folder), "-o", str(folder / "out")]) == 1
+    error = capsys.readouterr().err
+    assert sentence in error and len(error.strip().splitlines()) == 1
+    assert not (folder / "out").exists()
+
+
+def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, sentence in (
+        ([str(tmp_path / "nothing")], "expected a folder of images or a camera file"),
+        ([str(folder), "--recover", "texture"], "--mesh: expected the mesh whose texture is looked for"),
+        ([str(folder), "--steps", "0"], "--steps: expected at least 1"),
+        ([str(folder), "--held-out", "9"], "--held-out: expected at most the 6 views"),
+        ([str(folder), "--gradient", "none", *SMALL], "gradient: expected one of"),
+    ):
+        assert cli.main(["fit", *arguments, "-o", str(tmp_path / "out")]) == 1
+        assert sentence in capsys.readouterr().err
+    (tmp_path / "out").mkdir(exist_ok=True)
+    (tmp_path / "out" / "checkpoint.pt").write_text("text")
+    assert cli.main(["fit", str(folder), "-o", str(tmp_path / "out"), "--resume", *SMALL]) == 1
+    assert "expected a checkpoint" in capsys.readouterr().err

@@ -1,0 +1,183 @@
+"""Fits in small: each part does what it says, and whole fits find shapes, textures and cameras that are known."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import pytest
+import torch
+
+import neural_renderer as nr
+from neural_renderer.tasks.fit import CameraFit, MeshFit, ShapeFit, TextureFit, Views, Weights, carve, frame
+from neural_renderer.tasks.fit.descent import SmoothDescent
+from neural_renderer.topology import Topology
+
+
+def ring() -> nr.Mesh:
+    """A torus whose colour depends on the place."""
+    vertices, faces = nr.torus(0.7, 0.28, 32, 16)
+    cubes = (vertices[faces.long()].mean(1) * 0.5 + 0.5)[:, None, None, None].expand(-1, 2, 2, 2, -1)
+    return nr.Mesh(vertices, faces, cubes)
+
+
+def cameras(count: int, **lens: Any) -> nr.Camera:
+    index = torch.arange(count)
+    elevation = torch.tensor([75.0, 15.0, -40.0, 45.0])[index % 4]
+    return nr.Camera.look_at(
+        nr.get_points_from_angles(3.2, elevation, 360 / count * index), **{"viewing_angle": 22.0, **lens}
+    )
+
+
+@pytest.fixture(scope="module")
+def views() -> Views:
+    return Views.of(ring(), cameras(12), 64)
+
+
+def test_views_say_what_does_not_fit(views: Views) -> None:
+    with pytest.raises(ValueError, match=r"masks: expected shape \[12, H, W\]"):
+        Views(views.camera, views.masks[:3])
+    with pytest.raises(ValueError, match="got an empty mask in view 2"):
+        Views(views.camera, torch.where(torch.arange(12)[:, None, None] == 2, 0.0, views.masks))
+    with pytest.raises(TypeError, match="camera: expected a Camera"):
+        Views("camera", views.masks)  # type: ignore[arg-type]
+
+
+def test_some_of_the_views(views: Views) -> None:
+    some = views[3:5]
+    assert len(some) == 2 and torch.equal(some.masks, views.masks[3:5])
+    assert torch.equal(some.camera.origin, views.camera.origin[3:5])
+    assert torch.equal(views[[4, 3]].masks, views.masks[[4, 3]])
+
+
+@pytest.mark.parametrize("kind", ["look_at", "orthographic", "projection"])
+def test_moved_views_see_the_same(kind: str) -> None:
+    mesh = ring()
+    camera = cameras(3, orthographic=kind == "orthographic", scale=0.9)
+    if kind == "projection":
+        rotation = camera.rotation * torch.tensor([1.0, -1.0, 1.0])[:, None]
+        lens = torch.tensor([[80.0, 0.0, 32.0], [0.0, 80.0, 32.0], [0.0, 0.0, 1.0]])
+        t = -torch.einsum("bij,bj->bi", rotation, camera.origin)
+        camera = nr.Camera.projection(lens, rotation, t, orig_size=64)
+    views = Views.of(mesh, camera, 64)
+    centre, scale = torch.tensor([0.1, -0.2, 0.05]), 0.7
+    moved = views.moved(centre, scale)
+    iou = moved.quality(((mesh.vertices.detach() - centre) / scale, mesh.faces))["iou"]
+    assert iou.min() > 0.995
+    eye, forward = moved.eyes()
+    eye_before, forward_before = views.eyes()
+    assert torch.allclose(eye, (eye_before - centre) / scale, atol=1e-5)
+    assert torch.allclose(forward, forward_before)
+
+
+def test_hull_has_the_hole_and_lies_around_the_object(views: Views) -> None:
+    centre, half = frame(views)
+    assert centre.abs().max() < 0.08 and half == pytest.approx(0.98, abs=0.1)
+    vertices, faces = carve(views.moved(centre, half), 32)
+    topology = Topology.of(faces)
+    assert len(vertices) - len(topology.edges) + len(faces) == 0  # the Euler characteristic of a torus
+    corners = vertices[faces]
+    volume = (corners[:, 0] * torch.linalg.cross(corners[:, 1], corners[:, 2])).sum() / 6 * half**3
+    assert 0.9 < volume / (2 * math.pi**2 * 0.7 * 0.28**2) < 1.4
+    assert views.moved(centre, half).quality((vertices, faces))["iou"].mean() > 0.93
+
+
+def test_silhouettes_that_do_not_meet(views: Views) -> None:
+    masks = torch.zeros_like(views.masks)
+    masks[::2, :8, :8] = 1
+    masks[1::2, -8:, -8:] = 1
+    with pytest.raises(ValueError, match="that meet in space"):
+        frame(Views(views.camera, masks))
+
+
+def test_blur_is_the_inverse() -> None:
+    vertices, faces = nr.icosphere(2)
+    topology = Topology.of(faces)
+    matrix = torch.eye(len(vertices))
+    for a, b in topology.edges.tolist():
+        matrix[a, a] += 5
+        matrix[b, b] += 5
+        matrix[a, b] -= 5
+        matrix[b, a] -= 5
+    values = torch.randn(len(vertices), 3, generator=torch.Generator().manual_seed(0))
+    blurred = SmoothDescent(topology, 5.0).blur(values, tolerance=1e-6)
+    assert torch.allclose(blurred, torch.linalg.solve(matrix, values), atol=1e-5)
+
+
+def test_sphere_is_refined_and_fits() -> None:
+    target = nr.Mesh(nr.icosphere(3)[0] * torch.tensor([1.0, 0.5, 0.7]), nr.icosphere(3)[1])
+    views = Views.of(target, cameras(12), 64)
+    fit = ShapeFit(views, *nr.icosphere(2, 0.6), steps=60, subdivisions=1, rate=0.03)
+    rows = [fit.advance() for _ in range(60)]
+    assert fit.done and len(fit.shape[1]) == 4 * 320
+    assert len(Topology.of(fit.shape[1]).hinges) == len(Topology.of(fit.shape[1]).edges)  # closed still
+    assert rows[0]["iou"] < 0.75
+    assert views.quality(fit.shape)["iou"].mean() > 0.95
+
+
+def test_texture_of_a_known_mesh(views: Views) -> None:
+    mesh = ring()
+    fit = TextureFit(views, mesh.vertices, mesh.faces, size=2, steps=40)
+    before = views.quality(fit.shape)["psnr"].mean()
+    while not fit.done:
+        fit.advance()
+    assert views.quality(fit.shape)["psnr"].mean() > max(30, before + 8)
+    assert fit.shape[2].min() >= 0 and fit.shape[2].max() <= 1
+    with pytest.raises(ValueError, match="expected photos"):
+        TextureFit(Views(views.camera, views.masks), mesh.vertices, mesh.faces)
+
+
+def test_whole_fit_in_another_world() -> None:
+    """The mesh comes out where the cameras say that it is, and a fit that is taken up again ends the same."""
+    mesh = ring()
+    centre = torch.tensor([5.0, -3.0, 2.0])
+    camera = cameras(12)
+    moved = nr.Mesh(mesh.vertices * 2 + centre, mesh.faces, mesh.textures)
+    camera = nr.Camera(camera.rotation, camera.origin * 2 + centre, camera.translation, viewing_angle=22.0)
+    views = Views.of(moved, camera, 64)
+    options: dict[str, Any] = {"cells": 24, "steps": 6, "texture_steps": 6, "texture_size": 2}
+    fit = MeshFit(views, **options)
+    state: dict[str, Any] = {}
+    while not fit.done:
+        if fit.phase == "texture" and fit.step == 3:
+            state = copy.deepcopy(fit.state_dict())
+        fit.advance()
+    quality = views.quality((fit.mesh().vertices.detach(), fit.mesh().faces, fit.mesh().textures.detach()))
+    assert quality["iou"].mean() > 0.93 and quality["psnr"].mean() > 18
+    again = MeshFit(views, **options)
+    again.load_state_dict(state)
+    assert again.step == 3
+    while not again.done:
+        again.advance()
+    for mine, theirs in zip(fit.shape, again.shape, strict=True):
+        assert torch.equal(mine, theirs)
+
+
+def test_camera_from_a_photo() -> None:
+    vertices, faces = nr.icosphere(2)
+    cubes = (vertices[faces.long()].mean(1) * 0.5 + 0.5)[:, None, None, None].expand(-1, 2, 2, 2, -1)
+    mesh = nr.Mesh(vertices * torch.tensor([1.0, 0.6, 0.4]) + 3, faces, cubes)
+    camera = nr.Camera.look_at(torch.tensor([[1.2, 1.5, -2.5]]) + 3, at=(3.1, 3.0, 2.9), viewing_angle=25.0)
+    view = Views.of(mesh, camera, 64)
+    photo = view.photos[0]  # type: ignore[index]
+    fit = CameraFit(
+        (mesh.vertices, mesh.faces, mesh.textures), view.masks[0], photo, viewing_angle=25.0, starts=10, steps=80
+    )
+    while not fit.done:
+        fit.advance()
+    found = fit.best()
+    trace = (found.rotation[0] * camera.rotation[0]).sum()
+    assert torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1))) < 2
+    assert (found.origin - camera.origin).norm() < 0.1
+
+
+def test_options_that_do_not_fit(views: Views) -> None:
+    with pytest.raises(ValueError, match="laplacian: expected a weight of at least 0"):
+        Weights(laplacian=-1)
+    with pytest.raises(ValueError, match='start: expected "hull", "sphere" or a Mesh'):
+        MeshFit(views, "cube")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="expected the mesh whose texture"):
+        MeshFit(views, recover="texture")
+    with pytest.raises(ValueError, match="mask: expected an object"):
+        CameraFit((ring().vertices, ring().faces), torch.zeros(8, 8))
