@@ -99,7 +99,7 @@ class Scene:
     parameters: dict[str, Tensor]
     steps: dict[str, float]
     build: Callable[..., dict[str, Tensor]]  # parameters -> vertices, faces, textures, camera, light
-    size: int = 48
+    size: int = 96
 
 
 def _box(half: Tensor) -> tuple[Tensor, Tensor]:
@@ -238,7 +238,7 @@ def estimates(scene: Scene, gradient: str, shifts: int, seed: int = 1) -> dict[s
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.gradient_quality", description=__doc__)
     parser.add_argument("--shifts", type=int, default=256, help="sub-pixel offsets")
-    parser.add_argument("--supersampling", type=int, default=24)
+    parser.add_argument("--supersampling", type=int, default=32)
     parser.add_argument("--json", type=Path, help="also write the numbers here")
     options = parser.parse_args()
     rows = []

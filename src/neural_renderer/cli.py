@@ -8,7 +8,6 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import tyro
@@ -101,19 +100,10 @@ def _sentence(error: Exception) -> str:
     """What went wrong, on one line; an error that nobody foresaw is named and says how to learn more."""
     message = " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
-        sentence = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-        advice = "; WARP_CACHE_PATH in the environment can name another folder for compiled kernels"
-        return sentence + advice if error.filename and _in_kernel_cache(Path(error.filename)) else sentence
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, (ValueError, TypeError, OSError)) and message:
         return message
     return f"{type(error).__name__}: {message} (--debug shows where)"
-
-
-def _in_kernel_cache(path: Path) -> bool:
-    """Whether Warp stumbled over ``path`` on its way to the folder where it keeps compiled kernels, or in it."""
-    warp = sys.modules.get("warp")
-    folder = Path((warp and warp.config.kernel_cache_dir) or os.devnull)
-    return path.is_relative_to(folder) or folder.is_relative_to(path)
 
 
 if __name__ == "__main__":

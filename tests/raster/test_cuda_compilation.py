@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 import warp as wp
 
+NAMES = ["boundaries", "barycentrics", "corners", "coverage", "edges", "intersections", "neighbors", "seen", "textures"]
+
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp's wheel for macOS has no CUDA compiler")
-@pytest.mark.parametrize("name", ["coverage", "barycentrics", "textures", "edges", "corners"])
+@pytest.mark.parametrize("name", NAMES)
 def test_kernels_compile_for_cuda(name: str, tmp_path: Path) -> None:
     module = importlib.import_module(f"neural_renderer.raster.{name}")
     wp.compile_aot_module(module, arch=80, module_dir=tmp_path)

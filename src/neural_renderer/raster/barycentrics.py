@@ -21,8 +21,8 @@ def barycentrics(faces: Tensor, face_index: Tensor, far: float, perspective: boo
     perspective: depth is ``1 / sum(w_k / z_k)``; ``sum(w_k z_k)`` otherwise.
 
     Returns weights [B, H, W, 3], the shares of the corners in the point that is seen, in space: what a quantity given
-    at the corners is interpolated with. They are ``w_k z / z_k`` (``w_k`` without perspective), in [0, 1], of sum 1, and
-    0 where no face is seen. And depth [B, H, W], ``far`` where no face is seen. Backward is the analytic derivative
+    at the corners is interpolated with: ``w_k z / z_k`` (``w_k`` without perspective), in [0, 1], of sum 1, and 0 where
+    no face is seen. And depth [B, H, W], ``far`` where no face is seen. Backward is the analytic derivative
     inside the face: with the pixel fixed, moving corner m by v on the screen changes w_k by ``-w_m grad(w_k) . v``.
     """
     batch, height, width = face_index.shape

@@ -1,7 +1,7 @@
 """The derivative of an image through visibility: what moving the visible boundaries changes (`gradient="edge"`).
 
-An image averaged over sub-pixel shifts of the pixel grid changes smoothly with the corners. Where a boundary between two
-colours moves, it sweeps over area that changes from the one to the other: the derivative is an integral along the
+An image averaged over sub-pixel shifts of the pixel grid changes smoothly with the corners. Where a boundary between
+two colours moves, it sweeps over area that changes from the one to the other: the derivative is an integral along the
 boundary of its motion times the difference of the colours (Li et al., "Differentiable Monte Carlo ray tracing through
 edge sampling", 2018; Reynolds' transport theorem). The rows and the columns of the image sample that integral: the rows
 take the motion along x, the columns that along y.
@@ -13,6 +13,7 @@ import warp as wp
 from torch import Tensor
 
 from .geometry import facing, homogeneous_weights, to_pixels
+from .intersections import add_intersections
 from .launch import array, copy, face_lanes, launch, zeros
 from .neighbors import neighbors
 from .registration import differentiable_once, operator
@@ -23,7 +24,6 @@ wp.set_module_options({"enable_backward": False})
 
 # A crossing of a face that is seen on a line with a small probability counts the more, up to the inverse of this.
 LEAST_RUN = wp.constant(0.02)
-LEAST_JOINT_RUN = wp.constant(0.1)
 
 
 @operator
@@ -35,19 +35,20 @@ def boundaries(
     image: [B, C, H, W] float32, any number of channels, background included, before anti-aliasing.
     faces: [B, F, 3, 3] float32 screen-space corners; face_index: [B, H, W] int32, as `coverage` returns it.
     two_sided, perspective: as in `coverage`.
-    seams: colours may jump where two faces of a surface meet, as texture cubes and light by the face make them; without,
-        such edges are left out, which is exact, and less noisy, where colours are interpolated.
+    seams: colours may jump where two faces of a surface meet, as texture cubes and light by the face make them; else,
+        such edges are left out, which is right, and quieter, where colours are interpolated.
 
     Where the edge of a face crosses a row between the centres of two pixels, of which the inner shows the face and the
     outer something behind it, x of the edge moves the crossing; the gradient of the pixel that contains the crossing,
     times the difference of the two colours, goes to the edge's corners in the shares of the crossing. Colours are
     continued to the crossing linearly where the next pixel shows the same face. A face narrower than a pixel along the
-    row is met by a centre only that often, and counts the more. Columns and y likewise. Where one face cuts through
-    another, the line of equal depth moves with all their corners, in z as well.
+    row is met by a centre only that often: it counts the more, or the next face of the surface stands in for it.
+    Columns and y likewise. Where one face cuts through another, the line of equal depth moves with all their corners,
+    in z as well.
 
     Exact in the mean over sub-pixel shifts but for: colours that curve within a pixel; gaps narrower than a pixel
-    between two boundaries; jumps between connected faces narrower than a pixel (``seams``); crossings in the half pixel
-    before the border of the image; edges with an end behind the camera.
+    between two boundaries; the ends of ``seams``, where both faces are narrower than half a pixel; crossings in the
+    half pixel before the border of the image; edges with an end behind the camera.
     """
     return copy(image)
 
@@ -74,6 +75,7 @@ def boundaries_backward(
     arguments = [array(faces, wp.vec3), array(image), array(grad), array(face_index), array(seen), array(beyond)]
     options = [int(perspective), int(seams), lanes, array(result, wp.vec3)]
     launch(_move, batch * count * lanes, [*arguments, *options], faces.device)
+    add_intersections(result, grad, image, faces, face_index, seen, perspective)
     return result
 
 
@@ -228,7 +230,8 @@ def move_edge(
 ) -> wp.vec2:
     """The gradient to x (axis 0) or y (axis 1) of p and q, from the lines that the edge p -> q crosses.
 
-    The face is counter-clockwise with the third corner r; next_: the faces beyond its edges. Lines are numbered by u and run along v, in pixel units.
+    The face is counter-clockwise with the third corner r; next_: the faces beyond its edges. Lines are numbered by u
+    and run along v, in pixel units.
     """
     count = image.shape[3]
     length = image.shape[2]
@@ -262,8 +265,8 @@ def move_edge(
         if shown < 0 or other == -2 or other == shown:
             continue
         share = (float(u) - pu) / (qu - pu)
-        # How far the line runs through the face. Where that is less than a pixel, and the surface goes on, the next face
-        # stands in for this one where the centres miss it.
+        # How far the line runs through the face. Where that is less than a pixel, and the surface goes on, the next
+        # face stands in for this one where the centres miss it.
         run = float(1.0)
         both = float(1.0)
         second = int(-1)
@@ -282,22 +285,14 @@ def move_edge(
             continue
         run = wp.max(run, LEAST_RUN)
         weight = 1.0 / wp.max(both, LEAST_RUN)
-        outside = weight
         if next_pq >= 0:
-            # The centres of a pair of pixels show the two faces of a seam with this probability. Where it is next to
-            # none, at the ends of the seam, each face adds its own colour; else the first of the two takes the jump.
-            beyond = wp.abs(end_of(faces, b, next_pq, axis, u, c, count, length) - c)
-            joint = run + wp.min(beyond, 1.0) - 1.0
-            if joint < LEAST_JOINT_RUN:
-                weight = 1.0 / run
-                outside = 0.0
-                both = run
-            elif other != next_pq or other < f:
+            # A seam is seen by both its faces: the first takes it. The pair of pixels shows the two with the
+            # probability ``both``, which is next to none at the ends of the seam.
+            if other != next_pq or other < f:
                 continue
-            else:
-                weight = 1.0 / joint
-                outside = weight
-                both = joint
+            beyond = wp.abs(end_of(faces, b, other, axis, u, c, count, length) - c)
+            both = wp.max(run + wp.min(beyond, 1.0) - 1.0, LEAST_RUN)
+            weight = 1.0 / both
         elif other >= 0:
             x = (2.0 * c + 1.0 - float(length)) / float(length)
             y = (2.0 * float(u) + 1.0 - float(count)) / float(count)
@@ -308,7 +303,7 @@ def move_edge(
                 continue  # what is seen there hides the edge, or moves by itself
         # Colours are continued to the crossing along the slope between the last two pixels of each side.
         away = wp.abs(c - float(inner))
-        weights = wp.vec4(0.0, weight, outside, 0.0)
+        weights = wp.vec4(0.0, weight, weight, 0.0)
         before = inner - d
         third = face_at(face_index, b, axis, u, before, length)
         if third == shown:
@@ -320,8 +315,8 @@ def move_edge(
             weights[1] = 1.0 / run
         behind = outer + d
         if face_at(face_index, b, axis, u, behind, length) == other:
-            weights[2] = outside * (2.0 - away)
-            weights[3] = -outside * (1.0 - away)
+            weights[2] = weight * (2.0 - away)
+            weights[3] = -weight * (1.0 - away)
         last = length - 1
         part = gain(
             image,

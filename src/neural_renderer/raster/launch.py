@@ -76,6 +76,11 @@ def _load(kernel: wp.Kernel, device: str) -> None:
                 with _quiet():
                     wp.init()
                 wp.load_module(kernel.module, device=device)
+            except OSError as error:
+                raise OSError(
+                    f"{wp.config.kernel_cache_dir}: expected a folder to keep compiled kernels in, got: {error}; "
+                    "WARP_CACHE_PATH can name another"
+                ) from error
             finally:
                 wp.config.log_level = level
             _ready.add(key)
@@ -132,7 +137,7 @@ def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
     if tensor.numel() == 0:  # strides of nothing can be anything, and Warp looks at them
         tensor = tensor.new_empty(tensor.shape)
     tensor = tensor.detach() if strided else tensor.detach().contiguous()
-    argument = wp.from_torch(tensor, dtype=dtype, requires_grad=False, return_ctype=True)
+    argument: Any = wp.from_torch(tensor, dtype=dtype, requires_grad=False, return_ctype=True)
     argument.tensor = tensor  # the descriptor alone would not keep a copy alive
     return argument
 

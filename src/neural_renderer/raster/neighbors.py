@@ -147,9 +147,9 @@ def _find(
         while entry != 0:
             g = (entry - 1) // 3
             if g != f and same_edge(faces, b, entry, p, q):
-                if side * beside(p, q, faces[b, g, (entry + 1) % 3], perspective) < 0.0:
-                    if beyond < 0 or g < beyond:
-                        beyond = g
+                across = side * beside(p, q, faces[b, g, (entry + 1) % 3], perspective)
+                if across < 0.0 and (beyond < 0 or g < beyond):
+                    beyond = g
             at = (at + 1) & (size - 1)
             entry = table[b, at]
         result[b, f, k] = beyond
