@@ -4,27 +4,30 @@ from pathlib import Path
 
 import torch
 from PIL import Image
-from torch import Tensor
 
-from neural_renderer.commands import sculpt
-from neural_renderer.commands.demo import clay
+from neural_renderer import Mesh
+from neural_renderer.commands.demo import around, ball, clay
 from neural_renderer.commands.shapes import duck, knot
 from neural_renderer.commands.studio import lowest, photograph, sheet
+from neural_renderer.tasks.fit import TextureFit, Views
 
 SIDE = 256
 
 
 def main() -> None:
     """Sculpt the duck as the demo does, photograph its stages, and a turn of the knot below them."""
-    torch.manual_seed(0)
     target, ring = duck(), knot(texture_size=8)
-    views = sculpt.Views.of(target, 24, 96)
-    history: list[Tensor] = []
-    vertices, faces = sculpt.sphere(torch.device("cpu"))
-    stages = [clay(vertices, faces)]
-    vertices = sculpt.sculpt(views, vertices, faces, 300, lambda step, loss, vertices: history.append(vertices))
-    fitted = sculpt.paint(views, vertices, faces, 75, lambda step, loss, textures: None)
-    stages += [clay(history[step], faces) for step in (30, 90)] + [fitted, target]
+    cameras = around(24, torch.device("cpu"))
+    fit = ball(Views.of(target, cameras, 96), 300)
+    stages = [clay(*fit.shape)]
+    while not fit.done:
+        fit.advance()
+        if fit.step in (30, 90):
+            stages.append(clay(*fit.shape))
+    paint = TextureFit(Views.of(target, cameras, 192), *fit.shape, steps=75, batch=8)
+    while not paint.done:
+        paint.advance()
+    stages += [Mesh(*paint.shape), target]
     floor = lowest(target)
     top = [photograph(mesh, 145, size=2 * SIDE, floor=floor) for mesh in stages]
     bottom = [photograph(ring, 180 + angle, size=2 * SIDE) for angle in (0, 36, 72, 108, 144)]

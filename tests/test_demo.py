@@ -11,9 +11,9 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.commands import sculpt
-from neural_renderer.commands.shapes import duck, isosurface, knot
+from neural_renderer.commands.shapes import duck, knot
 from neural_renderer.commands.studio import photograph, sheet
+from neural_renderer.isosurface import isosurface
 from neural_renderer.topology import Topology
 
 
@@ -52,20 +52,6 @@ def test_models_are_closed_and_face_outwards(mesh: nr.Mesh, characteristic: int)
 def test_isosurface_of_a_ball() -> None:
     vertices, _ = isosurface(lambda p: np.linalg.norm(p, axis=-1) - 0.8, 32)
     assert torch.allclose(vertices.norm(dim=1), torch.tensor(0.8), atol=0.01)
-
-
-def test_fit_gets_better() -> None:
-    torch.manual_seed(0)
-    views = sculpt.Views.of(duck(24, 2), 6, 48)
-    vertices, faces = sculpt.sphere(torch.device("cpu"))
-    before = views.iou(vertices, faces).mean()
-    photos: list[float] = []
-    vertices = sculpt.sculpt(views, vertices, faces, 60, lambda step, loss, vertices: None)
-    assert before < 0.5
-    assert views.iou(vertices, faces).mean() > 0.85
-    mesh = sculpt.paint(views, vertices, faces, 12, lambda step, loss, textures: photos.append(loss))
-    assert photos[-1] < 0.5 * photos[0]
-    assert mesh.textures.min() >= 0 and mesh.textures.max() <= 1
 
 
 def test_photograph() -> None:
