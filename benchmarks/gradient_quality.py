@@ -94,7 +94,7 @@ def triangle_quality(side: float, wish: str, gradient: str, count: int = 256) ->
 
 @dataclass(frozen=True)
 class Scene:
-    """What is drawn from parameters; ``size`` pixels, and ``steps``: how far each parameter moves for its difference."""
+    """What is drawn from parameters at ``size`` pixels; ``steps``: how far each is moved for its difference."""
 
     parameters: dict[str, Tensor]
     steps: dict[str, float]

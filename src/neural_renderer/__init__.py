@@ -1,10 +1,12 @@
 """A differentiable mesh renderer for PyTorch, on the CPU and on CUDA (Kato, Ushiku and Harada, CVPR 2018).
 
-New code: `Mesh`, `Camera`, `Light`, `render`, `losses`. Code written for the first packages: `Renderer` and the rest.
+New code: `Mesh`, `Camera`, `Light`, `render`, `fragments`, `losses`. Code written for the first packages: `Renderer`
+and the rest.
 """
 
 from . import losses, metrics
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
+from .fragments import Fragments, fragments
 from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
 from .lighting import Light, lighting
 from .mesh import Mesh
@@ -20,6 +22,7 @@ from .version import __version__
 __all__ = [
     "Adam",
     "Camera",
+    "Fragments",
     "Images",
     "Light",
     "Mesh",
@@ -28,6 +31,7 @@ __all__ = [
     "__version__",
     "check_values",
     "cube",
+    "fragments",
     "get_points_from_angles",
     "icosphere",
     "lighting",

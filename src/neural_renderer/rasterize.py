@@ -95,9 +95,10 @@ def rasterize_depth(
     near: float = DEFAULT_NEAR,
     far: float = DEFAULT_FAR,
     eps: float = DEFAULT_EPS,
+    gradient: str = "nmr",
 ) -> Tensor:
     """Depth [B, H, W], ``far`` where no face is seen; arguments as in `rasterize_rgbad`."""
-    options = (image_size, anti_aliasing, near, far, eps, DEFAULT_BACKGROUND_COLOR, False, False, True)
+    options = (image_size, anti_aliasing, near, far, eps, DEFAULT_BACKGROUND_COLOR, False, False, True, gradient)
     return rasterize_rgbad(faces, None, *options)["depth"]  # type: ignore[return-value]
 
 
@@ -118,6 +119,7 @@ class Rasterize(nn.Module):
         return_rgb: bool = False,
         return_alpha: bool = False,
         return_depth: bool = False,
+        gradient: str = "nmr",
     ) -> None:
         super().__init__()
         if not (return_rgb or return_alpha or return_depth):
@@ -130,6 +132,7 @@ class Rasterize(nn.Module):
         self.return_rgb = return_rgb
         self.return_alpha = return_alpha
         self.return_depth = return_depth
+        self.gradient = gradient
 
     def forward(
         self, faces: Tensor, textures: Tensor | None = None
@@ -146,6 +149,7 @@ class Rasterize(nn.Module):
             self.return_rgb,
             self.return_alpha,
             self.return_depth,
+            self.gradient,
         )
         rgb, alpha, depth = images["rgb"], images["alpha"], images["depth"]
         return (

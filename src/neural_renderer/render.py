@@ -16,11 +16,11 @@ from .raster.rasterize import (
     Images,
     checked_faces,
     checked_outputs,
-    image_size,
     rasterize_images,
     vertices_to_faces,
     world_corners,
 )
+from .raster.settings import image_size
 
 
 def render(
@@ -57,7 +57,7 @@ def render(
     >>> images.rgb.shape
     torch.Size([8, 3, 120, 160])
     """
-    vertices, faces, textures = _parts(mesh)
+    vertices, faces, textures = mesh_parts(mesh)
     if not isinstance(camera, Camera):
         raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
     if light is not None and not isinstance(light, Light):
@@ -94,7 +94,8 @@ def render(
     )
 
 
-def _parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
+def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
+    """(vertices, faces, textures or None) of a `Mesh` or a tuple; TypeError for anything else."""
     if isinstance(mesh, Mesh):
         return mesh.vertices, mesh.faces, mesh.textures
     if isinstance(mesh, tuple) and len(mesh) in (2, 3):

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-NAMES = ["boundaries", "barycentrics", "corners", "coverage", "edges", "intersections", "neighbors", "seen", "textures"]
+NAMES = ["barycentrics", "boundaries", "corners", "coverage", "edges", "interpolate", "intersections", "neighbors"]
+NAMES += ["scanlines", "seen", "textures"]
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp's wheel for macOS has no CUDA compiler")

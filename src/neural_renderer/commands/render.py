@@ -19,7 +19,7 @@ from ..camera import Camera, get_points_from_angles
 from ..io import load_mesh, save_animation, save_image
 from ..lighting import Light
 from ..mesh import Mesh
-from ..raster.rasterize import image_size
+from ..raster.settings import image_size
 from ..render import render
 from .common import checked_count, chosen_device
 from .studio import corner_cubes, vertex_normals

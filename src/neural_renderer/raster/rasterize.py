@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection
 from typing import Any, NamedTuple
 
@@ -11,14 +10,12 @@ from torch import Tensor
 
 from .. import validate
 from .barycentrics import barycentrics
-from .boundaries import boundaries
 from .corners import gather_corners
-from .coverage import coverage, silhouette
+from .coverage import silhouette
 from .downsample import halve
-from .edges import nmr_edges
+from .settings import Settings
 from .textures import sample_textures
 
-GRADIENTS = ("nmr", "edge")
 OUTPUTS = ("rgb", "alpha", "depth")
 
 
@@ -97,40 +94,27 @@ def rasterize_images(
 
     Returns Images. An empty batch or mesh gives the background. Raises TypeError or ValueError for anything else.
     """
-    height, width = image_size("image_size", size)
-    two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
+    settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, perspective, gradient)
     outputs = checked_outputs(outputs)
-    if gradient not in GRADIENTS:
-        raise ValueError(f"gradient: expected one of {', '.join(GRADIENTS)}, got {gradient!r}")
-    near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
-    if not 0 <= near < far:
-        raise ValueError(f"near, far: expected 0 <= near < far, got near {near}, far {far}")
-    if not 0 <= eps < 1:
-        raise ValueError(f"eps: expected 0 <= eps < 1, got {eps}")
-    validate.floating("faces", faces, ("B", "F", 3, 3))
-    validate.finite("faces", faces)
-    device = _supported(faces.device)
-    batch, count = faces.shape[:2]
-    scale = 2 if anti_aliasing else 1
-    _check_memory(batch, height * scale, width * scale, 1 + 3 * ("rgb" in outputs), device)
-
-    corners = faces.float()
+    corners = settings.corners(faces, 1 + 3 * ("rgb" in outputs))
     still = corners.detach()
-    face_index = coverage(still, height * scale, width * scale, near, far, two_sided, perspective)
+    batch, count = faces.shape[:2]
+    device = faces.device
+    face_index = settings.face_index(corners)
     depth = None
     layers = {}
     whole = gradient == "edge"  # the derivative inside of faces, too
     if "rgb" in outputs or "depth" in outputs:
-        weights, depth = barycentrics(corners if whole or "depth" in outputs else still, face_index, far, perspective)
+        from_corners = corners if whole or "depth" in outputs else still
+        weights, depth = barycentrics(from_corners, face_index, settings.far, perspective)
         if "rgb" in outputs:
             cubes = _checked_textures(textures, batch, count, device)
             factors = _checked_light(light, batch, count, device)
-            behind = _checked_background(background, batch, height, width, device)
-            if anti_aliasing and behind.shape[2] > 1:
-                behind = behind.repeat_interleave(2, 2).repeat_interleave(2, 3)
-            behind = behind.expand(batch, 3, *face_index.shape[1:])
+            behind = behind_image(background, batch, 3, settings, device).expand(batch, 3, *face_index.shape[1:])
             weights = weights if whole else weights.detach()
-            layers["rgb"] = sample_textures(cubes, factors, behind, still, face_index, weights, eps, perspective)
+            layers["rgb"] = sample_textures(
+                cubes, factors, behind, still, face_index, weights, settings.eps, perspective
+            )
     if "alpha" in outputs:
         layers["alpha"] = silhouette(face_index)
     if "depth" in outputs and whole:
@@ -138,13 +122,7 @@ def rasterize_images(
     rgb = alpha = None
     if layers:
         image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
-        if corners.requires_grad and torch.is_grad_enabled():
-            if whole:
-                image = boundaries(image, corners, face_index, two_sided, perspective, "rgb" in outputs)
-            else:
-                if not perspective:  # depth has no part in it: a corner behind an orthographic camera is like any other
-                    corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
-                image = nmr_edges(image, corners, face_index, eps, two_sided, "rgb" not in outputs)
+        image = settings.through_visibility(image, corners, face_index, "rgb" in outputs, "rgb" not in outputs)
         if anti_aliasing:
             image = halve(image)
         # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied.
@@ -164,21 +142,6 @@ def rasterize_images(
     return Images(rgb, alpha, depth)
 
 
-def image_size(name: str, size: Any) -> tuple[int, int]:
-    """(height, width) of a size given as one side or as a pair; TypeError or ValueError for anything else."""
-    pair = size if isinstance(size, (tuple, list)) else (size, size)
-    if len(pair) != 2:
-        raise ValueError(f"{name}: expected a side or (height, width), got {size!r}")
-    sides = []
-    for side in pair:
-        if isinstance(side, bool) or int(validate.number(name, side)) != side:
-            raise TypeError(f"{name}: expected whole numbers of pixels, got {size!r}")
-        if not 1 <= side <= 32768:
-            raise ValueError(f"{name}: expected between 1 and 32768 pixels, got {size!r}")
-        sides.append(int(side))
-    return sides[0], sides[1]
-
-
 def checked_faces(faces: Any) -> Tensor:
     """``faces`` if it is an int32 or int64 tensor [F, 3] or [B, F, 3]; TypeError or ValueError otherwise."""
     return validate.indices("faces", faces, ("F", 3) if getattr(faces, "ndim", 3) == 2 else ("B", "F", 3))
@@ -191,30 +154,6 @@ def checked_outputs(outputs: Collection[str]) -> Collection[str]:
     if not names or any(name not in OUTPUTS for name in names):
         raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)}, got {', '.join(map(str, names)) or 'none'}")
     return names
-
-
-def _supported(device: torch.device) -> torch.device:
-    if device.type not in ("cpu", "cuda", "meta"):
-        raise ValueError(f"faces: expected a tensor on the CPU or on CUDA, got device {device}")
-    return device
-
-
-def _check_memory(batch: int, height: int, width: int, channels: int, device: torch.device) -> None:
-    # The key, index, weights and depth, and four copies of the image on the way back.
-    need = batch * height * width * (28 + 16 * channels)
-    if need < 1 << 30:
-        return
-    if device.type == "cuda":
-        have = torch.cuda.get_device_properties(device).total_memory
-    elif hasattr(os, "sysconf"):
-        have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    else:
-        return
-    if need > have:
-        raise ValueError(
-            f"image_size: expected images that fit into the {have / 2**30:.0f} GiB of {device}, got {batch} of "
-            f"{height} x {width} drawn pixels, which take {need / 2**30:.0f} GiB"
-        )
 
 
 def _checked_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:
@@ -240,24 +179,31 @@ def _checked_light(light: Tensor | None, batch: int, count: int, device: torch.d
     return light.float()
 
 
-def _checked_background(background: Any, batch: int, height: int, width: int, device: torch.device) -> Tensor:
-    """The background as [1 or B, 3, 1 or H, 1 or W] float32."""
+def behind_image(background: Any, batch: int, channels: int, settings: Settings, device: torch.device) -> Tensor:
+    """The background as [1 or B, C, 1 or H, 1 or W] float32, H and W at the scale drawn."""
+    height, width = settings.height, settings.width
     if not isinstance(background, Tensor):
         try:
             background = torch.as_tensor(background, dtype=torch.float32, device=device)
         except (TypeError, ValueError, RuntimeError):
-            raise TypeError(f"background: expected a colour [3] or [B, 3] or an image, got {background!r}") from None
+            raise TypeError(
+                f"background: expected a colour [{channels}] or [B, {channels}] or an image, got {background!r}"
+            ) from None
+    elif not background.is_floating_point():
+        raise TypeError(f"background: expected a floating-point tensor, got {validate.shape_of(background)}")
     validate.dense("background", background)
     if device.type != "meta":
         validate.has_numbers("background", background)
     color = background.to(device=device, dtype=torch.float32)
     validate.finite("background", color)
     shape = tuple(color.shape)
-    if shape == (3,) or (len(shape) == 2 and shape[0] in (1, batch) and shape[1] == 3):
-        return color.reshape(-1, 3, 1, 1)
-    if shape == (3, height, width) or (len(shape) == 4 and shape[0] in (1, batch) and shape[1:] == (3, height, width)):
-        return color.reshape(-1, 3, height, width)
+    image = (channels, height, width)
+    if shape == (channels,) or (len(shape) == 2 and shape[0] in (1, batch) and shape[1] == channels):
+        return color.reshape(-1, channels, 1, 1)
+    if shape == image or (len(shape) == 4 and shape[0] in (1, batch) and shape[1:] == image):
+        color = color.reshape(-1, *image)
+        return color.repeat_interleave(2, 2).repeat_interleave(2, 3) if settings.anti_aliasing else color
     raise ValueError(
-        f"background: expected [3], [{batch}, 3], [3, {height}, {width}] or [{batch}, 3, {height}, {width}], "
+        f"background: expected [{channels}], [{batch}, {channels}], {list(image)} or {[batch, *image]}, "
         f"got {list(shape)}"
     )

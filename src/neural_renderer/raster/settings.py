@@ -1,0 +1,121 @@
+"""How faces are drawn, checked once: what all ways to an image have in common."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .. import validate
+from .boundaries import boundaries
+from .coverage import coverage
+from .edges import nmr_edges
+
+GRADIENTS = ("nmr", "edge")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Sizes in pixels of the image that is returned; the other fields as in `rasterize_images`."""
+
+    height: int
+    width: int
+    near: float
+    far: float
+    eps: float
+    anti_aliasing: bool
+    two_sided: bool
+    perspective: bool
+    gradient: str
+
+    @classmethod
+    def checked(
+        cls,
+        size: int | tuple[int, int],
+        near: float,
+        far: float,
+        eps: float,
+        anti_aliasing: bool,
+        two_sided: bool,
+        perspective: bool,
+        gradient: str,
+        name: str = "image_size",
+    ) -> Settings:
+        """TypeError or ValueError for what does not fit; ``name`` is what ``size`` is called there."""
+        height, width = image_size(name, size)
+        two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
+        if gradient not in GRADIENTS:
+            raise ValueError(f"gradient: expected one of {', '.join(GRADIENTS)}, got {gradient!r}")
+        near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
+        if not 0 <= near < far:
+            raise ValueError(f"near, far: expected 0 <= near < far, got near {near}, far {far}")
+        if not 0 <= eps < 1:
+            raise ValueError(f"eps: expected 0 <= eps < 1, got {eps}")
+        return cls(height, width, near, far, eps, anti_aliasing, two_sided, bool(perspective), gradient)
+
+    @property
+    def scale(self) -> int:
+        """How many pixels are drawn for each pixel returned, along each axis."""
+        return 2 if self.anti_aliasing else 1
+
+    def corners(self, faces: Tensor, channels: int) -> Tensor:
+        """``faces`` [B, F, 3, 3] in float32, checked: on a device that can draw, where ``channels`` an image fit."""
+        validate.floating("faces", faces, ("B", "F", 3, 3))
+        validate.finite("faces", faces)
+        if faces.device.type not in ("cpu", "cuda", "meta"):
+            raise ValueError(f"faces: expected a tensor on the CPU or on CUDA, got device {faces.device}")
+        _check_memory(len(faces), self.height * self.scale, self.width * self.scale, channels, faces.device)
+        return faces.float()
+
+    def face_index(self, corners: Tensor) -> Tensor:
+        """The faces seen, [B, H, W] int32 at the scale drawn; see `coverage`."""
+        height, width = self.height * self.scale, self.width * self.scale
+        return coverage(corners.detach(), height, width, self.near, self.far, self.two_sided, self.perspective)
+
+    def through_visibility(
+        self, image: Tensor, corners: Tensor, face_index: Tensor, seams: bool = False, binary: bool = False
+    ) -> Tensor:
+        """The image [B, C, H, W] unchanged, with the gradient to the corners of `nmr_edges` or `boundaries`."""
+        if not (corners.requires_grad and torch.is_grad_enabled()):
+            return image
+        if self.gradient == "edge":
+            return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams)
+        if not self.perspective:  # depth has no part in it: a corner behind an orthographic camera is like any other
+            corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
+        return nmr_edges(image, corners, face_index, self.eps, self.two_sided, binary)
+
+
+def image_size(name: str, size: Any) -> tuple[int, int]:
+    """(height, width) of a size given as one side or as a pair; TypeError or ValueError for anything else."""
+    pair = size if isinstance(size, (tuple, list)) else (size, size)
+    if len(pair) != 2:
+        raise ValueError(f"{name}: expected a side or (height, width), got {size!r}")
+    sides = []
+    for side in pair:
+        if isinstance(side, bool) or int(validate.number(name, side)) != side:
+            raise TypeError(f"{name}: expected whole numbers of pixels, got {size!r}")
+        if not 1 <= side <= 32768:
+            raise ValueError(f"{name}: expected between 1 and 32768 pixels, got {size!r}")
+        sides.append(int(side))
+    return sides[0], sides[1]
+
+
+def _check_memory(batch: int, height: int, width: int, channels: int, device: torch.device) -> None:
+    # The key, index, weights and depth, and four copies of the image on the way back.
+    need = batch * height * width * (28 + 16 * channels)
+    if need < 1 << 30:
+        return
+    if device.type == "cuda":
+        have = torch.cuda.get_device_properties(device).total_memory
+    elif hasattr(os, "sysconf"):
+        have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    else:
+        return
+    if need > have:
+        raise ValueError(
+            f"image_size: expected images that fit into the {have / 2**30:.0f} GiB of {device}, got {batch} of "
+            f"{height} x {width} drawn pixels, which take {need / 2**30:.0f} GiB"
+        )
