@@ -75,7 +75,7 @@ def boundaries_backward(
     arguments = [array(faces, wp.vec3), array(image), array(grad), array(face_index), array(seen), array(beyond)]
     options = [int(perspective), int(seams), lanes, array(result, wp.vec3)]
     launch(_move, batch * count * lanes, [*arguments, *options], faces.device)
-    add_intersections(result, grad, image, faces, face_index, seen, perspective)
+    add_intersections(result, grad, image, faces, face_index, beyond, perspective)
     return result
 
 

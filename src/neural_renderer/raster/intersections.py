@@ -1,18 +1,19 @@
 """Where one face cuts through another: the line of equal depth, which moves with the corners of both."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+import torch
 import warp as wp
 from torch import Tensor
 
 from .geometry import homogeneous_weights, in_front, pixel_box, pixel_centre
-from .launch import array, face_lanes, launch
+from .launch import array, face_lanes, launch, zeros
 from .seen import next_shown
 
 wp.set_module_options({"enable_backward": False})
 
 
 def add_intersections(
-    result: Tensor, grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, seen: Tensor, perspective: bool
+    result: Tensor, grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, beyond: Tensor, perspective: bool
 ) -> None:
     """Add to ``result`` [B, F, 3, 3] what `boundaries` sends to the corners of faces that cut through each other.
 
@@ -21,10 +22,15 @@ def add_intersections(
     line's place along the pair, and how the six corners move it, are ratios of differences. Rows and columns share its
     motion by the squares of the components of its normal.
     """
-    lanes = face_lanes(faces, face_index.shape[1] * face_index.shape[2])
-    maps = [array(image), array(grad), array(face_index), array(seen)]
+    batch, count = faces.shape[:2]
+    height, width = face_index.shape[1:]
+    # Few faces stand beside one that is not their neighbour; the others have no second look.
+    marks = zeros((batch, count), faces.device, torch.int32)
+    launch(_mark, batch * height, [array(face_index), array(image), array(beyond), array(marks)], faces.device)
+    lanes = face_lanes(faces, height * width)
+    maps = [array(image), array(grad), array(face_index), array(marks)]
     arguments = [array(faces, wp.vec3), *maps, int(perspective), lanes, array(result, wp.vec3)]
-    launch(_cut, faces.shape[0] * faces.shape[1] * lanes, arguments, faces.device)
+    launch(_cut, batch * count * lanes, arguments, faces.device)
 
 
 @wp.func
@@ -49,6 +55,54 @@ def total(part: wp.vec3) -> float:
     return part[0] + part[1] + part[2]
 
 
+_MARK_ROW = """
+    const int height = face_index.shape[1], width = face_index.shape[2], channels = image.shape[1];
+    const wp::int64 area = (wp::int64)height * width;
+    const wp::int64 first = (wp::int64)row * width, faces = b * (wp::int64)beyond.shape[1];
+    const int* shown = face_index.data + b * area + first;
+    const float* colors = image.data + b * channels * area + first;
+    const int steps[2] = {1, width};
+    for (int i = 0; i < width; ++i)
+        for (int k = 0; k < 2; ++k) {
+            if (k == 0 ? i + 1 == width : row + 1 == height) continue;
+            const int f = shown[i], other = shown[i + steps[k]];
+            if (f == other || f < 0 || other < 0) continue;
+            bool differs = false;
+            for (int c = 0; c < channels; ++c) differs |= colors[c * area + i] != colors[c * area + i + steps[k]];
+            const int* next = beyond.data + (faces + f) * 3;
+            if (differs && other != next[0] && other != next[1] && other != next[2])
+                marks.data[faces + f] = marks.data[faces + other] = 1;
+        }
+"""
+
+
+@wp.func_native(_MARK_ROW)
+def mark_row(
+    face_index: wp.array3d(dtype=int),
+    image: wp.array4d(dtype=float),
+    beyond: wp.array3d(dtype=int),
+    b: int,
+    row: int,
+    marks: wp.array2d(dtype=int),
+):
+    """Mark the faces of a row that stand beside another one, in another colour, which is not the next of the same
+    surface; below it, too."""
+    ...
+
+
+@wp.kernel
+def _mark(
+    first: int,
+    face_index: wp.array3d(dtype=int),
+    image: wp.array4d(dtype=float),
+    beyond: wp.array3d(dtype=int),
+    marks: wp.array2d(dtype=int),
+):
+    task = first + wp.tid()
+    height = int(face_index.shape[1])
+    mark_row(face_index, image, beyond, task // height, task % height, marks)
+
+
 @wp.kernel
 def _cut(
     first: int,
@@ -56,7 +110,7 @@ def _cut(
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
-    seen: wp.array2d(dtype=int),
+    marks: wp.array2d(dtype=int),
     perspective: int,
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
@@ -66,7 +120,7 @@ def _cut(
     lane = task % lanes
     b = (task // lanes) // faces.shape[1]
     f = (task // lanes) % faces.shape[1]
-    if seen[b, f] == 0:
+    if marks[b, f] == 0:
         return
     height = face_index.shape[1]
     width = face_index.shape[2]
@@ -84,7 +138,8 @@ def _cut(
         line = wp.int64(b) * wp.int64(height) + wp.int64(row)
         i = next_shown(face_index, line, width, box[0], box[1] + 1, f)
         while i <= box[1]:
-            for side in range(4):
+            sides = int(4)  # a variable, or Warp would unroll the loop
+            for side in range(sides):
                 axis = side // 2
                 way = 1 - 2 * (side % 2)
                 i2 = i

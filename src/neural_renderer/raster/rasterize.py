@@ -189,8 +189,8 @@ def behind_image(background: Any, batch: int, channels: int, settings: Settings,
             raise TypeError(
                 f"background: expected a colour [{channels}] or [B, {channels}] or an image, got {background!r}"
             ) from None
-    elif not background.is_floating_point():
-        raise TypeError(f"background: expected a floating-point tensor, got {validate.shape_of(background)}")
+    elif background.dtype == torch.uint8:  # an image as it comes from a file, most likely
+        raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")
     validate.dense("background", background)
     if device.type != "meta":
         validate.has_numbers("background", background)
