@@ -73,8 +73,11 @@ class Fit:
     """Cameras to begin with, side by side, for --recover camera (at least 1)."""
     viewing_angle: float = 30.0
     """Half of the vertical field of view in degrees, for --recover camera (above 0, below 90)."""
-    gradient: str = "nmr"
+    gradient: Literal["edge", "nmr"] = "edge"
     """The renderer's gradient through visibility."""
+    colour_from: float = 1.0
+    """The part of the steps (0 to 1) after which colours move the shape too: 0.3 finds some hollows that silhouettes do
+    not show, in twice the time."""
     weights: Weights = field(default_factory=Weights)
     """How much each loss counts."""
     turntable: int = 36
@@ -107,6 +110,7 @@ class Fit:
             texture_steps=self.texture_steps,
             cells=self.cells,
             texture_size=self.texture_size,
+            colour_from=self.colour_from,
             weights=self.weights,
             batch=self.batch,
             gradient=self.gradient,

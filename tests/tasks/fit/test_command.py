@@ -177,7 +177,7 @@ def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
         ([str(folder), "--recover", "texture"], "--mesh: expected the mesh whose texture is looked for"),
         ([str(folder), "--steps", "0"], "--steps: expected at least 1"),
         ([str(folder), "--held-out", "9"], "--held-out: expected at most the 6 views"),
-        ([str(folder), "--gradient", "none", *SMALL], "gradient: expected one of"),
+        ([str(folder), "--colour-from", "2", *SMALL], "--colour-from: expected a part in [0, 1]"),
     ):
         assert cli.main(["fit", *arguments, "-o", str(tmp_path / "out")]) == 1
         assert sentence in capsys.readouterr().err

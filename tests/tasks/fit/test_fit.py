@@ -116,6 +116,20 @@ def test_sphere_is_refined_and_fits() -> None:
     assert views.quality(fit.shape)["iou"].mean() > 0.95
 
 
+def test_colours_move_the_shape_too(views: Views) -> None:
+    mesh = ring()
+    fit = ShapeFit(views, mesh.vertices * 0.9, mesh.faces, steps=12, colour_from=0.5, gradient="edge")
+    shapes = []
+    while not fit.done:
+        shapes.append(fit.shape)
+        fit.advance()
+    assert [len(shape) for shape in shapes] == [2] * 7 + [3] * 5  # colours begin with the seventh step
+    assert fit.colours is not None and fit.colours.std() > 0.01
+    assert views.quality(fit.shape)["iou"].mean() > views.quality(shapes[0])["iou"].mean() + 0.02
+    with pytest.raises(ValueError, match="colour_from: expected a part"):
+        ShapeFit(views, mesh.vertices, mesh.faces, colour_from=2)
+
+
 def test_texture_of_a_known_mesh(views: Views) -> None:
     mesh = ring()
     fit = TextureFit(views, mesh.vertices, mesh.faces, size=2, steps=40)

@@ -33,7 +33,7 @@ class MeshFit:
         steps, texture_steps: of descent for the shape and for the texture, at least 1 each.
         cells: along each side of the grid that the hull is carved from, at least 8.
         texture_size: T, texels along the edge of a face's cube, at least 2.
-        weights, batch, gradient, seed: see `ShapeFit`.
+        colour_from, weights, batch, gradient, seed: see `ShapeFit`.
 
     Raises:
         TypeError, ValueError: what does not fit; silhouettes that have no point in common.
@@ -49,9 +49,10 @@ class MeshFit:
         texture_steps: int = 150,
         cells: int = 64,
         texture_size: int = 4,
+        colour_from: float = 1.0,
         weights: Weights = Weights(),  # noqa: B008 (immutable)
         batch: int = 6,
-        gradient: str = "nmr",
+        gradient: str = "edge",
         seed: int = 0,
     ) -> None:
         if recover == "texture" and not isinstance(start, Mesh):
@@ -61,7 +62,7 @@ class MeshFit:
         """The views of a world in which the object lies in about [-1, 1]."""
         self._common = {"batch": batch, "seed": seed}
         self._texture_options = {"size": validate.whole("texture_size", texture_size, 2), "steps": texture_steps}
-        self._shape_options = {"steps": steps, "weights": weights, "gradient": gradient}
+        self._shape_options = {"steps": steps, "weights": weights, "gradient": gradient, "colour_from": colour_from}
         self._shape_options["subdivisions"] = 2 if start == "sphere" else 0
         vertices, faces = self._start(start, validate.whole("cells", cells, 8))
         self.phase = recover

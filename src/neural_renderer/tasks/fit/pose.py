@@ -51,7 +51,7 @@ class CameraFit:
         steps: int = 150,
         photometric: float = 5.0,
         rate: float = 0.06,
-        gradient: str = "nmr",
+        gradient: str = "edge",
         seed: int = 0,
     ) -> None:
         validate.floating("mask", mask, ("H", "W"))

@@ -78,7 +78,7 @@ class ShapeFit:
         rate: float = 0.01,
         smooth: float = 8.0,
         batch: int = 6,
-        gradient: str = "nmr",
+        gradient: str = "edge",
         seed: int = 0,
     ) -> None:
         self.steps = validate.whole("steps", steps, 1)
@@ -87,7 +87,9 @@ class ShapeFit:
         self._rate, self._smooth = validate.positive("rate", rate), smooth
         self._batch, self._seed = min(validate.whole("batch", batch, 1), len(views)), seed
         self._subdivisions = validate.whole("subdivisions", subdivisions, 0)
-        self._colour_from = steps if views.photos is None else round(colour_from * steps)
+        if not 0 <= validate.number("colour_from", colour_from) <= 1:
+            raise ValueError(f"colour_from: expected a part in [0, 1], got {colour_from}")
+        self._colour_from = self.steps if views.photos is None else round(colour_from * self.steps)
         self._have(vertices.detach().clone(), faces.long(), None)
 
     @property

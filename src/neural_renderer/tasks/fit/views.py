@@ -89,7 +89,7 @@ class Views:
         eye = self.camera.origin - torch.einsum("bij,bi->bj", rotation, self.camera.translation)
         return eye, rotation[:, 2]
 
-    def draw(self, shape: tuple[Tensor, ...], outputs: str | Sequence[str] = "alpha", gradient: str = "nmr") -> Images:
+    def draw(self, shape: tuple[Tensor, ...], outputs: str | Sequence[str] = "alpha", gradient: str = "edge") -> Images:
         """A mesh's images in these views, without light: its colours include whatever light there was."""
         # Everything of a world in which objects have a size of about one; cameras may be far from them.
         far = 4.0 * float(self.eyes()[0].norm(dim=1).max()) + 4.0
