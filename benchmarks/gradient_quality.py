@@ -235,11 +235,37 @@ def estimates(scene: Scene, gradient: str, shifts: int, seed: int = 1) -> dict[s
     return {name: torch.stack(parts) for name, parts in rows.items()}
 
 
+def plot(rows: list[dict], path: Path) -> None:
+    """Size and cosine of both estimators, one line for each row of the table, beside the truth."""
+    import matplotlib.pyplot as plt
+
+    names = list(dict.fromkeys(f"{row['scene']}: {row['of']}" for row in rows))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 0.28 * len(names) + 1), sharey=True)
+    for gradient, marker in (("nmr", "x"), ("edge", "o")):
+        own = [row for row in rows if row["gradient"] == gradient]
+        places = [names.index(f"{row['scene']}: {row['of']}") for row in own]
+        left.plot([row["size"] for row in own], places, marker, label=f'"{gradient}"')
+        right.plot([row["cosine"] for row in own], places, marker)
+    left.set_xscale("log")
+    left.set_xlabel("size (1: the derivative)")
+    right.set_xlabel("cosine (1: its direction)")
+    left.set_yticks(range(len(names)), names)
+    left.invert_yaxis()
+    for axes in (left, right):
+        axes.axvline(1, color="grey", linewidth=0.8)
+        axes.grid(alpha=0.3)
+    figure.tight_layout(rect=(0, 0, 1, 0.96))
+    figure.legend(loc="upper right", ncols=2, frameon=False)
+    figure.savefig(path, dpi=110)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.gradient_quality", description=__doc__)
     parser.add_argument("--shifts", type=int, default=256, help="sub-pixel offsets")
     parser.add_argument("--supersampling", type=int, default=32)
+    parser.add_argument("--elements", type=int, default=60, help="of each parameter that are moved")
     parser.add_argument("--json", type=Path, help="also write the numbers here")
+    parser.add_argument("--plot", type=Path, help="also draw them here, as PNG or SVG (needs matplotlib)")
     options = parser.parse_args()
     rows = []
     for side in SIDES:
@@ -249,7 +275,7 @@ def main() -> None:
                 rows.append({"scene": f"triangle of {side} px", "of": wish, "gradient": gradient, **vars(found)})
     for title, scene in scenes().items():
         for name in scene.parameters:
-            order, truth = difference(scene, name, options.supersampling, 150)
+            order, truth = difference(scene, name, options.supersampling, options.elements)
             for gradient in ("nmr", "edge"):
                 samples = estimates(scene, gradient, options.shifts)[name][:, order]
                 found = Quality.of(samples, truth.expand(len(samples), -1))
@@ -262,6 +288,8 @@ def main() -> None:
     Console().print(table)
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2) + "\n")
+    if options.plot:
+        plot(rows, options.plot)
 
 
 if __name__ == "__main__":

@@ -17,10 +17,10 @@ def add_intersections(
 ) -> None:
     """Add to ``result`` [B, F, 3, 3] what `boundaries` sends to the corners of faces that cut through each other.
 
-    Two neighbouring pixels show two faces, and each face covers the other's pixel as well: between their centres lies
-    the line on which the nearness q (1 / z; -z without perspective) of both is equal. q is linear on the screen, so the
-    line's place along the pair, and how the six corners move it, are ratios of differences. Rows and columns share its
-    motion by the squares of the components of its normal.
+    Two neighbouring pixels show two faces, and between their centres lies a point of both at which their nearness q
+    (1 / z; -z without perspective) is equal. q is linear on the screen, so where that line crosses the pair, and how
+    the six corners move it, are ratios of differences. Rows and columns share its motion by the squares of the
+    components of its normal.
     """
     batch, count = faces.shape[:2]
     height, width = face_index.shape[1:]
@@ -158,18 +158,17 @@ def _cut(
                     x = pixel_centre(i, width)
                     x2 = pixel_centre(i2, width)
                     y2 = pixel_centre(j2, height)
+                    here = shares(v0, v1, v2, x, y, perspective)
                     there = shares(v0, v1, v2, x2, y2, perspective)
                     others_here = shares(u0, u1, u2, x, y, perspective)
-                    if (
-                        covers(there, perspective)
-                        and covers(others_here, perspective)
-                        and in_front(u0, u1, u2, perspective) == 1
-                    ):
-                        here = shares(v0, v1, v2, x, y, perspective)
-                        ahead = total(here) - total(others_here)
-                        short = total(shares(u0, u1, u2, x2, y2, perspective)) - total(there)
-                        if ahead > 0.0 and short > 0.0:
-                            t = ahead / (ahead + short)
+                    others_there = shares(u0, u1, u2, x2, y2, perspective)
+                    ahead = total(here) - total(others_here)
+                    short = total(others_there) - total(there)
+                    if ahead > 0.0 and short > 0.0 and in_front(u0, u1, u2, perspective) == 1:
+                        t = ahead / (ahead + short)
+                        q = here + t * (there - here)
+                        others_q = others_here + t * (others_there - others_here)
+                        if covers(q, perspective) and covers(others_q, perspective):
                             # How the two change over a pixel to the right and up.
                             right = total(shares(v0, v1, v2, x + steps[0], y, perspective)) - total(here)
                             up = total(shares(v0, v1, v2, x, y + steps[1], perspective)) - total(here)
@@ -187,7 +186,6 @@ def _cut(
                             part *= jump
                             # With the place fixed, moving corner k by v changes q by -w_k grad(q) . v, and raising its
                             # depth changes it by w_k dq_k / dz_k.
-                            q = here + t * (there - here)
                             for k in range(3):
                                 z = faces[b, f, k][2]
                                 w = q[k] * z
