@@ -5,6 +5,7 @@ and the rest.
 """
 
 from . import losses, metrics
+from .batch import batch, join
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
 from .fragments import Fragments, fragments
 from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
@@ -29,11 +30,13 @@ __all__ = [
     "Rasterize",
     "Renderer",
     "__version__",
+    "batch",
     "check_values",
     "cube",
     "fragments",
     "get_points_from_angles",
     "icosphere",
+    "join",
     "lighting",
     "load_image",
     "load_mesh",

@@ -8,6 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from . import validate
+from .batch import batch
 from .camera import Camera
 from .lighting import Light
 from .mesh import Mesh
@@ -24,7 +25,7 @@ from .raster.settings import image_size
 
 
 def render(
-    mesh: Mesh | tuple[Tensor, ...],
+    mesh: Mesh | list[Mesh] | tuple[Tensor, ...],
     camera: Camera,
     size: int | tuple[int, int] = 256,
     *,
@@ -40,8 +41,9 @@ def render(
 ) -> Images:
     """Render a mesh from every camera of a batch, differentiably.
 
-    mesh: a `Mesh`; or (vertices, faces) or (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating,
-        faces [F, 3] or [B, F, 3] integer, textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating with T >= 2.
+    mesh: a `Mesh`; a list of them, of any sizes, one for each image (see `batch`); or (vertices, faces) or (vertices,
+        faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces [F, 3] or [B, F, 3] integer, textures
+        [F, T, T, T, 3] or [B, F, T, T, T, 3] floating with T >= 2.
     camera: one camera, or B of them. One mesh is drawn from all cameras, and one camera sees all meshes.
     size: the images' side or (height, width), in pixels; they need not be square, and pixels stay square.
     light: None draws the textures as they are.
@@ -95,11 +97,14 @@ def render(
 
 
 def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
-    """(vertices, faces, textures or None) of a `Mesh` or a tuple; TypeError for anything else."""
+    """(vertices, faces, textures or None) of a `Mesh`, a list of them, or a tuple; TypeError for anything else."""
     if isinstance(mesh, Mesh):
         return mesh.vertices, mesh.faces, mesh.textures
+    if isinstance(mesh, list):
+        return batch(mesh)
     if isinstance(mesh, tuple) and len(mesh) in (2, 3):
         return mesh[0], mesh[1], mesh[2] if len(mesh) == 3 else None
     raise TypeError(
-        f"mesh: expected a Mesh, (vertices, faces) or (vertices, faces, textures), got {type(mesh).__name__}"
+        f"mesh: expected a Mesh, a list of them, (vertices, faces) or (vertices, faces, textures), "
+        f"got {type(mesh).__name__}"
     )

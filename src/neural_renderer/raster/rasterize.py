@@ -30,7 +30,8 @@ class Images(NamedTuple):
 def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     """The corners of each face.
 
-    vertices: [B, V, 3] floating. faces: [F, 3] shared by the batch, or [B or 1, F, 3]; int32 or int64, in [0, V).
+    vertices: [B, V, 3] floating. faces: [F, 3] shared by the batch, or [B or 1, F, 3]; int32 or int64, in [0, V), or
+        (-1, -1, -1) for no face, with which meshes of different size fill up one batch.
     Returns [B, F, 3, 3] float32. Raises TypeError or ValueError for other dtypes, shapes, devices or indices.
     """
     validate.floating("vertices", vertices, ("B", "V", 3))
@@ -39,6 +40,8 @@ def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     faces = faces[None] if faces.dim() == 2 else faces
     if faces.shape[0] not in (1, vertices.shape[0]):
         raise ValueError(f"faces: expected a batch of {vertices.shape[0]} like vertices, got {faces.shape[0]}")
+    if vertices.shape[1]:  # no face is one without area
+        faces = torch.where((faces == -1).all(-1, keepdim=True), 0, faces)
     validate.in_range("faces", faces, vertices.shape[1])
     if faces.dtype == torch.int64:  # an index that is out of range stays so in 32 bits
         faces = faces.clamp(-1, 2**31 - 1)
