@@ -17,6 +17,7 @@ from .raster import Images, rasterize_images, vertices_to_faces
 from .rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
 from .render import render
 from .renderer import Renderer
+from .uv import sample_texture
 from .validate import check_values
 from .version import __version__
 
@@ -54,6 +55,7 @@ __all__ = [
     "rasterize_rgbad",
     "rasterize_silhouettes",
     "render",
+    "sample_texture",
     "save_animation",
     "save_image",
     "save_mesh",
