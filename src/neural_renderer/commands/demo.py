@@ -17,7 +17,7 @@ from ..camera import Camera, get_points_from_angles
 from ..io import save_animation, save_image
 from ..mesh import Mesh
 from ..primitives import icosphere
-from ..tasks.fit import ShapeFit, TextureFit, Views, Weights
+from ..tasks.fit import ShapeFit, TextureFit, Views
 from .common import checked_count, chosen_device
 from .shapes import duck, knot
 from .studio import lowest, photograph, sheet
@@ -145,9 +145,7 @@ def around(count: int, device: torch.device) -> Camera:
 def ball(views: Views, steps: int, seed: int = 0) -> ShapeFit:
     """The fit of a sphere of 1280 faces to silhouettes."""
     vertices, faces = (part.to(views.masks.device) for part in icosphere(3, radius=0.5))
-    # A coarse mesh bends more at an edge than the fine ones that the default weights are for.
-    weights = Weights(laplacian=1.0, normal_consistency=0.02)
-    return ShapeFit(views, vertices, faces, steps=steps, batch=8, weights=weights, rate=0.02, smooth=1.0, seed=seed)
+    return ShapeFit(views, vertices, faces, steps=steps, batch=8, rate=0.02, smooth=1.0, seed=seed)
 
 
 def stages_of(history: list[Mesh], fitted: Mesh, target: Mesh) -> dict[str, Mesh]:

@@ -50,7 +50,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-SMALL = ["--cells", "12", "--steps", "4", "--texture-steps", "4", "--turntable", "1", "--batch", "3"]
+SMALL = ["--cells", "20", "--steps", "4", "--texture-steps", "4", "--turntable", "1", "--batch", "3"]
 
 
 @pytest.mark.parametrize("name", ["transforms.json", "cameras.json", "cameras.csv"])

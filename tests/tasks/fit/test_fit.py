@@ -79,8 +79,8 @@ def test_hull_has_the_hole_and_lies_around_the_object(views: Views) -> None:
     assert len(vertices) - len(topology.edges) + len(faces) == 0  # the Euler characteristic of a torus
     corners = vertices[faces]
     volume = (corners[:, 0] * torch.linalg.cross(corners[:, 1], corners[:, 2])).sum() / 6 * half**3
-    assert 0.9 < volume / (2 * math.pi**2 * 0.7 * 0.28**2) < 1.4
-    assert views.moved(centre, half).quality((vertices, faces))["iou"].mean() > 0.93
+    assert 0.8 < volume / (2 * math.pi**2 * 0.7 * 0.28**2) < 1.4
+    assert views.moved(centre, half).quality((vertices, faces))["iou"].mean() > 0.87
 
 
 def test_silhouettes_that_do_not_meet(views: Views) -> None:

@@ -8,6 +8,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...isosurface import isosurface
+from ...topology import Topology
+from .descent import SmoothDescent
 from .views import Views
 
 _ROOM = 1.08  # half of the cube that is carved, of a world whose object is within [-1, 1]
@@ -55,7 +57,9 @@ def carve(views: Views, cells: int = 64) -> tuple[Tensor, Tensor]:
         return np.where(np.abs(points).max(-1) >= 0.999 * _ROOM, 0.5, value.reshape(points.shape[:-1]))
 
     vertices, faces = isosurface(field, cells, _ROOM)
-    return largest_pieces(vertices.to(soft.device), faces.to(soft.device))
+    vertices, faces = largest_pieces(vertices.to(soft.device), faces.to(soft.device))
+    # Descent moves neighbours together, so that it would keep the stairs that the grid leaves on thin parts.
+    return SmoothDescent(Topology.of(faces), 1.0).blur(vertices), faces
 
 
 def largest_pieces(vertices: Tensor, faces: Tensor, least: float = 0.01) -> tuple[Tensor, Tensor]:

@@ -63,7 +63,8 @@ class MeshFit:
         self._common = {"batch": batch, "seed": seed}
         self._texture_options = {"size": validate.whole("texture_size", texture_size, 2), "steps": texture_steps}
         self._shape_options = {"steps": steps, "weights": weights, "gradient": gradient, "colour_from": colour_from}
-        self._shape_options["subdivisions"] = 2 if start == "sphere" else 0
+        if start == "sphere":  # which is coarse, and far from what it becomes
+            self._shape_options |= {"subdivisions": 2, "rate": 0.03}
         vertices, faces = self._start(start, validate.whole("cells", cells, 8))
         self.phase = recover
         self._fit: ShapeFit | TextureFit = self._begun(vertices, faces)

@@ -17,17 +17,21 @@ from .views import Views, agreement, chosen
 
 @dataclass(frozen=True)
 class Weights:
-    """How much each loss of `losses` counts; 0: not at all. The unit of length is half the object's longest side."""
+    """How much each loss of `losses` counts; 0: not at all. The unit of length is half the object's longest side.
+
+    Bends and lengths shrink as a mesh gets finer. The weights on them are those of a mesh of 10,000 vertices, and are
+    converted for others.
+    """
 
     silhouette: float = 1.0
     """1 - intersection over union of the silhouettes."""
     photometric: float = 4.0
     """Mean squared difference of the colours, once vertices have colours."""
-    laplacian: float = 30.0
+    laplacian: float = 100.0
     """Squared distance of a vertex to the mean of its neighbours."""
     edge_length: float = 0.0
     """Mean squared length of edges."""
-    normal_consistency: float = 0.1
+    normal_consistency: float = 0.2
     """1 - cosine of the angle between neighbouring faces."""
     smoothness: float = 0.0
     """The paper's smoothness loss, a sum over edges."""
@@ -128,7 +132,9 @@ class ShapeFit:
             loss = loss + weights.photometric * losses.photometric(images.rgb, part.photos, part.masks)  # type: ignore[arg-type]
         for name in ("laplacian", "edge_length", "normal_consistency", "smoothness"):
             if getattr(weights, name):
-                loss = loss + getattr(weights, name) * getattr(losses, name)(moving[0], topology)
+                # On V vertices edges are as long as V⁻½; offsets from neighbours, and so bends, are their squares.
+                finer = (len(moving[0]) / 10_000) ** (2 if name == "laplacian" else 1)
+                loss = loss + finer * getattr(weights, name) * getattr(losses, name)(moving[0], topology)
         gradients = torch.autograd.grad(loss, moving)
         slow = min(1.0, 2 * (1 - self.step / self.steps) + 0.05)  # from half of the way on, ever smaller steps
         self._vertices = self._descent.step(self._vertices.detach(), gradients[0], self._rate * slow)
