@@ -48,7 +48,7 @@ def boundaries(
 
     Exact in the mean over sub-pixel shifts but for: colours that curve within a pixel; gaps narrower than a pixel
     between two boundaries; the ends of ``seams``, where both faces are narrower than half a pixel; crossings in the
-    half pixel before the border of the image; edges with an end behind the camera.
+    half pixel before the border of the image; the ends of cuts, by up to a pixel; edges with an end behind the camera.
     """
     return copy(image)
 
@@ -166,7 +166,7 @@ def plane_nearness(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float, pe
 def leaves(pu: float, pv: float, qu: float, qv: float, ru: float, rv: float, u: float) -> float:
     """Where line u, which crosses the edge p - q of a triangle, leaves it again: through p - r or q - r."""
     limit = rv
-    if (pu < u and u < ru) or (ru < u and u < pu):
+    if (pu <= u) != (ru <= u):
         limit = pv + (rv - pv) * (u - pu) / (ru - pu)
     elif qu != ru:
         limit = qv + (rv - qv) * (u - qu) / (ru - qu)
@@ -271,7 +271,7 @@ def move_edge(
         both = float(1.0)
         second = int(-1)
         if perspective == 0 or r[2] > 0.0:
-            by_p = (pu < float(u) and float(u) < ru) or (ru < float(u) and float(u) < pu)
+            by_p = (pu <= float(u)) != (ru <= float(u))
             limit = leaves(pu, pv, qu, qv, ru, rv, float(u))
             run = wp.min(wp.abs(limit - c), 1.0)
             both = run
@@ -363,7 +363,7 @@ def _move(
     v0 = faces[b, f, 0]
     v1 = faces[b, f, 1]
     v2 = faces[b, f, 2]
-    turned = facing(v0, v1, v2, 1) < 0
+    turned = facing(v0, v1, v2, perspective) < 0
     x = wp.vec3(0.0, 0.0, 0.0)
     y = wp.vec3(0.0, 0.0, 0.0)
     corners = int(3)  # a variable, or Warp would unroll the loop sixfold

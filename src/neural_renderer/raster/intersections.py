@@ -7,6 +7,7 @@ from torch import Tensor
 
 from .geometry import homogeneous_weights, in_front, pixel_box, pixel_centre
 from .launch import array, face_lanes, launch, zeros
+from .neighbors import same
 from .seen import next_shown
 
 wp.set_module_options({"enable_backward": False})
@@ -103,6 +104,17 @@ def _mark(
     mark_row(face_index, image, beyond, task // height, task % height, marks)
 
 
+@wp.func
+def share_edge(faces: wp.array3d(dtype=wp.vec3), b: int, f: int, g: int) -> bool:
+    """Whether two corners of the faces are the same: such faces meet, and do not cut each other."""
+    count = int(0)
+    for k in range(3):
+        corner = faces[b, f, k]
+        if same(corner, faces[b, g, 0]) or same(corner, faces[b, g, 1]) or same(corner, faces[b, g, 2]):
+            count += 1
+    return count >= 2
+
+
 @wp.kernel
 def _cut(
     first: int,
@@ -151,7 +163,7 @@ def _cut(
                 other = int(-1)
                 if i2 >= 0 and i2 < width and j2 >= 0 and j2 < height:
                     other = face_index[b, height - 1 - j2, i2]
-                if other >= 0 and other != f:
+                if other >= 0 and other != f and not share_edge(faces, b, f, other):
                     u0 = faces[b, other, 0]
                     u1 = faces[b, other, 1]
                     u2 = faces[b, other, 2]
@@ -164,7 +176,9 @@ def _cut(
                     others_there = shares(u0, u1, u2, x2, y2, perspective)
                     ahead = total(here) - total(others_here)
                     short = total(others_there) - total(there)
-                    if ahead > 0.0 and short > 0.0 and in_front(u0, u1, u2, perspective) == 1:
+                    # Of faces in one plane the difference is rounding.
+                    clear = ahead + short > 1.0e-6 * wp.abs(total(here))
+                    if clear and ahead > 0.0 and short > 0.0 and in_front(u0, u1, u2, perspective) == 1:
                         t = ahead / (ahead + short)
                         q = here + t * (there - here)
                         others_q = others_here + t * (others_there - others_here)
