@@ -1,0 +1,190 @@
+"""The published data of single-image reconstruction as arrays in files: any amount of it, in little memory.
+
+A folder holds, for each class and split, `{class}_{split}_images.npz` (uint8 [N, 24, 4, 64, 64]: red, green, blue and
+alpha of 24 views) and `{class}_{split}_voxels.npz` (bool [N, 32, 32, 32]), and perhaps `dataset.json` with the objects'
+names. An npz cannot be mapped into memory, so that each is unpacked once, piece by piece, into an npy beside it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from .framing import GRID, SIZE, VIEWS
+
+SPLITS = ("train", "val", "test")
+DESCRIPTION = "dataset.json"
+_PIECE = 1 << 22  # bytes
+_KINDS = {"images": ("uint8", (VIEWS, 4, SIZE, SIZE)), "voxels": ("bool", (GRID,) * 3)}
+
+
+@dataclass(frozen=True)
+class Split:
+    """The objects of one split, class by class.
+
+    Attributes:
+        folder, split: where from.
+        classes: the classes' names.
+        images: of each class, uint8 [N, 24, 4, 64, 64], read from the file as it is needed.
+        voxels: of each class that has such a file, bool [N, 32, 32, 32], likewise.
+        names: of each class, the names of its N objects.
+    """
+
+    folder: Path
+    split: str
+    classes: tuple[str, ...]
+    images: dict[str, np.ndarray]
+    voxels: dict[str, np.ndarray]
+    names: dict[str, tuple[str, ...]]
+
+    def __len__(self) -> int:
+        return sum(len(images) for images in self.images.values())
+
+    def __reduce__(self) -> Any:
+        # A pickled memory map is a copy of all its numbers; another process opens the files instead.
+        return open_split, (self.folder, self.split, self.classes)
+
+
+def open_split(folder: str | os.PathLike[str], split: str, classes: Sequence[str] | None = None) -> Split:
+    """Open a split ("train", "val" or "test") of a folder of data, by default with all its classes.
+
+    Files that were not unpacked yet are unpacked first, beside them, or in the user's cache folder where that cannot be
+    written. Several processes may do so at once.
+
+    Raises:
+        FileNotFoundError: no such folder, or no images of a class.
+        ValueError: a file that is broken, cut off, or of another shape or type; another number of voxels or names than
+            of images; no objects in a class. The file is named.
+        OSError: nowhere to unpack to, as on a full disk.
+    """
+    folder = Path(folder)
+    if split not in SPLITS:
+        raise ValueError(f"split: expected one of {', '.join(SPLITS)}, got {split!r}")
+    if not folder.is_dir():
+        found = "a file" if folder.exists() else "nothing there"
+        raise FileNotFoundError(f"{folder}: expected a folder of {{class}}_{split}_images.npz, got {found}")
+    pattern = re.compile(rf"(.+)_{split}_images\.npz")
+    present = sorted(match[1] for path in folder.iterdir() if (match := pattern.fullmatch(path.name)))
+    if not present:
+        raise FileNotFoundError(f"{folder}: expected files {{class}}_{split}_images.npz, got none")
+    chosen = tuple(dict.fromkeys(present if classes is None else classes))
+    for name in chosen:
+        if name not in present:
+            raise FileNotFoundError(
+                f"{folder / f'{name}_{split}_images.npz'}: expected the images of a class, got nothing there; "
+                f"the classes are {', '.join(present)}"
+            )
+    if not chosen:
+        raise ValueError("classes: expected at least one, got none")
+    images, voxels, names = {}, {}, {}
+    described = _described(folder, split)
+    for name in chosen:
+        path = folder / f"{name}_{split}_images.npz"
+        images[name] = _opened(path, "images")
+        count = len(images[name])
+        if not count:
+            raise ValueError(f"{path}: expected at least one object, got none")
+        solid = folder / f"{name}_{split}_voxels.npz"
+        if solid.exists():
+            voxels[name] = _opened(solid, "voxels")
+            if len(voxels[name]) != count:
+                raise ValueError(f"{solid}: expected {count} objects like {path.name}, got {len(voxels[name])}")
+        given = described.get(name)
+        names[name] = tuple(f"{name}-{index}" for index in range(count)) if given is None else tuple(map(str, given))
+        if len(names[name]) != count:
+            raise ValueError(f"{folder / DESCRIPTION}: expected {count} names of {path.name}, got {len(names[name])}")
+    return Split(folder, split, chosen, images, voxels, names)
+
+
+def _described(folder: Path, split: str) -> dict[str, list[str]]:
+    """The names of the objects of each class, if there is a description; the published data have none."""
+    path = folder / DESCRIPTION
+    if not path.exists():
+        return {}
+    try:
+        names = json.loads(path.read_text(encoding="utf-8"))["names"].get(split, {})
+        return {str(name): list(rows) for name, rows in names.items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f'{path}: expected JSON with "names" by split and class, got another file ({error})') from None
+
+
+def _opened(source: Path, kind: str) -> np.ndarray:
+    """The first array of an npz, mapped from its unpacked copy."""
+    copy = _unpacked(source, kind)
+    try:
+        array = np.load(copy, mmap_mode="r")
+    except ValueError:  # a copy that somebody has cut off
+        copy.unlink()
+        array = np.load(_unpacked(source, kind), mmap_mode="r")
+    return array
+
+
+def _unpacked(source: Path, kind: str) -> Path:
+    """The npy that holds what the npz holds; it has the npz's time, by which one of an older npz is told."""
+    stamp = source.stat().st_mtime_ns
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    place = hashlib.sha256(str(source.parent.resolve()).encode()).hexdigest()[:16]
+    beside, away = source.parent, Path(cache) / "neural_renderer" / place
+    for folder in (beside, away):
+        target = folder / f"{source.stem}.npy"
+        if target.is_file() and target.stat().st_mtime_ns == stamp:
+            return target
+    folder = beside if os.access(beside, os.W_OK) else away
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / f"{source.stem}.npy"
+    # Under a name of its own, so that processes which unpack at once do not meet, and renamed when it is whole.
+    handle, fresh = tempfile.mkstemp(dir=folder, prefix=f".{source.stem}.", suffix=".npy")
+    try:
+        with os.fdopen(handle, "wb") as out:
+            _unpack(source, kind, out)
+        os.utime(fresh, ns=(stamp, stamp))
+        os.replace(fresh, target)
+    except OSError as error:
+        raise OSError(f"{target}: expected room to unpack {source.name}, got: {error.strerror or error}") from error
+    finally:
+        Path(fresh).unlink(missing_ok=True)
+    return target
+
+
+def _unpack(source: Path, kind: str, out: IO[bytes]) -> None:
+    try:
+        with zipfile.ZipFile(source) as archive, archive.open(archive.namelist()[0]) as member:
+            shape = _checked_header(source, kind, member)
+            np.lib.format.write_array_header_1_0(
+                out, {"descr": np.dtype(_KINDS[kind][0]).str, "fortran_order": False, "shape": shape}
+            )
+            begin = out.tell()
+            shutil.copyfileobj(member, out, _PIECE)
+            expected, got = int(np.prod(shape)), out.tell() - begin
+    except (zipfile.BadZipFile, zlib.error, EOFError, IndexError, NotImplementedError, RuntimeError) as error:
+        raise ValueError(f"{source}: expected an npz, got a file that is broken or cut off ({error})") from error
+    if got != expected:
+        raise ValueError(f"{source}: expected {expected} numbers as its header says, got {got}")
+
+
+def _checked_header(source: Path, kind: str, member: IO[bytes]) -> tuple[int, ...]:
+    """The array's shape, if it is such as the published files have."""
+    dtype, trailing = _KINDS[kind]
+    wanted = f"{dtype} (N, {', '.join(map(str, trailing))})"
+    try:
+        version = np.lib.format.read_magic(member)
+        reader = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, found = reader(member)
+    except ValueError as error:
+        raise ValueError(f"{source}: expected {wanted}, got no array ({error})") from None
+    if found != np.dtype(dtype) or tuple(shape[1:]) != trailing or not shape or fortran:
+        order = ", column by column" if fortran else ""
+        raise ValueError(f"{source}: expected {wanted}, got {found} {tuple(shape)}{order}")
+    return tuple(shape)
