@@ -1,7 +1,8 @@
 """Time of the renderer, forward and backward, over batch, size, faces and threads: ``python -m benchmarks``.
 
 Prints a table and the same numbers as JSON, with the hardware named. Each number is the median over
-``--repeats`` runs after one to warm up, through the public function, without anti-aliasing.
+``--repeats`` runs in turn with all the others, after one to warm up, through the public function, without
+anti-aliasing.
 """
 
 from __future__ import annotations
@@ -52,21 +53,24 @@ def main() -> None:
     for column in ("drawn", "images", "size", "faces", "sides", "threads", "forward", "forward + backward"):
         table.add_column(column, justify="right")
     started = time.perf_counter()
-    measure(*CASES[0], options.device, 1)
+    work(*CASES[0], options.device)[1]()
+    synchronize(options.device)
     report["first_call_s"] = round(time.perf_counter() - started, 2)
-    for case in CASES:
-        for count in threads:
-            torch.set_num_threads(count)
-            forward, both = measure(*case, options.device, options.repeats)
-            drawn, batch, size, level, two_sided = case
-            row = {
-                "drawn": drawn, "images": batch, "size": size, "faces": 20 * 4**level, "two_sided": two_sided,
-                "threads": count, "forward_ms": round(forward, 2), "forward_backward_ms": round(both, 2),
-            }  # fmt: skip
-            report["cases"].append(row)
-            sides = "2" if two_sided else "1"
-            cells = (drawn, batch, f"{size}²", row["faces"], sides, count, f"{forward:.1f}", f"{both:.1f}")
-            table.add_row(*map(str, cells))
+    both_ways = [work(*case, options.device) for case in CASES]
+    for (case, count), (forward, both) in zip(
+        ((case, count) for case in CASES for count in threads),
+        measure(both_ways, threads, options.device, options.repeats),
+        strict=True,
+    ):
+        drawn, batch, size, level, two_sided = case
+        row = {
+            "drawn": drawn, "images": batch, "size": size, "faces": 20 * 4**level, "two_sided": two_sided,
+            "threads": count, "forward_ms": round(forward, 2), "forward_backward_ms": round(both, 2),
+        }  # fmt: skip
+        report["cases"].append(row)
+        sides = "2" if two_sided else "1"
+        cells = (drawn, batch, f"{size}²", row["faces"], sides, count, f"{forward:.1f}", f"{both:.1f}")
+        table.add_row(*map(str, cells))
     torch.set_num_threads(all_threads)
     console.print(table)
     console.print(f"first call, compilation or cache included: {report['first_call_s']} s")
@@ -80,10 +84,11 @@ def main() -> None:
         options.json.write_text(text + "\n")
 
 
-def measure(
-    drawn: str, batch: int, size: int, level: int, two_sided: bool, device: str, repeats: int
-) -> tuple[float, float]:
-    """Median milliseconds of the forward pass, without gradients, and of forward and backward."""
+Work = Callable[[], object]
+
+
+def work(drawn: str, batch: int, size: int, level: int, two_sided: bool, device: str) -> tuple[Work, Work]:
+    """The forward pass, without gradients, and forward and backward."""
     faces = noisy_icospheres(batch, level, device=device).requires_grad_()
     options = {"outputs": (OUTPUT[drawn],), "two_sided": two_sided, "anti_aliasing": False, "eps": 1e-3}
     leaves = [faces]
@@ -94,33 +99,48 @@ def measure(
     shape = (batch, 3, size, size) if drawn == "rgb" else (batch, size, size)
     grad = torch.randn(shape, generator=generator).to(device)
 
-    def forward() -> torch.Tensor:
+    def draw() -> torch.Tensor:
         return getattr(nr.rasterize_images(faces, size, **options), OUTPUT[drawn])
+
+    def forward() -> None:
+        with torch.no_grad():
+            draw()
 
     def both() -> None:
         for leaf in leaves:
             leaf.grad = None
-        forward().backward(grad)
+        draw().backward(grad)
 
-    with torch.no_grad():
-        alone = median_ms(forward, device, repeats)
-    return alone, median_ms(both, device, repeats)
+    return forward, both
 
 
 OUTPUT = {"silhouettes": "alpha", "rgb": "rgb", "depth": "depth"}
 
 
-def median_ms(work: Callable[[], object], device: str, repeats: int) -> float:
-    times = []
-    for _ in range(repeats + 1):
-        if device != "cpu":
-            torch.cuda.synchronize()
-        started = time.perf_counter()
-        work()
-        if device != "cpu":
-            torch.cuda.synchronize()
-        times.append(1000 * (time.perf_counter() - started))
-    return statistics.median(times[1:])
+def measure(works: list[tuple[Work, Work]], threads: list[int], device: str, repeats: int) -> list[tuple[float, float]]:
+    """Median milliseconds of each work with each number of threads.
+
+    Every round does everything once, so that what else the machine does meets all alike, and ratios hold.
+    """
+    times: list[list[list[float]]] = [[[], []] for _ in works for _ in threads]
+    for turn in range(repeats + 1):
+        slots = iter(times)
+        for both_ways in works:
+            for count in threads:
+                torch.set_num_threads(count)
+                for once, taken in zip(both_ways, next(slots), strict=True):
+                    synchronize(device)
+                    started = time.perf_counter()
+                    once()
+                    synchronize(device)
+                    if turn > 0:  # the first warms up
+                        taken.append(1000 * (time.perf_counter() - started))
+    return [(statistics.median(forward), statistics.median(both)) for forward, both in times]
+
+
+def synchronize(device: str) -> None:
+    if device != "cpu":
+        torch.cuda.synchronize()
 
 
 def hardware(device: str) -> dict[str, object]:

@@ -20,6 +20,8 @@ wp.set_module_options({"enable_backward": False})
 
 # Keeps a quotient finite where a pixel lies on the edge and the corner has no share in it.
 TINY = wp.constant(1.0e-20)
+# Bytes of scan lines that are stored at once: on the CPU no more than its caches hold, or so.
+_ROOM = {"cpu": 2**23, "cuda": 2**28}
 
 
 @operator
@@ -53,20 +55,24 @@ def nmr_edges_backward(
         return result
     device = faces.device
 
-    rows = empty_lines(batch, height, width, channels, binary, device)
-    columns = empty_lines(batch, width, height, channels, binary, device)
-    spans = torch.empty((batch, height + width, 2), dtype=torch.int32, device=device)
-    lines = [array(rows), array(columns), array(spans, wp.vec2i)]
+    planes = 1 if binary else 1 + channels
     abreast = 1 if faces.is_cuda else WIDE
-    tasks = batch * (height + -(-width // abreast))
-    launch(copy_lines, tasks, [array(image), array(grad), *lines, abreast], device)
     lanes = face_lanes(faces, height * width)
     # Zero would divide by zero where a pixel touches the edge.
     options = [int(binary), max(eps, 1e-12), int(two_sided), lanes]
-    seen = array(seen_faces(face_index, faces.shape[1]))
-    shown = [array(image), array(face_index)]
-    arguments = [array(faces, wp.vec3), *shown, *lines, seen, *options, array(result, wp.vec3)]
-    launch(_pull, batch * faces.shape[1] * lanes, arguments, device)
+    seen = seen_faces(face_index, faces.shape[1])
+    at_once = max(1, min(batch, _ROOM[device.type] // (8 * planes * height * width)))
+    rows = empty_lines(at_once, height, width, planes, device)
+    columns = empty_lines(at_once, width, height, planes, device)
+    spans = torch.empty((at_once, height + width, 2), dtype=torch.int32, device=device)
+    lines = [array(rows), array(columns), array(spans, wp.vec2i)]
+    for first in range(0, batch, at_once):
+        here = slice(first, first + at_once)
+        images = min(at_once, batch - first)
+        shown = array(image[here])
+        launch(copy_lines, images * (height + -(-width // abreast)), [shown, array(grad[here]), *lines, abreast], device)
+        arguments = [array(faces[here], wp.vec3), shown, array(face_index[here]), *lines, array(seen[here]), *options]
+        launch(_pull, images * faces.shape[1] * lanes, [*arguments, array(result[here], wp.vec3)], device)
     return result
 
 

@@ -11,7 +11,7 @@ import contextlib
 import itertools
 import os
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -123,10 +123,13 @@ def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch
 
 
 def copy(tensor: Tensor) -> Tensor:
-    """A contiguous copy, on the CPU by the calling thread alone: see `zeros`."""
+    """A contiguous copy, on the CPU by the threads that run kernels: see `zeros`."""
     if tensor.device.type != "cpu":
         return tensor.clone(memory_format=torch.contiguous_format)
-    return torch.from_numpy(tensor.detach().numpy().copy(order="C"))
+    source = tensor.detach().numpy()
+    result = np.empty(source.shape, source.dtype)
+    _share(lambda first, last: np.copyto(result[first:last], source[first:last]), len(source), least=1)
+    return torch.from_numpy(result)
 
 
 def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
@@ -158,6 +161,15 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
             wp.launch(kernel, tasks, [0, *arguments], stream=stream, record_tape=False)
         return
     _load(kernel, "cpu")
+
+    def run(first: int, last: int) -> None:
+        wp.launch(kernel, last - first, [first, *arguments], device="cpu", record_tape=False)
+
+    _share(run, tasks, least)
+
+
+def _share(run: Callable[[int, int], object], tasks: int, least: int) -> None:
+    """Call run(first, last) for pieces of the tasks on as many CPU threads as torch uses."""
     threads = min(torch.get_num_threads(), max(1, tasks // least))
     pieces = min(tasks, _PIECES * threads) if threads > 1 else 1
     numbers = itertools.count()
@@ -165,8 +177,7 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
     def work() -> None:
         # next() on a count is atomic, so each piece is taken once, by whoever is free.
         while (piece := next(numbers)) < pieces:
-            first, last = tasks * piece // pieces, tasks * (piece + 1) // pieces
-            wp.launch(kernel, last - first, [first, *arguments], device="cpu", record_tape=False)
+            run(tasks * piece // pieces, tasks * (piece + 1) // pieces)
 
     others = [_threads(threads - 1).submit(work) for _ in range(threads - 1)]
     work()

@@ -17,13 +17,13 @@ wp.set_module_options({"enable_backward": False})
 WIDE = 16
 
 
-def empty_lines(batch: int, lines: int, length: int, channels: int, binary: bool, device: torch.device) -> Tensor:
+def empty_lines(batch: int, lines: int, length: int, planes: int, device: torch.device) -> Tensor:
     """Room for scan lines: [batch, lines, planes, WIDE + length]; what is stored of a pixel is a plane apart.
 
     First the sum over channels of value times gradient, then each channel's gradient. Of a silhouette, one number: what
     a pixel beside the shape gains by being covered, or, less than zero, what one of the shape gains by being uncovered.
     """
-    shape = (batch, lines, 1 if binary else 1 + channels, WIDE + length)
+    shape = (batch, lines, planes, WIDE + length)
     room = torch.empty(math.prod(shape) + WIDE, dtype=torch.float32, device=device)
     room[-WIDE:] = 0
     return room[:-WIDE].view(shape)
