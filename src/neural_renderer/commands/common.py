@@ -1,6 +1,11 @@
-"""What the subcommands share: checks of their options."""
+"""What the subcommands share: checks of their options, and a first Ctrl-C that lets a step end."""
 
 from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 import torch
 
@@ -19,3 +24,19 @@ def checked_count(name: str, value: int, least: int) -> int:
     if value < least:
         raise ValueError(f"--{name.replace('_', '-')}: expected at least {least}, got {value}")
     return value
+
+
+@contextmanager
+def interruption() -> Iterator[list[int]]:
+    """A list that the first Ctrl-C puts a signal into; the second one interrupts as ever."""
+    found: list[int] = []
+
+    def note(number: int, _: FrameType | None) -> None:
+        found.append(number)
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield found
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import signal
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any, Literal
 
 import torch
@@ -22,7 +19,7 @@ from ..mesh import Mesh
 from ..tasks.fit import CameraFit, MeshFit, Views, Weights, load_photo, load_views
 from ..tasks.fit.results import comparison, curve, preview, turntable
 from ..version import __version__
-from .common import checked_count, chosen_device
+from .common import checked_count, chosen_device, interruption
 
 
 @dataclass(frozen=True)
@@ -220,7 +217,7 @@ class _Run:
         fit, begun, shown = self._fit, time.monotonic() - self.seconds, self.seconds
         label, note = TextColumn("{task.description:<8}"), TextColumn("{task.fields[note]}")
         columns = label, BarColumn(), note, TimeElapsedColumn()
-        with Progress(*columns, console=Console()) as progress, _interruption() as interrupted:
+        with Progress(*columns, console=Console()) as progress, interruption() as interrupted:
             tasks: dict[str, Any] = {}
             while not fit.done and not interrupted:
                 row = fit.advance()
@@ -254,19 +251,3 @@ class _Run:
         if images != self._images or ("phase" in fit) != isinstance(self._fit, MeshFit):
             raise ValueError(f"{checkpoint}: expected a checkpoint of this fit, got one of images of size {images}")
         self._fit.load_state_dict(fit)
-
-
-@contextmanager
-def _interruption() -> Iterator[list[int]]:
-    """A list that the first Ctrl-C puts a signal into; the second one interrupts as ever."""
-    found: list[int] = []
-
-    def note(number: int, _: FrameType | None) -> None:
-        found.append(number)
-        signal.signal(signal.SIGINT, before)
-
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield found
-    finally:
-        signal.signal(signal.SIGINT, before)
