@@ -1,0 +1,155 @@
+"""`neural-renderer reconstruct train`: a network that turns one picture into a mesh, from pictures alone."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import tyro
+from rich.console import Console
+
+from ..tasks.reconstruction.arrays import Split, open_split
+from ..tasks.reconstruction.checkpoint import HEADER, read_checkpoint
+from ..tasks.reconstruction.configs import Config, ConfigName, make_config
+from ..tasks.reconstruction.networks import ModelName
+from .common import checked_count, interruption
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a network that turns one picture of an object into its shape, from pictures of objects alone.
+
+    DATA is a folder that `neural-renderer reconstruct dataset` has written, or the published one. What is learned from
+    is the split "train"; what is measured on, "val". OUT gets last.ckpt (after every round of steps; --resume goes on
+    from it), best.ckpt (the best on "val"), log.csv, pictures of predictions, and records for TensorBoard.
+
+    Example: neural-renderer reconstruct train data out --config small
+
+    Example: neural-renderer reconstruct train data out --config paper --classes chair --minutes 30
+
+    Example: torchrun --nnodes 2 --nproc-per-node 4 … -m neural_renderer.cli reconstruct train data out --nodes 2
+    --devices 4
+
+    Ctrl-C ends the training after the step it is at and keeps all of it.
+    """
+
+    data: tyro.conf.Positional[Path]
+    """Folder of the data."""
+    out: tyro.conf.Positional[Path]
+    """Folder for the results; it is made if missing."""
+    model: ModelName = "mesh"
+    """Deform a sphere (the paper's method), or predict voxels (the baseline of Yan et al. 2016)."""
+    config: ConfigName = "best"
+    """The recipe: the paper's (a million steps: days), the best known one, or a small one of about 20 minutes."""
+    classes: tuple[str, ...] = ()
+    """Learn these classes only (default: all there are)."""
+    steps: int | None = None
+    """Steps of the training, in place of the recipe's (at least 1)."""
+    minutes: float | None = None
+    """End after this time, and let the learning rate's schedule fit into it."""
+    smoothness: float | None = None
+    """Weight of the smoothness loss, in place of the recipe's."""
+    every: int = 250
+    """Steps between two measurements, checkpoints and pictures (at least 1)."""
+    seed: int = 0
+    """Seed of the network's first weights and of the order of the pictures."""
+    resume: bool = False
+    """Go on from last.ckpt in OUT, if it is there."""
+    devices: int = 1
+    """Processes on this machine, each with a GPU where there are GPUs; they share the batch."""
+    nodes: int = 1
+    """Machines, started by torchrun or SLURM."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to compute; auto is CUDA where there is one."""
+    precision: Literal["auto", "32", "bf16"] = "auto"
+    """Of the networks; auto is bfloat16 if the recipe says so and the hardware is made for it."""
+    workers: int = 0
+    """Processes that read pictures ahead: some on disks that are slow."""
+
+    def run(self) -> int:
+        """Train; returns the exit code: 0, or 130 after Ctrl-C. Raises ValueError or OSError."""
+        for name, least in {"every": 1, "seed": 0, "devices": 1, "nodes": 1, "workers": 0}.items():
+            checked_count(name, getattr(self, name), least)
+        if self.minutes is not None and not 0 < self.minutes < math.inf:
+            raise ValueError(f"--minutes: expected a number above 0, got {self.minutes}")
+        train, val = self._data()
+        config = self._recipe(train)
+        checkpoint = self._checkpoint(config)
+        self.out.mkdir(parents=True, exist_ok=True)
+        with _quiet(), interruption() as interrupted:
+            from ..tasks.reconstruction.run import fit  # Lightning takes seconds to import
+
+            training = fit(
+                self.model,
+                config,
+                train,
+                val,
+                self.out,
+                minutes=math.inf if self.minutes is None else self.minutes,
+                every=self.every,
+                seed=self.seed,
+                workers=self.workers,
+                devices=self.devices,
+                nodes=self.nodes,
+                device=self.device,
+                low_precision=config.low_precision if self.precision == "auto" else self.precision == "bf16",
+                checkpoint=checkpoint,
+                interrupted=interrupted,
+            )
+        if int(os.environ.get("LOCAL_RANK", 0)) == 0:
+            ending = "" if training.done else "; interrupted, --resume goes on"
+            text = f"{training.steps_done} steps in {training.seconds:.0f} s{ending}; the results are in {self.out}"
+            Console().print(text, highlight=False, soft_wrap=True)
+        return 0 if training.done else 130
+
+    def _data(self) -> tuple[Split, Split | None]:
+        classes = self.classes or None
+        train = open_split(self.data, "train", classes)
+        present = [name for name in train.classes if (self.data / f"{name}_val_images.npz").exists()]
+        return train, open_split(self.data, "val", present) if present else None
+
+    def _recipe(self, train: Split) -> Config:
+        config = make_config(self.config, train.classes)
+        if self.steps is not None:
+            config = replace(config, steps=checked_count("steps", self.steps, 1))
+        if self.smoothness is not None:
+            if not 0 <= self.smoothness < math.inf:
+                raise ValueError(f"--smoothness: expected a weight of at least 0, got {self.smoothness}")
+            config = replace(config, smoothness=self.smoothness)
+        return config
+
+    def _checkpoint(self, config: Config) -> Path | None:
+        """What to go on from. A training that was not asked for again is not written over."""
+        path = self.out / "last.ckpt"
+        if not path.exists():
+            return None
+        if not self.resume:
+            raise ValueError(f"{path}: expected no training in this folder yet, got one; --resume goes on from there")
+        head = read_checkpoint(path)[HEADER]
+        found = {"model": head["kind"]} | {k: v for k, v in head["config"].items() if k != "steps"}
+        wanted = {"model": self.model} | {k: v for k, v in config.to_dict().items() if k != "steps"}
+        for name in wanted:
+            if found.get(name) != wanted[name]:
+                raise ValueError(f"{path}: expected a checkpoint with {name} {wanted[name]}, got {found.get(name)}")
+        return path
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what Lightning says of itself: its advice is for those who write programs with it."""
+    logger = logging.getLogger("lightning.pytorch")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module="lightning")
+            yield
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,80 @@
+"""From images to 512 features: the paper's encoder, and a lighter one with normalisation."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+FEATURES = 512
+
+EncoderName = Literal["paper", "residual"]
+
+
+class PaperEncoder(nn.Sequential):
+    """The encoder of the published code: three 5×5 convolutions of stride 2 and three dense layers, 19 M weights.
+
+    Takes [B, 4, 64, 64] in [0, 1], returns [B, 512]; ReLU after every layer, no normalisation.
+    """
+
+    def __init__(self) -> None:
+        layers: list[nn.Module] = []
+        for inward, outward in ((4, 64), (64, 128), (128, 256)):
+            layers += [nn.Conv2d(inward, outward, 5, stride=2, padding=2), nn.ReLU()]
+        layers.append(nn.Flatten())
+        for inward, outward in ((16384, 1024), (1024, 1024), (1024, FEATURES)):
+            layers += [nn.Linear(inward, outward), nn.ReLU()]
+        super().__init__(*layers)
+        self.apply(published_start)
+
+
+class ResidualEncoder(nn.Sequential):
+    """Four residual blocks of stride 2 with group normalisation and a dense layer: about 2 M weights.
+
+    Takes [B, 4, 64, 64] in [0, 1], returns [B, 512]. Groups, not batches, are normalised: an image's features do not
+    depend on what else is in its batch, nor on how many processes share the batch.
+    """
+
+    def __init__(self, width: int = 32) -> None:
+        widths = [width, 2 * width, 4 * width, 8 * width]
+        blocks = [_Block(inward, outward) for inward, outward in zip([4, *widths[:-1]], widths, strict=True)]
+        super().__init__(_Centred(), *blocks, nn.Flatten(), nn.Linear(16 * widths[-1], FEATURES), nn.SiLU())
+
+
+class _Centred(nn.Module):
+    """[0, 1] to [-1, 1], with what lies outside of the object black whatever the file holds there."""
+
+    def forward(self, images: Tensor) -> Tensor:
+        return torch.cat((images[:, :3] * images[:, 3:], images[:, 3:]), 1) * 2 - 1
+
+
+class _Block(nn.Module):
+    """Two 3×3 convolutions, the first of stride 2, beside a mean of 2×2 pixels."""
+
+    def __init__(self, inward: int, outward: int) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(inward, outward, 3, stride=2, padding=1, bias=False)
+        self.second = nn.Conv2d(outward, outward, 3, padding=1, bias=False)
+        self.short = nn.Conv2d(inward, outward, 1, bias=False)
+        self.norms = nn.ModuleList(nn.GroupNorm(8, outward) for _ in range(2))
+        self.activation = nn.ReLU()
+
+    def forward(self, value: Tensor) -> Tensor:
+        deep = self.norms[1](self.second(self.activation(self.norms[0](self.first(value)))))
+        return self.activation(deep + self.short(nn.functional.avg_pool2d(value, 2)))
+
+
+def make_encoder(name: EncoderName, width: int = 32) -> nn.Module:
+    """The encoder of this name; ``width`` is the number of channels in the first block of "residual"."""
+    return PaperEncoder() if name == "paper" else ResidualEncoder(width)
+
+
+def published_start(layer: nn.Module) -> None:
+    """Weights as the published code draws them: normal, of variance 1 / fan-in; biases 0."""
+    if isinstance(layer, (nn.Conv2d, nn.Linear)):
+        fan_in = layer.weight[0].numel()
+        nn.init.normal_(layer.weight, std=1 / math.sqrt(fan_in))
+        if layer.bias is not None:
+            nn.init.zeros_(layer.bias)

@@ -1,0 +1,21 @@
+"""The networks by their names."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from .configs import Config
+from .mesh_network import MeshNetwork
+from .voxel_network import VoxelNetwork
+
+Model = MeshNetwork | VoxelNetwork
+ModelName = Literal["mesh", "voxel"]
+
+NETWORKS: dict[str, type[MeshNetwork] | type[VoxelNetwork]] = {"mesh": MeshNetwork, "voxel": VoxelNetwork}
+
+
+def make_network(kind: str, config: Config) -> Model:
+    """A network with fresh weights; ValueError for another name than "mesh" and "voxel"."""
+    if kind not in NETWORKS:
+        raise ValueError(f"model: expected one of {', '.join(NETWORKS)}, got {kind!r}")
+    return NETWORKS[kind](config)
