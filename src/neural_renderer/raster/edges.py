@@ -70,7 +70,8 @@ def nmr_edges_backward(
         here = slice(first, first + at_once)
         images = min(at_once, batch - first)
         shown = array(image[here])
-        launch(copy_lines, images * (height + -(-width // abreast)), [shown, array(grad[here]), *lines, abreast], device)
+        tasks = images * (-(-height // abreast) - (-width // abreast))
+        launch(copy_lines, tasks, [shown, array(grad[here]), *lines, abreast], device)
         arguments = [array(faces[here], wp.vec3), shown, array(face_index[here]), *lines, array(seen[here]), *options]
         launch(_pull, images * faces.shape[1] * lanes, [*arguments, array(result[here], wp.vec3)], device)
     return result

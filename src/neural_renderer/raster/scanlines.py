@@ -119,7 +119,7 @@ def copy_lines(
     spans: wp.array2d(dtype=wp.vec2i),
     abreast: int,
 ):
-    """One row, or as many neighbouring columns as are read ``abreast``; all are counted from the bottom left.
+    """Neighbouring rows, or columns, as many as are read ``abreast``; all are counted from the bottom left.
 
     A line's span is from the first to the last pixel that can pull an edge outward.
     """
@@ -127,19 +127,20 @@ def copy_lines(
     height = image.shape[2]
     width = image.shape[3]
     planes = rows.shape[2]
-    tasks = height + (width + abreast - 1) // abreast
+    row_tasks = (height + abreast - 1) // abreast
+    tasks = row_tasks + (width + abreast - 1) // abreast
     b = task // tasks
     own = task % tasks
     bottom = wp.int64(height - 1) * wp.int64(width)
     span = wp.int64(b) * wp.int64(height + width)
-    if own < height:
+    if own < row_tasks:
         plane = wp.int64(rows.shape[3])
-        to = (wp.int64(b) * wp.int64(height) + wp.int64(own)) * wp.int64(planes) * plane + wp.int64(WIDE)
-        pixel = bottom - wp.int64(own) * wp.int64(width)
-        span += wp.int64(own)
-        copy_row(image, grad, b, pixel, 1, width, rows, to, plane, planes, spans, span)
+        for u in range(own * abreast, wp.min((own + 1) * abreast, height)):
+            to = (wp.int64(b) * wp.int64(height) + wp.int64(u)) * wp.int64(planes) * plane + wp.int64(WIDE)
+            pixel = bottom - wp.int64(u) * wp.int64(width)
+            copy_row(image, grad, b, pixel, 1, width, rows, to, plane, planes, spans, span + wp.int64(u))
     else:
-        u = (own - height) * abreast
+        u = (own - row_tasks) * abreast
         count = wp.min(abreast, width - u)
         plane = wp.int64(columns.shape[3])
         to = (wp.int64(b) * wp.int64(width) + wp.int64(u)) * wp.int64(planes) * plane + wp.int64(WIDE)
