@@ -13,10 +13,10 @@ from PIL import Image
 from torch import Tensor
 
 from neural_renderer.io.atlas import build_atlas
-from neural_renderer.io.cubes import bake_corners, bake_image, empty_cubes
 from neural_renderer.io.files import existing, mesh_to_write
-from neural_renderer.io.obj import obj_textures, save_obj
+from neural_renderer.io.obj import obj_skin, save_obj
 from neural_renderer.io.parse import read_obj
+from neural_renderer.io.skin import Skin
 
 if TYPE_CHECKING:
     import trimesh
@@ -45,6 +45,19 @@ def load_mesh(path: str | os.PathLike[str], texture_size: int = 4) -> tuple[Tens
         ValueError: Another suffix, a file that cannot be read, NaN or infinite vertices, no faces, an index out of
             range, or textures of more than 8 GiB. The file is named.
     """
+    points, corners, skin, pixel_centres = read_mesh(path)
+    geometry = torch.from_numpy(points.astype(np.float32)), torch.from_numpy(corners.astype(np.int32))
+    if skin is None:
+        return *geometry, None
+    return *geometry, torch.from_numpy(skin.bake(texture_size, pixel_centres=pixel_centres))
+
+
+def read_mesh(path: str | os.PathLike[str]) -> tuple[np.ndarray, np.ndarray, Skin | None, bool]:
+    """Vertices [V, 3] float64, faces [F, 3] int64, colours if there are any; and whether u = 0 and 1 are the borders of
+    an image, or the centres of its outermost pixels, as neural_renderer always read OBJ files.
+
+    Raises what `load_mesh` raises.
+    """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in _READABLE:
@@ -52,14 +65,11 @@ def load_mesh(path: str | os.PathLike[str], texture_size: int = 4) -> tuple[Tens
     existing(path)
     if suffix == ".obj":
         obj = read_obj(path, with_uv=True)
-        textures = obj_textures(obj, texture_size)
-        vertices, faces = obj.vertices, obj.faces
-    else:
-        vertices, faces, textures = _read_others(path, suffix, texture_size)
-    return torch.from_numpy(vertices.astype(np.float32)), torch.from_numpy(faces.astype(np.int32)), textures
+        return obj.vertices, obj.faces, obj_skin(obj), False
+    return *_read_others(path, suffix), True
 
 
-def _read_others(path: Path, suffix: str, size: int) -> tuple[np.ndarray, np.ndarray, Tensor | None]:
+def _read_others(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray, Skin | None]:
     import trimesh  # here, since importing it takes longer than most calls to this package
 
     try:
@@ -71,7 +81,7 @@ def _read_others(path: Path, suffix: str, size: int) -> tuple[np.ndarray, np.nda
     if not count:
         known = sum(len(part.vertices) for part, _ in parts) or len(getattr(loaded, "vertices", ()))
         raise ValueError(f"{path}: expected faces, got {known} vertices but no faces")
-    vertices, faces, cubes = [], [], []
+    vertices, faces, skins = [], [], []
     offset = 0
     for part, matrix in parts:
         corners = np.asarray(part.faces, dtype=np.int64)
@@ -83,16 +93,14 @@ def _read_others(path: Path, suffix: str, size: int) -> tuple[np.ndarray, np.nda
         order = [0, 2, 1] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]  # a mirrored part is turned inside out
         vertices.append(points)
         faces.append(corners[:, order] + offset)
-        cubes.append(_part_textures(part, corners, order, size, linear=suffix in (".glb", ".gltf")))
+        skins.append(_part_skin(part, corners, order, linear=suffix in (".glb", ".gltf")))
         offset += len(points)
     points, corners = np.concatenate(vertices), np.concatenate(faces)
     if suffix == ".stl":
         points, corners = _join_equal(points, corners)
-    if all(part is None for part in cubes):
+    if all(skin is None for skin in skins):
         return points, corners, None
-    empty_cubes(count, size, 1.0)  # for its check of the total
-    whole = [empty_cubes(len(f), size, 1.0) if c is None else c for f, c in zip(faces, cubes, strict=True)]
-    return points, corners, torch.from_numpy(np.concatenate(whole))
+    return points, corners, Skin.joined([skin or Skin.plain(len(f), 1) for skin, f in zip(skins, faces, strict=True)])
 
 
 def _parts(loaded: Any) -> Iterator[tuple[trimesh.Trimesh, np.ndarray]]:
@@ -116,17 +124,17 @@ def _join_equal(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np
     return points[np.sort(first)], rank[inverse.reshape(-1)[corners]]
 
 
-def _part_textures(part: Any, corners: np.ndarray, order: list[int], size: int, linear: bool) -> np.ndarray | None:
-    """The cubes of one part, their corners taken in ``order``, or None; ``linear``: its plain colours are not sRGB."""
+def _part_skin(part: Any, corners: np.ndarray, order: list[int], linear: bool) -> Skin | None:
+    """The colours of one part, its corners taken in ``order``, or None; ``linear``: its plain colours are not sRGB."""
     visual = part.visual
     kind = visual.kind if visual is not None and visual.defined else None
+    skin = Skin.plain(len(corners), 1.0)
     if kind == "vertex":
-        colours = visual.vertex_colors[:, :3] / 255
-        return bake_corners(_srgb(colours, linear)[corners][:, order], size)
+        skin.colors[:] = _srgb(visual.vertex_colors[:, :3] / 255, linear)[corners][:, order]
+        return skin
     if kind == "face":
-        cubes = empty_cubes(len(corners), size, 1.0)
-        cubes[:] = _srgb(visual.face_colors[:, :3] / 255, linear)[:, None, None, None]
-        return cubes
+        skin.colors[:] = _srgb(visual.face_colors[:, :3] / 255, linear)[:, None]
+        return skin
     if kind != "texture":
         return None
     material = visual.material
@@ -137,12 +145,12 @@ def _part_textures(part: Any, corners: np.ndarray, order: list[int], size: int, 
         pixels = np.asarray(image.convert("RGB"), dtype=np.float32) / 255
         if (factor < 1).any():
             pixels = _srgb(_unsrgb(pixels) * factor, True).astype(np.float32)
-        return bake_image(pixels, np.nan_to_num(visual.uv)[corners][:, order], size, pixel_centres=True)
+        skin.paint(np.arange(len(corners)), pixels, np.nan_to_num(visual.uv)[corners][:, order])
+        return skin
     if not linear and not hasattr(material, "baseColorFactor"):
         factor = np.asarray(material.main_color, dtype=np.float64)[:3] / 255
-    cubes = empty_cubes(len(corners), size, 1.0)
-    cubes[:] = _srgb(factor, linear)
-    return cubes
+    skin.colors[:] = _srgb(factor, linear)
+    return skin
 
 
 def _srgb(colours: np.ndarray, linear: bool) -> np.ndarray:

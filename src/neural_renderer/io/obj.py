@@ -13,11 +13,12 @@ from PIL import Image
 from torch import Tensor
 
 from neural_renderer.io.atlas import build_atlas
-from neural_renderer.io.cubes import WRAPPINGS, bake_corners, bake_image, empty_cubes
+from neural_renderer.io.cubes import WRAPPINGS
 from neural_renderer.io.files import existing, find_file, mesh_to_write, warn
 from neural_renderer.io.images import load_image
 from neural_renderer.io.mtl import Material, read_mtl
 from neural_renderer.io.parse import ObjFile, read_obj
+from neural_renderer.io.skin import Skin
 
 
 def load_obj(
@@ -60,12 +61,12 @@ def load_obj(
     geometry = torch.from_numpy(vertices.astype(np.float32)), torch.from_numpy(obj.faces.astype(np.int32))
     if not load_texture:
         return geometry
-    textures = obj_textures(obj, texture_size, texture_wrapping, use_bilinear)
-    if textures is None:
+    skin = obj_skin(obj, texture_wrapping)
+    if skin is None:
         if not obj.libraries:
             warn(f"{obj.path}: no mtllib and no vertex colours, so its texture is grey")
-        textures = torch.from_numpy(empty_cubes(len(obj.faces), texture_size, 0.5))
-    return *geometry, textures
+        skin = Skin.plain(len(obj.faces), 0.5)
+    return *geometry, torch.from_numpy(skin.bake(texture_size, use_bilinear))
 
 
 def _normalized(obj: ObjFile) -> np.ndarray:
@@ -78,18 +79,18 @@ def _normalized(obj: ObjFile) -> np.ndarray:
     return vertices - vertices.max(axis=0) / 2
 
 
-def obj_textures(obj: ObjFile, size: int, wrapping: str = "REPEAT", bilinear: bool = True) -> Tensor | None:
-    """The colours of a file read with ``with_uv=True``: [F, T, T, T, 3] float32, or None if it has none at all.
+def obj_skin(obj: ObjFile, wrapping: str = "REPEAT") -> Skin | None:
+    """The colours of a file read with ``with_uv=True``, or None if it has none at all.
 
     Warns (UserWarning) about missing material files, materials, images and texture coordinates, naming the file.
     """
     if wrapping not in WRAPPINGS:
         raise ValueError(f"texture_wrapping: expected one of {', '.join(WRAPPINGS)}, got {wrapping!r}")
-    cubes = empty_cubes(len(obj.faces), size, 0.5)
+    skin = Skin.plain(len(obj.faces), 0.5)
     materials = _materials(obj)
     coloured = False
     if np.isfinite(obj.colours).any():
-        cubes[:] = bake_corners(np.nan_to_num(obj.colours, nan=0.5)[obj.faces], size)
+        skin.colors[:] = np.nan_to_num(obj.colours, nan=0.5)[obj.faces]
         coloured = True
     for index, name in enumerate(obj.names):
         material = materials.get(name)
@@ -99,16 +100,14 @@ def obj_textures(obj: ObjFile, size: int, wrapping: str = "REPEAT", bilinear: bo
             continue
         chosen = np.flatnonzero(obj.material == index)
         if material.colour is not None:
-            cubes[chosen] = material.colour
+            skin.colors[chosen] = material.colour
             coloured = True
         if material.image is not None and len(chosen):
-            coloured |= _paint(cubes, chosen, material, obj, wrapping, bilinear)
-    return torch.from_numpy(cubes) if coloured else None
+            coloured |= _paint(skin, chosen, material, obj, wrapping)
+    return skin if coloured else None
 
 
-def _paint(
-    cubes: np.ndarray, chosen: np.ndarray, material: Material, obj: ObjFile, wrapping: str, bilinear: bool
-) -> bool:
+def _paint(skin: Skin, chosen: np.ndarray, material: Material, obj: ObjFile, wrapping: str) -> bool:
     """Paint the chosen faces with their material's image, if there is one and they have texture coordinates."""
     name = material.image or ""
     path = find_file(name, material.folder, obj.path.parent)
@@ -120,8 +119,7 @@ def _paint(
         warn(f"{obj.path}: {len(chosen) - len(placed)} faces have no texture coordinates for the image {name!r}")
     uv = obj.uv[placed] * material.scale + material.offset
     image = load_image(path)[..., :3].numpy()
-    wrapping = "CLAMP_TO_EDGE" if material.clamp else wrapping
-    cubes[placed] = bake_image(image, uv, cubes.shape[1], wrapping, bilinear)
+    skin.paint(placed, image, uv, "CLAMP_TO_EDGE" if material.clamp else wrapping)
     return True
 
 
