@@ -44,6 +44,7 @@ def fit(
 
     Raises ValueError at a loss that is not finite, OSError for a checkpoint that cannot be written.
     """
+    out.mkdir(parents=True, exist_ok=True)
     training = Training(kind, config, train, val, minutes=minutes, every=every, seed=seed, workers=workers)
     many = devices * nodes > 1
     trainer = lightning.Trainer(

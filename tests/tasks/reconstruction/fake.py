@@ -1,0 +1,51 @@
+"""A small split of boxes and balls, without files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+import neural_renderer as nr
+from neural_renderer.tasks.reconstruction.arrays import Split
+from neural_renderer.tasks.reconstruction.configs import Config
+from neural_renderer.tasks.reconstruction.framing import view_camera
+
+SMALL = Config(
+    encoder="residual",
+    width=8,
+    hidden=(32,),
+    objects=4,
+    augment=True,
+    optimiser="adamw",
+    rate=2e-3,
+    schedule="cosine",
+    average=0.9,
+    steps=6,
+)
+
+
+def fake_split(objects: int = 2, seed: int = 0) -> Split:
+    """Two classes of so many objects, of random sizes and colours, lopsided in all three axes."""
+    generator = torch.Generator().manual_seed(seed)
+    images = {}
+    for name, (vertices, faces) in {"ball": nr.icosphere(1), "box": nr.cube()}.items():
+        rows = []
+        for _ in range(objects):
+            size, place = torch.rand(2, 3, generator=generator)
+            colour = torch.rand(3, generator=generator).expand(len(faces), 2, 2, 2, 3)
+            mesh = nr.Mesh(vertices * (0.1 + 0.15 * size) + 0.3 * (place - 0.5), faces, colour)
+            drawn = nr.render(mesh, view_camera(torch.arange(24)), 64)
+            assert drawn.rgb is not None and drawn.alpha is not None
+            rgba = torch.cat((drawn.rgb / drawn.alpha[:, None].clamp(min=1e-6), drawn.alpha[:, None]), 1)
+            rows.append((rgba.detach().clamp(0, 1) * 255).round().byte().numpy())
+        images[name] = np.stack(rows)
+    names = {name: tuple(f"{name}-{i}" for i in range(objects)) for name in images}
+    return Split(Path("fake"), "train", tuple(images), images, {}, names)
+
+
+def write_split(folder: Path, split: str, objects: int = 2, seed: int = 0) -> None:
+    """The images of `fake_split` in the published format."""
+    for name, images in fake_split(objects, seed).images.items():
+        np.savez_compressed(folder / f"{name}_{split}_images.npz", images)
