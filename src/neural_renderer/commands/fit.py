@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import torch
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from torch import Tensor
 
 from ..io import save_image
 from ..mesh import Mesh
+from ..tasks.curve import curve
 from ..tasks.fit import CameraFit, MeshFit, Views, Weights, load_photo, load_views
-from ..tasks.fit.results import comparison, curve, preview, turntable
+from ..tasks.fit.results import comparison, turntable
 from ..version import __version__
-from .common import checked_count, chosen_device, interruption
+from .common import checked_count, chosen_device
+from .run import Run
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Fit:
             seed=self.seed,
         )
         self.output.mkdir(parents=True, exist_ok=True)
-        run = _Run(self.output, fit, list(seen.masks.shape), lambda: (fit.views, fit.shape))
+        run = self._run(fit, seen.masks, lambda: (fit.views, fit.shape))
         finished = run.work(self.resume)
         mesh = fit.mesh()
         mesh.save(self.output / "mesh.obj")
@@ -136,7 +136,7 @@ class Fit:
         device = chosen_device(self.device)
         mask, photo = load_photo(self.images, size=self.size, photos=self.photos, background=self.background)
         mesh = Mesh.load(self.mesh, texture_size=self.texture_size).to(device)  # type: ignore[arg-type]
-        shape: tuple[torch.Tensor, ...] = mesh.vertices.detach(), mesh.faces, mesh.textures.detach()
+        shape: tuple[Tensor, ...] = mesh.vertices.detach(), mesh.faces, mesh.textures.detach()
         mask, photo = mask.to(device), None if photo is None else photo.to(device)
         fit = CameraFit(
             shape,
@@ -150,10 +150,10 @@ class Fit:
         )
         self.output.mkdir(parents=True, exist_ok=True)
 
-        def state() -> tuple[Views, tuple[torch.Tensor, ...]]:
+        def state() -> tuple[Views, tuple[Tensor, ...]]:
             return Views(fit.best(), mask[None], None if photo is None else photo[None]), shape
 
-        run = _Run(self.output, fit, list(mask.shape), state)
+        run = self._run(fit, mask, state)
         finished = run.work(self.resume)
         views, _ = state()
         save_image(self.output / "comparison.png", comparison(views, shape))
@@ -170,6 +170,12 @@ class Fit:
         }
         return self._report(run, found, finished)
 
+    def _run(
+        self, fit: MeshFit | CameraFit, masks: Tensor, state: Callable[[], tuple[Views, tuple[Tensor, ...]]]
+    ) -> Run:
+        inputs = {"recover": self.recover, "images": list(masks.shape)}
+        return Run(self.output, fit, inputs, lambda path: save_image(path, comparison(*state(), columns=4)))
+
     def _split(self, views: Views) -> tuple[Views, Views | None]:
         if not self.held_out:
             return views, None
@@ -178,12 +184,12 @@ class Fit:
             raise ValueError(f"--held-out: expected at most the {len(views)} views there are, got {self.held_out}")
         return views[[index for index in range(len(views)) if index not in rows]], views[rows]
 
-    def _report(self, run: _Run, found: dict[str, Any], finished: bool) -> int:
+    def _report(self, run: Run, found: dict[str, Any], finished: bool) -> int:
         report = {"version": __version__, "recover": self.recover, "gradient": self.gradient, "finished": finished}
         report |= {"seconds": round(run.seconds, 1), **found, "history": run.history}
         (self.output / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
         if run.history:
-            curve(run.history).save(self.output / "loss.png")
+            curve(run.history, "loss", "iou").save(self.output / "loss.png")
         console = Console()
         for name in ("fitted", "held_out"):
             if name in found:
@@ -193,61 +199,3 @@ class Fit:
         text = f"{report['seconds']} s{ending}; the results are in {self.output}"
         console.print(text, highlight=False, soft_wrap=True)
         return 0 if finished else 130
-
-
-class _Run:
-    """Steps of a fit with progress, a preview and a checkpoint from time to time, until it is done or interrupted."""
-
-    def __init__(
-        self,
-        folder: Path,
-        fit: MeshFit | CameraFit,
-        images: list[int],
-        state: Callable[[], tuple[Views, tuple[torch.Tensor, ...]]],
-    ) -> None:
-        self._folder, self._fit, self._images, self._state = folder, fit, images, state
-        self.history: list[dict[str, Any]] = []
-        self.seconds = 0.0
-
-    def work(self, resume: bool) -> bool:
-        """All steps that are left; False if Ctrl-C ended them early."""
-        checkpoint = self._folder / "checkpoint.pt"
-        if resume and checkpoint.is_file():
-            self._restore(checkpoint)
-        fit, begun, shown = self._fit, time.monotonic() - self.seconds, self.seconds
-        label, note = TextColumn("{task.description:<8}"), TextColumn("{task.fields[note]}")
-        columns = label, BarColumn(), note, TimeElapsedColumn()
-        with Progress(*columns, console=Console()) as progress, interruption() as interrupted:
-            tasks: dict[str, Any] = {}
-            while not fit.done and not interrupted:
-                row = fit.advance()
-                self.history.append({"phase": fit.phase, **{name: round(value, 6) for name, value in row.items()}})
-                if fit.phase not in tasks:
-                    tasks[fit.phase] = progress.add_task(fit.phase, note="")
-                text = "  ".join(f"{name} {value:.4f}" for name, value in row.items())
-                progress.update(tasks[fit.phase], completed=fit.step, total=fit.steps, note=text)
-                self.seconds = time.monotonic() - begun
-                if self.seconds - shown > 4:
-                    self._save(checkpoint)
-                    shown = self.seconds
-            self._save(checkpoint)
-        return not interrupted
-
-    def _save(self, checkpoint: Path) -> None:
-        """A preview and a checkpoint; the files are whole at any time."""
-        preview(self._folder / "preview.png", *self._state())
-        state = {"fit": self._fit.state_dict(), "history": self.history}
-        fresh = checkpoint.with_name("checkpoint.new.pt")
-        torch.save({**state, "seconds": self.seconds, "images": self._images}, fresh)
-        fresh.replace(checkpoint)
-
-    def _restore(self, checkpoint: Path) -> None:
-        try:
-            state = torch.load(checkpoint, weights_only=True)
-            images, fit = state["images"], state["fit"]
-            self.history, self.seconds = state["history"], state["seconds"]
-        except Exception as error:  # whatever torch says of a file that is none of ours
-            raise ValueError(f"{checkpoint}: expected a checkpoint of a fit, got another file ({error})") from None
-        if images != self._images or ("phase" in fit) != isinstance(self._fit, MeshFit):
-            raise ValueError(f"{checkpoint}: expected a checkpoint of this fit, got one of images of size {images}")
-        self._fit.load_state_dict(fit)

@@ -110,7 +110,7 @@ class _Layers:
         side = kernel.shape[-1] if kernel is not None and kernel.dim() == 4 else 1
         weight, bias = self.pair(name, (self.width if inputs is None else inputs, side, side))
         self.width = len(bias)
-        return nn.Sequential(convolution(weight, bias, stride), nn.ReLU())
+        return nn.Sequential(convolution(weight, bias, stride), nn.ReLU(inplace=True))
 
     def pair(self, name: str, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
         weight, bias = self._weights.get(f"{name}.weight"), self._weights.get(f"{name}.bias")

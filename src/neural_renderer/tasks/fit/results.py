@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 import torch.nn.functional as F
-from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from ...commands.studio import photograph
-from ...io import save_animation, save_image
+from ...io import save_animation
 from ...mesh import Mesh
 from .mesh import CLAY, coloured
 from .views import Views
-
-_LINES = {"loss": (196, 78, 62), "iou": (52, 110, 180)}
 
 
 @torch.no_grad()
@@ -40,46 +35,6 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
         wrong = torch.maximum(wrong, 2 * (rgb - target).abs().mean(1, keepdim=True) * torch.minimum(alpha, mask))
     stages = (target + 1 - mask, rgb + 1 - alpha, 1 - wrong.clamp(max=1))
     return torch.cat([torch.cat(list(stage), dim=2) for stage in stages], dim=1).clamp(0, 1).cpu()
-
-
-def preview(path: Path, views: Views, shape: tuple[Tensor, ...], columns: int = 4) -> None:
-    """Write `comparison` so that whoever looks at the file meanwhile never finds half of it."""
-    fresh = path.with_name(f"{path.stem}.new{path.suffix}")
-    save_image(fresh, comparison(views, shape, columns))
-    fresh.replace(path)
-
-
-def curve(history: Sequence[dict[str, Any]], size: tuple[int, int] = (420, 720)) -> Image.Image:
-    """Loss (logarithmic) and IoU (0 to 1) over the steps, as a picture; each phase of the fit begins at a line."""
-    height, width = size
-    image = Image.new("RGB", (width, height), "white")
-    draw, font = ImageDraw.Draw(image), ImageFont.load_default(14)
-    left, right, top, bottom = 60, width - 60, 30, height - 40
-    draw.rectangle((left, top, right, bottom), outline=(200, 200, 200))
-    across = (right - left) / max(len(history) - 1, 1)
-    for index in range(1, len(history)):
-        if history[index]["phase"] != history[index - 1]["phase"]:
-            draw.line((left + index * across, top, left + index * across, bottom), fill=(200, 200, 200))
-            draw.text((left + index * across + 4, top + 4), history[index]["phase"], (120, 120, 120), font)
-    for name, ink in _LINES.items():
-        steps = [index for index, row in enumerate(history) if name in row]
-        if not steps:
-            continue
-        values = torch.tensor([float(history[index][name]) for index in steps])
-        values = values.clamp(min=1e-8).log10() if name == "loss" else values
-        low, high = float(values.min()), float(values.max())
-        span = max(high - low, 1e-6)
-        points = [
-            (left + i * across, bottom - (float(v) - low) / span * (bottom - top))
-            for i, v in zip(steps, values, strict=True)
-        ]
-        draw.line(points, fill=ink, width=2)
-        side, ends = (4, (10**low, 10**high)) if name == "loss" else (right + 4, (low, high))
-        draw.text((side, top - 18), name, ink, font)
-        draw.text((side, top), f"{ends[1]:.3g}", ink, font)
-        draw.text((side, bottom - 14), f"{ends[0]:.3g}", ink, font)
-    draw.text((left, bottom + 10), f"{len(history)} steps", (120, 120, 120), font)
-    return image
 
 
 def turntable(path: Path, views: Views, mesh: Mesh, frames: int = 36, size: int = 256) -> None:

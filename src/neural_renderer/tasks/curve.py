@@ -1,0 +1,56 @@
+"""How losses went, as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from PIL import Image, ImageDraw, ImageFont
+
+_INKS = (196, 78, 62), (52, 110, 180)
+
+
+def curve(
+    history: Sequence[dict[str, Any]],
+    left: str,
+    right: str,
+    logarithmic: bool = True,
+    size: tuple[int, int] = (420, 720),
+) -> Image.Image:
+    """Two numbers of a run over its steps; each phase begins at a line.
+
+    Args:
+        history: a row for each step, with its ``phase`` and with numbers; not every row needs to have both.
+        left, right: the names of the numbers, on the left and on the right axis.
+        logarithmic: whether the left one is drawn so.
+        size: height and width in pixels.
+    """
+    height, width = size
+    image = Image.new("RGB", (width, height), "white")
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(14)
+    low_x, high_x, top, bottom = 60, width - 60, 30, height - 40
+    draw.rectangle((low_x, top, high_x, bottom), outline=(200, 200, 200))
+    across = (high_x - low_x) / max(len(history) - 1, 1)
+    for index in range(1, len(history)):
+        if history[index]["phase"] != history[index - 1]["phase"]:
+            draw.line((low_x + index * across, top, low_x + index * across, bottom), fill=(200, 200, 200))
+            draw.text((low_x + index * across + 4, top + 4), history[index]["phase"], (120, 120, 120), font)
+    for name, ink, side in zip((left, right), _INKS, (4, high_x + 4), strict=True):
+        steps = [index for index, row in enumerate(history) if name in row]
+        if not steps:
+            continue
+        values = torch.tensor([float(history[index][name]) for index in steps])
+        drawn = values.clamp(min=1e-8).log10() if logarithmic and name == left else values
+        low, high = float(drawn.min()), float(drawn.max())
+        span = max(high - low, 1e-6)
+        points = [
+            (low_x + i * across, bottom - (float(v) - low) / span * (bottom - top))
+            for i, v in zip(steps, drawn, strict=True)
+        ]
+        draw.line(points, fill=ink, width=2)
+        draw.text((side, top - 18), name, ink, font)
+        draw.text((side, top), f"{float(values.max()):.3g}", ink, font)
+        draw.text((side, bottom - 14), f"{float(values.min()):.3g}", ink, font)
+    draw.text((low_x, bottom + 10), f"{len(history)} steps", (120, 120, 120), font)
+    return image
