@@ -15,11 +15,12 @@ from rich.console import Console
 from rich.text import Text
 
 # Name → (module, its dataclass with a method `run` that returns the exit code, summary). A module is imported only when
-# its command is called, so that a new one costs the others nothing.
+# its command is called, so that a new one costs the others nothing. A table in place of the dataclass makes a group.
 COMMANDS = {
     "render": ("neural_renderer.commands.render", "Render", "Draw a mesh file as a picture or as a turntable."),
     "info": ("neural_renderer.commands.info", "Info", "Show versions and devices, and check that rendering works."),
     "fit": ("neural_renderer.commands.fit", "Fit", "Recover a textured mesh from images with known cameras."),
+    "reconstruct": ("neural_renderer.commands.reconstruct", "COMMANDS", "Turn one picture into a mesh."),
     "demo": ("neural_renderer.commands.demo", "Demo", "Make pictures that show what the package does."),
 }
 
@@ -51,18 +52,24 @@ def main(args: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _parse(arguments: list[str]) -> Any:
+def _parse(
+    arguments: list[str],
+    table: dict[str, tuple[str, str, str]] = COMMANDS,
+    prog: str = "neural-renderer",
+    description: str = _DESCRIPTION,
+) -> Any:
     """The dataclass of the command that ``arguments`` name, filled in."""
-    commands = {
-        name: _load(module, kind) if name == arguments[0] else _stand_in(summary)
-        for name, (module, kind, summary) in COMMANDS.items()
-    }
-    return tyro.extras.subcommand_cli_from_dict(
-        commands, prog="neural-renderer", description=_DESCRIPTION, args=arguments
-    )
+    name = arguments[0]
+    called = _load(*table[name][:2]) if name in table else None
+    if isinstance(called, dict):
+        return _parse(
+            arguments[1:] or ["--help"], called, f"{prog} {name}", importlib.import_module(table[name][0]).DESCRIPTION
+        )
+    commands = {other: called if other == name else _stand_in(summary) for other, (_, _, summary) in table.items()}
+    return tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=description, args=arguments)
 
 
-def _load(module: str, kind: str) -> Callable[..., Any]:
+def _load(module: str, kind: str) -> Any:
     return getattr(importlib.import_module(module), kind)
 
 

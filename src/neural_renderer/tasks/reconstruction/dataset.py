@@ -1,0 +1,248 @@
+"""From 3D models to the data that single-image reconstruction is trained and measured on."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+import zipfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ...io import load_mesh
+from ...lighting import Light
+from ...render import render
+from ...version import __version__
+from .arrays import DESCRIPTION, SPLITS
+from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirrored, unit, view_camera
+from .models_folder import Model
+from .voxels import solid
+
+_LAMP = (-0.45, 0.8, 0.5)  # towards the light, in the viewer's right, up and back: a box shows three shades
+_GREY = 0.75  # of models without a colour
+_DARKEST = 0.08  # no paint reflects less, and on pure black no shape shows
+_TEXELS = 4_000_000  # of a whole model, at most
+_RECIPE = 1  # of a finished object: another number renders all anew
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How objects are rendered: ``views`` around them, of ``size`` pixels, each the mean of ``samples`` x ``samples``.
+
+    ``grid`` is the voxels' number along each side. Published data have the defaults, and training asks for them.
+    """
+
+    views: int = VIEWS
+    size: int = SIZE
+    samples: int = 6
+    grid: int = GRID
+
+
+@torch.no_grad()
+def render_views(
+    vertices: Tensor, faces: Tensor, textures: Tensor | None = None, settings: Settings = Settings()
+) -> Tensor:
+    """The views of an object: uint8 [K, 4, S, S], red, green, blue and alpha, colours not multiplied by alpha.
+
+    vertices: [V, 3] in the frame of reconstruction (see `framing`); faces: [F, 3]; textures: as `render` takes them, or
+    None for grey. The light stands over the viewer's left shoulder, so that no view is dark.
+    """
+    if textures is None:
+        textures = torch.full((len(faces), 2, 2, 2, 3), _GREY)
+    textures = _DARKEST + (1 - _DARKEST) * textures
+    pictures = []
+    for view in range(settings.views):
+        camera = view_camera(torch.tensor([view]), settings.views)
+        right, up, forward = camera.rotation[0]
+        lamp = F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)
+        light = Light(ambient=0.42, directional=0.56, direction=lamp)
+        size = settings.size * settings.samples
+        images = render(
+            (vertices, faces, textures), camera, size, light=light, outputs=("rgb", "alpha"), anti_aliasing=False
+        )
+        alpha = F.avg_pool2d(images.alpha[:, None], settings.samples)  # type: ignore[index]
+        # On black, the mean is multiplied by alpha; what is seen has the mean colour of the samples that see it.
+        rgb = F.avg_pool2d(images.rgb, settings.samples) / alpha.clamp(min=1e-6)  # type: ignore[arg-type]
+        pictures.append(torch.cat((rgb.clamp(0, 1) * (alpha > 0), alpha), 1))
+    return (torch.cat(pictures) * 255 + 0.5).to(torch.uint8)
+
+
+def make_object(path: Path, settings: Settings = Settings()) -> tuple[Tensor, Tensor]:
+    """The views (see `render_views`) and the voxels (see `voxels.solid`) of a model in a file, its box's side made 1.
+
+    Raises ValueError, with the file's name, for one that cannot be read or shows nothing.
+    """
+    vertices, faces, textures = load_mesh(path, 2)
+    if textures is not None:
+        texture_size = min(16, int((_TEXELS / len(faces)) ** (1 / 3)))
+        textures = load_mesh(path, texture_size)[2] if texture_size > 2 else textures
+    used = torch.unique(faces.long())  # stray vertices belong to no surface
+    try:
+        vertices = mirrored(vertices.index_copy(0, used, unit(vertices[used])))
+        images = render_views(vertices, faces, textures, settings)
+        if not images[:, 3].any():
+            raise ValueError("faces: expected a surface that can be seen, got none in any view")
+        return images, solid(vertices, faces, settings.grid)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def make_objects(
+    models: Sequence[Model], folder: Path, settings: Settings, processes: int
+) -> Iterator[tuple[Model, str | None, list[str]]]:
+    """Make objects in several processes, each in a file of its own below ``folder``; what is there already stays.
+
+    Yields each model as it is done, with None or a sentence that says why it could not be made, and warnings about it.
+    """
+    waiting = {}
+    for model in models:
+        if _is_made(model, folder, settings):
+            yield model, None, []
+        else:
+            waiting[model] = True
+    while waiting:
+        # A process that dies takes its pool with it; whose fault it was shows when one after the other is tried.
+        for count in (processes, 1):
+            crashed = False
+            with _pool(count) as pool:
+                futures = {pool.submit(_make_file, model, folder, settings): model for model in waiting}
+                try:
+                    for future in as_completed(futures):
+                        problem, notes = future.result()
+                        del waiting[futures[future]]
+                        yield futures[future], problem, notes
+                except BrokenProcessPool:
+                    crashed = True
+            if not crashed:
+                return
+        culprit = next(iter(waiting))
+        del waiting[culprit]
+        yield culprit, f"{culprit.path}: its process died, perhaps for lack of memory", []
+
+
+@contextmanager
+def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), _begin)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin() -> None:
+    """A worker: one thread, and Ctrl-C is its parent's business."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    torch.set_num_threads(1)
+
+
+def object_file(model: Model, folder: Path) -> Path:
+    """Where a finished object is kept."""
+    return folder / "objects" / model.category / f"{model.name}.npz"
+
+
+def _key(model: Model, settings: Settings) -> str:
+    status = model.path.stat()
+    return json.dumps([_RECIPE, asdict(settings), status.st_size, status.st_mtime_ns])
+
+
+def _is_made(model: Model, folder: Path, settings: Settings) -> bool:
+    try:
+        with np.load(object_file(model, folder)) as arrays:
+            return str(arrays["key"]) == _key(model, settings)
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError):
+        return False
+
+
+def _make_file(model: Model, folder: Path, settings: Settings) -> tuple[str | None, list[str]]:
+    target = object_file(model, folder)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            images, voxels = make_object(model.path, settings)
+        except Exception as error:  # whatever a model is broken by, the others are not
+            told = isinstance(error, (ValueError, OSError)) and str(error)
+            return (str(error) if told else f"{model.path}: {type(error).__name__}: {error}"), []
+    target.parent.mkdir(parents=True, exist_ok=True)
+    fresh = target.with_name(f".{target.name}.{os.getpid()}")
+    try:
+        with open(fresh, "wb") as file:
+            arrays: dict[str, Any] = {"images": images.numpy(), "voxels": voxels.numpy()}
+            np.savez_compressed(file, key=np.array(_key(model, settings)), **arrays)
+        fresh.replace(target)
+    finally:
+        fresh.unlink(missing_ok=True)
+    return None, sorted({str(warning.message) for warning in caught})
+
+
+def assemble(
+    folder: Path,
+    splits: dict[str, dict[str, list[Model]]],
+    settings: Settings,
+    broken: dict[str, str],
+) -> None:
+    """Put finished objects together as the published files, and describe them in dataset.json.
+
+    splits: the models of each class, in order, of each split. Classes and splits that are not among them stay as they
+    are in a folder that has them already.
+    """
+    names: dict[str, dict[str, list[str]]] = {split: {} for split in SPLITS} | _names_before(folder)
+    for split, classes in splits.items():
+        for name, models in classes.items():
+            for kind in ("images", "voxels"):
+                _write_npz(folder / f"{name}_{split}_{kind}.npz", [object_file(m, folder) for m in models], kind)
+            names[split][name] = [model.name for model in models]
+    frame = {"distance": DISTANCE, "elevation": ELEVATION, "viewing_angle": VIEWING_ANGLE, "longest_side": 1.0}
+    description = {
+        "names": names,
+        "settings": asdict(settings) | frame | {"azimuth": f"-360 k / {settings.views} of view k"},
+        "voxel_axes": "(y, x, -z) of the frame of the views, which is (y, -z, x) of the model, y up",
+        "versions": {"neural_renderer": __version__, "torch": torch.__version__, "numpy": np.__version__},
+        "broken": broken,
+    }
+    fresh = folder / f".{DESCRIPTION}"
+    fresh.write_text(json.dumps(description, indent=1) + "\n", encoding="utf-8")
+    fresh.replace(folder / DESCRIPTION)
+
+
+def _names_before(folder: Path) -> dict[str, dict[str, list[str]]]:
+    try:
+        return json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["names"]
+    except (OSError, ValueError, KeyError):
+        return {}
+
+
+def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
+    """One array of all objects, read and written one at a time."""
+    fresh = target.with_name(f".{target.name}")
+    try:
+        with (
+            zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive,
+            archive.open("arr_0.npy", "w", force_zip64=True) as member,
+        ):
+            for index, path in enumerate(objects):
+                with np.load(path) as arrays:
+                    array = arrays[kind]
+                if index == 0:
+                    _write_header(member, array, len(objects))
+                member.write(np.ascontiguousarray(array).tobytes())
+        fresh.replace(target)
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
+def _write_header(member: IO[bytes], array: np.ndarray, count: int) -> None:
+    header = {"descr": array.dtype.str, "fortran_order": False, "shape": (count, *array.shape)}
+    np.lib.format.write_array_header_1_0(member, header)
