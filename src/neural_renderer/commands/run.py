@@ -75,7 +75,7 @@ class Run:
                 self.history.append({"phase": task.phase, **{name: round(value, 6) for name, value in row.items()}})
                 if task.phase not in bars:
                     bars[task.phase] = progress.add_task(task.phase, note="", completed=task.step - 1, total=task.steps)
-                text = "  ".join(f"{name} {value:.4f}" for name, value in row.items())
+                text = "  ".join(f"{name} {value:.4f}" for name, value in list(row.items())[:2])
                 progress.update(bars[task.phase], completed=task.step, total=task.steps, note=text)
                 self.seconds = time.monotonic() - begun
                 if self.seconds - shown > _SECONDS if self._every is None else task.step % self._every == 0:

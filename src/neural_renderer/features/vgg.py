@@ -55,7 +55,9 @@ def vgg(weights: Mapping[str, Tensor]) -> FeatureNetwork:
             raise ValueError(f"expected {name}.weight of shape [·, {width}, 3, 3], got {list(shape)}")
         if place == 1 and block > 1:
             stages[f"pool{block - 1}"] = nn.MaxPool2d(2)
-        stages[name] = nn.Sequential(convolution(layer["weight"], layer["bias"], padding_mode=mode), nn.ReLU(inplace=True))
+        stages[name] = nn.Sequential(
+            convolution(layer["weight"], layer["bias"], padding_mode=mode), nn.ReLU(inplace=True)
+        )
         width = shape[0]
     depth = len(plan) + 3
     if max(block for block, _ in plan) == 5 and max(place for block, place in plan if block == 5) > 1:

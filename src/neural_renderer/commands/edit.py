@@ -1,0 +1,165 @@
+"""What `neural-renderer style` and `neural-renderer dream` share: options, the run, its results."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+
+from ..features import FeatureNetwork, load_features
+from ..io import save_image
+from ..mesh import Mesh
+from ..tasks.curve import curve
+from ..tasks.editing import MeshEdit, Views
+from ..tasks.editing.edit import Objective
+from ..tasks.editing.results import preview, six_views, turntable
+from ..version import __version__
+from .common import checked_count, chosen_device
+from .run import Run
+
+
+@dataclass(frozen=True)
+class Preset:
+    """The settings that options leave open."""
+
+    iterations: int
+    vertex_rate: float
+    texture_rate: float
+    elevation: tuple[float, float]
+    distance: float
+    init: Literal["mesh", "random"]
+    seamless: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edit:
+    """Options of both commands; those that are None are the preset's."""
+
+    mesh: tyro.conf.Positional[Path]
+    """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for the results; it is made if missing."""
+    preset: Literal["paper", "published"] = "paper"
+    """Settings of the paper, with losses that suit any network and mesh; or those of the code that was published with
+    it, which are for its own network."""
+    weights: Path | None = None
+    """File with the network's weights: .safetensors, or .pth of torch; by default they are fetched once."""
+    iterations: int | None = None
+    """Steps (at least 1); by default the preset's."""
+    batch: int = 4
+    """Views that each step looks at (at least 1)."""
+    size: int = 224
+    """Side in pixels of what the network sees (at least 32); smaller is faster, and what it paints becomes larger. The
+    object is drawn at twice that."""
+    vertex_rate: float | None = None
+    """How fast vertices move (Adam's alpha; 0: not at all); by default the preset's."""
+    texture_rate: float | None = None
+    """How fast colours change (Adam's alpha; 0: not at all); by default the preset's."""
+    elevation: tuple[float, float] | None = None
+    """Lowest and highest camera, in degrees (between -90 and 90); by default the preset's."""
+    distance: float | None = None
+    """From the camera to the middle of the object, whose longest side is 2; by default the preset's."""
+    init: Literal["mesh", "random"] | None = None
+    """Begin with the mesh's own colours if it has any, or in any case with grey and a little noise; by default the
+    preset's."""
+    texture_size: int = 4
+    """Texels along the edge of a face's texture (at least 2); more for meshes of few faces."""
+    seamless: bool | None = None
+    """Faces share the texels on their edges, so that no seam can appear; otherwise each face has its own. By
+    default the preset's."""
+    bend: float | None = None
+    """Weight of smooth movement: how much each vertex is held to move as its neighbours do; by default the preset's."""
+    variation: float | None = None
+    """Weight of smooth colours, the total variation of the images; by default the preset's."""
+    gradient: Literal["nmr", "edge"] = "nmr"
+    """The renderer's gradient through visibility; nmr is the paper's."""
+    preview: int = 50
+    """Steps from one preview and checkpoint to the next (at least 1)."""
+    turntable: int = 36
+    """Pictures of the turntable (0: none)."""
+    seed: int = 0
+    """Seed of the views and of random colours."""
+    resume: bool = False
+    """Go on from the checkpoint in the output folder, if there is one."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to compute; auto is CUDA where there is one."""
+
+    def chosen(self, preset: Preset, name: str) -> Any:
+        """The option's value, or else the preset's."""
+        own = getattr(self, name)
+        return getattr(preset, name) if own is None else own
+
+    def network(self, published: str) -> FeatureNetwork:
+        """The network of --weights, or else a published one, on the chosen device."""
+        return load_features(published if self.weights is None else self.weights).to(chosen_device(self.device))
+
+    def checked(self) -> None:
+        """Raises ValueError for options out of range, before anything is read or fetched."""
+        limits = {"batch": 1, "size": 32, "texture_size": 2, "preview": 1, "turntable": 0, "seed": 0}
+        for name, least in limits.items():
+            checked_count(name, getattr(self, name), least)
+        if self.iterations is not None:
+            checked_count("iterations", self.iterations, 1)
+
+    def loaded(self) -> tuple[Mesh, bool]:
+        """The mesh and whether it has colours of its own."""
+        mesh = Mesh.load(self.mesh, self.texture_size).to(chosen_device(self.device))
+        return mesh, bool((mesh.textures < 1).any())
+
+    def edited(self, mesh: Mesh, coloured: bool, objective: Objective, preset: Preset, inputs: dict[str, Any]) -> int:
+        """Edit the mesh and write what comes of it; the exit code, 0, or 130 after Ctrl-C.
+
+        ``inputs`` tell, with the mesh, what a checkpoint belongs to.
+        """
+        setting = {name: self.chosen(preset, name) for name in asdict(preset)}
+        views = Views(setting["elevation"], setting["distance"], lit=objective.lit)
+        edit = MeshEdit(
+            mesh,
+            objective,
+            views,
+            steps=setting["iterations"],
+            batch=self.batch,
+            size=self.size,
+            vertex_rate=setting["vertex_rate"],
+            texture_rate=setting["texture_rate"],
+            start=setting["init"] if coloured else "random",
+            texture_size=self.texture_size,
+            seamless=setting["seamless"],
+            gradient=self.gradient,
+            seed=self.seed,
+        )
+        self.output.mkdir(parents=True, exist_ok=True)
+        inputs |= {"vertices": mesh.num_vertices, "faces": mesh.num_faces, "texture_size": self.texture_size}
+        inputs |= {"seamless": setting["seamless"]}
+        run = Run(self.output, edit, inputs, lambda path: save_image(path, preview(edit)), every=self.preview)
+        finished = run.work(self.resume)
+        after = edit.measure()
+        result = edit.mesh()
+        result.save(self.output / "mesh.obj")
+        result.save(self.output / "mesh.glb")
+        save_image(self.output / "views.png", six_views(mesh, result))
+        if self.turntable:
+            turntable(self.output, result, self.turntable)
+        main = next(name for name in run.history[-1] if name not in ("phase", "loss")) if run.history else "loss"
+        curve(run.history, main, "loss", logarithmic=main == "style").save(self.output / "loss.png")
+        share = {name: round(part / max(sum(edit.seconds.values()), 1e-9), 4) for name, part in edit.seconds.items()}
+        options = {name: str(value) if isinstance(value, Path) else value for name, value in asdict(self).items()}
+        report = {"version": __version__, "finished": finished, "steps": edit.step, "settings": options | setting}
+        report |= {"held_out": {"before": edit.before, "after": after}, "moved": edit.moved(), **inputs}
+        report |= {"seconds": round(run.seconds, 1), "share_of_time": share, "history": run.history}
+        (self.output / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        self._told(edit, after, finished, run.seconds)
+        return 0 if finished else 130
+
+    def _told(self, edit: MeshEdit, after: float, finished: bool, seconds: float) -> None:
+        console = Console()
+        change = (
+            f"{edit.before:.4g} → {after:.4g} on views that no step saw, vertices moved by {edit.moved()['mean']:.2%}"
+        )
+        console.print(f"[bold]{change}[/bold] of the mesh's size on average", highlight=False, soft_wrap=True)
+        ending = "" if finished else f", interrupted after {edit.step} steps (--resume goes on)"
+        console.print(f"{seconds:.1f} s{ending}; the results are in {self.output}", highlight=False, soft_wrap=True)

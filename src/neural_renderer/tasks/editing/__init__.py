@@ -1,0 +1,21 @@
+"""A mesh edited by gradients: the style of a painting, or what a network dreams of it."""
+
+from .dream import DREAM_LAYER, PUBLISHED_DREAM, Dream, DreamWeights
+from .edit import MeshEdit
+from .style import PUBLISHED_STYLE, STYLE_LAYERS, Style, StyleWeights
+from .texels import Texels
+from .views import Views
+
+__all__ = [
+    "DREAM_LAYER",
+    "PUBLISHED_DREAM",
+    "PUBLISHED_STYLE",
+    "STYLE_LAYERS",
+    "Dream",
+    "DreamWeights",
+    "MeshEdit",
+    "Style",
+    "StyleWeights",
+    "Texels",
+    "Views",
+]

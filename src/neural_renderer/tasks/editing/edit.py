@@ -1,0 +1,248 @@
+"""Descent on the vertices and the texture of a mesh for what a loss on its images wants (section 4.2 of the paper)."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from ... import validate
+from ...camera import Camera
+from ...lighting import Light
+from ...mesh import Mesh
+from ...optim import Adam
+from ...raster import Images
+from ...render import render
+from ...topology import Topology
+from .deformation import Deformation
+from .texels import Texels
+from .views import Views, generator
+
+_MOST_BYTES = 2 * 2**30  # of cubes; gradients, Adam's means and temporary copies are several times that
+_DARKEST, _HELD_OUT = 0.02, 8
+
+
+class Objective(Protocol):
+    """What images of an edited mesh should be like: `Style` or `Dream`."""
+
+    name: str
+    lit: bool
+
+    def background(self, count: int, generator: torch.Generator, /) -> Tensor: ...
+
+    def losses(self, images: Tensor, masks: Tensor, shape: Deformation, /) -> dict[str, Tensor]: ...
+
+    def measure(self, images: Tensor, masks: Tensor, /) -> Tensor: ...
+
+
+class MeshEdit:
+    """Steps of Adam on a mesh, for an objective on images from random views: call `advance` until ``done``.
+
+    >>> network = load_features("vgg16-original")
+    >>> edit = MeshEdit(Mesh.load("bunny.obj"), Style(network, painting), steps=500)
+    >>> while not edit.done:
+    ...     edit.advance()
+    >>> edit.mesh().save("painted.glb")
+
+    The mesh is edited in the cube [-1, 1]³ and given back where it was. Vertices at the same place are one. Colours are
+    the sigmoid of what is optimised.
+
+    Args:
+        mesh: the mesh, with colours to begin with.
+        objective: on its images.
+        views: where it is looked at from; by default those of the published style transfer, lit if the objective says.
+        steps: how many there are, at least 1.
+        batch: images in each step, at least 1.
+        size: their side in pixels, at least 32; they are drawn at twice that.
+        vertex_rate, texture_rate: Adam's α, ≥ 0; 0 leaves the shape or the colours as they are.
+        start: "mesh", its own colours; or "random", grey with a little noise.
+        texture_size: T, texels along the edge of a face's cube, at least 2.
+        seamless: faces share the texels on their edges; False: each face has its own, as published.
+        gradient: the renderer's, through visibility.
+        seed: of the views and of random colours.
+
+    Raises TypeError or ValueError for what does not fit, and for textures of more than 2 GiB.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        objective: Objective,
+        views: Views | None = None,
+        *,
+        steps: int = 5000,
+        batch: int = 4,
+        size: int = 224,
+        vertex_rate: float = 2.5e-4,
+        texture_rate: float = 5e-2,
+        start: str = "mesh",
+        texture_size: int = 4,
+        seamless: bool = True,
+        gradient: str = "nmr",
+        seed: int = 0,
+    ) -> None:
+        self.steps, self.step = validate.whole("steps", steps, 1), 0
+        self._batch, self._size = validate.whole("batch", batch, 1), validate.whole("size", size, 32)
+        self.phase = objective.name
+        self._objective, self._gradient, self._seed = objective, gradient, validate.whole("seed", seed, 0)
+        self._views = Views(lit=objective.lit) if views is None else views
+        self._faces = mesh.faces.detach()
+        texture_size = validate.whole("texture_size", texture_size, 2)
+        _check_memory(len(self._faces), texture_size)
+
+        points, self._vertex = torch.unique(mesh.vertices.detach(), dim=0, return_inverse=True)
+        low, high = points.amin(0), points.amax(0)
+        self._centre, self._scale = (low + high) / 2, float((high - low).max()) / 2
+        if not self._scale:
+            raise ValueError("mesh: expected one of some size, got vertices that all coincide")
+        corners = self._vertex[self._faces.long()]
+        self._start = (points - self._centre) / self._scale
+        self._vertices = self._start.clone().requires_grad_()
+        self._topology = Topology.of(corners)
+
+        self._texels = (Texels.shared if seamless else Texels.free)(corners, texture_size)
+        colours = self._begun(mesh, start, texture_size)
+        self._colours = torch.logit(colours.clamp(_DARKEST, 1 - _DARKEST)).requires_grad_()
+        groups = [
+            {"params": [self._vertices], "lr": validate.number("vertex_rate", vertex_rate)},
+            {"params": [self._colours], "lr": validate.number("texture_rate", texture_rate)},
+        ]
+        self._optimizer = Adam(groups)
+        self.seconds = {"renderer": 0.0, "network": 0.0, "rest": 0.0}
+        """Where the time of the steps went: drawing and its gradient; the objective and its; the rest."""
+        self.before = self.measure()
+        """`measure` before the first step."""
+
+    @property
+    def done(self) -> bool:
+        """Whether all steps are taken."""
+        return self.step >= self.steps
+
+    @property
+    def shape(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Vertices in [-1, 1]³ or near, faces, and textures [F, T, T, T, 3] in [0, 1]."""
+        return self._vertices.detach()[self._vertex], self._faces, self._cubes(self._colours.detach())
+
+    def mesh(self) -> Mesh:
+        """The mesh as it is now, in its own world; texels that no view has shown take on the colours around."""
+        seen = self._optimizer.state.get(self._colours, {}).get("v")
+        colours = self._colours.detach()
+        if seen is not None:
+            colours = self._texels.spread(colours, (seen > 0).any(1))
+        vertices = self.shape[0] * self._scale + self._centre
+        return Mesh(vertices, self._faces, self._cubes(colours))
+
+    def moved(self) -> dict[str, float]:
+        """How far the vertices are from their start, the mean and the most, as parts of the mesh's longest side."""
+        distance = (self._vertices.detach() - self._start).norm(dim=1) / 2
+        return {"mean": distance.mean().item(), "most": distance.max().item()}
+
+    def advance(self) -> dict[str, float]:
+        """Take one step; returns the losses before it, each with its weight, and their sum ``loss``."""
+        clock = _Clock(self._vertices.device)
+        random = generator(self._seed, self.step)
+        camera, light = self._views.sample(self._batch, random)
+        background = self._objective.background(self._batch, random)
+        cubes = self._cubes(self._colours)
+        begun = clock()
+        images = self._draw((self._vertices[self._vertex], self._faces, cubes), camera, light, background)
+        drawn = clock()
+        rgb, alpha = images.rgb, images.alpha
+        pixels = rgb.detach().requires_grad_()  # type: ignore[union-attr]
+        deformation = Deformation(self._vertices, self._start, self._topology)
+        parts = self._objective.losses(pixels, alpha.detach(), deformation)  # type: ignore[union-attr]
+        loss = torch.stack(list(parts.values())).sum()
+        self._optimizer.zero_grad()
+        loss.backward()
+        judged = clock()
+        rgb.backward(pixels.grad)  # type: ignore[union-attr]
+        returned = clock()
+        self._optimizer.step()
+        self.step += 1
+        self.seconds["renderer"] += drawn - begun + returned - judged
+        self.seconds["network"] += judged - drawn
+        self.seconds["rest"] += begun - clock.start + clock() - returned
+        return {"loss": loss.item(), **{name: part.item() for name, part in parts.items()}}
+
+    def measure(self) -> float:
+        """The objective on eight views all around that are no steps' own, averaged."""
+        camera, light = self._views.fixed(_HELD_OUT, offset=11.0)
+        background = self._objective.background(_HELD_OUT, generator(-1, 0))
+        with torch.no_grad():
+            images = self._draw(self.shape, camera, light, background)
+            found = [
+                self._objective.measure(rgb, alpha)
+                for rgb, alpha in zip(images.rgb.split(self._batch), images.alpha.split(self._batch), strict=True)  # type: ignore[union-attr]
+            ]
+        return torch.cat(found).mean().item()
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that changes from step to step."""
+        return {
+            "step": self.step,
+            "vertices": self._vertices.detach(),
+            "colours": self._colours.detach(),
+            "optimizer": self._optimizer.state_dict(),
+            "seconds": dict(self.seconds),
+            "before": self.before,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` of an edit of the same mesh was taken."""
+        with torch.no_grad():
+            self._vertices.copy_(state["vertices"])
+            self._colours.copy_(state["colours"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.step, self.before = state["step"], state["before"]
+        self.seconds = dict(state["seconds"])
+
+    def _draw(self, shape: tuple[Tensor, ...], camera: Camera, light: Light | None, background: Tensor) -> Images:
+        return render(
+            shape,
+            camera,
+            self._size,
+            light=light,
+            background=background.to(shape[0].device),
+            outputs=("rgb", "alpha"),
+            gradient=self._gradient,
+        )
+
+    def _cubes(self, colours: Tensor) -> Tensor:
+        return self._texels.cubes(torch.sigmoid(colours))
+
+    def _begun(self, mesh: Mesh, start: str, size: int) -> Tensor:
+        """The colours [texels, 3] to begin with."""
+        device = mesh.vertices.device
+        if start == "random":
+            noise = torch.randn(self._texels.count, 3, generator=torch.Generator().manual_seed(self._seed))
+            return torch.sigmoid(0.05 * noise).to(device)
+        if start != "mesh":
+            raise ValueError(f'start: expected "mesh" or "random", got {start!r}')
+        if mesh.texture_size != size:
+            raise ValueError(f"mesh: expected textures of {size}³ texels, got {mesh.texture_size}³")
+        return self._texels.of(mesh.textures.detach())
+
+
+class _Clock:
+    """Seconds since any time, when the device has done what it was told."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+        self.start = self()
+
+    def __call__(self) -> float:
+        if self._device.type == "cuda":
+            torch.cuda.synchronize(self._device)
+        return time.perf_counter()
+
+
+def _check_memory(faces: int, size: int) -> None:
+    needed = faces * size**3 * 12
+    if needed > _MOST_BYTES:
+        raise ValueError(
+            f"mesh: expected textures of at most {_MOST_BYTES / 2**30:.0f} GiB, got {needed / 2**30:.1f} GiB "
+            f"({faces} faces of {size}³ texels); choose a smaller texture size, or a mesh of fewer faces "
+            f"(Blender's modifier Decimate makes one)"
+        )

@@ -1,0 +1,52 @@
+"""What an edit leaves in its folder to look at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from ...commands.studio import photograph, sheet
+from ...io import save_animation
+from ...mesh import Mesh
+from .edit import MeshEdit
+
+_FRONT, _ELEVATION, _ANGLE = 150.0, 20.0, 19.0
+
+
+def six_views(before: Mesh, after: Mesh, size: int = 320) -> Tensor:
+    """A mesh from six sides, and below how it is now, as in the paper's figures: [2 · size, 6 · size, 3] uint8."""
+    pair = [_framed(mesh, before) for mesh in (before, after)]
+    angles = [_FRONT + 60 * index for index in range(6)]
+    return sheet([[picture.cpu() for picture in _photographs(mesh, angles, size)] for mesh in pair])
+
+
+def preview(edit: MeshEdit, size: int = 256) -> Tensor:
+    """The mesh as it is now from three sides: [size, 3 · size, 3] uint8."""
+    mesh = edit.mesh()
+    return sheet([[picture.cpu() for picture in _photographs(_framed(mesh, mesh), (_FRONT, 270.0, 30.0), size)]])
+
+
+def turntable(folder: Path, mesh: Mesh, frames: int = 36, size: int = 320) -> None:
+    """Write ``turntable.mp4`` and ``turntable.gif`` of a mesh that goes round once."""
+    angles = [_FRONT + 360 * index / frames for index in range(frames)]
+    pictures = [picture.cpu() for picture in _photographs(_framed(mesh, mesh), angles, size)]
+    save_animation(folder / "turntable.mp4", pictures, fps=15)
+    save_animation(folder / "turntable.gif", pictures, fps=15)
+
+
+@torch.no_grad()
+def _framed(mesh: Mesh, other: Mesh) -> Mesh:
+    """The mesh as it stands when ``other`` fills [-1, 1]³ and is in its middle."""
+    low, high = other.vertices.amin(0), other.vertices.amax(0)
+    return Mesh((mesh.vertices - (low + high) / 2) * (2 / (high - low).max()), mesh.faces, mesh.textures)
+
+
+def _photographs(mesh: Mesh, angles: list[float] | tuple[float, ...], size: int) -> Iterator[Tensor]:
+    radius = mesh.vertices.detach().norm(dim=1).max().item()
+    distance = 1.03 * radius / math.sin(math.radians(_ANGLE))
+    for angle in angles:
+        yield photograph(mesh, angle, _ELEVATION, size, distance=distance, viewing_angle=_ANGLE)

@@ -1,0 +1,119 @@
+"""Texture cubes as a function of fewer texels, which neighbouring faces share, so that no seam can appear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ... import validate
+
+
+@dataclass(frozen=True, eq=False)
+class Texels:
+    """Which texels a mesh has, and how each face's cube is made of them.
+
+    Attributes:
+        index: [F, L] int64 in [0, count): the texels of each face.
+        weights: [T³, L]: each texel of a cube as a mixture of them, of sum 1.
+        size: T.
+        count: how many texels there are.
+    """
+
+    index: Tensor
+    weights: Tensor
+    size: int
+    count: int
+
+    @classmethod
+    def free(cls, faces: Tensor, size: int) -> Texels:
+        """Every cube for itself, as published: T³ texels for each face of [F, 3]."""
+        texels = validate.whole("texture_size", size, 2) ** 3
+        count, device = len(faces) * texels, faces.device
+        return cls(
+            torch.arange(count, device=device).reshape(-1, texels), torch.eye(texels, device=device), size, count
+        )
+
+    @classmethod
+    def shared(cls, faces: Tensor, size: int) -> Texels:
+        """One texel for each point of a triangular lattice with T points along an edge, on corners, edges and inside.
+
+        Points on a corner or an edge belong to all its faces [F, 3], and the colours on an edge depend on its own
+        texels alone: the texture is continuous over the mesh.
+        """
+        size = validate.whole("texture_size", size, 2)
+        steps, device = size - 1, faces.device
+        points = _lattice(steps).to(device)  # [L, 3]
+        corners, vertices = faces.long(), int(faces.max()) + 1
+        # A point between two corners is known by both and its weight for the first of them; a corner by itself, twice.
+        onto = points > 0
+        ids = corners[:, None].expand(-1, len(points), -1)
+        low = torch.where(onto, ids, vertices).amin(2)
+        high = torch.where(onto, ids, -1).amax(2)
+        share = torch.where(onto & (ids == low[..., None]), points, 0).amax(2) % steps
+        key = (low * vertices + high) * steps + share
+        inside = onto.all(1).expand_as(key)
+        own = vertices**2 * steps + torch.arange(key.numel(), device=device).reshape(key.shape)
+        found, index = torch.unique(torch.where(inside, own, key), return_inverse=True)
+        return cls(index, _mixture(size).to(device), size, len(found))
+
+    def cubes(self, values: Tensor) -> Tensor:
+        """The cubes [F, T, T, T, C] of values [count, C], differentiable."""
+        own = F.embedding(self.index, values)
+        mixed = torch.einsum("gl,flc->fgc", self.weights, own)
+        return mixed.reshape(len(own), *(self.size,) * 3, values.shape[1])
+
+    def of(self, cubes: Tensor) -> Tensor:
+        """The values [count, C] nearest to given cubes [F, T, T, T, C]: the mean over all who share a texel."""
+        direct = self.weights.argmax(0)  # where in the cube each texel lies by itself
+        values = cubes.flatten(1, 3)[:, direct].reshape(-1, cubes.shape[-1])
+        total = values.new_zeros(self.count, values.shape[1]).index_add_(0, self.index.reshape(-1), values)
+        shares = torch.bincount(self.index.reshape(-1), minlength=self.count)
+        return total / shares.clamp(min=1)[:, None]
+
+    def spread(self, values: Tensor, known: Tensor) -> Tensor:
+        """``values`` [count, C] where ``known`` [count] says so; elsewhere what flows in from the faces around.
+
+        Parts of the mesh of which nothing is known keep their values.
+        """
+        known = known.to(values.dtype)
+        flat = self.index.reshape(-1)
+        while True:
+            share = known[self.index]  # [F, L]
+            mean = (values[self.index] * share[..., None]).sum(1) / share.sum(1, keepdim=True).clamp(min=1)
+            reached = (share.sum(1) > 0).to(values.dtype)[:, None].expand_as(self.index).reshape(-1)
+            count = torch.zeros_like(known).index_add_(0, flat, reached)
+            new = (known == 0) & (count > 0)
+            if not bool(new.any()):
+                return values
+            mean = mean[:, None].expand(-1, self.index.shape[1], -1).reshape(len(flat), -1) * reached[:, None]
+            total = torch.zeros_like(values).index_add_(0, flat, mean)
+            values = torch.where(new[:, None], total / count.clamp(min=1)[:, None], values)
+            known = known + new.to(known)
+
+
+def _lattice(steps: int) -> Tensor:
+    """All (i, j, k) of whole numbers ≥ 0 with the sum ``steps``, [L, 3]."""
+    return torch.tensor([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)])
+
+
+def _mixture(size: int) -> Tensor:
+    """Each texel of a cube, at its barycentric weights, as a linear mixture of the lattice points around, [T³, L]."""
+    steps = size - 1
+    place = {tuple(point): row for row, point in enumerate(_lattice(steps).tolist())}
+    weights = torch.zeros(size**3, len(place))
+    for row, texel in enumerate(torch.cartesian_prod(*[torch.arange(size)] * 3).tolist()):
+        texel = texel if any(texel) else [1, 1, 1]
+        total = sum(texel)
+        low, rest = zip(*(divmod(part * steps, total) for part in texel), strict=True)
+        upward = sum(rest) <= total  # which of the two kinds of small triangles it is in
+        for corner in range(3):
+            share = rest[corner] / total if upward else 1 - rest[corner] / total
+            point = tuple(low[axis] + ((axis == corner) == upward) for axis in range(3))
+            if share and sum(rest):
+                weights[row, place[point]] += share
+        if not sum(rest):
+            weights[row, place[low]] = 1
+    return weights

@@ -1,0 +1,76 @@
+"""Where an object that is edited is looked at from: random cameras and lamps, the same ones for the same seed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ... import validate
+from ...camera import Camera, get_points_from_angles
+from ...lighting import Light
+
+_LAMP_TILT = math.radians(30)  # of the light from the vertical, as published
+
+
+@dataclass(frozen=True)
+class Views:
+    """Random views of an object in about [-1, 1]³: any azimuth, an elevation and a distance around given ones.
+
+    Attributes:
+        elevation: lowest and highest, in degrees, uniformly between.
+        distance: from the camera to the origin, on average, > 0.
+        spread: standard deviation of the distance, ≥ 0.
+        viewing_angle: half the field of view in degrees.
+        lit: whether there is a lamp, with ambient and directional intensity 0.5, 30° from the vertical in a random
+            direction; otherwise colours are drawn as they are.
+    """
+
+    elevation: tuple[float, float] = (20.0, 40.0)
+    distance: float = 2.732
+    spread: float = 0.1
+    viewing_angle: float = 30.0
+    lit: bool = True
+
+    def __post_init__(self) -> None:
+        low, high = (validate.number("elevation", value) for value in self.elevation)
+        if not -90 < low <= high < 90:
+            raise ValueError(
+                f"elevation: expected two numbers between -90 and 90, the lower one first, got {low} {high}"
+            )
+        validate.positive("distance", self.distance)
+        if validate.number("spread", self.spread) < 0:
+            raise ValueError(f"spread: expected a number of at least 0, got {self.spread}")
+
+    def sample(self, count: int, generator: torch.Generator) -> tuple[Camera, Light | None]:
+        """``count`` random views, on the CPU."""
+        elevation, azimuth, lamp = torch.rand(3, count, generator=generator)
+        low, high = self.elevation
+        distance = self.distance + self.spread * torch.randn(count, generator=generator)
+        # However wide the spread, no camera comes into the object.
+        return self._at(distance.clamp(min=1.8), low + (high - low) * elevation, 360 * azimuth, math.tau * lamp)
+
+    def fixed(self, count: int, offset: float = 0.0, elevation: float | None = None) -> tuple[Camera, Light | None]:
+        """``count`` views all around at one elevation (the middle one by default) and the mean distance.
+
+        The azimuth of the first is ``offset`` degrees; the lamp stands to the left behind the viewer.
+        """
+        turn = 360 / count * torch.arange(count) + offset
+        middle = sum(self.elevation) / 2 if elevation is None else elevation
+        lamp = torch.deg2rad(45 - turn)
+        return self._at(torch.full((count,), self.distance), torch.full((count,), middle), turn, lamp)
+
+    def _at(self, distance: Tensor, elevation: Tensor, azimuth: Tensor, lamp: Tensor) -> tuple[Camera, Light | None]:
+        eye = get_points_from_angles(distance, elevation, azimuth)
+        camera = Camera.look_at(eye, viewing_angle=self.viewing_angle)
+        if not self.lit:
+            return camera, None
+        flat, up = math.sin(_LAMP_TILT), torch.full_like(lamp, math.cos(_LAMP_TILT))
+        return camera, Light(direction=torch.stack((flat * lamp.sin(), up, flat * lamp.cos()), 1))
+
+
+def generator(seed: int, step: int) -> torch.Generator:
+    """The random numbers of one step: they depend on nothing that came before, so that a run can be continued."""
+    return torch.Generator().manual_seed(1_000_003 * seed + step)
