@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,8 +33,8 @@ class Train:
 
     Example: neural-renderer reconstruct train data out --config paper --classes chair --minutes 30
 
-    Example: torchrun --nnodes 2 --nproc-per-node 4 … -m neural_renderer.cli reconstruct train data out --nodes 2
-    --devices 4
+    Example: torchrun --nnodes 2 --nproc-per-node 4 --rdzv-endpoint HOST:29500 -m neural_renderer.cli reconstruct train
+    data out --nodes 2 --devices 4
 
     Ctrl-C ends the training after the step it is at and keeps all of it.
     """
@@ -83,9 +82,9 @@ class Train:
         config = self._recipe(train)
         checkpoint = self._checkpoint(config)
         self.out.mkdir(parents=True, exist_ok=True)
-        with _quiet(), interruption() as interrupted:
-            from ..tasks.reconstruction.run import fit  # Lightning takes seconds to import
+        from ..tasks.reconstruction.run import fit  # Lightning takes seconds to import
 
+        with _quiet(), interruption() as interrupted:
             training = fit(
                 self.model,
                 config,
@@ -103,7 +102,7 @@ class Train:
                 checkpoint=checkpoint,
                 interrupted=interrupted,
             )
-        if int(os.environ.get("LOCAL_RANK", 0)) == 0:
+        if training.trainer.is_global_zero:
             ending = "" if training.done else "; interrupted, --resume goes on"
             text = f"{training.steps_done} steps in {training.seconds:.0f} s{ending}; the results are in {self.out}"
             Console().print(text, highlight=False, soft_wrap=True)

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import torch
 
+from neural_renderer.tasks.reconstruction import configs
 from neural_renderer.tasks.reconstruction.checkpoint import load_model, read_checkpoint, save_model
 from neural_renderer.tasks.reconstruction.configs import Config
 from neural_renderer.tasks.reconstruction.networks import make_network
@@ -141,6 +142,27 @@ def test_code_in_a_checkpoint_is_not_run(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="broken or none"):
         load_model(tmp_path / "x.ckpt")
     assert not (tmp_path / "sprung").exists()
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from neural_renderer.cli import main
+
+    monkeypatch.setattr(configs, "_CONFIGS", {"paper": SMALL, "small": SMALL, "best": SMALL})
+    data, out = tmp_path / "data", tmp_path / "out"
+    data.mkdir()
+    command = ["reconstruct", "train", str(data), str(out), "--device", "cpu"]
+    assert main(command) == 1 and "_train_images.npz" in capsys.readouterr().err
+    for split in ("train", "val"):
+        write_split(data, split, 1)
+    assert main([*command, "--steps", "2", "--classes", "box"]) == 0
+    assert "2 steps in" in capsys.readouterr().out and load_model(out / "best.ckpt").kind == "mesh"
+    assert main(command) == 1 and "--resume goes on from there" in capsys.readouterr().err
+    assert main([*command, "--resume", "--model", "voxel"]) == 1
+    assert "expected a checkpoint with model voxel, got mesh" in " ".join(capsys.readouterr().err.split())
+    assert main([*command, "--steps", "3", "--classes", "box", "--resume"]) == 0
+    assert read_checkpoint(out / "last.ckpt")["training"]["steps"] == 3
+    assert main([*command, "--classes", "boat"]) == 1 and "boat" in capsys.readouterr().err
+    assert main([*command, "--minutes", "-1"]) == 1 and "--minutes" in capsys.readouterr().err
 
 
 def test_schedules() -> None:

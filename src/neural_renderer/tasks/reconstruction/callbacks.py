@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -45,11 +46,10 @@ class Keep(lightning.Callback):
             self.best = score
             facts = {"steps": module.steps_done, "seconds": module.seconds, "val_iou": score}
             save_model(self._folder / BEST, module.model, module.train_split.classes, **facts)
-        if trainer.world_size == 1:
-            with replacing(self._folder / LAST) as fresh:
-                trainer.save_checkpoint(fresh, weights_only=False)
-        else:  # every process must call, one of them writes
-            trainer.save_checkpoint(self._folder / LAST, weights_only=False)
+        # Every process must call, one of them writes.
+        path = self._folder / LAST
+        with replacing(path) if trainer.is_global_zero else nullcontext(path) as fresh:
+            trainer.save_checkpoint(fresh, weights_only=False)
 
     def state_dict(self) -> dict[str, Any]:
         return {"best": self.best}
