@@ -1,0 +1,132 @@
+"""Meshes whose colour is images seen through texture coordinates, as artists and files have it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from . import validate
+from .fragments import Fragments
+from .io.formats import read_mesh
+from .io.skin import Skin
+from .raster.rasterize import rasterize_images
+from .uv import sample_texture
+
+
+@dataclass(frozen=True, eq=False)
+class UVMesh:
+    """A mesh with images as its albedo, to be sampled at every pixel and not baked into cubes.
+
+    Replace a tensor by one that asks for gradients (``dataclasses.replace``) to fit it.
+
+    Attributes:
+        vertices: [V, 3] float32. faces: [F, 3] int32.
+        uv: [F, 3, 2] float32, where each face's corners lie on its image: u to the right, v up, the image over [0, 1]².
+        image_index: [F] int64, the number of the face's image; -1 where it has none.
+        images: [H, W, 3] float32 each, row 0 at the top.
+        colors: [F, 3, 3] float32, the RGB of the corners of faces without an image.
+        wraps: for each image what lies beyond [0, 1], as in `sample_texture`.
+
+    >>> mesh = UVMesh.load("spot.obj")                                              # doctest: +SKIP
+    >>> seen = fragments(mesh, Camera.look_at((0, 1, -2.7), viewing_angle=30), 256)  # doctest: +SKIP
+    >>> image = seen.composite(mesh.shade(seen), background=1.0)                     # doctest: +SKIP
+    """
+
+    vertices: Tensor
+    faces: Tensor
+    uv: Tensor
+    image_index: Tensor
+    images: tuple[Tensor, ...]
+    colors: Tensor
+    wraps: tuple[str, ...]
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> UVMesh:
+        """Read an OBJ, PLY, STL, OFF, GLB or glTF file with its materials, unbaked, to the CPU.
+
+        What lies between an image's charts, which mipmaps would mix into their borders, is filled with the colours
+        around it (`fill_gutters`). A file without colour is grey 0.5. Raises what `load_mesh` raises.
+        """
+        vertices, faces, skin, _ = read_mesh(path)
+        skin = skin or Skin.plain(len(faces), 0.5)
+        uv = torch.from_numpy(skin.uv).float()
+        index = torch.from_numpy(skin.image).long()
+        images = [torch.from_numpy(image).float() for image in skin.images]
+        return cls(
+            vertices=torch.from_numpy(vertices).float(),
+            faces=torch.from_numpy(faces).int(),
+            uv=uv,
+            image_index=index,
+            images=tuple(fill_gutters(image, uv[index == n]) for n, image in enumerate(images)),
+            colors=torch.from_numpy(skin.colors),
+            wraps=tuple("repeat" if wrapping == "REPEAT" else "clamp" for wrapping in skin.wrapping),
+        )
+
+    def shade(self, seen: Fragments) -> Tensor:
+        """The albedo [B, H, W, 3] float32 of what is seen of this mesh, each image filtered by its mipmaps.
+
+        Gradients reach images, colors and, with ``gradient="edge"``, the vertices by what moves under the pixels.
+        Raises ValueError if ``seen`` is of a mesh with another number of faces.
+        """
+        count = len(self.uv)
+        corners = torch.arange(3 * count, device=self.uv.device).view(count, 3)
+        albedo = seen.interpolate(self.colors.reshape(-1, 3), corners)
+        if self.images:
+            uv = seen.interpolate(self.uv.reshape(-1, 2), corners)
+            shown = self.image_index[seen.face_index.clamp(min=0).long()]
+            for number, (image, wrap) in enumerate(zip(self.images, self.wraps, strict=True)):
+                own = torch.where(shown == number, seen.face_index, -1)
+                albedo = torch.where((own >= 0)[..., None], sample_texture(image, uv, own, wrap=wrap), albedo)
+        return albedo
+
+    def to(self, device: torch.device | str) -> UVMesh:
+        """The same with all tensors on ``device``."""
+
+        def moved(value: Any) -> Any:
+            if isinstance(value, tuple):
+                return tuple(map(moved, value))
+            return value.to(device) if isinstance(value, Tensor) else value
+
+        return replace(self, **{part.name: moved(getattr(self, part.name)) for part in fields(self)})
+
+
+def fill_gutters(texture: Tensor, uv: Tensor) -> Tensor:
+    """The texture with every texel that no face shows replaced by a blend of those around it.
+
+    texture: [h, w, C] floating. uv: [F, 3, 2] floating, the faces' corners on it, v up; beyond [0, 1] it repeats.
+
+    Mipmaps average over the borders of charts: with the gaps between them black, thin dark lines follow every seam.
+    The gaps are filled from coarser and coarser means of what is shown, each over its own part alone, as in the
+    pull-push algorithm (Gortler et al., "The Lumigraph", 1996, section 3.4). Returns [h, w, C] float32; gradients
+    reach the texture. Raises TypeError or ValueError for other types or shapes.
+    """
+    validate.floating("texture", texture, ("h", "w", "C"))
+    validate.floating("uv", uv, ("F", 3, 2))
+    height, width = texture.shape[:2]
+    with torch.no_grad():
+        flat = uv.float() - uv.float().amin(1, keepdim=True).floor()
+        # A chart that begins in one repetition of the image may end in the next: it is drawn in all four.
+        shifts = [flat - flat.new_tensor(shift) for shift in ((0, 0), (1, 0), (0, 1), (1, 1))]
+        corners = functional.pad(2 * torch.cat(shifts) - 1, (0, 1), value=1.0)[None]
+        drawn = rasterize_images(
+            corners, (height, width), outputs=("alpha",), perspective=False, anti_aliasing=False, near=0.5, far=2.0
+        ).alpha
+        shown = drawn[:, None]  # type: ignore[index]
+    return _pull_push(texture.float().permute(2, 0, 1)[None], shown)[0].permute(1, 2, 0).contiguous()
+
+
+def _pull_push(image: Tensor, shown: Tensor) -> Tensor:
+    """image [1, C, h, w] with what is not shown [1, 1, h, w] filled from the level above."""
+    if image.shape[2:] == (1, 1) or not bool((shown == 0).any()):
+        return image
+    half = (-(-image.shape[2] // 2), -(-image.shape[3] // 2))
+    share = functional.adaptive_avg_pool2d(shown, half)
+    coarse = functional.adaptive_avg_pool2d(image * shown, half) / share.clamp(min=1e-6)
+    coarse = _pull_push(coarse, (share > 0).float())
+    above = functional.interpolate(coarse, size=image.shape[2:], mode="bilinear", align_corners=False)
+    return torch.where(shown > 0, image, above)
