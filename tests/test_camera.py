@@ -355,3 +355,21 @@ def test_everything_compiles_in_one_graph():
     camera = Camera.look_at(eye)
     again = torch.compile(lambda v: camera(v), fullgraph=True, backend="aot_eager")
     torch.testing.assert_close(again(vertices), camera(vertices))
+
+
+def test_weak_perspective():
+    """The formula, with x right and y down, and a depth that the picture does not depend on."""
+    generator = torch.Generator().manual_seed(0)
+    points = torch.randn(2, 5, 3, generator=generator, dtype=torch.float64)
+    R = torch.linalg.qr(torch.randn(2, 3, 3, generator=generator, dtype=torch.float64))[0]
+    scale, shift = torch.tensor([0.5, 0.9]).double(), torch.tensor([[0.1, -0.2], [0.0, 0.3]]).double()
+    turned = points @ R.transpose(1, 2)
+    screen = nr.Camera.weak_perspective(scale, R, shift, distance=7)(points)
+    across = scale[:, None, None] * turned[..., :2] + shift[:, None]
+    expected = torch.cat((across * torch.tensor([1.0, -1.0]).double(), turned[..., 2:] + 7), -1)
+    torch.testing.assert_close(screen, expected)
+    leaves = [x.clone().requires_grad_() for x in (scale, R, shift)]
+    nr.Camera.weak_perspective(*leaves)(points).square().sum().backward()
+    assert all((leaf.grad != 0).all() for leaf in leaves)
+    with pytest.raises(ValueError, match=r"shift: expected shape \[2\] or \[B, 2\]"):
+        nr.Camera.weak_perspective(1.0, R, (0.0, 0.0, 0.0))

@@ -11,13 +11,16 @@ from .fragments import Fragments, fragments
 from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
 from .lighting import Light, lighting
 from .mesh import Mesh
+from .normals import vertex_normals
 from .optim import Adam
 from .primitives import cube, icosphere, torus
 from .raster import Images, rasterize_images, vertices_to_faces
 from .rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
 from .render import render
 from .renderer import Renderer
+from .spherical_harmonics import SphericalHarmonicLight
 from .uv import sample_texture
+from .uvmesh import UVMesh, fill_gutters
 from .validate import check_values
 from .version import __version__
 
@@ -30,10 +33,13 @@ __all__ = [
     "Mesh",
     "Rasterize",
     "Renderer",
+    "SphericalHarmonicLight",
+    "UVMesh",
     "__version__",
     "batch",
     "check_values",
     "cube",
+    "fill_gutters",
     "fragments",
     "get_points_from_angles",
     "icosphere",
@@ -61,5 +67,6 @@ __all__ = [
     "save_mesh",
     "save_obj",
     "torus",
+    "vertex_normals",
     "vertices_to_faces",
 ]

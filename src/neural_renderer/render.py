@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import Any
+from collections.abc import Collection, Sequence
+from typing import Any, TypeAlias
 
+import torch
 from torch import Tensor
 
 from . import validate
@@ -22,6 +23,9 @@ from .raster.rasterize import (
     world_corners,
 )
 from .raster.settings import image_size
+from .spherical_harmonics import SphericalHarmonicLight
+
+AnyLight: TypeAlias = Light | SphericalHarmonicLight
 
 
 def render(
@@ -29,7 +33,7 @@ def render(
     camera: Camera,
     size: int | tuple[int, int] = 256,
     *,
-    light: Light | None = Light(),  # noqa: B008 (immutable)
+    light: AnyLight | Sequence[AnyLight] | None = Light(),  # noqa: B008 (immutable)
     background: Any = (0.0, 0.0, 0.0),
     outputs: Collection[str] = OUTPUTS,
     near: float = 0.1,
@@ -46,7 +50,7 @@ def render(
         [F, T, T, T, 3] or [B, F, T, T, T, 3] floating with T >= 2.
     camera: one camera, or B of them. One mesh is drawn from all cameras, and one camera sees all meshes.
     size: the images' side or (height, width), in pixels; they need not be square, and pixels stay square.
-    light: None draws the textures as they are.
+    light: a `Light`, a `SphericalHarmonicLight`, or a list of them, which add up; None draws the textures as they are.
     background, outputs, near, far, anti_aliasing, two_sided, gradient, eps: as in `rasterize_images`.
 
     Returns Images(rgb [B, 3, H, W], alpha [B, H, W], depth [B, H, W]) float32, row 0 at the top; None for what was not
@@ -62,8 +66,7 @@ def render(
     vertices, faces, textures = mesh_parts(mesh)
     if not isinstance(camera, Camera):
         raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
-    if light is not None and not isinstance(light, Light):
-        raise TypeError(f"light: expected a Light or None, got {type(light).__name__}")
+    lights = _checked_lights(light)
     outputs = checked_outputs(outputs)
     height, width = image_size("size", size)
     screen = validate.in_float32("vertices on the screen", camera(vertices, aspect=width / height))
@@ -77,8 +80,9 @@ def render(
         owners = ("F",) if getattr(textures, "ndim", 6) == 5 else ("B", "F")
         textures = validate.cubes("textures", textures, *owners)
         textures = textures if textures.dim() == 6 else textures[None]
-        if light is not None:
-            factors = light.two_sided(world_corners(vertices, faces, len(screen)), camera.mirrored)
+        if lights:
+            corners = world_corners(vertices, faces, len(screen))
+            factors = torch.stack([one.two_sided(corners, camera.mirrored) for one in lights]).sum(0)
     return rasterize_images(
         vertices_to_faces(screen, faces),
         (height, width),
@@ -96,12 +100,24 @@ def render(
     )
 
 
+def _checked_lights(light: Any) -> list[AnyLight]:
+    lights = list(light) if isinstance(light, (list, tuple)) else [] if light is None else [light]
+    for one in lights:
+        if not isinstance(one, (Light, SphericalHarmonicLight)):
+            raise TypeError(f"light: expected a Light, a SphericalHarmonicLight or None, got {type(one).__name__}")
+    if light is not None and not lights:
+        raise ValueError("light: expected at least one, got an empty list; None draws the textures as they are")
+    return lights
+
+
 def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
     """(vertices, faces, textures or None) of a `Mesh`, a list of them, or a tuple; TypeError for anything else."""
     if isinstance(mesh, Mesh):
         return mesh.vertices, mesh.faces, mesh.textures
     if isinstance(mesh, list):
         return batch(mesh)
+    if isinstance(getattr(mesh, "vertices", None), Tensor) and isinstance(getattr(mesh, "faces", None), Tensor):
+        return mesh.vertices, mesh.faces, None
     if isinstance(mesh, tuple) and len(mesh) in (2, 3):
         return mesh[0], mesh[1], mesh[2] if len(mesh) == 3 else None
     raise TypeError(

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .arguments import Array, Scalar, batch_of, batch_size, common_device, float_type, scalar
+from .arguments import Array, Scalar, batch_of, batch_size, common_device, float_type, parameter, scalar
 from .lens import calibration, image_size, in_parallel, in_perspective, pixels_to_screen, viewing_angle
 from .view import look_at_frame, look_frame, transform
 
@@ -19,10 +19,10 @@ from .view import look_at_frame, look_frame, transform
 class Camera:
     """A batch of B cameras: ``camera(vertices)`` takes world vertices to the screen.
 
-    Build it with `Camera.look_at`, `Camera.look` or `Camera.projection`. The world is right-handed and the picture is
-    not mirrored: x of the screen points to the right of the viewer (viewing direction × up), and a face whose corners
-    run counter-clockwise seen from outside runs counter-clockwise on the screen. ``mirrored=True`` gives the view of
-    the old functions `look_at` and `look`, which is the mirror image.
+    Build it with `Camera.look_at`, `Camera.look`, `Camera.projection` or `Camera.weak_perspective`. The world is
+    right-handed and the picture is not mirrored: x of the screen points to the right of the viewer (viewing direction ×
+    up), and a face whose corners run counter-clockwise seen from outside runs counter-clockwise on the screen.
+    ``mirrored=True`` gives the view of the old functions `look_at` and `look`, which is the mirror image.
 
     Numbers and arrays are taken in torch's default dtype, unless a tensor beside them has another. A camera is
     immutable. Its tensors are moved to the vertices' device and dtype at each call, so `to` only saves
@@ -134,6 +134,34 @@ class Camera:
             dist_coeffs=None if dist_coeffs is None else dist_coeffs.expand(batch, 5),
             orig_size=image_size(orig_size),
         )
+
+    @classmethod
+    def weak_perspective(cls, scale: Scalar, R: Array, shift: Array = (0.0, 0.0), *, distance: float = 10.0) -> Camera:
+        """Scaled orthographic cameras, as networks that see one image predict them.
+
+        A world point X appears at scale · (R X)_xy + shift of an image over [−1, 1]², its depth is (R X)_z + distance.
+        As in `Camera.projection` and OpenCV, R turns the world into axes to the right, **down** and forward.
+
+        Args:
+            scale: a number above 0, or a tensor [] or [B].
+            R: [3, 3] or [B, 3, 3], rotations.
+            shift: [2] or [B, 2], to the right and down.
+            distance: what puts the mesh between ``near`` and ``far``; the picture does not depend on it.
+
+        Raises:
+            TypeError, ValueError: wrong types or shapes, batches that do not fit.
+        """
+        dtype = float_type(scale, R, shift)
+        device = common_device(scale, R, shift)
+        scale = scalar("scale", scale, dtype, device)
+        R, shift = parameter("R", R, (3, 3), dtype, device), parameter("shift", shift, (2,), dtype, device)
+        batch = batch_size(R=batch_of(R, 2), scale=batch_of(scale, 0), shift=batch_of(shift, 1))
+        R, shift = R.expand(batch, 3, 3), shift.expand(batch, 2)
+        across = scale[:, None] if isinstance(scale, Tensor) and scale.ndim else scale
+        place = torch.cat((shift / across, shift.new_full((batch, 1), validate.number("distance", distance))), 1)
+        origin = -(R.transpose(1, 2) @ place[..., None])[..., 0]
+        up = R * R.new_tensor([1.0, -1.0, 1.0])[:, None]
+        return cls(rotation=up, origin=origin, translation=torch.zeros_like(origin), scale=scale)
 
     @property
     def perspective(self) -> bool:

@@ -1,0 +1,49 @@
+"""Normals at vertices."""
+
+from __future__ import annotations
+
+import torch
+from torch.autograd import gradcheck
+
+import neural_renderer as nr
+
+
+def test_a_sphere_has_its_own_points_as_normals(device):
+    mesh = nr.Mesh.icosphere(4).to(device)
+    normals = nr.vertex_normals(mesh.vertices, mesh.faces)
+    assert normals.shape == (1, mesh.num_vertices, 3)
+    assert (normals[0] - mesh.vertices).norm(dim=1).max() < 0.01
+
+
+def test_faces_count_by_area():
+    vertices = torch.tensor([[0.0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 1]])
+    faces = torch.tensor([[0, 1, 2], [0, 2, 3], [-1, -1, -1]])
+    normals = nr.vertex_normals(vertices, faces)[0]
+    torch.testing.assert_close(normals[0], torch.tensor([1.0, 0, 2]) / 5**0.5)
+    torch.testing.assert_close(normals[1], torch.tensor([0.0, 0, 1]))
+    batch = nr.vertex_normals(torch.stack((vertices, 3 * vertices)), torch.stack((faces, faces.flip(1))))
+    torch.testing.assert_close(batch, torch.stack((normals, -normals)))
+
+
+def test_a_vertex_without_faces_has_none():
+    vertices = torch.rand(5, 3, requires_grad=True)
+    normals = nr.vertex_normals(vertices, torch.tensor([[0, 1, 2]]))
+    assert (normals[0, 3:] == 0).all()
+    normals.square().sum().backward()
+    assert vertices.grad.isfinite().all()
+
+
+def test_gradient():
+    def smooth(vertices):
+        v0, v1, v2 = vertices[torch.tensor([[0, 1, 2], [0, 2, 3]])].unbind(1)
+        whole = torch.linalg.cross(v1 - v0, v2 - v0).sum(0)
+        return whole / whole.norm()
+
+    vertices = torch.rand(4, 3, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    weight = torch.tensor([0.3, -0.5, 0.8])
+    found = torch.autograd.grad(
+        (nr.vertex_normals(vertices, torch.tensor([[0, 1, 2], [0, 2, 3]]))[0, 0] * weight).sum(), vertices
+    )[0]
+    expected = torch.autograd.grad((smooth(vertices) * weight).sum(), vertices)[0]
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+    assert gradcheck(smooth, vertices.detach().double().requires_grad_())
