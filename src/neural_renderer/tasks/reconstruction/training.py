@@ -80,10 +80,13 @@ class Training(lightning.LightningModule):
 
     def train_dataloader(self) -> Any:
         """The batches of this round."""
-        last = min(self.config.steps, (self.steps_done // self.every + 1) * self.every)
-        share = (self.trainer.global_rank, self.trainer.world_size)
-        batches = Batches(self.train_split, self.config, self.seed, self.steps_done, last, *share)
+        batches = self.batches(self.trainer.global_rank, self.trainer.world_size)
         return DataLoader(batches, batch_size=None, shuffle=False, num_workers=self._workers)
+
+    def batches(self, rank: int = 0, world: int = 1) -> Batches:
+        """What this process learns from until the end of the round."""
+        last = min(self.config.steps, (self.steps_done // self.every + 1) * self.every)
+        return Batches(self.train_split, self.config, self.seed, self.steps_done, last, rank, world)
 
     def val_dataloader(self) -> Any:
         """The objects of the validation split, one at a time: of large classes the first ones."""
@@ -124,14 +127,11 @@ class Training(lightning.LightningModule):
     def training_step(self, batch: dict[str, Tensor], batch_idx: int) -> Tensor:
         """The loss of one batch."""
         images, alpha, views = prepared(batch)
-        count, inputs = images.shape[1], self.config.inputs
-        shapes = self.network(images[:inputs].flatten(0, 1).contiguous(memory_format=torch.channels_last))
-        # Prediction i of object n beside view v: every prediction is seen from all views of its object.
-        seen = shapes.unflatten(0, (inputs, 1, count)).expand(-1, len(views), *[-1] * shapes.ndim).flatten(0, 2)
+        shapes = self.network(images[: self.config.inputs].flatten(0, 1).contiguous(memory_format=torch.channels_last))
         with torch.autocast(images.device.type, enabled=False):
-            drawn = self.network.silhouettes(seen, views.expand(inputs, -1, -1).flatten())
-            target = alpha.expand(inputs, *[-1] * alpha.ndim).flatten(0, 2)
-            error = silhouette_iou(drawn, _as_large_as(drawn, target))
+            seen, looks, target = beside_views(shapes, alpha, views)
+            drawn = self.network.silhouettes(seen, looks)
+            error = silhouette_iou(drawn, sized_like(drawn, target))
             loss = error + self.network.regulariser(shapes)
         self.latest = {"loss": loss.detach(), "iou": 1 - error.detach()}  # type: ignore[dict-item]
         return loss
@@ -171,7 +171,7 @@ class Training(lightning.LightningModule):
         with torch.autocast(images.device.type, enabled=False):
             seen = shapes.repeat_interleave(VIEWS, 0)
             drawn = model.silhouettes(seen, views.repeat(len(look)))
-            target = _as_large_as(drawn, images[:, 3]).repeat(len(look), 1, 1)
+            target = sized_like(drawn, images[:, 3]).repeat(len(look), 1, 1)
             self._scores.setdefault(name, []).append(1 - float(silhouette_iou(drawn, target)))
 
     def on_validation_epoch_start(self) -> None:
@@ -204,7 +204,20 @@ def schedule(name: str, progress: float) -> float:
     return 0.5 + 0.5 * math.cos(math.pi * min(1.0, (progress - 0.02) / 0.98))
 
 
-def _as_large_as(drawn: Tensor, target: Tensor) -> Tensor:
+def beside_views(shapes: Tensor, alpha: Tensor, views: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Every prediction beside all views of its object.
+
+    shapes: [I · n, ...], I predictions of each of n objects. alpha: [V, n, H, W] and views: [V, n], of the objects.
+    Returns shapes [I · V · n, ...], views [I · V · n] and what should be seen there [I · V · n, H, W].
+    """
+    count = views.shape[1]
+    inputs = len(shapes) // count
+    seen = shapes.unflatten(0, (inputs, 1, count)).expand(-1, len(views), *[-1] * shapes.ndim).flatten(0, 2)
+    target = alpha.expand(inputs, *[-1] * alpha.ndim).flatten(0, 2)
+    return seen, views.expand(inputs, -1, -1).flatten(), target
+
+
+def sized_like(drawn: Tensor, target: Tensor) -> Tensor:
     """Silhouettes [B, H, W] averaged down to the size that a network draws, where that is smaller."""
     height, width = drawn.shape[-2:]
     return target if target.shape[-2:] == (height, width) else F.adaptive_avg_pool2d(target, (height, width))

@@ -1,0 +1,70 @@
+"""Where the time of a training step goes: data, network, renderer, losses, optimiser.
+
+python -m benchmarks.reconstruction_step DATA --config paper --model mesh
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from pathlib import Path
+
+import torch
+import tyro
+
+from neural_renderer.losses import silhouette_iou
+from neural_renderer.tasks.reconstruction.arrays import open_split
+from neural_renderer.tasks.reconstruction.configs import ConfigName, make_config
+from neural_renderer.tasks.reconstruction.networks import ModelName
+from neural_renderer.tasks.reconstruction.run import has_bfloat16
+from neural_renderer.tasks.reconstruction.sampling import prepared
+from neural_renderer.tasks.reconstruction.training import Training, beside_views, sized_like
+
+
+def main(data: Path, config: ConfigName = "paper", model: ModelName = "mesh", steps: int = 20) -> None:
+    """Print the median time of each part over some steps, as they are in training, and its share."""
+    split = open_split(data, "train")
+    recipe = make_config(config, split.classes)
+    training = Training(model, recipe, split, every=steps)
+    network, optimiser = training.network, training.configure_optimizers()
+    batches = training.batches()
+    parts: dict[str, list[float]] = {}
+
+    def took(name: str, since: float) -> float:
+        now = time.perf_counter()
+        parts.setdefault(name, []).append(now - since)
+        return now
+
+    for step in range(steps):
+        clock = time.perf_counter()
+        images, alpha, views = prepared(batches[step])
+        clock = took("data", clock)
+        low = recipe.low_precision and has_bfloat16()
+        with torch.autocast("cpu", torch.bfloat16, enabled=low):
+            shapes = network(images[: recipe.inputs].flatten(0, 1).contiguous(memory_format=torch.channels_last))
+        clock = took("network, forward", clock)
+        leaf = shapes.detach().requires_grad_()
+        seen, looks, target = beside_views(leaf, alpha, views)
+        drawn = network.silhouettes(seen, looks)
+        clock = took("renderer, forward", clock)
+        error = silhouette_iou(drawn, sized_like(drawn, target))
+        (pull,) = torch.autograd.grad(error, drawn, retain_graph=True)
+        regulariser = network.regulariser(leaf)
+        (rest,) = torch.autograd.grad(regulariser, leaf) if regulariser.requires_grad else (0.0,)
+        clock = took("losses", clock)
+        (gradient,) = torch.autograd.grad(drawn, leaf, pull)
+        clock = took("renderer, backward", clock)
+        optimiser.zero_grad()
+        shapes.backward(gradient + rest)
+        clock = took("network, backward", clock)
+        optimiser.step()
+        took("optimiser", clock)
+    medians = {name: statistics.median(times) for name, times in parts.items()}
+    total = sum(medians.values())
+    for name, seconds in medians.items():
+        print(f"{name:20} {1000 * seconds:8.1f} ms {100 * seconds / total:5.1f} %")
+    print(f"{'step':20} {1000 * total:8.1f} ms")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
