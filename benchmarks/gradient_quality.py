@@ -53,11 +53,12 @@ class Quality:
 
 
 def triangles(side: float, count: int, size: int, seed: int = 0) -> tuple[Tensor, Tensor]:
-    """Corners [N, 3, 2] in pixels from the bottom left of equilateral triangles, and their centres [N, 2], at random
-    sub-pixel offsets and orientations around the middle of the image."""
-    generator = torch.Generator().manual_seed(seed)
-    centre = size / 2 + torch.rand(count, 2, generator=generator, dtype=torch.float64)
-    angle = torch.rand(count, 1, generator=generator, dtype=torch.float64) * 2 * math.pi
+    """Corners [N, 3, 2] in pixels from the bottom left of equilateral triangles, and their centres [N, 2], at
+    sub-pixel offsets and orientations spread evenly, around the middle of the image."""
+    # An additive recurrence by powers of the root of x⁴ = x + 1, which fills the cube evenly.
+    step = 1.2207440846057596 ** -torch.arange(1.0, 4, dtype=torch.float64)
+    even = (torch.arange(1.0, count + 1, dtype=torch.float64)[:, None] * step + 0.5 + 0.1 * seed) % 1
+    centre, angle = size / 2 + even[:, :2], even[:, 2:] * 2 * math.pi
     angle = angle + torch.arange(3) * 2 * math.pi / 3
     arms = side / math.sqrt(3) * torch.stack((angle.cos(), angle.sin()), -1)
     return centre[:, None] + arms, centre
