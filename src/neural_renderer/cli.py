@@ -21,6 +21,8 @@ COMMANDS = {
     "info": ("neural_renderer.commands.info", "Info", "Show versions and devices, and check that rendering works."),
     "fit": ("neural_renderer.commands.fit", "Fit", "Recover a textured mesh from images with known cameras."),
     "reconstruct": ("neural_renderer.commands.reconstruct", "COMMANDS", "Turn one picture into a mesh."),
+    "style": ("neural_renderer.commands.style", "StyleCommand", "Give a mesh the style of a painting."),
+    "dream": ("neural_renderer.commands.dream", "DreamCommand", "Turn a mesh into what a network sees in it."),
     "demo": ("neural_renderer.commands.demo", "Demo", "Make pictures that show what the package does."),
 }
 

@@ -29,6 +29,7 @@ class Preset:
     iterations: int
     vertex_rate: float
     texture_rate: float
+    settle: float
     elevation: tuple[float, float]
     distance: float
     init: Literal["mesh", "random"]
@@ -59,6 +60,8 @@ class Edit:
     """How fast vertices move (Adam's alpha; 0: not at all); by default the preset's."""
     texture_rate: float | None = None
     """How fast colours change (Adam's alpha; 0: not at all); by default the preset's."""
+    settle: float | None = None
+    """The part of the steps (0 to 1), at the end, in which both rates fall to 0; by default the preset's."""
     elevation: tuple[float, float] | None = None
     """Lowest and highest camera, in degrees (between -90 and 90); by default the preset's."""
     distance: float | None = None
@@ -126,6 +129,7 @@ class Edit:
             size=self.size,
             vertex_rate=setting["vertex_rate"],
             texture_rate=setting["texture_rate"],
+            settle=setting["settle"],
             start=setting["init"] if coloured else "random",
             texture_size=self.texture_size,
             seamless=setting["seamless"],

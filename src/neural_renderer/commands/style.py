@@ -13,8 +13,8 @@ from .common import chosen_device
 from .edit import Edit, Preset
 
 _PRESETS = {
-    "paper": Preset(5000, 2.5e-4, 5e-2, (20.0, 40.0), 2.732, "mesh", True),
-    "published": Preset(1000, 5e-4, 5e-2, (20.0, 40.0), 2.732, "random", False),
+    "paper": Preset(5000, 2.5e-4, 5e-2, 0.3, (20.0, 40.0), 2.732, "mesh", True),
+    "published": Preset(1000, 5e-4, 5e-2, 0.0, (20.0, 40.0), 2.732, "random", False),
 }
 
 

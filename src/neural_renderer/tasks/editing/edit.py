@@ -21,7 +21,7 @@ from .texels import Texels
 from .views import Views, generator
 
 _MOST_BYTES = 2 * 2**30  # of cubes; gradients, Adam's means and temporary copies are several times that
-_DARKEST, _HELD_OUT = 0.02, 8
+_DARKEST, _SELDOM, _HELD_OUT = 0.02, 0.05, 8
 
 
 class Objective(Protocol):
@@ -57,8 +57,9 @@ class MeshEdit:
         batch: images in each step, at least 1.
         size: their side in pixels, at least 32; they are drawn at twice that.
         vertex_rate, texture_rate: Adam's α, ≥ 0; 0 leaves the shape or the colours as they are.
+        settle: the part of the steps, in [0, 1], at the end of which both rates have fallen to 0; 0 keeps them.
         start: "mesh", its own colours; or "random", grey with a little noise.
-        texture_size: T, texels along the edge of a face's cube, at least 2.
+        texture_size: T, texels along the edge of a face's cube, at least 2, or 3 if seamless.
         seamless: faces share the texels on their edges; False: each face has its own, as published.
         gradient: the renderer's, through visibility.
         seed: of the views and of random colours.
@@ -77,6 +78,7 @@ class MeshEdit:
         size: int = 224,
         vertex_rate: float = 2.5e-4,
         texture_rate: float = 5e-2,
+        settle: float = 0.3,
         start: str = "mesh",
         texture_size: int = 4,
         seamless: bool = True,
@@ -105,11 +107,13 @@ class MeshEdit:
         self._texels = (Texels.shared if seamless else Texels.free)(corners, texture_size)
         colours = self._begun(mesh, start, texture_size)
         self._colours = torch.logit(colours.clamp(_DARKEST, 1 - _DARKEST)).requires_grad_()
-        groups = [
-            {"params": [self._vertices], "lr": validate.number("vertex_rate", vertex_rate)},
-            {"params": [self._colours], "lr": validate.number("texture_rate", texture_rate)},
-        ]
-        self._optimizer = Adam(groups)
+        self._rates = validate.number("vertex_rate", vertex_rate), validate.number("texture_rate", texture_rate)
+        groups = zip((self._vertices, self._colours), self._rates, strict=True)
+        self._optimizer = Adam([{"params": [parameter], "lr": rate} for parameter, rate in groups])
+        self._settle = validate.number("settle", settle)
+        if not 0 <= self._settle <= 1:
+            raise ValueError(f"settle: expected a part in [0, 1], got {settle}")
+        self._seen = torch.zeros(self._texels.count, dtype=torch.int32, device=self._colours.device)
         self.seconds = {"renderer": 0.0, "network": 0.0, "rest": 0.0}
         """Where the time of the steps went: drawing and its gradient; the objective and its; the rest."""
         self.before = self.measure()
@@ -126,11 +130,9 @@ class MeshEdit:
         return self._vertices.detach()[self._vertex], self._faces, self._cubes(self._colours.detach())
 
     def mesh(self) -> Mesh:
-        """The mesh as it is now, in its own world; texels that no view has shown take on the colours around."""
-        seen = self._optimizer.state.get(self._colours, {}).get("v")
-        colours = self._colours.detach()
-        if seen is not None:
-            colours = self._texels.spread(colours, (seen > 0).any(1))
+        """The mesh as it is now, in its own world; texels that hardly a view has shown take on the colours around."""
+        often = self._seen > _SELDOM * self.step
+        colours = self._texels.spread(self._colours.detach(), often)
         vertices = self.shape[0] * self._scale + self._centre
         return Mesh(vertices, self._faces, self._cubes(colours))
 
@@ -159,7 +161,8 @@ class MeshEdit:
         judged = clock()
         rgb.backward(pixels.grad)  # type: ignore[union-attr]
         returned = clock()
-        self._optimizer.step()
+        self._adapt()
+        self._seen += (self._colours.grad != 0).any(1)  # type: ignore[union-attr]
         self.step += 1
         self.seconds["renderer"] += drawn - begun + returned - judged
         self.seconds["network"] += judged - drawn
@@ -184,6 +187,7 @@ class MeshEdit:
             "step": self.step,
             "vertices": self._vertices.detach(),
             "colours": self._colours.detach(),
+            "seen": self._seen,
             "optimizer": self._optimizer.state_dict(),
             "seconds": dict(self.seconds),
             "before": self.before,
@@ -194,9 +198,17 @@ class MeshEdit:
         with torch.no_grad():
             self._vertices.copy_(state["vertices"])
             self._colours.copy_(state["colours"])
+            self._seen.copy_(state["seen"])
         self._optimizer.load_state_dict(state["optimizer"])
         self.step, self.before = state["step"], state["before"]
         self.seconds = dict(state["seconds"])
+
+    def _adapt(self) -> None:
+        """A step of the optimiser, at the rates of this time."""
+        left = (self.steps - self.step) / self.steps
+        for group, rate in zip(self._optimizer.param_groups, self._rates, strict=True):
+            group["lr"] = rate * min(1.0, left / max(self._settle, 1e-9))
+        self._optimizer.step()
 
     def _draw(self, shape: tuple[Tensor, ...], camera: Camera, light: Light | None, background: Tensor) -> Images:
         return render(

@@ -38,12 +38,13 @@ class Texels:
 
     @classmethod
     def shared(cls, faces: Tensor, size: int) -> Texels:
-        """One texel for each point of a triangular lattice with T points along an edge, on corners, edges and inside.
+        """One texel for each point of a triangular lattice with T ≥ 3 points along an edge, on corners, edges, inside.
 
         Points on a corner or an edge belong to all its faces [F, 3], and the colours on an edge depend on its own
         texels alone: the texture is continuous over the mesh.
         """
-        size = validate.whole("texture_size", size, 2)
+        # With 2, the texel for a face's centre would be blended into the colours on its edges.
+        size = validate.whole("texture_size", size, 3)
         steps, device = size - 1, faces.device
         points = _lattice(steps).to(device)  # [L, 3]
         corners, vertices = faces.long(), int(faces.max()) + 1

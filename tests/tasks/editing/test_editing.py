@@ -1,0 +1,312 @@
+"""Style transfer and DeepDream as library: losses by their formulas, steps that do what they should."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+import neural_renderer as nr
+from neural_renderer.features import FeatureNetwork, load_features
+from neural_renderer.features.vgg import vgg
+from neural_renderer.tasks.editing import Dream, DreamWeights, MeshEdit, Style, StyleWeights, Views
+from neural_renderer.tasks.editing.deformation import Deformation
+from neural_renderer.tasks.editing.style import gram
+from neural_renderer.tasks.editing.views import generator
+from neural_renderer.topology import Topology
+
+from tests.tasks.editing.networks import vgg_weights
+
+LAYERS = ("conv1_2", "conv2_2", "conv3_3", "conv4_3")
+
+
+@pytest.fixture(scope="module")
+def network() -> FeatureNetwork:
+    return vgg(vgg_weights())
+
+
+def painting() -> Tensor:
+    """Orange with soft stripes, [3, 40, 56]."""
+    stripes = 0.1 * torch.sin(torch.arange(56) * 0.9)
+    return (torch.tensor([0.55, 0.35, 0.15])[:, None, None] + stripes).expand(3, 40, 56)
+
+
+def ball(*colour: float) -> nr.Mesh:
+    mesh = nr.Mesh.icosphere(2)
+    if colour:
+        mesh.textures.data[:] = torch.tensor(colour)
+    return mesh
+
+
+def unmoved(mesh: nr.Mesh) -> Deformation:
+    return Deformation(mesh.vertices.detach(), mesh.vertices.detach(), Topology.of(mesh.faces))
+
+
+def test_gram_matrices_are_those_of_the_published_code() -> None:
+    features, masks = torch.randn(2, 5, 4, 6), torch.rand(2, 16, 24)
+    expected = torch.zeros(2, 5, 5)
+    for image in range(2):
+        mask = F.avg_pool2d(masks[image][None], 4)[0]
+        for y in range(4):
+            for x in range(6):
+                pixel = features[image, :, y, x]
+                expected[image] += mask[y, x] * torch.outer(pixel, pixel)
+        expected[image] /= 5 * mask.sum()
+    torch.testing.assert_close(gram(features, masks), expected)
+
+
+def test_sums_are_those_of_the_published_code(network: FeatureNetwork) -> None:
+    style = Style(network, painting(), 48, weights=StyleWeights(2.0, 0.0, 3.0), relative=False)
+    images, masks = torch.rand(2, 3, 48, 48), torch.ones(2, 48, 48)
+    masks[:, :5] = 0.5
+    mesh = ball()
+    vertices = mesh.vertices.detach() + 0.1
+    shape = Deformation(vertices, mesh.vertices.detach(), Topology.of(mesh.faces))
+    found = style.losses(images, masks, shape)
+    total = torch.zeros(())
+    resized = F.interpolate(painting()[None], (41, 57), mode="bilinear", antialias=True)
+    target = network(resized, LAYERS)
+    for name, features in network(images, LAYERS).items():
+        flat = target[name].flatten(2)
+        reference = flat @ flat.transpose(1, 2) / (flat.shape[1] * flat.shape[2])
+        total = total + (gram(features, masks) - reference).square().sum() / 2  # a mean over the batch
+    torch.testing.assert_close(found["style"], total)
+    torch.testing.assert_close(found["content"], torch.tensor(2.0 * 162 * 3 * 0.01))
+    inside = masks == 1
+    torch.testing.assert_close(found["variation"], 3 * nr.losses.total_variation(images, inside))
+
+
+def test_relative_losses_do_not_depend_on_the_networks_scale() -> None:
+    images, masks = torch.rand(2, 3, 48, 48), torch.ones(2, 48, 48)
+    found = []
+    for scale in (1.0, 10.0):
+        weights = vgg_weights()
+        weights["conv1_1.weight"] *= scale
+        style = Style(vgg(weights), painting(), 48)
+        found.append(style.losses(images, masks, unmoved(ball()))["style"])
+    torch.testing.assert_close(found[0], found[1], rtol=1e-4, atol=0)
+    itself = F.interpolate(painting()[None], (41, 57), mode="bilinear", antialias=True)
+    assert style.measure(itself, torch.ones(1, 41, 57)) < 1e-9
+
+
+def test_the_background_does_not_leak_into_the_style(network: FeatureNetwork) -> None:
+    style = Style(network, painting(), 64, layers=("conv1_2", "conv2_2"))
+    masks = torch.zeros(1, 64, 64)
+    masks[:, 20:40, 10:50] = 1
+    inside = torch.rand(1, 3, 64, 64)
+    far = torch.ones(64, 64, dtype=torch.bool)
+    far[20 - 6 : 40 + 6, 10 - 6 : 50 + 6] = False  # what the layers see from the object's outline
+    for grey in (0.0, 1.0):
+        images = (inside * masks + grey * (1 - masks)).requires_grad_()
+        loss = style.losses(images, masks, unmoved(ball()))["style"]
+        (gradient,) = torch.autograd.grad(loss, images)
+        assert (gradient[..., far] == 0).all() and (gradient[..., 20:40, 10:50] != 0).all()
+
+
+def test_what_is_transparent_in_a_painting_has_no_part_in_its_style(network: FeatureNetwork) -> None:
+    stripes = painting()
+    framed = torch.zeros(4, 40, 112)
+    framed[:3, :, :56], framed[3, :, :56] = stripes, 1
+    framed[0, :, 56:] = 1  # red that nobody can see
+    bare = Style(network, stripes, 48)
+    covered = Style(network, framed, 48 * 2**0.5)
+    images, masks = F.interpolate(stripes[None], (48, 48)), torch.ones(1, 48, 48)
+    assert covered.measure(images, masks) < bare.measure(images, masks) + 0.03
+    torch.testing.assert_close(
+        covered.background(1, generator(0, 0)), bare.background(1, generator(0, 0)), atol=0.02, rtol=0
+    )
+
+
+def test_paintings_that_are_refused(network: FeatureNetwork) -> None:
+    for wrong, sentence in (
+        (torch.rand(3, 8, 40), "at least 16 pixels"),
+        (torch.rand(3, 16, 400), "none 16 times the other"),
+        (torch.zeros(4, 40, 40), "transparent all over"),
+        (torch.rand(2, 40, 40), r"painting: expected shape \[3, H, W\]"),
+        (torch.rand(40, 40), r"painting: expected shape \[3, H, W\]"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            Style(network, wrong, 48)
+    with pytest.raises(ValueError, match="layer: expected one of conv1_1"):
+        Style(network, painting(), 48, layers=("conv2_3",))
+    for channel in (6, -1):
+        with pytest.raises(ValueError, match="channel: expected one of the 6 of conv2_1, 0 to 5"):
+            Dream(network, layer="conv2_1", channel=channel)
+
+
+def test_dream_losses(network: FeatureNetwork) -> None:
+    images, masks, shape = torch.rand(2, 3, 32, 32), torch.ones(2, 32, 32), unmoved(ball())
+    features = network(images, "conv2_1")["conv2_1"]
+    found = Dream(network, layer="conv2_1").losses(images, masks, shape)
+    torch.testing.assert_close(found["dream"], -features.square().mean().log())
+    raw = Dream(network, layer="conv2_1", channel=3, weights=DreamWeights(0, 0, 2.0), relative=False)
+    found = raw.losses(images, masks, shape)
+    torch.testing.assert_close(found["dream"], -features[:, 3].square().mean())
+    edges = shape.vertices[shape.topology.edges]
+    lengths = (edges[:, 0] - edges[:, 1]).norm(dim=1)
+    torch.testing.assert_close(found["edges"], 2 * 320 * lengths.var(unbiased=False))
+    greys = Dream(network, layer="conv2_1").background(4, generator(0, 3))
+    assert greys.unique().numel() == 1
+
+
+def test_bend_is_blind_to_shifts() -> None:
+    mesh = ball()
+    start, topology = mesh.vertices.detach(), Topology.of(mesh.faces)
+    assert Deformation(start + 0.3, start, topology).bend < 1e-6
+    spike = start.clone()
+    spike[7] *= 1.2
+    assert Deformation(spike, start, topology).bend > 1e-3
+
+
+def test_views() -> None:
+    views = Views((20.0, 40.0))
+    camera, light = views.sample(500, generator(0, 0))
+    eye = camera.origin
+    elevation = torch.rad2deg(torch.asin(eye[:, 1] / eye.norm(dim=1)))
+    assert 20 <= elevation.min() < 21 and 39 < elevation.max() <= 40
+    assert abs(eye.norm(dim=1).mean() - 2.732) < 0.02 and 0.08 < eye.norm(dim=1).std() < 0.12
+    assert light is not None
+    direction = torch.as_tensor(light.direction)
+    torch.testing.assert_close(direction.norm(dim=1), torch.ones(500))
+    torch.testing.assert_close(direction[:, 1], torch.full((500,), 0.8660254))
+    again, _ = views.sample(500, generator(0, 0))
+    assert torch.equal(camera.origin, again.origin)
+    assert Views(lit=False).sample(2, generator(0, 0))[1] is None
+    for wrong in ((40.0, 20.0), (-95.0, 20.0), (0.0, 90.0)):
+        with pytest.raises(ValueError, match="elevation: expected two numbers between -90 and 90"):
+            Views(wrong)
+
+
+def style_edit(network: FeatureNetwork, **options: object) -> MeshEdit:
+    style = Style(network, painting(), 48)
+    settings = {"steps": 40, "size": 48, "batch": 2, "texture_rate": 0.3} | options
+    return MeshEdit(ball(0.05, 0.05, 0.05), style, **settings)  # type: ignore[arg-type]
+
+
+def test_style_is_transferred(network: FeatureNetwork) -> None:
+    edit = style_edit(network)
+    while not edit.done:
+        row = edit.advance()
+        assert row["loss"] == pytest.approx(sum(row[name] for name in ("style", "content", "bend", "variation")), 1e-5)
+    assert edit.measure() < 0.4 * edit.before
+    moved = edit.moved()
+    assert 0 < moved["mean"] < moved["most"] < 0.05
+    mesh = edit.mesh()
+    assert 0 <= mesh.textures.min() and mesh.textures.max() <= 1
+    assert set(edit.seconds) == {"renderer", "network", "rest"} and min(edit.seconds.values()) > 0
+
+
+def test_same_seed_same_result_and_going_on(network: FeatureNetwork) -> None:
+    whole = style_edit(network, steps=6, seed=4)
+    while not whole.done:
+        whole.advance()
+    first = style_edit(network, steps=6, seed=4)
+    for _ in range(3):
+        first.advance()
+    state = first.state_dict()
+    second = style_edit(network, steps=6, seed=4)
+    second.load_state_dict(state)
+    assert second.step == 3 and second.before == whole.before
+    while not second.done:
+        second.advance()
+    for one, other in zip(whole.shape, second.shape, strict=True):
+        assert torch.equal(one, other)
+    other = style_edit(network, steps=6, seed=5)
+    while not other.done:
+        other.advance()
+    assert not torch.equal(whole.shape[0], other.shape[0])
+
+
+def test_rates_of_zero_leave_alone(network: FeatureNetwork) -> None:
+    edit = style_edit(network, steps=2, vertex_rate=0.0)
+    start = edit.shape
+    edit.advance()
+    assert torch.equal(edit.shape[0], start[0]) and not torch.equal(edit.shape[2], start[2])
+    edit = style_edit(network, steps=2, texture_rate=0.0)
+    edit.advance()
+    assert not torch.equal(edit.shape[0], start[0]) and torch.equal(edit.shape[2], start[2])
+
+
+def test_the_mesh_comes_back_where_it_was_with_its_colours(network: FeatureNetwork) -> None:
+    mesh = ball()
+    colours = torch.rand(162, 3, generator=torch.Generator().manual_seed(0)) * 0.9 + 0.05
+    weights = torch.cartesian_prod(*[torch.arange(4.0)] * 3)
+    weights[0] = 1
+    cubes = torch.einsum("gk,fkc->fgc", weights / weights.sum(1, keepdim=True), colours[mesh.faces.long()])
+    # Three vertices of its own for each face, as in a GLB: they stay together.
+    soup = mesh.vertices.detach()[mesh.faces.long()].reshape(-1, 3) * 7 + torch.tensor([100.0, -5, 3])
+    own = nr.Mesh(soup, torch.arange(len(soup)).reshape(-1, 3), cubes.reshape(-1, 4, 4, 4, 3))
+    edit = MeshEdit(own, Style(network, painting(), 48), steps=2, size=48, batch=1)
+    torch.testing.assert_close(edit.mesh().vertices, own.vertices, rtol=0, atol=1e-4)
+    torch.testing.assert_close(edit.mesh().textures, own.textures, rtol=0, atol=1e-5)
+    edit.advance()
+    edit.advance()
+    moved = edit.mesh().vertices
+    assert not torch.equal(moved, own.vertices)
+    places = mesh.faces.reshape(-1).long()
+    first = torch.zeros(162, dtype=torch.long).index_put_((places,), torch.arange(len(places)))
+    assert torch.equal(moved, moved[first[places]])
+    assert own.vertices.grad is None and own.textures.grad is None
+
+
+def test_texels_that_no_view_shows_take_on_the_colours_around(network: FeatureNetwork) -> None:
+    edit = style_edit(network)  # from above; the lowest faces are not seen
+    while not edit.done:
+        edit.advance()
+    low = ball().vertices[ball().faces.long()][..., 1].amax(1) < -0.9
+    assert low.any()
+    raw, filled = edit.shape[2][low], edit.mesh().textures[low]
+    torch.testing.assert_close(raw, torch.full_like(raw, 0.05))
+    assert (filled > 0.06).all()
+
+
+def test_dream_grows(network: FeatureNetwork) -> None:
+    dream = Dream(network, layer="conv3_1")
+    edit = MeshEdit(
+        ball(), dream, Views((-10, 30), 2.5, lit=False), steps=25, size=48, batch=2, texture_rate=0.1, start="random"
+    )
+    while not edit.done:
+        edit.advance()
+    assert edit.phase == "dream" and edit.measure() > 1.3 * edit.before
+
+
+def test_dream_of_googlenet(shared: Path) -> None:
+    """The paper's layer, on views that no step saw."""
+    network = load_features(shared / "data" / "weights" / "googlenet_bvlc.safetensors")
+    edit = MeshEdit(
+        ball(), Dream(network), Views((-10, 30), 2.5, lit=False), steps=16, size=96, batch=1, start="random",
+        texture_rate=0.15,
+    )  # fmt: skip
+    while not edit.done:
+        edit.advance()
+    assert edit.measure() > 1.5 * edit.before
+
+
+def test_style_with_the_distilled_network(shared: Path) -> None:
+    network = load_features(shared / "data" / "weights" / "vgg19_distilled.safetensors")
+    picture = nr.load_image(shared / "data" / "styles" / "munch1.jpg").permute(2, 0, 1)
+    edit = MeshEdit(ball(), Style(network, picture, 96), steps=50, size=96, batch=2, start="random", texture_rate=0.1)
+    while not edit.done:
+        edit.advance()
+    assert edit.measure() < 0.2 * edit.before
+
+
+def test_what_is_refused(network: FeatureNetwork) -> None:
+    for options, sentence in (
+        ({"start": "white"}, 'start: expected "mesh" or "random"'),
+        ({"size": 31}, "size: expected at least 32"),
+        ({"steps": 0}, "steps: expected at least 1"),
+        ({"batch": 0}, "batch: expected at least 1"),
+        ({"texture_size": 200}, r"textures of at most 2 GiB, got 28.6 GiB \(320 faces of 200³ texels\); choose"),
+        ({"settle": 1.5}, "settle: expected a part in"),
+        ({"texture_size": 2}, "texture_size: expected at least 3"),
+        ({"texture_size": 3, "start": "mesh"}, "mesh: expected textures of 3³ texels, got 4³"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            style_edit(network, **options)
+    point = nr.Mesh(torch.ones(3, 3), torch.tensor([[0, 1, 2]]), torch.ones(1, 4, 4, 4, 3))
+    with pytest.raises(ValueError, match="vertices that all coincide"):
+        MeshEdit(point, Style(network, painting(), 48), size=48)
