@@ -19,5 +19,7 @@ COMMANDS = {
     for name, summary in {
         "dataset": "Render and voxelise a folder of 3D models.",
         "train": "Train a network, of meshes or of voxels, on pictures alone.",
+        "evaluate": "Measure networks as the paper's Table 1 does.",
+        "predict": "Turn pictures into meshes with a trained network.",
     }.items()
 }

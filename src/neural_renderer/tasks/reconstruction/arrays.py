@@ -134,28 +134,34 @@ def _opened(source: Path, kind: str) -> np.ndarray:
 def _unpacked(source: Path, kind: str) -> Path:
     """The npy that holds what the npz holds; it has the npz's time, by which one of an older npz is told."""
     stamp = source.stat().st_mtime_ns
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    place = hashlib.sha256(str(source.parent.resolve()).encode()).hexdigest()[:16]
-    beside, away = source.parent, Path(cache) / "neural_renderer" / place
-    for folder in (beside, away):
-        target = folder / f"{source.stem}.npy"
+    folder = cache_folder(source)
+    for target in (source.with_suffix(".npy"), folder / f"{source.stem}.npy"):
         if target.is_file() and target.stat().st_mtime_ns == stamp:
             return target
-    folder = beside if os.access(beside, os.W_OK) else away
-    folder.mkdir(parents=True, exist_ok=True)
-    target = folder / f"{source.stem}.npy"
     # Under a name of its own, so that processes which unpack at once do not meet, and renamed when it is whole.
     handle, fresh = tempfile.mkstemp(dir=folder, prefix=f".{source.stem}.", suffix=".npy")
     try:
         with os.fdopen(handle, "wb") as out:
             _unpack(source, kind, out)
         os.utime(fresh, ns=(stamp, stamp))
+        os.chmod(fresh, source.stat().st_mode & 0o777)
         os.replace(fresh, target)
     except OSError as error:
         raise OSError(f"{target}: expected room to unpack {source.name}, got: {error.strerror or error}") from error
     finally:
         Path(fresh).unlink(missing_ok=True)
     return target
+
+
+def cache_folder(source: Path) -> Path:
+    """Where to keep what is computed from a file: beside it, or in the user's cache folder where that is impossible."""
+    beside = source.parent
+    if os.access(beside, os.W_OK):
+        return beside
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(cache) / "neural_renderer" / hashlib.sha256(str(beside.resolve()).encode()).hexdigest()[:16]
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def _unpack(source: Path, kind: str, out: IO[bytes]) -> None:

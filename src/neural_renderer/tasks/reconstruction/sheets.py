@@ -5,37 +5,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ...lighting import Light
 from ...metrics import silhouette_iou
 from ...render import render
 from .arrays import Split
+from .drawing import STONE, drawn, shown
 from .framing import SIZE, VIEWS, view_camera
+from .shapes import Predictor, Solids
 from .voxels import surface
-
-CLAY = (0.86, 0.84, 0.8)
-STONE = (0.72, 0.77, 0.84)
-_PAPER = 0.8
-_LAMP = (-0.45, 0.8, 0.5)  # towards the light, in the viewer's right, up and back
-
-
-@torch.no_grad()
-def drawn(
-    vertices: Tensor, faces: Tensor, view: float, colour: tuple[float, float, float] = CLAY, size: int = SIZE
-) -> Tensor:
-    """A mesh in the frame of reconstruction from a view, or from between two: [3, size, size] in [0, 1]."""
-    camera = view_camera(torch.tensor([view], device=vertices.device))
-    right, up, forward = camera.rotation[0]
-    lamp = torch.nn.functional.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)
-    light = Light(0.42, 0.6, direction=lamp)
-    textures = torch.tensor(colour, device=vertices.device).expand(len(faces), 2, 2, 2, 3)
-    rgb = render((vertices, faces, textures), camera, size, light=light, background=(_PAPER,) * 3, outputs="rgb").rgb
-    return rgb[0].clamp(0, 1)  # type: ignore[index]
-
-
-def shown(image: Tensor) -> Tensor:
-    """An image of the data, uint8 [4, H, W], on paper: [3, H, W] in [0, 1]."""
-    pixels = image.float() / 255
-    return pixels[:3] * pixels[3:] + _PAPER * (1 - pixels[3:])
 
 
 def data_sheet(split: Split, name: str, most: int = 48, columns: int = 8) -> Tensor:
@@ -69,3 +45,25 @@ def agreement(split: Split, name: str, most: int = 8) -> float:
 def _spread(count: int, most: int) -> list[int]:
     """Up to ``most`` of ``count`` numbers, evenly spread."""
     return sorted({round(index * (count - 1) / max(min(most, count) - 1, 1)) for index in range(min(most, count))})
+
+
+@torch.no_grad()
+def prediction_sheet(
+    predictors: dict[str, Predictor], split: Split, each: int = 2, size: int = 96, turns: tuple[int, ...] = (0, 5, 12)
+) -> Tensor:
+    """A few objects of each class: an input; of each predictor, the shape from three views; the voxels to be found.
+
+    The views are the input's own, and ``turns`` further around. Rows of objects, [3, rows · size, columns · size].
+    """
+    rows = []
+    for number, name in enumerate(split.classes):
+        for index in _spread(len(split.images[name]), each):
+            view = (7 * number + 5 * index + 2) % VIEWS
+            image = torch.from_numpy(split.images[name][index, view].copy())
+            truth = Solids(torch.from_numpy(split.voxels[name][index].copy())[None])
+            predictions = [predict(image[None]) for predict in predictors.values()]
+            row = [torch.nn.functional.interpolate(shown(image)[None], (size, size), mode="bilinear")[0]]
+            for shapes in (*predictions, truth):
+                row += [shapes.picture(0, (view + turn) % VIEWS, size) for turn in turns]
+            rows.append(torch.cat(row, 2))
+    return torch.cat(rows, 1)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 from ... import validate
-from ...raster.voxels import fill, inside
+from ...raster.voxels import distances, fill, inside
 from .framing import GRID
 
 _SPACING = 0.25  # voxels, between points on a model's faces: what is thinner than a voxel is not lost
@@ -76,11 +78,35 @@ def voxel_iou(predicted: Tensor, target: Tensor) -> Tensor:
     return torch.where(union > 0, (predicted & target).sum(1) / union.clamp(min=1), 1.0)
 
 
-def centres(voxels: Tensor) -> Tensor:
-    """The centres [N, 3] float32 of the filled voxels [S, S, S] bool, in the frame of reconstruction."""
-    size = len(voxels)
-    y, x, z = (voxels.nonzero().float() - (size - 1) / 2).div(size - 1).unbind(1)
-    return torch.stack((x, y, -z), 1)
+def chamfer(predicted: Tensor, target: Tensor) -> Tensor:
+    """The chamfer distance [B] float32 between the surfaces of voxels [B, S, S, S] bool, in units of the frame.
+
+    The surface is the filled voxels with an empty one beside them, or the grid's border; the distance is the mean, over
+    those of one and of the other, from the centre of each to the nearest centre of the other's, both added up (Fan, Su
+    and Guibas, "A point set generation network", 2017, without squares). Where only one has any voxel it is √3, the
+    diagonal of the box. Either may be a batch of 1 beside the other's B.
+    """
+    size = predicted.shape[-1]
+    outer, inner = _shell(predicted), _shell(target)
+    total = torch.zeros(max(len(predicted), len(target)), device=predicted.device)
+    for one, other in ((outer, inner), (inner, outer)):
+        count = one.flatten(1).sum(1)
+        far = torch.where(one, distances(other).clamp(max=size * 2), 0.0).flatten(1).sum(1)
+        total = total + torch.where(count > 0, far / count.clamp(min=1), 0.0)
+    empty = outer.flatten(1).any(1) != inner.flatten(1).any(1)
+    return torch.where(empty, math.sqrt(3), total / (size - 1))
+
+
+def _shell(voxels: Tensor) -> Tensor:
+    """The filled voxels that have an empty one beside them."""
+    inner = voxels.clone()
+    for axis in (1, 2, 3):
+        size = voxels.shape[axis]
+        inner.narrow(axis, 0, 1).fill_(False)
+        inner.narrow(axis, size - 1, 1).fill_(False)
+        inner.narrow(axis, 1, size - 1).logical_and_(voxels.narrow(axis, 0, size - 1))
+        inner.narrow(axis, 0, size - 1).logical_and_(voxels.narrow(axis, 1, size - 1))
+    return voxels & ~inner
 
 
 def _grid(vertices: Tensor, size: int) -> Tensor:

@@ -1,0 +1,62 @@
+"""Scores in the layout of the paper's Table 1: a row per method, seven classes side by side, the mean at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rich.table import Table
+
+from .evaluate import Scores
+
+_COLUMNS = 7
+_BETTER = {"voxel_iou": max, "silhouette_iou": max, "chamfer": min}
+TITLES = {
+    "voxel_iou": "Voxel IoU at 32³ (higher is better)",
+    "silhouette_iou": "Silhouette IoU at 64 pixels (higher is better)",
+    "chamfer": "Chamfer distance of surfaces, longest side 1 (lower is better)",
+}
+
+
+def blocks(methods: Mapping[str, Scores], measure: str = "voxel_iou") -> list[list[list[str]]]:
+    """The table's blocks of rows of cells: a header, then a row per method; the best of a column is in ``**``."""
+    classes = list(next(iter(methods.values())).objects)
+    columns = [(name, {label: scores.of_class(name, measure) for label, scores in methods.items()}) for name in classes]
+    columns.append(("mean", {label: scores.mean(measure) for label, scores in methods.items()}))
+    parts = [columns[begin : begin + _COLUMNS] for begin in range(0, len(columns), _COLUMNS)]
+    if len(parts) > 1 and len(parts[-1]) == 1:  # the mean stays beside the last classes, as in the paper
+        parts[-2] += parts.pop()
+    return [
+        [["", *(name for name, _ in part)]]
+        + [[label, *(_cell(values, label, measure) for _, values in part)] for label in methods]
+        for part in parts
+    ]
+
+
+def _cell(values: Mapping[str, float], label: str, measure: str) -> str:
+    text = f"{values[label]:.4f}"
+    best = f"{_BETTER[measure](values.values()):.4f}"
+    return f"**{text}**" if len(values) > 1 and text == best else text
+
+
+def markdown(methods: Mapping[str, Scores], measures: Sequence[str] = tuple(TITLES)) -> str:
+    """All measures as Markdown."""
+    text = []
+    for measure in measures:
+        text.append(f"{TITLES[measure]}\n")
+        for header, *rows in blocks(methods, measure):
+            lines = [header, ["---"] + ["---:"] * (len(header) - 1), *rows]
+            text.append("".join("| " + " | ".join(line) + " |\n" for line in lines))
+    return "\n".join(text)
+
+
+def terminal(methods: Mapping[str, Scores], measure: str = "voxel_iou") -> list[Table]:
+    """One measure for the terminal, a table for each block."""
+    tables = []
+    for number, (header, *rows) in enumerate(blocks(methods, measure)):
+        table = Table(title=TITLES[measure] if number == 0 else None, title_justify="left")
+        for index, name in enumerate(header):
+            table.add_column(name, justify="right" if index else "left", no_wrap=True)
+        for row in rows:
+            table.add_row(*(f"[bold]{cell[2:-2]}[/bold]" if cell.startswith("**") else cell for cell in row))
+        tables.append(table)
+    return tables
