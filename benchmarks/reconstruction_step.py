@@ -37,11 +37,11 @@ def main(data: Path, config: ConfigName = "paper", model: ModelName = "mesh", st
 
     for step in range(steps):
         clock = time.perf_counter()
-        images, alpha, views = prepared(batches[step])
+        images, alpha, views = prepared(batches[step], recipe.inputs)
         clock = took("data", clock)
         low = recipe.low_precision and has_bfloat16()
         with torch.autocast("cpu", torch.bfloat16, enabled=low):
-            shapes = network(images[: recipe.inputs].flatten(0, 1).contiguous(memory_format=torch.channels_last))
+            shapes = network(images.flatten(0, 1).contiguous(memory_format=torch.channels_last))
         clock = took("network, forward", clock)
         leaf = shapes.detach().requires_grad_()
         seen, looks, target = beside_views(leaf, alpha, views)

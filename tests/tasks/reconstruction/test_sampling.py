@@ -50,7 +50,7 @@ def test_a_mirrored_object_is_what_another_view_shows() -> None:
     images = torch.from_numpy(split.images["box"])  # [1, 24, 4, 64, 64]
     views = torch.arange(24)
     batch = {"images": images.transpose(0, 1), "views": views[:, None], "flip": torch.tensor([True])}
-    _, alpha, seen = prepared(batch)
+    _, alpha, seen = prepared(batch, 1)
     assert torch.equal(seen[:, 0], mirrored_views(views)) and torch.equal(mirrored_views(mirrored_views(views)), views)
 
     generator = torch.Generator().manual_seed(0)
@@ -64,8 +64,8 @@ def test_a_mirrored_object_is_what_another_view_shows() -> None:
 
 def test_prepared_images() -> None:
     batch = Batches(fake_split(), SMALL, 0, 0, 1)[0]
-    images, alpha, views = prepared(batch)
+    images, alpha, views = prepared(batch, 2)
     assert images.shape == (2, 4, 4, 64, 64) and views.shape == (2, 4)
     assert images.min() >= 0 and images.max() <= 1 and torch.equal(images[:, :, 3], alpha)
-    plain = prepared({name: batch[name] for name in ("images", "views")})
-    assert torch.equal(plain[0], batch["images"] / 255) and torch.equal(plain[2], batch["views"])
+    plain = prepared({name: batch[name] for name in ("images", "views")}, 1)
+    assert torch.equal(plain[0], batch["images"][:1] / 255) and torch.equal(plain[2], batch["views"])

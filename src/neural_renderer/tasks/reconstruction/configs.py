@@ -24,6 +24,7 @@ class Config:
     augment: mirror objects, and vary colours (see `sampling`).
     gradient, anti_aliasing: of the renderer.
     smoothness, laplacian: weights of these losses on the meshes.
+    volume: weight of what a mesh encloses, as a gain: of the shapes that silhouettes allow, the fullest.
     optimiser: "adam" is the published `neural_renderer.Adam`, "adamw" torch's.
     rate, decay: the learning rate, and the weight decay of "adamw".
     schedule: "step" divides the rate by ten after 95 % of the training; "cosine" lets it rise over the first 2 % and
@@ -45,6 +46,7 @@ class Config:
     anti_aliasing: bool = True
     smoothness: float = 0.0
     laplacian: float = 0.0
+    volume: float = 0.0
     optimiser: Literal["adam", "adamw"] = "adam"
     rate: float = 1e-4
     decay: float = 0.0

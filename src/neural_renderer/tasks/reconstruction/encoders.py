@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 FEATURES = 512
 
-EncoderName = Literal["paper", "residual"]
+EncoderName = Literal["paper", "residual", "light"]
 
 
 class PaperEncoder(nn.Sequential):
@@ -43,6 +43,23 @@ class ResidualEncoder(nn.Sequential):
         super().__init__(_Centred(), *blocks, nn.Flatten(), nn.Linear(16 * widths[-1], FEATURES), nn.SiLU())
 
 
+class LightEncoder(nn.Sequential):
+    """A 7×7 convolution of stride 4, two residual blocks of stride 2 and a dense layer, with group normalisation."""
+
+    def __init__(self, width: int = 32) -> None:
+        super().__init__(
+            _Centred(),
+            nn.Conv2d(4, width, 7, stride=4, padding=3, bias=False),
+            nn.GroupNorm(8, width),
+            nn.ReLU(),
+            _Block(width, 2 * width),
+            _Block(2 * width, 4 * width),
+            nn.Flatten(),
+            nn.Linear(16 * 4 * width, FEATURES),
+            nn.SiLU(),
+        )
+
+
 class _Centred(nn.Module):
     """[0, 1] to [-1, 1], with what lies outside of the object black whatever the file holds there."""
 
@@ -68,6 +85,8 @@ class _Block(nn.Module):
 
 def make_encoder(name: EncoderName, width: int = 32) -> nn.Module:
     """The encoder of this name; ``width`` is the number of channels in the first block of "residual"."""
+    if name == "light":
+        return LightEncoder(width)
     return PaperEncoder() if name == "paper" else ResidualEncoder(width)
 
 

@@ -70,21 +70,23 @@ def _colours(generator: np.random.Generator, count: int) -> np.ndarray:
     return np.concatenate((matrix, generator.normal(0, 0.08, (count, 3, 1))), 2).astype(np.float32)
 
 
-def prepared(batch: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-    """A batch ready for a network: images [V, n, 4, 64, 64] in [0, 1], their alpha as it was drawn, views [V, n].
+def prepared(batch: dict[str, Tensor], inputs: int) -> tuple[Tensor, Tensor, Tensor]:
+    """A batch ready for a network.
 
-    Mirrored at z = 0, an object looks from view k as it did from view 12 − k, left and right exchanged.
+    Returns the first ``inputs`` views as images [I, n, 4, 64, 64] in [0, 1], the alpha of all views [V, n, 64, 64] in
+    [0, 1], and which views they are [V, n]. Mirrored at z = 0, an object looks from view k as it did from view 12 − k,
+    left and right exchanged.
     """
-    images, views = batch["images"].float() / 255, batch["views"]
+    pixels, views = batch["images"], batch["views"]
     if "flip" in batch:
         flip = batch["flip"]
-        images = torch.where(flip[:, None, None, None], images.flip(-1), images)
+        pixels = torch.where(flip[:, None, None, None], pixels.flip(-1), pixels)
         views = torch.where(flip, mirrored_views(views), views)
-    alpha = images[:, :, 3]
+    images, alpha = pixels[:inputs].float() / 255, pixels[:, :, 3].float() / 255
     if "colour" in batch:
-        matrix = batch["colour"]
+        matrix, mask = batch["colour"], images[:, :, 3:]
         rgb = torch.einsum("nij,vnjhw->vnihw", matrix[..., :3], images[:, :, :3]) + matrix[None, :, :, 3, None, None]
-        images = torch.cat((rgb.clamp(0, 1) * alpha[:, :, None], alpha[:, :, None]), 2)
+        images = torch.cat((rgb.clamp(0, 1) * mask, mask), 2)
     return images, alpha, views
 
 

@@ -126,8 +126,8 @@ class Training(lightning.LightningModule):
 
     def training_step(self, batch: dict[str, Tensor], batch_idx: int) -> Tensor:
         """The loss of one batch."""
-        images, alpha, views = prepared(batch)
-        shapes = self.network(images[: self.config.inputs].flatten(0, 1).contiguous(memory_format=torch.channels_last))
+        images, alpha, views = prepared(batch, self.config.inputs)
+        shapes = self.network(images.flatten(0, 1).contiguous(memory_format=torch.channels_last))
         with torch.autocast(images.device.type, enabled=False):
             seen, looks, target = beside_views(shapes, alpha, views)
             drawn = self.network.silhouettes(seen, looks)
