@@ -8,8 +8,8 @@ from ..tasks.editing import DREAM_LAYER, PUBLISHED_DREAM, Dream, DreamWeights
 from .edit import Edit, Preset
 
 _PRESETS = {
-    "paper": Preset(1000, 5e-5, 1e-2, 0.0, (-10.0, 30.0), 2.5, "mesh", True),
-    "published": Preset(1000, 1e-4, 1e-2, 0.0, (-10.0, 30.0), 2.5, "random", False),
+    "paper": Preset(1000, 5e-5, 1e-2, 0.0, (-10.0, 30.0), 2.5, None, "mesh", True),
+    "published": Preset(1000, 1e-4, 1e-2, 0.0, (-10.0, 30.0), 2.5, None, "random", False),
 }
 
 

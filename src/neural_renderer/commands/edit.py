@@ -32,6 +32,7 @@ class Preset:
     settle: float
     elevation: tuple[float, float]
     distance: float
+    light: tuple[float, float] | None
     init: Literal["mesh", "random"]
     seamless: bool
 
@@ -93,7 +94,7 @@ class Edit:
 
     def chosen(self, preset: Preset, name: str) -> Any:
         """The option's value, or else the preset's."""
-        own = getattr(self, name)
+        own = getattr(self, name, None)
         return getattr(preset, name) if own is None else own
 
     def network(self, published: str) -> FeatureNetwork:
@@ -119,7 +120,7 @@ class Edit:
         ``inputs`` tell, with the mesh, what a checkpoint belongs to.
         """
         setting = {name: self.chosen(preset, name) for name in asdict(preset)}
-        views = Views(setting["elevation"], setting["distance"], lit=objective.lit)
+        views = Views(setting["elevation"], setting["distance"], light=setting["light"])
         edit = MeshEdit(
             mesh,
             objective,

@@ -13,8 +13,8 @@ from .common import chosen_device
 from .edit import Edit, Preset
 
 _PRESETS = {
-    "paper": Preset(5000, 2.5e-4, 5e-2, 0.3, (20.0, 40.0), 2.732, "mesh", True),
-    "published": Preset(1000, 5e-4, 5e-2, 0.0, (20.0, 40.0), 2.732, "random", False),
+    "paper": Preset(5000, 2.5e-4, 5e-2, 0.3, (20.0, 40.0), 2.732, (0.75, 0.5), "mesh", True),
+    "published": Preset(1000, 5e-4, 5e-2, 0.0, (20.0, 40.0), 2.732, (0.5, 0.5), "random", False),
 }
 
 
@@ -29,8 +29,9 @@ class StyleCommand(Edit):
 
     Example: neural-renderer style teapot.obj wave.jpg -o out --iterations 400 --size 160 --weights vgg19.safetensors
 
-    Preset paper: 5000 steps, rates 2.5e-4 and 0.05, elevations 20 to 40, distance 2.732, the mesh's colours.
-    Published: 1000 steps, rates 5e-4 and 0.05, random colours, faces with texels of their own.
+    Preset paper: 5000 steps, rates 2.5e-4 and 0.05, elevations 20 to 40, distance 2.732, light 0.75 and 0.5, the mesh's
+    colours. Published: 1000 steps, rates 5e-4 and 0.05, light 0.5 and 0.5, random colours, faces with texels of their
+    own.
 
     Ctrl-C ends it and writes what there is; --resume goes on.
     """
@@ -39,6 +40,8 @@ class StyleCommand(Edit):
     """Picture whose style the mesh gets: PNG, JPEG or any other that Pillow reads."""
     content: float | None = None
     """Weight of the shape: how much the vertices are held where they were; by default the preset's."""
+    light: tuple[float, float] | None = None
+    """Ambient and directional intensity of the light; by default the preset's."""
     painting_scale: float = 1.0
     """How large the picture is beside the images of the mesh (above 0): 2 makes its strokes twice as large."""
     layers: tuple[str, ...] = STYLE_LAYERS

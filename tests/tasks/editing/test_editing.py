@@ -17,7 +17,6 @@ from neural_renderer.tasks.editing.deformation import Deformation
 from neural_renderer.tasks.editing.style import gram
 from neural_renderer.tasks.editing.views import generator
 from neural_renderer.topology import Topology
-
 from tests.tasks.editing.networks import vgg_weights
 
 LAYERS = ("conv1_2", "conv2_2", "conv3_3", "conv4_3")
@@ -174,7 +173,7 @@ def test_views() -> None:
     torch.testing.assert_close(direction[:, 1], torch.full((500,), 0.8660254))
     again, _ = views.sample(500, generator(0, 0))
     assert torch.equal(camera.origin, again.origin)
-    assert Views(lit=False).sample(2, generator(0, 0))[1] is None
+    assert Views(light=None).sample(2, generator(0, 0))[1] is None
     for wrong in ((40.0, 20.0), (-95.0, 20.0), (0.0, 90.0)):
         with pytest.raises(ValueError, match="elevation: expected two numbers between -90 and 90"):
             Views(wrong)
@@ -195,7 +194,7 @@ def test_style_is_transferred(network: FeatureNetwork) -> None:
     moved = edit.moved()
     assert 0 < moved["mean"] < moved["most"] < 0.05
     mesh = edit.mesh()
-    assert 0 <= mesh.textures.min() and mesh.textures.max() <= 1
+    assert mesh.textures.min() >= 0 and mesh.textures.max() <= 1
     assert set(edit.seconds) == {"renderer", "network", "rest"} and min(edit.seconds.values()) > 0
 
 
@@ -266,7 +265,7 @@ def test_texels_that_no_view_shows_take_on_the_colours_around(network: FeatureNe
 def test_dream_grows(network: FeatureNetwork) -> None:
     dream = Dream(network, layer="conv3_1")
     edit = MeshEdit(
-        ball(), dream, Views((-10, 30), 2.5, lit=False), steps=25, size=48, batch=2, texture_rate=0.1, start="random"
+        ball(), dream, Views((-10, 30), 2.5, light=None), steps=25, size=48, batch=2, texture_rate=0.1, start="random"
     )
     while not edit.done:
         edit.advance()
@@ -277,7 +276,7 @@ def test_dream_of_googlenet(shared: Path) -> None:
     """The paper's layer, on views that no step saw."""
     network = load_features(shared / "data" / "weights" / "googlenet_bvlc.safetensors")
     edit = MeshEdit(
-        ball(), Dream(network), Views((-10, 30), 2.5, lit=False), steps=16, size=96, batch=1, start="random",
+        ball(), Dream(network), Views((-10, 30), 2.5, light=None), steps=16, size=96, batch=1, start="random",
         texture_rate=0.15,
     )  # fmt: skip
     while not edit.done:

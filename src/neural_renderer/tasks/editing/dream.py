@@ -49,7 +49,7 @@ class Dream:
     Raises ValueError for an unknown layer or channel.
     """
 
-    name, lit = "dream", False
+    name = "dream"
 
     def __init__(
         self,

@@ -28,7 +28,6 @@ class Objective(Protocol):
     """What images of an edited mesh should be like: `Style` or `Dream`."""
 
     name: str
-    lit: bool
 
     def background(self, count: int, generator: torch.Generator, /) -> Tensor: ...
 
@@ -52,7 +51,7 @@ class MeshEdit:
     Args:
         mesh: the mesh, with colours to begin with.
         objective: on its images.
-        views: where it is looked at from; by default those of the published style transfer, lit if the objective says.
+        views: where it is looked at from, and in which light.
         steps: how many there are, at least 1.
         batch: images in each step, at least 1.
         size: their side in pixels, at least 32; they are drawn at twice that.
@@ -71,7 +70,7 @@ class MeshEdit:
         self,
         mesh: Mesh,
         objective: Objective,
-        views: Views | None = None,
+        views: Views = Views(),  # noqa: B008 (immutable)
         *,
         steps: int = 5000,
         batch: int = 4,
@@ -89,7 +88,7 @@ class MeshEdit:
         self._batch, self._size = validate.whole("batch", batch, 1), validate.whole("size", size, 32)
         self.phase = objective.name
         self._objective, self._gradient, self._seed = objective, gradient, validate.whole("seed", seed, 0)
-        self._views = Views(lit=objective.lit) if views is None else views
+        self._views = views
         self._faces = mesh.faces.detach()
         texture_size = validate.whole("texture_size", texture_size, 2)
         _check_memory(len(self._faces), texture_size)

@@ -23,7 +23,7 @@ _MARGIN = 16  # pixels around the objects that the network sees too
 class StyleWeights:
     """How much each loss counts beside the style loss, whose weight is 1."""
 
-    content: float = 100.0
+    content: float = 200.0
     """Squared distance of the vertices from where they began."""
     bend: float = 1.0
     """Squared difference of a vertex's movement from its neighbours', in edge lengths."""
@@ -61,7 +61,7 @@ class Style:
         TypeError, ValueError: another shape, a painting that is too small or wholly transparent, an unknown layer.
     """
 
-    name, lit = "style", True
+    name = "style"
 
     def __init__(
         self,
