@@ -1,0 +1,126 @@
+"""The gallery of docs/editing.md: two meshes in the style of five paintings, and what a network dreams of them.
+
+    python -m benchmarks.editing_gallery MESHES PAINTINGS --vgg VGG --googlenet GOOGLENET -o gallery
+
+runs `neural-renderer style` and `dream` one after the other; what is finished in the folder is not run again. Then it
+puts the pictures together, and prints what was measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import torch
+from PIL import Image
+
+import neural_renderer as nr
+from neural_renderer import cli
+from neural_renderer.commands.studio import photograph
+
+MESHES = ("bunny_kato", "teapot_kato")
+PAINTINGS = {
+    "elder1": "Bruegel, The Tower of Babel",
+    "munch1": "Munch, The Scream",
+    "gris1": "Gris, Portrait of Picasso",
+    "hokusai1": "Hokusai, The Great Wave",
+    "gogh2": "van Gogh, The Starry Night",
+}
+STYLE = ["--iterations", "300", "--size", "176", "--batch", "3", "--turntable", "0"]
+DREAM = ["--iterations", "200", "--batch", "2", "--texture-rate", "0.03", "--vertex-rate", "1.5e-4", "--turntable", "0"]
+_SIDE = 300
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", type=Path, help=f"folder with {', '.join(MESHES)} (.obj)")
+    parser.add_argument("paintings", type=Path, help=f"folder with {', '.join(PAINTINGS)} (.jpg)")
+    parser.add_argument("--vgg", required=True, help="weights of the network of style")
+    parser.add_argument("--googlenet", required=True, help="weights of the network of dream")
+    parser.add_argument("-o", "--output", type=Path, default=Path("gallery"))
+    given = parser.parse_args()
+    for mesh in MESHES:
+        path = str(given.meshes / f"{mesh}.obj")
+        _run(given.output / mesh / "dream", ["dream", path, "--weights", given.googlenet, *DREAM])
+    for painting in PAINTINGS:
+        for mesh in MESHES:
+            path, picture = str(given.meshes / f"{mesh}.obj"), str(given.paintings / f"{painting}.jpg")
+            _run(given.output / mesh / painting, ["style", path, picture, "--weights", given.vgg, *STYLE])
+    together(given.output, given.meshes, given.paintings)
+    return 0
+
+
+def together(folder: Path, meshes: Path, paintings: Path) -> None:
+    """The pictures ``styles.jpg`` and ``dreams.jpg`` in the folder, and the numbers on the screen."""
+    print("| mesh | | steps | before | after | change | vertices, mean | most | s | share of time")
+    columns, dreams = [_column([_painting(paintings / f"{name}.jpg") for name in PAINTINGS])], []
+    for mesh in MESHES:
+        start = nr.Mesh.load(meshes / f"{mesh}.obj")
+        for azimuth in (150.0, 285.0):
+            results = [nr.Mesh.load(folder / mesh / name / "mesh.glb", 8) for name in PAINTINGS]
+            columns.append(_column([_picture(result, start, azimuth) for result in results]))
+        dream = nr.Mesh.load(folder / mesh / "dream" / "mesh.glb", 8)
+        dreams += [_picture(dream, start, azimuth) for azimuth in (150.0, 285.0)]
+        for name in (*PAINTINGS, "dream"):
+            _tell(mesh, name, json.loads((folder / mesh / name / "report.json").read_text()))
+    Image.fromarray(_pixels(torch.cat(columns, 2))).save(folder / "styles.jpg", quality=88)
+    Image.fromarray(_pixels(torch.cat(dreams, 2))).save(folder / "dreams.jpg", quality=88)
+
+
+def _run(folder: Path, arguments: list[str]) -> None:
+    report = folder / "report.json"
+    if report.is_file() and json.loads(report.read_text())["finished"]:
+        return
+    code = cli.main([*arguments, "-o", str(folder), "--resume"])
+    if code:
+        sys.exit(code)
+
+
+def _tell(mesh: str, name: str, report: dict[str, Any]) -> None:
+    before, after = report["held_out"]["before"], report["held_out"]["after"]
+    change = f"{after / before:.1f} ×" if name == "dream" else f"{after / before - 1:.0%}"
+    moved, share = report["moved"], report["share_of_time"]
+    print(
+        f"| {mesh} | {name} | {report['steps']} | {before:.3g} | {after:.3g} | {change} | {moved['mean']:.2%} "
+        f"| {moved['most']:.1%} | {report['seconds']:.0f} | {share}"
+    )
+
+
+@torch.no_grad()
+def _picture(mesh: nr.Mesh, start: nr.Mesh, azimuth: float) -> torch.Tensor:
+    low, high = start.vertices.amin(0), start.vertices.amax(0)
+    placed = nr.Mesh((mesh.vertices - (low + high) / 2) * (2 / (high - low).max()), mesh.faces, mesh.textures)
+    radius = placed.vertices.norm(dim=1).max().item()
+    distance = 1.03 * radius / math.sin(math.radians(19))
+    return photograph(placed, azimuth, 20.0, _SIDE, distance=distance)
+
+
+def _painting(path: Path) -> torch.Tensor:
+    with Image.open(path) as image:
+        picture = image.convert("RGB")
+        picture.thumbnail((_SIDE - 40, _SIDE - 40), Image.Resampling.LANCZOS)
+    card = Image.new("RGB", (_SIDE, _SIDE), (236, 238, 241))
+    card.paste(picture, ((_SIDE - picture.width) // 2, (_SIDE - picture.height) // 2))
+    return _tensor(card)
+
+
+def _tensor(image: Image.Image) -> torch.Tensor:
+    """[3, H, W] in [0, 1]."""
+    pixels = torch.frombuffer(bytearray(image.tobytes()), dtype=torch.uint8)
+    return pixels.reshape(image.height, image.width, 3).permute(2, 0, 1) / 255
+
+
+def _column(pictures: list[torch.Tensor]) -> torch.Tensor:
+    return torch.cat(pictures, 1)
+
+
+def _pixels(image: torch.Tensor) -> Any:
+    return (image.clamp(0, 1).permute(1, 2, 0) * 255 + 0.5).to(torch.uint8).numpy()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
