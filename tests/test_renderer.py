@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
@@ -297,3 +298,38 @@ def test_can_be_saved_and_copied(tmp_path, device):
         renderer.to(device),
     ):
         assert torch.equal(other(vertices, faces, mode="depth"), renderer(vertices, faces, mode="depth"))
+
+
+def test_a_number_takes_the_place_of_a_parameter():
+    renderer = nr.Renderer(camera_mode="look_at")
+    renderer.eye = torch.nn.Parameter(torch.tensor([0.0, 0.0, -3.0]))
+    assert len(list(renderer.parameters())) == 1
+    renderer.eye = (0, 0, -2.7)
+    assert renderer.eye == (0, 0, -2.7) and not list(renderer.parameters())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("light_intensity_ambient", "bright"),
+        ("light_color_directional", (1.0,)),
+        ("light_direction", (0.0, float("nan"), 0.0)),
+        ("background_color", [0, 0]),
+        ("rasterizer_eps", -1.0),
+        ("fill_back", torch.tensor([1, 0])),
+        ("gradient", np.array(["nmr", "edge"])),
+    ],
+)
+def test_messages_name_the_attribute(name, value):
+    mesh, renderer = nr.Mesh.icosphere(1), nr.Renderer(camera_mode="look_at", image_size=16)
+    setattr(renderer, name, value)
+    with pytest.raises((TypeError, ValueError), match=f"^{name}: expected"):
+        renderer(*mesh.get_batch(1))
+
+
+def test_forward_mode_is_an_error():
+    """torch would take the operators' tangents for zero."""
+    mesh, renderer = nr.Mesh.icosphere(1), nr.Renderer(camera_mode="look_at", image_size=16)
+    vertices = mesh.vertices.detach()[None]
+    with pytest.raises(RuntimeError, match="forward mode"):
+        torch.func.jvp(lambda v: renderer(v, mesh.faces[None], mode="silhouettes"), (vertices,), (vertices,))

@@ -10,6 +10,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
+from . import validate
 from .raster.rasterize import rasterize_images
 
 DEFAULT_IMAGE_SIZE = 256
@@ -43,18 +44,21 @@ def rasterize_rgbad(
     Raises TypeError or ValueError as `rasterize_images` does, and ValueError if nothing is asked for.
     """
     asked = {"rgb": return_rgb, "alpha": return_alpha, "depth": return_depth}
-    images = rasterize_images(
-        faces,
-        image_size,
-        outputs=[name for name, wanted in asked.items() if wanted],
-        textures=textures,
-        background=background_color,
-        near=near,
-        far=far,
-        eps=eps,
-        anti_aliasing=anti_aliasing,
-        gradient=gradient,
-    )
+    if not any(asked.values()):
+        raise ValueError("return_rgb, return_alpha, return_depth: expected at least one, got none")
+    with validate.called(background="background_color"):
+        images = rasterize_images(
+            faces,
+            image_size,
+            outputs=[name for name, wanted in asked.items() if wanted],
+            textures=textures,
+            background=background_color,
+            near=near,
+            far=far,
+            eps=eps,
+            anti_aliasing=anti_aliasing,
+            gradient=gradient,
+        )
     return images._asdict()
 
 

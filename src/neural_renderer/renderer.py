@@ -15,6 +15,15 @@ from .lighting import Light
 from .raster.rasterize import Images, checked_faces, rasterize_images, vertices_to_faces, world_corners
 from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR
 
+# What `Light` calls the attributes of `Renderer`.
+_LIGHT = {
+    "ambient": "light_intensity_ambient",
+    "directional": "light_intensity_directional",
+    "ambient_color": "light_color_ambient",
+    "directional_color": "light_color_directional",
+    "direction": "light_direction",
+}
+
 
 class Renderer(nn.Module):
     """A renderer with settable attributes; each constructor argument is an attribute of the same name.
@@ -79,6 +88,12 @@ class Renderer(nn.Module):
         self.light_direction = _own(light_direction)
         self.rasterizer_eps = 1e-3
         self.gradient = gradient
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # A number takes the place of a parameter too, which nn.Module would refuse.
+        if name in getattr(self, "_parameters", ()) and not isinstance(value, nn.Parameter):
+            del self._parameters[name]
+        super().__setattr__(name, value)
 
     def forward(
         self,
@@ -156,22 +171,24 @@ class Renderer(nn.Module):
                 self.light_direction,
             )
             # Light falls on the world, before the camera; on the side that the first packages lit (see the class).
-            light = lamp.two_sided(world_corners(vertices, faces, len(screen)), mirrored=True)
-        return rasterize_images(
-            vertices_to_faces(screen, faces),
-            self.image_size,
-            outputs=outputs,
-            textures=textures,
-            light=light,
-            background=self.background_color,
-            near=self.near,
-            far=self.far,
-            eps=self.rasterizer_eps if "rgb" in outputs else DEFAULT_EPS,
-            anti_aliasing=self.anti_aliasing,
-            two_sided=validate.flag("fill_back", self.fill_back),
-            perspective=perspective,
-            gradient=self.gradient,
-        )
+            with validate.called(**_LIGHT):
+                light = lamp.two_sided(world_corners(vertices, faces, len(screen)), mirrored=True)
+        with validate.called(background="background_color", eps="rasterizer_eps", light="light_*"):
+            return rasterize_images(
+                vertices_to_faces(screen, faces),
+                self.image_size,
+                outputs=outputs,
+                textures=textures,
+                light=light,
+                background=self.background_color,
+                near=self.near,
+                far=self.far,
+                eps=self.rasterizer_eps if "rgb" in outputs else DEFAULT_EPS,
+                anti_aliasing=self.anti_aliasing,
+                two_sided=validate.flag("fill_back", self.fill_back),
+                perspective=perspective,
+                gradient=self.gradient,
+            )
 
     def _project(
         self, vertices: Tensor, K: Any, R: Any, t: Any, dist_coeffs: Any, orig_size: Any

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,18 @@ def values_are_checked(value: Tensor) -> bool:
         or torch._C._are_functorch_transforms_active()
         or torch._C._get_dispatch_mode(torch._C._TorchDispatchModeKey.PROXY) is not None
     )
+
+
+@contextmanager
+def called(**names: str) -> Iterator[None]:
+    """Messages of the checks inside name arguments as the caller wrote them: ``called(size="image_size")``."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        name, colon, rest = str(error).partition(":")
+        if name not in names:
+            raise
+        raise type(error)(names[name] + colon + rest) from None
 
 
 def shape_of(value: Tensor) -> str:
@@ -181,7 +194,7 @@ def positive(name: str, value: Any) -> float:
 
 def flag(name: str, value: Any) -> bool:
     """``value`` if it is True or False (0 and 1 pass too); TypeError otherwise."""
-    if value not in (0, 1):
+    if not isinstance(value, (bool, int, np.bool_, np.integer)) or value not in (0, 1):
         raise TypeError(f"{name}: expected True or False, got {value!r}")
     return bool(value)
 

@@ -152,3 +152,12 @@ def test_errors(tmp_path):
     (tmp_path / "range.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n")
     with pytest.raises(ValueError, match=r"range\.off"):
         load_mesh(tmp_path / "range.off")
+
+
+def test_missing_materials_are_grey_and_no_materials_are_none(tmp_path):
+    triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (tmp_path / "plain.obj").write_text(triangle)
+    (tmp_path / "lost.obj").write_text("mtllib lost.mtl\n" + triangle)
+    assert load_mesh(tmp_path / "plain.obj")[2] is None
+    with pytest.warns(UserWarning, match="lost.mtl"):
+        assert (load_mesh(tmp_path / "lost.obj")[2] == 0.5).all()

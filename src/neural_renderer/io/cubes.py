@@ -21,8 +21,8 @@ def barycentric_grid(size: int) -> np.ndarray:
     return grid / grid.sum(axis=1, keepdims=True)
 
 
-def empty_cubes(faces: int, size: int, colour: float) -> np.ndarray:
-    """Cubes [F, T, T, T, 3] float32 of one grey; ValueError if T < 2 or if they would take more than 8 GiB."""
+def check_size(faces: int, size: int) -> None:
+    """TypeError or ValueError if T is no whole number, below 2, or cubes for F faces would take more than 8 GiB."""
     if isinstance(size, bool) or not isinstance(size, (int, np.integer)):
         raise TypeError(f"texture_size: expected an int, got {type(size).__name__}")
     if size < 2:
@@ -33,7 +33,6 @@ def empty_cubes(faces: int, size: int, colour: float) -> np.ndarray:
             f"texture_size: expected cubes of at most {_MOST_BYTES / 2**30:.0f} GiB, got {needed / 2**30:.1f} GiB "
             f"({faces} faces of {size}³ texels); choose a smaller one"
         )
-    return np.full((faces, size, size, size, 3), colour, dtype=np.float32)
 
 
 def bake_corners(colours: np.ndarray, size: int) -> np.ndarray:

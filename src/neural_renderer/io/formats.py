@@ -13,6 +13,7 @@ from PIL import Image
 from torch import Tensor
 
 from neural_renderer.io.atlas import build_atlas
+from neural_renderer.io.cubes import check_size
 from neural_renderer.io.files import existing, mesh_to_write
 from neural_renderer.io.obj import obj_skin, save_obj
 from neural_renderer.io.parse import read_obj
@@ -39,6 +40,7 @@ def load_mesh(path: str | os.PathLike[str], texture_size: int = 4) -> tuple[Tens
         On the CPU: vertices, float32 [V, 3]; faces, int32 [F, 3]; textures, float32 [F, T, T, T, 3] in [0, 1], or None
         if the file has no colour. Images seen through texture coordinates, colours of vertices and of faces are
         baked into the textures; glTF's linear colours become sRGB ones, as images are, and parts without any white.
+        What an OBJ file names but is missing is grey 0.5, with a warning.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -46,6 +48,7 @@ def load_mesh(path: str | os.PathLike[str], texture_size: int = 4) -> tuple[Tens
             range, or textures of more than 8 GiB. The file is named.
     """
     points, corners, skin, pixel_centres = read_mesh(path)
+    check_size(len(corners), texture_size)
     geometry = torch.from_numpy(points.astype(np.float32)), torch.from_numpy(corners.astype(np.int32))
     if skin is None:
         return *geometry, None

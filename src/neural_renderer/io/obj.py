@@ -80,7 +80,7 @@ def _normalized(obj: ObjFile) -> np.ndarray:
 
 
 def obj_skin(obj: ObjFile, wrapping: str = "REPEAT") -> Skin | None:
-    """The colours of a file read with ``with_uv=True``, or None if it has none at all.
+    """The colours of a file read with ``with_uv=True``, or None if it names none at all; of what is missing, grey.
 
     Warns (UserWarning) about missing material files, materials, images and texture coordinates, naming the file.
     """
@@ -104,7 +104,7 @@ def obj_skin(obj: ObjFile, wrapping: str = "REPEAT") -> Skin | None:
             coloured = True
         if material.image is not None and len(chosen):
             coloured |= _paint(skin, chosen, material, obj, wrapping)
-    return skin if coloured else None
+    return skin if coloured or obj.libraries else None
 
 
 def _paint(skin: Skin, chosen: np.ndarray, material: Material, obj: ObjFile, wrapping: str) -> bool:

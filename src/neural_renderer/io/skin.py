@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from neural_renderer.io.cubes import bake_corners, bake_image, empty_cubes
+from neural_renderer.io.cubes import bake_corners, bake_image, check_size
 
 
 @dataclass
@@ -53,7 +53,8 @@ class Skin:
 
     def bake(self, size: int, bilinear: bool = True, pixel_centres: bool = False) -> np.ndarray:
         """Texture cubes [F, T, T, T, 3] float32; see `bake_image`. ValueError if they would be too large."""
-        cubes = empty_cubes(len(self.image), size, 1.0)
+        check_size(len(self.image), size)
+        cubes = np.empty((len(self.image), size, size, size, 3), dtype=np.float32)
         flat = (self.colors == self.colors[:, :1]).all(axis=(1, 2))
         cubes[flat] = self.colors[flat, 0][:, None, None, None]
         cubes[~flat] = bake_corners(self.colors[~flat], size)

@@ -47,7 +47,7 @@ class Settings:
         """TypeError or ValueError for what does not fit; ``name`` is what ``size`` is called there."""
         height, width = image_size(name, size)
         two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
-        if gradient not in GRADIENTS:
+        if not isinstance(gradient, str) or gradient not in GRADIENTS:
             raise ValueError(f"gradient: expected one of {', '.join(GRADIENTS)}, got {gradient!r}")
         near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
         if not 0 <= near < far:
