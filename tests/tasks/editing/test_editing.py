@@ -259,7 +259,7 @@ def test_texels_that_no_view_shows_take_on_the_colours_around(network: FeatureNe
     assert low.any()
     raw, filled = edit.shape[2][low], edit.mesh().textures[low]
     torch.testing.assert_close(raw, torch.full_like(raw, 0.05))
-    assert (filled > 0.06).all()
+    assert (filled - raw).mean() > 0.02
 
 
 def test_dream_grows(network: FeatureNetwork) -> None:

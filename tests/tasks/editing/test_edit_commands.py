@@ -1,0 +1,167 @@
+"""The commands `style` and `dream` on files: their results, going on after Ctrl-C, one sentence for what is wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import neural_renderer as nr
+from neural_renderer import cli
+from neural_renderer.tasks.editing import MeshEdit
+from tests.tasks.editing.networks import saved_vgg
+
+SMALL = ["--size", "32", "--batch", "2", "--turntable", "2"]
+FILES = ("mesh.obj", "mesh.mtl", "mesh.png", "mesh.glb", "views.png", "loss.png", "turntable.mp4", "turntable.gif")
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, str]:
+    """A mesh, a painting and the weights of a network."""
+    vertices, faces = nr.icosphere(1)
+    nr.save_mesh(tmp_path / "ball.obj", vertices * 3 + 5, faces)
+    stripes = np.where(np.arange(40) % 8 < 4, 220, 90)[None, :, None] * np.array([1.0, 0.6, 0.3])
+    Image.fromarray(np.broadcast_to(stripes, (32, 40, 3)).astype(np.uint8)).save(tmp_path / "painting.png")
+    return {
+        "mesh": str(tmp_path / "ball.obj"),
+        "painting": str(tmp_path / "painting.png"),
+        "weights": str(saved_vgg(tmp_path)),
+        "out": str(tmp_path / "out"),
+    }
+
+
+def style(files: dict[str, str], *options: str, **other: str) -> int:
+    given = files | other
+    start = ["style", given["mesh"], given["painting"], "-o", given["out"], "--weights", given["weights"]]
+    return cli.main([*start, "--iterations", "4", *SMALL, *options])
+
+
+def test_style_writes_its_results(files: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert style(files, "--texture-rate", "0.5", "--preview", "2") == 0
+    told = capsys.readouterr().out
+    assert "views that no step saw" in told and "results are in" in told
+    out = Path(files["out"])
+    for name in (*FILES, "preview.png", "checkpoint.pt"):
+        assert (out / name).stat().st_size > 50, name
+    report = json.loads((out / "report.json").read_text())
+    assert report["finished"] and report["steps"] == 4 == len(report["history"])
+    assert {"phase", "loss", "style", "content", "bend", "variation"} == set(report["history"][0])
+    assert report["held_out"]["before"] > 0 and report["settings"]["vertex_rate"] == 2.5e-4
+    assert sum(report["share_of_time"].values()) == pytest.approx(1, abs=0.001)
+    with Image.open(out / "views.png") as picture:
+        assert picture.size == (6 * 320, 2 * 320)
+    # Both files show the colours that were found, in the world of the mesh that was given.
+    meshes = [nr.Mesh.load(out / name, 8) for name in ("mesh.obj", "mesh.glb")]
+    eye = nr.get_points_from_angles(9.0, 20.0, torch.tensor([0.0, 120.0, 240.0])) + 5
+    camera = nr.Camera.look_at(eye, at=(5.0, 5.0, 5.0), viewing_angle=30)
+    pictures = [nr.render(mesh, camera, 96, light=None, outputs=("rgb",)).rgb for mesh in meshes]
+    assert (pictures[0] - pictures[1]).abs().mean() < 0.005 and pictures[0].std() > 0.05
+    for mesh in meshes:
+        assert (mesh.vertices.amin(0) - 2).abs().max() < 0.2 and (mesh.vertices.amax(0) - 8).abs().max() < 0.2
+
+
+def test_dream_writes_its_results(files: dict[str, str]) -> None:
+    arguments = ["dream", files["mesh"], "-o", files["out"], "--weights", files["weights"], "--layer", "conv3_1"]
+    assert cli.main([*arguments, "--iterations", "3", "--channel", "2", *SMALL]) == 0
+    for name in FILES:
+        assert (Path(files["out"]) / name).stat().st_size > 50, name
+    report = json.loads((Path(files["out"]) / "report.json").read_text())
+    assert report["layer"] == "conv3_1" and report["channel"] == 2 and "dream" in report["history"][0]
+
+
+@pytest.mark.parametrize("command", ["style", "dream"])
+def test_presets(files: dict[str, str], command: str) -> None:
+    layer = ["--layer", "conv2_1"] if command == "dream" else []
+    inputs = [files["mesh"]] + ([files["painting"]] if command == "style" else [])
+    found = {}
+    for preset in ("paper", "published"):
+        out = Path(files["out"]) / preset
+        arguments = [command, *inputs, "-o", str(out), "--weights", files["weights"], "--preset", preset, *layer]
+        assert cli.main([*arguments, "--iterations", "1", *SMALL, "--turntable", "0"]) == 0
+        found[preset] = json.loads((out / "report.json").read_text())["settings"]
+        assert not (out / "turntable.gif").exists()
+    rates = {"style": (2.5e-4, 5e-4), "dream": (5e-5, 1e-4)}[command]
+    assert (found["paper"]["vertex_rate"], found["published"]["vertex_rate"]) == rates
+    assert found["paper"]["texture_rate"] == {"style": 5e-2, "dream": 1e-2}[command]
+    assert found["paper"]["seamless"] and not found["published"]["seamless"]
+
+
+def test_interrupted_and_resumed(
+    files: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert style(files, out=str(tmp_path / "whole")) == 0
+    advance = MeshEdit.advance
+
+    def interrupted(edit: MeshEdit) -> dict[str, float]:
+        if edit.step == 1:
+            os.kill(os.getpid(), signal.SIGINT)
+        return advance(edit)
+
+    monkeypatch.setattr(MeshEdit, "advance", interrupted)
+    assert style(files) == 130
+    assert "interrupted after 2 steps (--resume goes on)" in capsys.readouterr().out
+    assert (Path(files["out"]) / "mesh.glb").is_file()
+    monkeypatch.setattr(MeshEdit, "advance", advance)
+    assert style(files, "--resume") == 0
+    one, other = (nr.Mesh.load(folder / "mesh.obj") for folder in (tmp_path / "whole", Path(files["out"])))
+    assert torch.equal(one.vertices, other.vertices) and torch.equal(one.textures, other.textures)
+    report = json.loads((Path(files["out"]) / "report.json").read_text())
+    assert report["finished"] and len(report["history"]) == 4
+
+    assert style(files, "--resume", "--texture-size", "3") == 1
+    assert "expected a checkpoint of this run (style painting.png, " in capsys.readouterr().err
+    (Path(files["out"]) / "checkpoint.pt").write_text("text")
+    assert style(files, "--resume") == 1
+    assert "expected a checkpoint, got another file" in capsys.readouterr().err
+
+
+def test_grey_and_transparent_paintings(files: dict[str, str], tmp_path: Path) -> None:
+    with Image.open(files["painting"]) as image:
+        image.convert("L").save(tmp_path / "grey.png")
+        image.putalpha(Image.linear_gradient("L").resize(image.size))
+        image.save(tmp_path / "clear.png")
+    for name in ("grey.png", "clear.png"):
+        assert style(files, "--turntable", "0", "--iterations", "1", painting=str(tmp_path / name)) == 0
+
+
+def test_what_is_refused(
+    files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\n")
+    (tmp_path / "text.png").write_text("no picture")
+    Image.new("RGBA", (40, 40)).save(tmp_path / "nothing.png")
+    Image.new("RGB", (4, 4)).save(tmp_path / "tiny.png")
+    monkeypatch.setattr("neural_renderer.tasks.editing.edit._MOST_BYTES", 2**20)
+    for options, other, sentence in (
+        ([], {"mesh": str(tmp_path / "points.obj")}, "points.obj: expected faces"),
+        ([], {"mesh": str(tmp_path / "none.obj")}, "none.obj: expected a file"),
+        ([], {"painting": str(tmp_path / "text.png")}, "text.png: expected a picture"),
+        ([], {"painting": str(tmp_path / "nothing.png")}, "one that is transparent all over"),
+        ([], {"painting": str(tmp_path / "tiny.png")}, "expected at least 16 pixels on each side"),
+        ([], {"weights": files["mesh"]}, "ball.obj: expected a whole checkpoint of torch"),
+        (["--iterations", "0"], {}, "--iterations: expected at least 1, got 0"),
+        (["--size", "16"], {}, "--size: expected at least 32, got 16"),
+        (["--layers", "conv2_3"], {}, "expected one of conv1_1, conv1_2,"),
+        (["--elevation", "40", "20"], {}, "--elevation: expected two numbers between -90 and 90"),
+        (["--distance", "-1"], {}, "--distance: expected a finite number above 0"),
+        (["--light", "0.5", "-1"], {}, "--light: expected two numbers of at least 0"),
+        (["--settle", "2"], {}, "--settle: expected a part in [0, 1]"),
+        (["--texture-size", "2"], {}, "--texture-size: expected at least 3, got 2"),
+        (["--texture-size", "20"], {}, "of 20³ texels); choose a smaller texture size, or a mesh of fewer faces"),
+    ):
+        assert style(files, *options, **other) == 1
+        said = capsys.readouterr().err
+        assert sentence in " ".join(said.split()) and said.count("\n") == 1
+
+    def offline(address: str, **options: object) -> None:
+        raise OSError("no route to host")
+
+    monkeypatch.setattr(torch.hub, "load_state_dict_from_url", offline)
+    assert cli.main(["style", files["mesh"], files["painting"], "-o", files["out"]]) == 1
+    assert "give the file with --weights FILE" in capsys.readouterr().err
