@@ -13,7 +13,7 @@ from neural_renderer.tasks.reconstruction.configs import Config
 from neural_renderer.tasks.reconstruction.framing import view_camera
 
 SMALL = Config(
-    encoder="residual",
+    encoder="light",
     width=8,
     hidden=(32,),
     objects=4,

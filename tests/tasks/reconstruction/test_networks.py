@@ -9,13 +9,13 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.tasks.reconstruction.configs import Config, make_config
-from neural_renderer.tasks.reconstruction.encoders import LightEncoder, PaperEncoder, ResidualEncoder
+from neural_renderer.tasks.reconstruction.encoders import LightEncoder, PaperEncoder
 from neural_renderer.tasks.reconstruction.framing import view_camera
-from neural_renderer.tasks.reconstruction.mesh_network import MeshDecoder, MeshNetwork, in_octants, volume
+from neural_renderer.tasks.reconstruction.mesh_network import MeshDecoder, MeshNetwork, in_octants
 from neural_renderer.tasks.reconstruction.networks import make_network
 from neural_renderer.tasks.reconstruction.voxel_network import VoxelNetwork, rays
 
-SMALL = Config(encoder="residual", width=8, hidden=(16,))
+SMALL = Config(encoder="light", width=8, hidden=(16,))
 
 
 def count(module: torch.nn.Module) -> int:
@@ -53,20 +53,13 @@ def test_symmetry() -> None:
     assert sorted(network.partners.tolist()) == list(range(642))
 
 
-@pytest.mark.parametrize("encoder", [PaperEncoder, lambda: ResidualEncoder(8), lambda: LightEncoder(8)])
+@pytest.mark.parametrize("encoder", [PaperEncoder, lambda: LightEncoder(8)])
 def test_a_picture_alone_counts(encoder: type[torch.nn.Module]) -> None:
     torch.manual_seed(0)
     network, images = encoder().eval(), torch.rand(3, 4, 64, 64)
     features = network(images)
     assert features.shape == (3, 512)
     torch.testing.assert_close(network(images[1:2]), features[1:2], rtol=1e-4, atol=1e-5)
-
-
-def test_volume() -> None:
-    vertices, faces = nr.icosphere(4)
-    size = torch.tensor([1.0, 2.0])
-    found = volume(vertices * size[:, None, None] + 0.3, faces)
-    torch.testing.assert_close(found, 4 / 3 * torch.pi * size**3, rtol=0.01, atol=0)
 
 
 def test_voxels_are_seen_where_their_points_are() -> None:
@@ -88,7 +81,7 @@ def test_voxels_are_seen_where_their_points_are() -> None:
 @pytest.mark.parametrize("kind", ["mesh", "voxel"])
 def test_gradients_reach_every_weight(kind: str) -> None:
     torch.manual_seed(0)
-    network = make_network(kind, replace(SMALL, smoothness=1e-3, laplacian=1.0, volume=1.0))
+    network = make_network(kind, replace(SMALL, smoothness=1e-3, laplacian=1.0))
     shapes = network(torch.rand(2, 4, 64, 64))
     drawn = network.silhouettes(shapes, torch.tensor([3, 11]))
     target = torch.zeros_like(drawn)

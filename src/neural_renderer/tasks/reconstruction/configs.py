@@ -24,7 +24,6 @@ class Config:
     augment: mirror objects, and vary colours (see `sampling`).
     gradient, anti_aliasing: of the renderer.
     smoothness, laplacian: weights of these losses on the meshes.
-    volume: weight of what a mesh encloses, as a gain: of the shapes that silhouettes allow, the fullest.
     optimiser: "adam" is the published `neural_renderer.Adam`, "adamw" torch's.
     rate, decay: the learning rate, and the weight decay of "adamw".
     schedule: "step" divides the rate by ten after 95 % of the training; "cosine" lets it rise over the first 2 % and
@@ -46,7 +45,6 @@ class Config:
     anti_aliasing: bool = True
     smoothness: float = 0.0
     laplacian: float = 0.0
-    volume: float = 0.0
     optimiser: Literal["adam", "adamw"] = "adam"
     rate: float = 1e-4
     decay: float = 0.0
@@ -69,22 +67,25 @@ class Config:
 
 
 _BEST = Config(
-    encoder="residual",
-    hidden=(512, 1024),
+    encoder="light",
+    hidden=(512, 512),
     symmetric=True,
+    objects=32,
+    inputs=1,
     augment=True,
     gradient="edge",
-    smoothness=1e-4,
+    anti_aliasing=False,
+    laplacian=3.0,
     optimiser="adamw",
-    rate=1e-3,
+    rate=2e-3,
     decay=0.05,
     schedule="cosine",
-    average=0.998,
+    average=0.995,
     low_precision=True,
-    steps=10_000,
+    steps=20_000,
 )
 
-_CONFIGS = {"paper": Config(), "best": _BEST, "small": replace(_BEST, steps=3_000)}
+_CONFIGS = {"paper": Config(), "best": _BEST, "small": replace(_BEST, steps=4_000)}
 
 # The published numbers of steps for networks of one class, by its name and by its number in ShapeNet; networks of all
 # classes take a million.

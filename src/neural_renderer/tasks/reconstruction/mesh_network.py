@@ -73,15 +73,7 @@ class MeshNetwork(nn.Module):
             loss = loss + self.config.smoothness * smoothness(shapes, self._topology)
         if self.config.laplacian:
             loss = loss + self.config.laplacian * laplacian(shapes, self._topology)
-        if self.config.volume:
-            loss = loss - self.config.volume * volume(shapes, self.faces).mean()
         return loss
-
-
-def volume(vertices: Tensor, faces: Tensor) -> Tensor:
-    """The volumes [B] that meshes of vertices [B, V, 3] enclose; faces [F, 3] counter-clockwise from outside."""
-    a, b, c = vertices[:, faces.long()].unbind(2)
-    return (a * torch.linalg.cross(b, c)).sum((1, 2)) / 6
 
 
 class MeshDecoder(nn.Module):
