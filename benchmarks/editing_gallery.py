@@ -22,7 +22,7 @@ import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.commands.studio import photograph
 
-MESHES = ("bunny_kato", "teapot_kato")
+MESHES = {"bunny_kato": "4", "teapot_kato": "8"}  # and texels along an edge: the teapot has half as many faces
 PAINTINGS = {
     "elder1": "Bruegel, The Tower of Babel",
     "munch1": "Munch, The Scream",
@@ -30,9 +30,9 @@ PAINTINGS = {
     "hokusai1": "Hokusai, The Great Wave",
     "gogh2": "van Gogh, The Starry Night",
 }
-STYLE = ["--iterations", "300", "--size", "176", "--batch", "3", "--turntable", "0"]
-DREAM = ["--iterations", "200", "--batch", "2", "--texture-rate", "0.03", "--vertex-rate", "1.5e-4", "--turntable", "0"]
-_SIDE = 300
+STYLE = ["--iterations", "300", "--size", "176", "--batch", "3"]
+DREAM = ["--iterations", "200", "--batch", "2", "--texture-rate", "0.03", "--vertex-rate", "1.5e-4"]
+_SIDE = 256
 
 
 def main() -> int:
@@ -43,13 +43,14 @@ def main() -> int:
     parser.add_argument("--googlenet", required=True, help="weights of the network of dream")
     parser.add_argument("-o", "--output", type=Path, default=Path("gallery"))
     given = parser.parse_args()
-    for mesh in MESHES:
-        path = str(given.meshes / f"{mesh}.obj")
-        _run(given.output / mesh / "dream", ["dream", path, "--weights", given.googlenet, *DREAM])
     for painting in PAINTINGS:
-        for mesh in MESHES:
-            path, picture = str(given.meshes / f"{mesh}.obj"), str(given.paintings / f"{painting}.jpg")
-            _run(given.output / mesh / painting, ["style", path, picture, "--weights", given.vgg, *STYLE])
+        for mesh, texels in MESHES.items():
+            path, common = str(given.meshes / f"{mesh}.obj"), ["--texture-size", texels, "--turntable", "0"]
+            picture = str(given.paintings / f"{painting}.jpg")
+            _run(given.output / mesh / painting, ["style", path, picture, "--weights", given.vgg, *STYLE, *common])
+    for mesh, texels in MESHES.items():
+        path, common = str(given.meshes / f"{mesh}.obj"), ["--texture-size", texels, "--turntable", "0"]
+        _run(given.output / mesh / "dream", ["dream", path, "--weights", given.googlenet, *DREAM, *common])
     together(given.output, given.meshes, given.paintings)
     return 0
 
