@@ -68,7 +68,8 @@ class Config:
 
 _BEST = Config(
     encoder="light",
-    hidden=(512, 512),
+    width=48,
+    hidden=(512, 1024),
     symmetric=True,
     objects=32,
     inputs=1,
@@ -77,7 +78,7 @@ _BEST = Config(
     anti_aliasing=False,
     laplacian=3.0,
     optimiser="adamw",
-    rate=2e-3,
+    rate=1e-3,
     decay=0.05,
     schedule="cosine",
     average=0.995,
