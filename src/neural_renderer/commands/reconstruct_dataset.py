@@ -53,11 +53,11 @@ class Dataset:
     samples: int = 6
     """Each pixel is the mean of so many times so many (at least 4)."""
     processes: Annotated[int, tyro.conf.arg(aliases=["-j"])] = field(default_factory=lambda: os.cpu_count() or 1)
-    """Models that are worked on at once (at least 1)."""
+    """Models that are worked on at once, each in a process of its own (0: one after the other, in this process)."""
 
     def run(self) -> int:
         """Make the data; returns the exit code: 0, or 130 after Ctrl-C. Raises ValueError or OSError."""
-        for name, least in {"views": 1, "size": 8, "samples": 4, "processes": 1}.items():
+        for name, least in {"views": 1, "size": 8, "samples": 4, "processes": 0}.items():
             checked_count(name, getattr(self, name), least)
         if self.splits is not None and self.set is not None:
             raise ValueError("--set: expected it alone or --splits alone, got both")

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import track
 from torch import Tensor
 
-from ..io import load_image, save_animation, save_image
+from ..io import load_image, save_animation, save_image, save_mesh
 from ..mesh import Mesh
 from ..tasks.reconstruction.checkpoint import load_model
 from ..tasks.reconstruction.cutout import cut_out, framed
@@ -32,7 +32,7 @@ class Predict:
     A picture is a PNG with transparency, a photo with a --mask, or an object before a plain background; of any size:
     the object is cut out and framed as the pictures that the network has learned from. A square of 64 pixels with
     transparency is taken as it is. Beside the mesh (y up, its longest side about 1) there will be a sheet of what was
-    given, what the network saw, and views of the mesh (.png), and a turntable (.gif).
+    given, what the network saw, and views of the mesh (_sheet.png), and a turntable (_turntable.gif).
 
     Example: neural-renderer reconstruct predict trained/best.ckpt chair.png -o chair.obj
 
@@ -66,6 +66,12 @@ class Predict:
         if not 0 < self.threshold < 1:
             raise ValueError(f"--threshold: expected a number above 0 and below 1, got {self.threshold}")
         targets = self._targets()
+        for target in targets.values():
+            for path in (target, _beside(target, "sheet.png"), _beside(target, "turntable.gif")):
+                if path.exists() and any(path.samefile(image) for image in self.images if image.exists()):
+                    raise ValueError(f"--output: expected another file than the picture {path}")
+        if self.mask is not None and len(self.images) > 1 and not self.mask.is_dir():
+            raise ValueError(f"--mask: expected a folder of masks for {len(self.images)} pictures, got {self.mask}")
         device = chosen_device(self.device)
         model = load_model(self.checkpoint, device)
         console, failures = Console(stderr=True), []
@@ -116,27 +122,24 @@ class Predict:
     def _mask_of(self, path: Path) -> Path:
         folder = self.mask
         if folder is None or not folder.is_dir():
-            if len(self.images) > 1:
-                raise ValueError(f"--mask: expected a folder of masks for {len(self.images)} pictures, got {self.mask}")
-            return self.mask or path
+            return folder or path
         for suffix in (path.suffix, *_PICTURES):
             if (folder / (path.stem + suffix)).is_file():
                 return folder / (path.stem + suffix)
         raise ValueError(f"{folder}: expected a mask {path.stem}.png, got none")
 
     def _write(self, target: Path, picture: Tensor, image: Tensor, vertices: Tensor, faces: Tensor) -> None:
-        textures = torch.tensor(CLAY).expand(len(faces), 2, 2, 2, 3)
-        mesh = Mesh(vertices, faces, textures)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        mesh.save(target)
+        save_mesh(target, vertices, faces)
         if self.sheet:
-            save_image(
-                target.with_name(f"{target.stem}_sheet.png"), prediction_picture(picture, image, vertices, faces)
-            )
+            save_image(_beside(target, "sheet.png"), prediction_picture(picture, image, vertices, faces))
         if self.turntable:
-            upright = mesh.normalize()
+            upright = Mesh(vertices, faces, torch.tensor(CLAY).expand(len(faces), 2, 2, 2, 3)).normalize()
             frames = (photograph(upright, 145 + 360 * i / self.turntable, size=256) for i in range(self.turntable))
-            save_animation(target.with_suffix(".gif"), frames, fps=15)
+            save_animation(_beside(target, "turntable.gif"), frames, fps=15)
+
+
+def _beside(target: Path, name: str) -> Path:
+    return target.with_name(f"{target.stem}_{name}")
 
 
 def _as_mask(image: Tensor) -> Tensor:

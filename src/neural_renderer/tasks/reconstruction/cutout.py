@@ -70,8 +70,9 @@ def framed(rgba: Tensor) -> Tensor:
     grid = torch.stack((2 * x / rgba.shape[2] - 1, 2 * y / rgba.shape[1] - 1), -1).float()
     sampled = F.grid_sample(small, grid[None], padding_mode="zeros", align_corners=False)
     pixels = F.avg_pool2d(sampled, 2)[0].clamp(0, 1)
-    colours = pixels[:3] / pixels[3:].clamp(min=1e-6)
-    return (torch.cat((colours.clamp(0, 1) * (pixels[3:] > 0), pixels[3:])) * 255 + 0.5).to(torch.uint8)
+    pixels = pixels * (pixels[3:] > 0.5 / 255)
+    colours = (pixels[:3] / pixels[3:].clamp(min=1e-6)).clamp(0, 1)
+    return (torch.cat((colours, pixels[3:])) * 255 + 0.5).to(torch.uint8)
 
 
 def plain_background_mask(rgb: Tensor) -> Tensor:

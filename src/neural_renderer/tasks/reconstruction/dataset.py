@@ -101,14 +101,17 @@ def make_object(path: Path, settings: Settings = Settings()) -> tuple[Tensor, Te
 def make_objects(
     models: Sequence[Model], folder: Path, settings: Settings, processes: int
 ) -> Iterator[tuple[Model, str | None, list[str]]]:
-    """Make objects in several processes, each in a file of its own below ``folder``; what is there already stays.
+    """Make objects in several processes, or (0) in this one; each has a file of its own below ``folder``.
 
-    Yields each model as it is done, with None or a sentence that says why it could not be made, and warnings about it.
+    What is there already stays. Yields each model as it is done, with None or a sentence that says why it could not be
+    made, and warnings about it.
     """
     waiting = {}
     for model in models:
         if _is_made(model, folder, settings):
             yield model, None, []
+        elif processes == 0:
+            yield model, *_make_file(model, folder, settings)
         else:
             waiting[model] = True
     while waiting:

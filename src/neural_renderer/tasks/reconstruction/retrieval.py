@@ -108,7 +108,7 @@ class Retrieval:
 
 
 def _device(network: FeatureNetwork) -> torch.device:
-    return next(iter(network.state_dict().values())).device
+    return next(iter(network.state_dict().values()), torch.zeros(())).device
 
 
 def _fingerprint(network: FeatureNetwork) -> str:

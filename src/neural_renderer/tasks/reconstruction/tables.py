@@ -24,7 +24,7 @@ def blocks(methods: Mapping[str, Scores], measure: str = "voxel_iou") -> list[li
     columns.append(("mean", {label: scores.mean(measure) for label, scores in methods.items()}))
     parts = [columns[begin : begin + _COLUMNS] for begin in range(0, len(columns), _COLUMNS)]
     if len(parts) > 1 and len(parts[-1]) == 1:  # the mean stays beside the last classes, as in the paper
-        parts[-2] += parts.pop()
+        parts[-2:] = [parts[-2] + parts[-1]]
     return [
         [["", *(name for name, _ in part)]]
         + [[label, *(_cell(values, label, measure) for _, values in part)] for label in methods]
