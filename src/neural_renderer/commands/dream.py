@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ..tasks.editing import DREAM_LAYER, PUBLISHED_DREAM, Dream, DreamWeights
 from .edit import Edit, Preset
@@ -40,12 +40,9 @@ class DreamCommand(Edit):
         self.checked()
         mesh, coloured = self.loaded()
         published = self.preset == "published"
-        given = {name: getattr(self, name) for name in ("bend", "variation")}
-        weights = replace(
-            PUBLISHED_DREAM if published else DreamWeights(), **{k: v for k, v in given.items() if v is not None}
-        )
+        weights = self.loss_weights(PUBLISHED_DREAM if published else DreamWeights())
         dream = Dream(
             self.network("googlenet"), layer=self.layer, channel=self.channel, weights=weights, relative=not published
         )
         inputs = {"layer": self.layer, "channel": self.channel}
-        return self.edited(mesh, coloured, dream, _PRESETS[self.preset], inputs)
+        return self.edited(mesh, coloured, dream, _PRESETS[self.preset], weights, inputs)

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
+import torch
 import tyro
 from rich.console import Console
 
 from ..features import FeatureNetwork, load_features
-from ..io import save_image
+from ..io import load_mesh, save_image
 from ..mesh import Mesh
 from ..tasks.curve import curve
-from ..tasks.editing import MeshEdit, Views
+from ..tasks.editing import DreamWeights, MeshEdit, StyleWeights, Views
 from ..tasks.editing.edit import Objective
 from ..tasks.editing.results import preview, six_views, turntable
 from ..version import __version__
 from .common import checked_count, chosen_device
 from .run import Run
+
+_Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,11 @@ class Edit:
         own = getattr(self, name, None)
         return getattr(preset, name) if own is None else own
 
+    def loss_weights(self, default: _Weights) -> _Weights:
+        """The weights of the losses: those of the options that are given, for the others ``default``."""
+        own = {part.name: getattr(self, part.name, None) for part in fields(default)}
+        return replace(default, **{name: value for name, value in own.items() if value is not None})
+
     def network(self, published: str) -> FeatureNetwork:
         """The network of --weights, or else a published one, on the chosen device."""
         return load_features(published if self.weights is None else self.weights).to(chosen_device(self.device))
@@ -111,13 +119,23 @@ class Edit:
 
     def loaded(self) -> tuple[Mesh, bool]:
         """The mesh and whether it has colours of its own."""
-        mesh = Mesh.load(self.mesh, self.texture_size).to(chosen_device(self.device))
-        return mesh, bool((mesh.textures < 1).any())
+        vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
+        white = torch.ones(len(faces), *(self.texture_size,) * 3, 3)
+        mesh = Mesh(vertices, faces, white if textures is None else textures)
+        return mesh.to(chosen_device(self.device)), textures is not None
 
-    def edited(self, mesh: Mesh, coloured: bool, objective: Objective, preset: Preset, inputs: dict[str, Any]) -> int:
+    def edited(
+        self,
+        mesh: Mesh,
+        coloured: bool,
+        objective: Objective,
+        preset: Preset,
+        weights: StyleWeights | DreamWeights,
+        inputs: dict[str, Any],
+    ) -> int:
         """Edit the mesh and write what comes of it; the exit code, 0, or 130 after Ctrl-C.
 
-        ``inputs`` tell, with the mesh, what a checkpoint belongs to.
+        ``inputs`` tell, with the mesh, what a checkpoint belongs to; ``weights`` are the objective's, for the report.
         """
         setting = {name: self.chosen(preset, name) for name in asdict(preset)}
         views = Views(setting["elevation"], setting["distance"], light=setting["light"])
@@ -142,7 +160,6 @@ class Edit:
         inputs |= {"seamless": setting["seamless"]}
         run = Run(self.output, edit, inputs, lambda path: save_image(path, preview(edit)), every=self.preview)
         finished = run.work(self.resume)
-        after = edit.measure()
         result = edit.mesh()
         result.save(self.output / "mesh.obj")
         result.save(self.output / "mesh.glb")
@@ -151,20 +168,21 @@ class Edit:
             turntable(self.output, result, self.turntable)
         main = next(name for name in run.history[-1] if name not in ("phase", "loss")) if run.history else "loss"
         curve(run.history, main, "loss", logarithmic=main == "style").save(self.output / "loss.png")
-        share = {name: round(part / max(sum(edit.seconds.values()), 1e-9), 4) for name, part in edit.seconds.items()}
-        options = {name: str(value) if isinstance(value, Path) else value for name, value in asdict(self).items()}
-        report = {"version": __version__, "finished": finished, "steps": edit.step, "settings": options | setting}
-        report |= {"held_out": {"before": edit.before, "after": after}, "moved": edit.moved(), **inputs}
-        report |= {"seconds": round(run.seconds, 1), "share_of_time": share, "history": run.history}
-        (self.output / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-        self._told(edit, after, finished, run.seconds)
+        settings = asdict(self) | setting | asdict(weights)
+        settings = {name: str(value) if isinstance(value, Path) else value for name, value in settings.items()}
+        self._report(edit, run, finished, {**inputs, "settings": settings})
         return 0 if finished else 130
 
-    def _told(self, edit: MeshEdit, after: float, finished: bool, seconds: float) -> None:
+    def _report(self, edit: MeshEdit, run: Run, finished: bool, inputs: dict[str, Any]) -> None:
+        """Write ``report.json`` and say the most important of it."""
+        after, moved = edit.measure(), edit.moved()
+        share = {name: round(part / max(sum(edit.seconds.values()), 1e-9), 4) for name, part in edit.seconds.items()}
+        report = {"version": __version__, "finished": finished, "steps": edit.step, **inputs}
+        report |= {"held_out": {"before": edit.before, "after": after}, "moved": moved}
+        report |= {"seconds": round(run.seconds, 1), "share_of_time": share, "history": run.history}
+        (self.output / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
         console = Console()
-        change = (
-            f"{edit.before:.4g} → {after:.4g} on views that no step saw, vertices moved by {edit.moved()['mean']:.2%}"
-        )
+        change = f"{edit.before:.4g} → {after:.4g} on views that no step saw, vertices moved by {moved['mean']:.2%}"
         console.print(f"[bold]{change}[/bold] of the mesh's size on average", highlight=False, soft_wrap=True)
         ending = "" if finished else f", interrupted after {edit.step} steps (--resume goes on)"
-        console.print(f"{seconds:.1f} s{ending}; the results are in {self.output}", highlight=False, soft_wrap=True)
+        console.print(f"{run.seconds:.1f} s{ending}; the results are in {self.output}", highlight=False, soft_wrap=True)

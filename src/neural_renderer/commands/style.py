@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
@@ -54,10 +54,7 @@ class StyleCommand(Edit):
         painting = load_image(self.painting).permute(2, 0, 1).to(device)
         mesh, coloured = self.loaded()
         published = self.preset == "published"
-        given = {name: getattr(self, name) for name in ("content", "bend", "variation")}
-        weights = replace(
-            PUBLISHED_STYLE if published else StyleWeights(), **{k: v for k, v in given.items() if v is not None}
-        )
+        weights = self.loss_weights(PUBLISHED_STYLE if published else StyleWeights())
         style = Style(
             self.network("vgg16-original"),
             painting,
@@ -67,4 +64,4 @@ class StyleCommand(Edit):
             scale=self.painting_scale,
             relative=not published,
         )
-        return self.edited(mesh, coloured, style, _PRESETS[self.preset], {"style": self.painting.name})
+        return self.edited(mesh, coloured, style, _PRESETS[self.preset], weights, {"style": self.painting.name})

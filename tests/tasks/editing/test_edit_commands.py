@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,17 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.tasks.editing import MeshEdit
+from neural_renderer.tasks.editing import MeshEdit, results
 from tests.tasks.editing.networks import saved_vgg
 
 SMALL = ["--size", "32", "--batch", "2", "--turntable", "2"]
 FILES = ("mesh.obj", "mesh.mtl", "mesh.png", "mesh.glb", "views.png", "loss.png", "turntable.mp4", "turntable.gif")
+
+
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("six_views", "preview", "turntable"):
+        monkeypatch.setattr(f"neural_renderer.commands.edit.{name}", partial(getattr(results, name), size=48))
 
 
 @pytest.fixture
@@ -53,9 +60,10 @@ def test_style_writes_its_results(files: dict[str, str], capsys: pytest.CaptureF
     assert report["finished"] and report["steps"] == 4 == len(report["history"])
     assert {"phase", "loss", "style", "content", "bend", "variation"} == set(report["history"][0])
     assert report["held_out"]["before"] > 0 and report["settings"]["vertex_rate"] == 2.5e-4
+    assert report["settings"]["content"] == 200
     assert sum(report["share_of_time"].values()) == pytest.approx(1, abs=0.001)
     with Image.open(out / "views.png") as picture:
-        assert picture.size == (6 * 320, 2 * 320)
+        assert picture.size == (6 * 48, 2 * 48)
     # Both files show the colours that were found, in the world of the mesh that was given.
     meshes = [nr.Mesh.load(out / name, 8) for name in ("mesh.obj", "mesh.glb")]
     eye = nr.get_points_from_angles(9.0, 20.0, torch.tensor([0.0, 120.0, 240.0])) + 5
