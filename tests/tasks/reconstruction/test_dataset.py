@@ -213,7 +213,7 @@ def test_a_process_that_dies_costs_one_model(models: Path, tmp_path: Path, monke
 
 
 def test_interrupted(models: Path, tmp_path: Path) -> None:
-    for index in range(3, 30):
+    for index in range(3, 24):
         write_wedge(models / "wedge" / f"w{index}.obj")
     out = tmp_path / "out"
     arguments = [
@@ -227,7 +227,13 @@ def test_interrupted(models: Path, tmp_path: Path) -> None:
         "--samples",
         "4",
     ]
-    process = subprocess.Popen([*arguments, "-j", "1"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [*arguments, "-j", "1"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # a shell's background ignores it
+    )
     while not list(out.glob("objects/*/*.npz")):
         time.sleep(0.1)
         assert process.poll() is None
@@ -268,6 +274,19 @@ def test_bad_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     (tmp_path / "models" / "a" / "b.obj").write_text("nothing")
     assert command(tmp_path / "models", tmp_path / "out", "--set", "test") == 1
     assert "expected at least one model that can be rendered, got none" in capsys.readouterr().err
+
+
+def test_a_full_disk_ends_the_run_and_names_the_file(
+    models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("numpy.savez_compressed", full)
+    assert command(models, tmp_path / "out") == 1
+    told = capsys.readouterr().err
+    assert "big.npz: expected to write it, got: No space left on device" in told
+    assert not list((tmp_path / "out").rglob("*.npz*"))
 
 
 def test_real_models(shared: Path) -> None:

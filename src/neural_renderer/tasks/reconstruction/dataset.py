@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -178,15 +178,9 @@ def _make_file(model: Model, folder: Path, settings: Settings) -> tuple[str | No
         except Exception as error:  # whatever a model is broken by, the others are not
             told = isinstance(error, (ValueError, OSError)) and str(error)
             return (str(error) if told else f"{model.path}: {type(error).__name__}: {error}"), []
-    target.parent.mkdir(parents=True, exist_ok=True)
-    fresh = target.with_name(f".{target.name}.{os.getpid()}")
-    try:
-        with open(fresh, "wb") as file:
-            arrays: dict[str, Any] = {"images": images.numpy(), "voxels": voxels.numpy()}
-            np.savez_compressed(file, key=np.array(_key(model, settings)), **arrays)
-        fresh.replace(target)
-    finally:
-        fresh.unlink(missing_ok=True)
+    arrays: dict[str, Any] = {"images": images.numpy(), "voxels": voxels.numpy()}
+    with _replacing(target) as fresh, open(fresh, "wb") as file:
+        np.savez_compressed(file, key=np.array(_key(model, settings)), **arrays)
     return None, sorted({str(warning.message) for warning in caught})
 
 
@@ -215,9 +209,8 @@ def assemble(
         "versions": {"neural_renderer": __version__, "torch": torch.__version__, "numpy": np.__version__},
         "broken": broken,
     }
-    fresh = folder / f".{DESCRIPTION}"
-    fresh.write_text(json.dumps(description, indent=1) + "\n", encoding="utf-8")
-    fresh.replace(folder / DESCRIPTION)
+    with _replacing(folder / DESCRIPTION) as fresh:
+        fresh.write_text(json.dumps(description, indent=1) + "\n", encoding="utf-8")
 
 
 def _names_before(folder: Path) -> dict[str, dict[str, list[str]]]:
@@ -229,21 +222,32 @@ def _names_before(folder: Path) -> dict[str, dict[str, list[str]]]:
 
 def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
     """One array of all objects, read and written one at a time."""
-    fresh = target.with_name(f".{target.name}")
+    with (
+        _replacing(target) as fresh,
+        zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive,
+        archive.open("arr_0.npy", "w", force_zip64=True) as member,
+    ):
+        for index, path in enumerate(objects):
+            with np.load(path) as arrays:
+                array = arrays[kind]
+            if index == 0:
+                _write_header(member, array, len(objects))
+            member.write(np.ascontiguousarray(array).tobytes())
+
+
+@contextmanager
+def _replacing(target: Path) -> Iterator[Path]:
+    """A name to write a file under that takes the place of ``target`` once it is whole; OSError names ``target``."""
+    fresh = target.with_name(f".{target.name}.{os.getpid()}")
     try:
-        with (
-            zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive,
-            archive.open("arr_0.npy", "w", force_zip64=True) as member,
-        ):
-            for index, path in enumerate(objects):
-                with np.load(path) as arrays:
-                    array = arrays[kind]
-                if index == 0:
-                    _write_header(member, array, len(objects))
-                member.write(np.ascontiguousarray(array).tobytes())
+        target.parent.mkdir(parents=True, exist_ok=True)
+        yield fresh
         fresh.replace(target)
+    except OSError as error:
+        raise OSError(f"{target}: expected to write it, got: {error.strerror or error}") from error
     finally:
-        fresh.unlink(missing_ok=True)
+        with suppress(OSError):
+            fresh.unlink(missing_ok=True)
 
 
 def _write_header(member: IO[bytes], array: np.ndarray, count: int) -> None:
