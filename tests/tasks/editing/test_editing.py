@@ -300,6 +300,7 @@ def test_what_is_refused(network: FeatureNetwork) -> None:
         ({"steps": 0}, "steps: expected at least 1"),
         ({"batch": 0}, "batch: expected at least 1"),
         ({"texture_size": 200}, r"textures of at most 2 GiB, got 28.6 GiB \(320 faces of 200³ texels\); choose"),
+        ({"vertex_rate": -1.0}, "vertex_rate: expected a number of at least 0"),
         ({"settle": 1.5}, "settle: expected a part in"),
         ({"texture_size": 2}, "texture_size: expected at least 3"),
         ({"texture_size": 3, "start": "mesh"}, "mesh: expected textures of 3³ texels, got 4³"),

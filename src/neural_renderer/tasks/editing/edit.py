@@ -107,6 +107,9 @@ class MeshEdit:
         colours = self._begun(mesh, start, texture_size)
         self._colours = torch.logit(colours.clamp(_DARKEST, 1 - _DARKEST)).requires_grad_()
         self._rates = validate.number("vertex_rate", vertex_rate), validate.number("texture_rate", texture_rate)
+        for name, rate in zip(("vertex_rate", "texture_rate"), self._rates, strict=True):
+            if rate < 0:
+                raise ValueError(f"{name}: expected a number of at least 0, got {rate}")
         groups = zip((self._vertices, self._colours), self._rates, strict=True)
         self._optimizer = Adam([{"params": [parameter], "lr": rate} for parameter, rate in groups])
         self._settle = validate.number("settle", settle)
