@@ -184,7 +184,7 @@ def test_sheet(data: Path) -> None:
     split = open_split(data, "test")
     predictors = {"a": network_predictor(Knowing("mesh")), "b": network_predictor(Knowing("voxel"), 0.9)}
     picture = prediction_sheet(predictors, split, size=32)
-    assert picture.shape == (3, 3 * 32, (1 + 3 * 3) * 32)
+    assert picture.shape == (3, 20 + 3 * 32, (1 + 3 * 3) * 32)
 
 
 @pytest.fixture
@@ -215,7 +215,7 @@ def test_the_command(data: Path, tmp_path: Path, networks: None, capsys: pytest.
     assert report["objects"] == {"ball": 1, "pole": 1, "slab": 1}
     assert "| mesh |" in (out / "table.md").read_text()
     with Image.open(out / "sheet.png") as picture:
-        assert picture.size == (13 * 96, 3 * 96)
+        assert picture.size == (13 * 96, 20 + 3 * 96)
 
 
 def test_what_is_wrong_is_a_sentence(

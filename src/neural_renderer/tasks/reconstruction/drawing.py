@@ -12,7 +12,7 @@ from .framing import SIZE, view_camera
 
 CLAY = (0.86, 0.84, 0.8)
 STONE = (0.72, 0.77, 0.84)
-_PAPER = 0.8
+PAPER = 0.8
 _LAMP = (-0.45, 0.8, 0.5)  # towards the light, in the viewer's right, up and back
 
 
@@ -26,11 +26,11 @@ def drawn(
     lamp = F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)
     light = Light(0.42, 0.6, direction=lamp)
     textures = torch.tensor(colour, device=vertices.device).expand(len(faces), 2, 2, 2, 3)
-    rgb = render((vertices, faces, textures), camera, size, light=light, background=(_PAPER,) * 3, outputs="rgb").rgb
+    rgb = render((vertices, faces, textures), camera, size, light=light, background=(PAPER,) * 3, outputs="rgb").rgb
     return rgb[0].clamp(0, 1)  # type: ignore[index]
 
 
 def shown(image: Tensor) -> Tensor:
     """An image of the data, uint8 [4, H, W], on paper: [3, H, W] in [0, 1]."""
     pixels = image.float() / 255
-    return pixels[:3] * pixels[3:] + _PAPER * (1 - pixels[3:])
+    return pixels[:3] * pixels[3:] + PAPER * (1 - pixels[3:])

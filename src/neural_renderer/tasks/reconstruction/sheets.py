@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 import torch
+from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from ...metrics import silhouette_iou
-from ...render import render
 from .arrays import Split
-from .drawing import STONE, drawn, shown
-from .framing import SIZE, VIEWS, view_camera
+from .drawing import PAPER, STONE, drawn, shown
+from .framing import VIEWS
 from .shapes import Predictor, Solids
 from .voxels import surface
 
@@ -35,10 +38,9 @@ def agreement(split: Split, name: str, most: int = 8) -> float:
     values = []
     views = torch.arange(0, VIEWS, VIEWS // 4)
     for index in _spread(len(split.images[name]), most):
-        vertices, faces = surface(torch.from_numpy(split.voxels[name][index].copy()))
-        images = render((vertices, faces), view_camera(views), SIZE, outputs="alpha")
+        solids = Solids(torch.from_numpy(split.voxels[name][index].copy())[None])
         masks = torch.from_numpy(split.images[name][index, views.numpy(), 3].copy()) > 127
-        values.append(silhouette_iou(images.alpha, masks))  # type: ignore[arg-type]
+        values.append(silhouette_iou(solids.silhouettes(views[None])[0], masks))
     return float(torch.cat(values).mean())
 
 
@@ -53,7 +55,8 @@ def prediction_sheet(
 ) -> Tensor:
     """A few objects of each class: an input; of each predictor, the shape from three views; the voxels to be found.
 
-    The views are the input's own, and ``turns`` further around. Rows of objects, [3, rows · size, columns · size].
+    The views are the input's own, and ``turns`` further around. A row for each object below a line that names the
+    columns: [3, 20 + rows · size, columns · size] in [0, 1].
     """
     rows = []
     for number, name in enumerate(split.classes):
@@ -64,6 +67,16 @@ def prediction_sheet(
             predictions = [predict(image[None]) for predict in predictors.values()]
             row = [torch.nn.functional.interpolate(shown(image)[None], (size, size), mode="bilinear")[0]]
             for shapes in (*predictions, truth):
-                row += [shapes.picture(0, (view + turn) % VIEWS, size) for turn in turns]
+                row += [shapes.picture(0, (view + turn) % VIEWS, size).cpu() for turn in turns]
             rows.append(torch.cat(row, 2))
-    return torch.cat(rows, 1)
+    titles = ["input", *(title for name in (*predictors, "truth") for title in (name, *[""] * (len(turns) - 1)))]
+    return torch.cat((_header(titles, size), *rows), 1)
+
+
+def _header(titles: Sequence[str], size: int, height: int = 20) -> Tensor:
+    """A line [3, height, columns · size] with a title above each column that has one."""
+    image = Image.new("L", (len(titles) * size, height), round(255 * PAPER))
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(12)
+    for column, title in enumerate(titles):
+        draw.text((column * size + 4, 3), title, 40, font)
+    return (torch.from_numpy(np.array(image)).float() / 255).expand(3, -1, -1)
