@@ -21,7 +21,7 @@ from .texels import Texels
 from .views import Views, generator
 
 _MOST_BYTES = 2 * 2**30  # of cubes; gradients, Adam's means and temporary copies are several times that
-_DARKEST, _SELDOM, _HELD_OUT = 0.02, 0.05, 8
+_DARKEST, _SELDOM, _HELD_OUT = 0.05, 0.05, 8  # nearer to black or white the sigmoid hardly moves
 
 
 class Objective(Protocol):
@@ -46,7 +46,7 @@ class MeshEdit:
     >>> edit.mesh().save("painted.glb")
 
     The mesh is edited in the cube [-1, 1]³ and given back where it was. Vertices at the same place are one. Colours are
-    the sigmoid of what is optimised.
+    the sigmoid of what is optimised, and begin between 0.05 and 0.95.
 
     Args:
         mesh: the mesh, with colours to begin with.
