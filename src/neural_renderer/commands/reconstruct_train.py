@@ -46,15 +46,17 @@ class Train:
     model: ModelName = "mesh"
     """Deform a sphere (the paper's method), or predict voxels (the baseline of Yan et al. 2016)."""
     config: ConfigName = "best"
-    """The recipe: the paper's (a million steps: days), the best known one, or a small one of about 20 minutes."""
+    """The recipe: the paper's (a million steps: days), the best known one, or that one with fewer steps, about 20 minutes."""
     classes: tuple[str, ...] = ()
     """Learn these classes only (default: all there are)."""
     steps: int | None = None
     """Steps of the training, in place of the recipe's (at least 1)."""
     minutes: float | None = None
-    """End after this time, and let the learning rate's schedule fit into it."""
+    """End after this time at the latest, and let the learning rate's schedule fit into it."""
     smoothness: float | None = None
     """Weight of the smoothness loss, in place of the recipe's."""
+    laplacian: float | None = None
+    """Weight of the Laplacian loss, likewise."""
     every: int = 250
     """Steps between two measurements, checkpoints and pictures (at least 1)."""
     seed: int = 0
@@ -118,10 +120,11 @@ class Train:
         config = make_config(self.config, train.classes)
         if self.steps is not None:
             config = replace(config, steps=checked_count("steps", self.steps, 1))
-        if self.smoothness is not None:
-            if not 0 <= self.smoothness < math.inf:
-                raise ValueError(f"--smoothness: expected a weight of at least 0, got {self.smoothness}")
-            config = replace(config, smoothness=self.smoothness)
+        for name in ("smoothness", "laplacian"):
+            weight = getattr(self, name)
+            if weight is not None and not 0 <= weight < math.inf:
+                raise ValueError(f"--{name}: expected a weight of at least 0, got {weight}")
+            config = config if weight is None else replace(config, **{name: weight})
         return config
 
     def _checkpoint(self, config: Config) -> Path | None:

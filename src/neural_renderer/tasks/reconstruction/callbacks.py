@@ -76,7 +76,7 @@ class Record(lightning.Callback):
             with path.open(newline="", encoding="utf-8") as file:
                 rows = [row for row in csv.DictReader(file) if int(row["step"]) <= module.steps_done]
         with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, self._COLUMNS, extrasaction="ignore")
+            writer = csv.DictWriter(file, self._COLUMNS, extrasaction="ignore", lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
         note = TextColumn("{task.fields[note]}")
@@ -124,7 +124,7 @@ class Record(lightning.Callback):
         row = {"step": module.steps_done, "seconds": round(module.seconds, 2), "rate": f"{rate:.3g}"}
         row |= {name: round(module.latest[name], 6) for name in names}
         with (self._folder / "log.csv").open("a", newline="", encoding="utf-8") as file:
-            csv.DictWriter(file, self._COLUMNS).writerow(row)
+            csv.DictWriter(file, self._COLUMNS, lineterminator="\n").writerow(row)
         for logger in trainer.loggers:
             logger.log_metrics({**{name: module.latest[name] for name in names}, "rate": rate}, step=module.steps_done)
 
