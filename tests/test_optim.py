@@ -121,3 +121,23 @@ def test_sparse_gradients_are_refused():
     parameter.grad = torch.ones(2).to_sparse()
     with pytest.raises(TypeError, match="gradient: expected a dense"):
         Adam([parameter]).step()
+
+
+def test_pieces_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large parameters are moved piece by piece, in any memory format, to the same numbers."""
+    found = []
+    for piece in (1 << 40, 7):
+        monkeypatch.setattr("neural_renderer.optim._PIECE", piece)
+        torch.manual_seed(0)
+        image = torch.randn(8, 4, 5, 5).to(memory_format=torch.channels_last)
+        values = [
+            torch.nn.Parameter(value) for value in (torch.randn(64, 33), image, torch.randn(()), torch.randn(9).half())
+        ]
+        optimiser = nr.Adam(values, lr=1e-2)
+        for _ in range(3):
+            for value in values:
+                value.grad = torch.randn_like(value) * (torch.rand_like(value) > 0.3)
+            optimiser.step()
+        found.append(values)
+    for one, other in zip(*found, strict=True):
+        assert torch.equal(one, other)
