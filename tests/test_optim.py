@@ -123,7 +123,7 @@ def test_sparse_gradients_are_refused():
         Adam([parameter]).step()
 
 
-def test_pieces_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pieces_do_not_matter(monkeypatch):
     """Large parameters are moved piece by piece, in any memory format, to the same numbers."""
     found = []
     for piece in (1 << 40, 7):
@@ -133,7 +133,7 @@ def test_pieces_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
         values = [
             torch.nn.Parameter(value) for value in (torch.randn(64, 33), image, torch.randn(()), torch.randn(9).half())
         ]
-        optimiser = nr.Adam(values, lr=1e-2)
+        optimiser = Adam(values, lr=1e-2)
         for _ in range(3):
             for value in values:
                 value.grad = torch.randn_like(value) * (torch.rand_like(value) > 0.3)
