@@ -208,7 +208,7 @@ def test_a_process_that_dies_costs_one_model(models: Path, tmp_path: Path, monke
         "sys.addaudithook(hook)\n"
     )
     found, _ = find_models(models)
-    results = {model.name: problem for model, problem, _ in make_objects(found, tmp_path / "out", SMALL, 2)}
+    results = {model.name: problem for model, problem, _ in make_objects(found, tmp_path / "out", SMALL, 1)}
     assert results.pop("w1") is not None and set(results.values()) == {None} and len(results) == 3
 
 

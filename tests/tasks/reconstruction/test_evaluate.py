@@ -40,11 +40,12 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data")
     for name, (vertices, faces) in SHAPES.items():
         vertices = unit(vertices)
-        for split, colour in (("test", [0.8, 0.3, 0.3]), ("train", [0.4, 0.6, 0.3])):
-            textures = torch.tensor(colour).expand(len(faces), 2, 2, 2, 3)
-            images = render_views(vertices, faces, textures, Settings(samples=2))
-            np.savez_compressed(folder / f"{name}_{split}_images.npz", images[None].numpy())
-            np.savez_compressed(folder / f"{name}_{split}_voxels.npz", solid(vertices, faces.flip(1))[None].numpy())
+        textures = torch.tensor([0.8, 0.3, 0.5]).expand(len(faces), 2, 2, 2, 3)
+        images = render_views(vertices, faces, textures, Settings(samples=2))
+        voxels = solid(vertices, faces.flip(1))
+        for split, order in (("test", [0, 1, 2, 3]), ("train", [1, 2, 0, 3])):
+            np.savez_compressed(folder / f"{name}_{split}_images.npz", images[None, :, order].numpy())
+            np.savez_compressed(folder / f"{name}_{split}_voxels.npz", voxels[None].numpy())
     return folder
 
 

@@ -116,7 +116,7 @@ def make_objects(
             waiting[model] = True
     while waiting:
         # A process that dies takes its pool with it; whose fault it was shows when one after the other is tried.
-        for count in (processes, 1):
+        for count in dict.fromkeys((processes, 1)):
             crashed = False
             with _pool(count) as pool:
                 futures = {pool.submit(_make_file, model, folder, settings): model for model in waiting}
