@@ -7,7 +7,7 @@ TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 
 .PHONY: demo test lint format benchmark clean
 
-demo: $(VENV)/installed
+demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
 
 test: $(VENV)/installed
@@ -25,9 +25,14 @@ format: $(VENV)/installed
 benchmark: $(VENV)/installed
 	$(BIN)/python -m benchmarks
 
-$(VENV)/installed: pyproject.toml constraints.txt
+# The package alone, and what working on it needs besides.
+$(VENV)/package: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet "$(TORCH)"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	touch $@
+
+$(VENV)/installed: $(VENV)/package
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
 	touch $@
 
