@@ -132,7 +132,7 @@ class Evaluate:
         }
         (folder / "scores.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
         (folder / "table.md").write_text(markdown(methods), encoding="utf-8")
-        for table in terminal(methods):
+        for table in terminal(methods, width=console.width):
             console.print(table)
         for label, scores in methods.items():
             others = f"silhouette IoU {scores.mean('silhouette_iou'):.4f}, chamfer {scores.mean('chamfer'):.4f}"

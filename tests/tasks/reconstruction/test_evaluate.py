@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import time
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from rich.console import Console
 from torch import Tensor, nn
 
 import neural_renderer as nr
@@ -143,6 +145,11 @@ def test_tables() -> None:
     text = markdown(methods)
     assert text.count("| mesh |") == 6 and "| retrieval | 0.4700 | 0.4350 |" in text and "Voxel IoU" in text
     assert len(terminal(methods)) == 2
+    console = Console(width=40, file=io.StringIO())
+    for table in terminal(methods, width=40):
+        console.print(table)
+    told = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "…" not in told and "0.5350" in told and max(map(len, told.splitlines())) <= 40
 
 
 def colour_network(name: str = "GoogLeNet", layer: str = "pool5") -> FeatureNetwork:

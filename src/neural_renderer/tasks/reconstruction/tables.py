@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from rich import box
 from rich.table import Table
 
 from .evaluate import Scores
@@ -17,12 +18,14 @@ TITLES = {
 }
 
 
-def blocks(methods: Mapping[str, Scores], measure: str = "voxel_iou") -> list[list[list[str]]]:
+def blocks(
+    methods: Mapping[str, Scores], measure: str = "voxel_iou", columns_each: int = _COLUMNS
+) -> list[list[list[str]]]:
     """The table's blocks of rows of cells: a header, then a row per method; the best of a column is in ``**``."""
     classes = list(next(iter(methods.values())).objects)
     columns = [(name, {label: scores.of_class(name, measure) for label, scores in methods.items()}) for name in classes]
     columns.append(("mean", {label: scores.mean(measure) for label, scores in methods.items()}))
-    parts = [columns[begin : begin + _COLUMNS] for begin in range(0, len(columns), _COLUMNS)]
+    parts = [columns[begin : begin + columns_each] for begin in range(0, len(columns), columns_each)]
     if len(parts) > 1 and len(parts[-1]) == 1:  # the mean stays beside the last classes, as in the paper
         parts[-2:] = [parts[-2] + parts[-1]]
     return [
@@ -49,11 +52,18 @@ def markdown(methods: Mapping[str, Scores], measures: Sequence[str] = tuple(TITL
     return "\n".join(text)
 
 
-def terminal(methods: Mapping[str, Scores], measure: str = "voxel_iou") -> list[Table]:
-    """One measure for the terminal, a table for each block."""
+def terminal(methods: Mapping[str, Scores], measure: str = "voxel_iou", width: int = 80) -> list[Table]:
+    """One measure for a terminal of some width, a table for each block."""
+    for columns_each in range(_COLUMNS, 0, -1):
+        parts = blocks(methods, measure, columns_each)
+        if all(
+            sum(max(len(c.strip("*")) for c in column) + 3 for column in zip(*p, strict=True)) <= width for p in parts
+        ):
+            break
     tables = []
-    for number, (header, *rows) in enumerate(blocks(methods, measure)):
-        table = Table(title=TITLES[measure] if number == 0 else None, title_justify="left")
+    for number, (header, *rows) in enumerate(parts):
+        title = TITLES[measure] if number == 0 else None
+        table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
         for index, name in enumerate(header):
             table.add_column(name, justify="right" if index else "left", no_wrap=True)
         for row in rows:
