@@ -76,6 +76,8 @@ def test_a_kill_costs_the_steps_since_the_checkpoint_and_no_more(
     assert resumed.steps_done == whole.steps_done == 6
     for (name, one), other in zip(whole.state_dict().items(), resumed.state_dict().values(), strict=True):
         assert torch.equal(one, other), name
+    again = train(tmp_path / "parts", checkpoint=tmp_path / "parts" / "last.ckpt")
+    assert again.done and again.steps_done == 6  # nothing is left to do
 
 
 def test_an_interruption_keeps_everything(tmp_path: Path) -> None:

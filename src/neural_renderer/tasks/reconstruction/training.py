@@ -86,6 +86,7 @@ class Training(lightning.LightningModule):
     def batches(self, rank: int = 0, world: int = 1) -> Batches:
         """What this process learns from until the end of the round."""
         last = min(self.config.steps, (self.steps_done // self.every + 1) * self.every)
+        last = self.steps_done if self.done else last
         return Batches(self.train_split, self.config, self.seed, self.steps_done, last, rank, world)
 
     def val_dataloader(self) -> Any:
