@@ -32,7 +32,8 @@ class Evaluate:
 
     Every object of a split is predicted from each of its 24 views. CHECKPOINT is what train has written, of a mesh or
     of a voxel network; "none" measures the baseline alone. Written to the output folder: scores.json, table.md, and
-    sheet.png with an input, each method's prediction from three views, and the true voxels.
+    sheet.png with an input, each method's prediction from three views, and the true voxels. Ctrl-C keeps the
+    methods that are done.
 
     Example: neural-renderer reconstruct evaluate trained/best.ckpt data
 
@@ -63,7 +64,7 @@ class Evaluate:
     """Where to compute; auto is CUDA where there is one."""
 
     def run(self) -> int:
-        """Measure; returns the exit code 0. Raises ValueError or OSError."""
+        """Measure; returns the exit code: 0, or 130 after Ctrl-C. Raises ValueError or OSError."""
         if not 0 < self.threshold < 1:
             raise ValueError(f"--threshold: expected a number above 0 and below 1, got {self.threshold}")
         if self.checkpoint == "none" and not (self.also or self.baseline):
@@ -77,12 +78,16 @@ class Evaluate:
         if self.baseline:
             predictors = {"retrieval": self._retrieval(split, device)} | predictors
         methods, seconds = {}, {}
-        for label, predict in predictors.items():
-            begun = time.monotonic()
-            methods[label] = _measured(label, predict, split, device)
-            seconds[label] = round(time.monotonic() - begun, 1)
-        self._write(console, split, predictors, methods, seconds, paths)
-        return 0
+        try:
+            for label, predict in predictors.items():
+                begun = time.monotonic()
+                methods[label] = _measured(label, predict, split, device)
+                seconds[label] = round(time.monotonic() - begun, 1)
+        except KeyboardInterrupt:
+            if not methods:
+                raise
+        self._write(console, split, {label: predictors[label] for label in methods}, methods, seconds, paths)
+        return 0 if len(methods) == len(predictors) else 130
 
     def _network(self, path: Path, device: torch.device) -> Predictor:
         return network_predictor(load_model(path, device), self.threshold)

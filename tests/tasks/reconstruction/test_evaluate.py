@@ -226,6 +226,26 @@ def test_the_command(data: Path, tmp_path: Path, networks: None, capsys: pytest.
         assert picture.size == (13 * 96, 20 + 3 * 96)
 
 
+def test_interrupted_it_keeps_what_is_done(
+    data: Path, tmp_path: Path, networks: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(label: str, *_: Any) -> Scores:
+        if label == "voxel":
+            raise KeyboardInterrupt
+        return Scores({name: {"x": {"voxel_iou": 0.5, "silhouette_iou": 0.5, "chamfer": 0.5}} for name in SHAPES})
+
+    monkeypatch.setattr("neural_renderer.commands.reconstruct_evaluate._measured", interrupted)
+    for name in ("mesh", "voxel"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "best.ckpt").touch()
+    paths = [str(tmp_path / name / "best.ckpt") for name in ("mesh", "voxel")]
+    arguments = ["reconstruct", "evaluate", paths[0], str(data), "-o", str(tmp_path / "out")]
+    assert cli.main([*arguments, "--also", paths[1]]) == 130
+    assert list(json.loads((tmp_path / "out" / "scores.json").read_text())["methods"]) == ["mesh"]
+    arguments[2] = paths[1]
+    assert cli.main([*arguments, "-o", str(tmp_path / "other")]) == 130 and not (tmp_path / "other").exists()
+
+
 def test_what_is_wrong_is_a_sentence(
     data: Path, tmp_path: Path, networks: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
