@@ -30,8 +30,8 @@ PAINTINGS = {
     "hokusai1": "Hokusai, The Great Wave",
     "gogh2": "van Gogh, The Starry Night",
 }
-STYLE = ["--iterations", "300", "--size", "176", "--batch", "3"]
-DREAM = ["--iterations", "200", "--batch", "2", "--texture-rate", "0.03", "--vertex-rate", "1.5e-4"]
+STYLE = ["--iterations", "300", "--size", "176", "--batch", "3", "--turntable", "0"]
+DREAM = ["--iterations", "200", "--batch", "2", "--texture-rate", "0.03", "--vertex-rate", "1.5e-4", "--turntable", "0"]
 _SIDE = 256
 
 
@@ -45,12 +45,12 @@ def main() -> int:
     given = parser.parse_args()
     for painting in PAINTINGS:
         for mesh, texels in MESHES.items():
-            path, common = str(given.meshes / f"{mesh}.obj"), ["--texture-size", texels, "--turntable", "0"]
+            path, common = str(given.meshes / f"{mesh}.obj"), ["--texture-size", texels]
             picture = str(given.paintings / f"{painting}.jpg")
             _run(given.output / mesh / painting, ["style", path, picture, "--weights", given.vgg, *STYLE, *common])
-    for mesh, texels in MESHES.items():
-        path, common = str(given.meshes / f"{mesh}.obj"), ["--texture-size", texels, "--turntable", "0"]
-        _run(given.output / mesh / "dream", ["dream", path, "--weights", given.googlenet, *DREAM, *common])
+    for mesh in MESHES:
+        path = str(given.meshes / f"{mesh}.obj")
+        _run(given.output / mesh / "dream", ["dream", path, "--weights", given.googlenet, *DREAM])
     together(given.output, given.meshes, given.paintings)
     return 0
 
