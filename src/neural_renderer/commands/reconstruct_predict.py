@@ -15,9 +15,10 @@ from torch import Tensor
 from ..io import load_image, save_animation, save_image, save_mesh
 from ..mesh import Mesh
 from ..tasks.reconstruction.checkpoint import load_model
-from ..tasks.reconstruction.cutout import cut_out, framed
+from ..tasks.reconstruction.cutout import cut_out
 from ..tasks.reconstruction.drawing import CLAY
-from ..tasks.reconstruction.predict import predict_meshes, prediction_picture
+from ..tasks.reconstruction.predict import best_frame, predict_meshes, prediction_picture
+from ..tasks.reconstruction.shapes import Predictor, network_predictor
 from .common import checked_count, chosen_device
 from .studio import photograph
 
@@ -30,9 +31,10 @@ class Predict:
     """Turn a picture of an object into a mesh, with a trained network.
 
     A picture is a PNG with transparency, a photo with a --mask, or an object before a plain background; of any size:
-    the object is cut out and framed as the pictures that the network has learned from. A square of 64 pixels with
-    transparency is taken as it is. Beside the mesh (y up, its longest side about 1) there will be a sheet of what was
-    given, what the network saw, and views of the mesh (_sheet.png), and a turntable (_turntable.gif).
+    the object is cut out and framed as the pictures that the network has learned from, at the size at which the
+    prediction casts the silhouette that was given. A square of 64 pixels with transparency is taken as it is. Beside
+    the mesh (y up, its longest side about 1) there will be a sheet of what was given, what the network saw, and views
+    of the mesh (_sheet.png), and a turntable (_turntable.gif).
 
     Example: neural-renderer reconstruct predict trained/best.ckpt chair.png -o chair.obj
 
@@ -74,10 +76,11 @@ class Predict:
             raise ValueError(f"--mask: expected a folder of masks for {len(self.images)} pictures, got {self.mask}")
         device = chosen_device(self.device)
         model = load_model(self.checkpoint, device)
+        predict = network_predictor(model, self.threshold)
         console, failures = Console(stderr=True), []
         for path in track(self.images, "Meshes", console=console, transient=True, disable=len(self.images) == 1):
             try:
-                picture, image = self._prepared(path)
+                picture, image = self._prepared(path, predict, device)
                 [(vertices, faces)] = predict_meshes(model, image[None].to(device), self.threshold)
             except (ValueError, OSError) as error:
                 failures.append(_named(path, error))
@@ -109,7 +112,7 @@ class Predict:
             raise ValueError("images: expected pictures of different names, got some whose meshes would be one file")
         return targets
 
-    def _prepared(self, path: Path) -> tuple[Tensor, Tensor]:
+    def _prepared(self, path: Path, predict: Predictor, device: torch.device) -> tuple[Tensor, Tensor]:
         """The picture [H, W, 3 or 4], and what the network gets of it."""
         picture = load_image(path)
         mask = None
@@ -117,7 +120,7 @@ class Predict:
             mask = _as_mask(load_image(self._mask_of(path)))
         elif picture.shape == (64, 64, 4) and bool((picture[..., 3] > 0.5).any()):
             return picture, (picture.permute(2, 0, 1) * 255 + 0.5).to(torch.uint8)
-        return picture, framed(cut_out(picture, mask))
+        return picture, best_frame(predict, cut_out(picture, mask), device)
 
     def _mask_of(self, path: Path) -> Path:
         folder = self.mask

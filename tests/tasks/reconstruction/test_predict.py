@@ -13,7 +13,8 @@ from torch import Tensor
 import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.tasks.reconstruction.framing import mirrored, unit, view_camera
-from neural_renderer.tasks.reconstruction.predict import predict_meshes, prediction_picture
+from neural_renderer.tasks.reconstruction.predict import best_frame, predict_meshes, prediction_picture
+from neural_renderer.tasks.reconstruction.shapes import network_predictor
 from neural_renderer.tasks.reconstruction.voxels import solid
 
 
@@ -74,6 +75,18 @@ def test_a_full_grid_has_a_closed_surface() -> None:
     network.occupancy = lambda images: torch.ones(1, 32, 32, 32)  # type: ignore[method-assign]
     [(vertices, faces)] = predict_meshes(network, IMAGES)
     assert 1 < volume(vertices, faces) < 1.12 and vertices.abs().max() < 0.54
+
+
+def test_the_size_is_the_one_at_which_the_prediction_fits() -> None:
+    predict = network_predictor(Knowing("mesh"))
+    alpha = predict(IMAGES).silhouettes(torch.tensor([[7]]))[0, 0]
+    large = torch.nn.functional.interpolate(alpha[None, None], size=(300, 300), mode="bilinear")[0]
+    image = best_frame(predict, large[:, 40:, 10:].expand(4, -1, -1))
+    extents = []
+    for mask in (alpha > 0.5, image[3] > 127):
+        rows, columns = (mask.any(axis).nonzero()[:, 0] for axis in (0, 1))
+        extents.append(max(rows[-1] - rows[0], columns[-1] - columns[0]).item() + 1)
+    assert abs(extents[0] - extents[1]) <= 3
 
 
 def test_sheet_of_any_picture() -> None:

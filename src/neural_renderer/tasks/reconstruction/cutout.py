@@ -9,8 +9,8 @@ from torch import Tensor
 
 from .framing import SIZE
 
-_EXTENT = 44  # pixels of the object's longest side, and how far below the middle its box's middle is: in the
-_LOWER = 1.5  # training data that is so on average
+EXTENT = 44  # pixels of the object's longest side, and how far below the middle its box's middle is: in the training
+_LOWER = 1.5  # data that is so on average
 _LARGEST = 640  # pixels of the longest side in which an object is looked for
 _SPECK = 0.02  # pieces smaller than this part of the largest one are dirt
 _DETAIL = 8  # pixels: an object that is smaller shows nothing
@@ -46,8 +46,10 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
     return torch.cat((rgb, without_specks(alpha)[None]))
 
 
-def framed(rgba: Tensor) -> Tensor:
-    """A cut-out [4, H, W] as an image of the training data, uint8 [4, 64, 64]: as large and at the same place.
+def framed(rgba: Tensor, extent: float = EXTENT) -> Tensor:
+    """A cut-out [4, H, W] as an image of the training data, uint8 [4, 64, 64]: at the same place, and as large.
+
+    extent: pixels of the object's longer side; in the training data 30 to 59, by its shape (see `predict.best_frame`).
 
     Raises ValueError for an object of a few pixels.
     """
@@ -55,10 +57,10 @@ def framed(rgba: Tensor) -> Tensor:
     if not len(rows):
         raise ValueError("expected an object, got a picture without one")
     top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
-    extent = max(bottom - top, right - left)
-    if extent < _DETAIL:
-        raise ValueError(f"expected an object of at least {_DETAIL} pixels, got one of {extent}")
-    side = extent * SIZE / _EXTENT
+    found = max(bottom - top, right - left)
+    if found < _DETAIL:
+        raise ValueError(f"expected an object of at least {_DETAIL} pixels, got one of {found}")
+    side = found * SIZE / extent
     middle = torch.tensor([(left + right) / 2, (top + bottom) / 2 - _LOWER * side / SIZE])
     # Multiplied by alpha, so that the background's colour does not bleed in; and small first, against aliasing.
     pixels = torch.cat((rgba[:3] * rgba[3:], rgba[3:]))

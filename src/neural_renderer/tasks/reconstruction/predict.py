@@ -10,11 +10,31 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...isosurface import isosurface
+from ...metrics import silhouette_iou
+from .cutout import framed
 from .drawing import drawn, shown
 from .framing import VIEWS, mirrored
+from .shapes import Predictor
 
+_EXTENTS = tuple(range(28, 61, 4))
 _CELLS = 64
 _AROUND = 16
+
+
+@torch.no_grad()
+def best_frame(predict: Predictor, rgba: Tensor, device: torch.device | str = "cpu") -> Tensor:
+    """A cut-out [4, H, W] (see `cutout.cut_out`) framed as the network knows such objects: uint8 [4, 64, 64].
+
+    How large an object is in the training data depends on its shape, which is not known yet. Of several sizes that one
+    is chosen whose prediction, from some view, casts the silhouette that went in: with another size the network is
+    asked for what it has never seen. Raises ValueError for an object of a few pixels.
+    """
+    images = torch.stack([framed(rgba, extent) for extent in _EXTENTS]).to(device)
+    views = torch.arange(VIEWS, device=images.device).expand(len(images), -1)
+    outlines = predict(images).silhouettes(views) > 0.5
+    masks = (images[:, 3:] > 127).expand_as(outlines)
+    agreement = silhouette_iou(outlines.flatten(0, 1), masks.flatten(0, 1)).reshape(len(images), VIEWS)
+    return images[agreement.amax(1).argmax()].cpu()
 
 
 @torch.no_grad()
