@@ -1,0 +1,27 @@
+"""The group of commands `reconstruct`: what it lists, what each explains, and wrong usage."""
+
+from __future__ import annotations
+
+import pytest
+
+from neural_renderer import cli
+from neural_renderer.commands.reconstruct import COMMANDS
+
+
+def test_the_group_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["reconstruct"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in COMMANDS) and "From a folder of models to a prediction" in out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["reconstruct", name, "--help"]) == 0
+    assert f"Example: neural-renderer reconstruct {name}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "arguments", [["nonsense"], ["dataset"], ["evaluate", "a.ckpt"], ["predict", "a.ckpt", "b.png"]]
+)
+def test_wrong_usage_is_2(arguments: list[str]) -> None:
+    assert cli.main(["reconstruct", *arguments]) == 2
