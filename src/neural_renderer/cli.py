@@ -67,7 +67,9 @@ def _parse(
         return _parse(
             arguments[1:] or ["--help"], called, f"{prog} {name}", importlib.import_module(table[name][0]).DESCRIPTION
         )
-    commands = {other: called if other == name else _stand_in(summary) for other, (_, _, summary) in table.items()}
+    commands: dict[str, Any] = {
+        other: called if other == name else _stand_in(summary) for other, (_, _, summary) in table.items()
+    }
     return tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=description, args=arguments)
 
 
