@@ -49,21 +49,18 @@ class VoxelNetwork(nn.Module):
 
 
 class VoxelDecoder(nn.Sequential):
-    """Features [B, 512] to logits [B, 32, 32, 32]: a dense layer to 4³ and three transposed convolutions."""
+    """Features [B, 512] to logits [B, 32, 32, 32]: a dense layer to 4³ and three transposed convolutions.
 
-    def __init__(self, width: int = 128) -> None:
-        half, quarter = width // 2, width // 4
-        super().__init__(
-            nn.Linear(FEATURES, 64 * width),
-            nn.ReLU(),
-            nn.Unflatten(1, (width, 4, 4, 4)),
-            nn.ConvTranspose3d(width, half, 4, stride=2, padding=1),
-            nn.ReLU(),
-            nn.ConvTranspose3d(half, quarter, 4, stride=2, padding=1),
-            nn.ReLU(),
-            nn.ConvTranspose3d(quarter, 1, 4, stride=2, padding=1),
-            nn.Flatten(1, 2),
-        )
+    With group normalisation, without which a few thousand steps end in one shape for all pictures.
+    """
+
+    def __init__(self, width: int = 64) -> None:
+        widths = (width, width // 2, width // 4)
+        layers: list[nn.Module] = [nn.Linear(FEATURES, 64 * width), nn.Unflatten(1, (width, 4, 4, 4))]
+        for inward, outward in zip(widths, (*widths[1:], 1), strict=True):
+            layers += [nn.GroupNorm(8, inward), nn.ReLU()]
+            layers.append(nn.ConvTranspose3d(inward, outward, 4, stride=2, padding=1))
+        super().__init__(*layers, nn.Flatten(1, 2))
 
 
 def rays(device: torch.device, size: int = GRID, depths: int = GRID) -> Tensor:
