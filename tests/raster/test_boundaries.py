@@ -246,8 +246,8 @@ def test_operators_are_registered_well(device):
     index = coverage(faces, 12, 9, NEAR, FAR, True, True)
     image = scene.noise(2, 3, 12, 9).to(device)
     leaves = image.clone().requires_grad_(), faces.clone().requires_grad_()
-    torch.library.opcheck(boundaries, (*leaves, index, True, True, True))
-    torch.library.opcheck(boundaries_backward, (image, image, faces, index, True, True, False))
+    torch.library.opcheck(boundaries.operator, (*leaves, index, True, True, True))
+    torch.library.opcheck(boundaries_backward.operator, (image, image, faces, index, True, True, False))
 
 
 def test_tensors_of_any_strides(device):

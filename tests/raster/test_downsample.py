@@ -22,4 +22,4 @@ def test_value_and_gradient_are_those_of_average_pooling(device):
 
 
 def test_operator_contract(device):
-    torch.library.opcheck(halve, (torch.rand(2, 3, 4, 6, device=device, requires_grad=True),))
+    torch.library.opcheck(halve.operator, (torch.rand(2, 3, 4, 6, device=device, requires_grad=True),))

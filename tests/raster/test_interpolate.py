@@ -36,4 +36,4 @@ def test_operator_is_well_formed(device):
     index = coverage(faces, 10, 12, NEAR, FAR, True, True)
     weights = barycentrics(faces, index, FAR, True)[0].requires_grad_()
     attributes = torch.randn(2, 7, 3, 4, device=device, requires_grad=True)
-    torch.library.opcheck(interpolate, (attributes, faces, index, weights))
+    torch.library.opcheck(interpolate.operator, (attributes, faces, index, weights))

@@ -67,7 +67,7 @@ def test_operators_are_well_formed(device, name):
         ],
     }
     for operator, arguments in calls[name]:
-        torch.library.opcheck(operator, arguments)
+        torch.library.opcheck(operator.operator, arguments)
 
 
 @pytest.mark.parametrize("backend", ["aot_eager", "inductor"])

@@ -11,6 +11,7 @@ from torch import Tensor
 from .reference import in_camera_space, pixel_centres
 
 LEAST_RUN = 0.02  # no crossing counts more than the inverse of this
+SMALL = 1.5  # pixels: faces of less area are often missed by all centres
 
 
 def neighbors_reference(faces: Tensor, two_sided: bool, perspective: bool) -> Tensor:
@@ -98,6 +99,20 @@ class _Scan(NamedTuple):
         """Where line u leaves face g, which it entered at v."""
         return max([v, *self.leaves(g, u).values()], key=lambda end: abs(end - v))
 
+    def area(self, f: int) -> float:
+        """In pixels."""
+        (au, av), (bu, bv), (cu, cv) = self.places[f]
+        return abs((bu - au) * (cv - av) - (bv - av) * (cu - au)) / 2
+
+    def middle(self, f: int) -> list[float] | None:
+        """The colour of a pixel that shows a face near its middle, if there is one."""
+        u, v = (math.floor(sum(place[n] for place in self.places[f]) / 3 + 0.5) for n in (0, 1))
+        for x, y in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+            i, j = (u + x, v + y) if self.axis else (u + y, v + x)
+            if 0 <= i < len(self.shown) and 0 <= j < len(self.shown[0]) and self.shown[i][j] == f:
+                return self.colors[i][j]
+        return None
+
     def nearness(self, f: int, k: int) -> float:
         """Of a corner: larger is in front, and linear over the face on the screen."""
         return 1 / self.depths[f][k] if self.perspective else -self.depths[f][k]
@@ -136,9 +151,14 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
     shown, colors, pulls = scan.shown[u], scan.colors[u], scan.pulls[u]
     inner = math.floor(c) if d > 0 else math.ceil(c)
     outer, before, behind = inner + d, inner - d, inner + 2 * d
-    if not (0 <= inner < len(shown) and 0 <= outer < len(shown)) or shown[inner] in (-1, shown[outer]):
+    if not (0 <= inner < len(shown) and 0 <= outer < len(shown)) or shown[inner] == shown[outer]:
         return 0.0
     own, other, next_face = shown[inner], shown[outer], scan.beyond[f][k]
+    away = abs(c - inner)
+    if next_face >= 0:
+        return _seam(scan, f, next_face, u, c, d)
+    if own < 0:
+        return 0.0
 
     # The chord of the line in the face, and in the next one beyond where it leaves; both up to a pixel.
     run = together = 1.0
@@ -146,7 +166,7 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
     if not scan.perspective or min(scan.depths[f]) > 0:
         ((leaving, end),) = (item for item in scan.leaves(f, u).items() if item[0] != k)
         run = together = min(abs(end - c), 1.0)
-        if run < 1 and next_face < 0:
+        if run < 1:
             second = scan.beyond[f][leaving]
             if second >= 0:
                 together = min(abs(scan.through(second, u, end) - c), 1.0)
@@ -155,18 +175,13 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
     run = max(run, LEAST_RUN)
 
     # How often, over sub-pixel shifts, the centres show the crossing.
-    if next_face >= 0:
-        if other != next_face or other < f:  # the first of the two faces takes the seam
-            return 0.0
-        together = max(run + min(abs(scan.through(other, u, c) - c), 1.0) - 1, LEAST_RUN)
-    elif other >= 0:
+    if other >= 0:
         height = (1 - share) * scan.nearness(f, k) + share * scan.nearness(f, (k + 1) % 3)
         if scan.nearness_at(other, u, c) >= height:
             return 0.0
     often = max(together, LEAST_RUN)
 
     # A pixel contains what is within half a pixel of its centre; a narrow face's centre is anywhere in it.
-    away = abs(c - inner)
     part = away if together < 1 else float(away >= 0.5)
     continues = 0 <= before < len(shown) and shown[before] == own
     stands_in = own == f and second >= 0 and 0 <= before < len(shown) and shown[before] == second and not continues
@@ -183,6 +198,36 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
             outside += (1 - away) * (colors[outer][n] - colors[behind][n]) / often
         total += (inside - outside) * ((1 - part) * pull + part * pulls[outer][n])
     return total
+
+
+def _seam(scan: _Scan, f: int, g: int, u: int, c: float, d: int) -> float:
+    """The same for the edge between two faces of a surface; the first of the two takes it."""
+    if g < f:
+        return 0.0
+    shown, colors, pulls = scan.shown[u], scan.colors[u], scan.pulls[u]
+    inner = math.floor(c) if d > 0 else math.ceil(c)
+    away = abs(c - inner)
+    chords = [min(abs(scan.through(face, u, c) - c), 1.0) for face in (f, g)]
+    often = 1.0
+    if min(scan.area(f), scan.area(g)) < SMALL:  # its colour may be nowhere: wait for a pair of pixels that shows both
+        if (shown[inner], shown[inner + d]) != (f, g):
+            return 0.0
+        often = max(sum(chords) - 1, LEAST_RUN)
+    sides = []
+    for face, chord, pixel, way, gap in zip((f, g), chords, (inner, inner + d), (-d, d), (away, 1 - away), strict=True):
+        if shown[pixel] == face:
+            near = colors[pixel]
+            further = 0 <= pixel + way < len(shown) and shown[pixel + way] == face
+            far = colors[pixel + way] if further else near
+            sides.append([a + gap * (a - b) for a, b in zip(near, far, strict=True)])
+        else:
+            color = None if gap < chord else scan.middle(face)
+            if color is None:
+                return 0.0
+            sides.append(color)
+    part = away if often < 1 else float(away >= 0.5)
+    pull = [(1 - part) * i + part * o for i, o in zip(pulls[inner], pulls[inner + d], strict=True)]
+    return sum((a - b) * g / often for a, b, g in zip(*sides, pull, strict=True))
 
 
 def _cut(grad: Tensor, image: Tensor, face_index: Tensor, corners: Tensor, axis: int, perspective: bool) -> Tensor:

@@ -33,6 +33,7 @@ def operator(function: Callable[..., Any]) -> Any:
                     )
         return registered(*inputs)
 
+    call.operator = registered  # type: ignore[attr-defined]
     return call
 
 
