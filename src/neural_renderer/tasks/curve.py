@@ -49,7 +49,7 @@ def curve(
             for i, v in zip(steps, drawn, strict=True)
         ]
         draw.line(points, fill=ink, width=2)
-        draw.text((side, top - 18), name, ink, font)
+        draw.text((side, top - 18), f"{name} (log)" if logarithmic and name == left else name, ink, font)
         draw.text((side, top), f"{float(values.max()):.3g}", ink, font)
         draw.text((side, bottom - 14), f"{float(values.min()):.3g}", ink, font)
     draw.text((low_x, bottom + 10), f"{len(history)} steps", (120, 120, 120), font)

@@ -185,3 +185,18 @@ def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     (tmp_path / "out" / "checkpoint.pt").write_text("text")
     assert cli.main(["fit", str(folder), "-o", str(tmp_path / "out"), "--resume", *SMALL]) == 1
     assert "expected a checkpoint" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "sentence"),
+    [
+        ("distance", 0, "distance: expected a number above 0, got 0"),
+        ("viewing_angle", 90, "viewing_angle: expected deg"),
+    ],
+)
+def test_impossible_cameras_are_named(folder: Path, key: str, value: float, sentence: str) -> None:
+    given = json.loads((folder / "cameras.json").read_text())
+    given["views"][2][key] = value
+    (folder / "cameras.json").write_text(json.dumps(given))
+    with pytest.raises(ValueError, match=f"cameras.json.*{sentence}"):
+        load_views(folder / "cameras.json")

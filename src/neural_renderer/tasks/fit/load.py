@@ -215,6 +215,11 @@ def _angles_camera(path: Path, common: dict[str, Any], frames: list[_Frame], ful
     rows = [[_number(f.where, f.numbers, key) for key in ("distance", "elevation", "azimuth")] for f in frames]
     default = _number(str(path), common, "viewing_angle", 30.0)
     angles = [_number(f.where, f.numbers, "viewing_angle", default) for f in frames]
+    for frame, (far, _, _), angle in zip(frames, rows, angles, strict=True):
+        if far <= 0:
+            raise ValueError(f"{frame.where}: distance: expected a number above 0, got {far:g}")
+        if not 0 < angle < 90:
+            raise ValueError(f"{frame.where}: viewing_angle: expected degrees between 0 and 90, got {angle:g}")
     distance, elevation, azimuth = torch.tensor(rows).unbind(1)
     return Camera.look_at(get_points_from_angles(distance, elevation, azimuth), viewing_angle=torch.tensor(angles))
 
