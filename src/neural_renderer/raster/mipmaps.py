@@ -181,6 +181,17 @@ def slope_of(at: float, size: int, repeat: int) -> float:
     return float(size)
 
 
+@wp.func
+def texel_of(at: wp.vec2, size: wp.vec3i, repeat: int, corner: int):
+    """One of the four texels of a level around uv, and its shares by columns and by rows."""
+    x = texel_place(at[0], size[2], repeat)
+    y = texel_place(1.0 - at[1], size[1], repeat)
+    left = int(wp.floor(x)) + corner % 2
+    top = int(wp.floor(y)) + corner // 2
+    texel = size[0] + column(top, size[1], repeat) * size[2] + column(left, size[2], repeat)
+    return texel, 1.0 - wp.abs(x - float(left)), 1.0 - wp.abs(y - float(top))
+
+
 @wp.kernel
 def _forward(
     first: int,
@@ -209,17 +220,9 @@ def _forward(
             for n in range(int(level), wp.min(int(level) + 2, sizes.shape[0])):
                 share = 1.0 - wp.abs(level - float(n))
                 if share > 0.0:
-                    size = sizes[n]
-                    x = texel_place(at[0], size[2], repeat)
-                    y = texel_place(1.0 - at[1], size[1], repeat)
-                    left = int(wp.floor(x))
-                    top = int(wp.floor(y))
                     for corner in range(4):
-                        right = corner % 2
-                        down = corner // 2
-                        part = share * (1.0 - wp.abs(x - float(left + right))) * (1.0 - wp.abs(y - float(top + down)))
-                        row = size[0] + column(top + down, size[1], repeat) * size[2]
-                        texel = row + column(left + right, size[2], repeat)
+                        texel, across, along = texel_of(at, sizes[n], repeat, corner)
+                        part = share * across * along
                         for c in range(channels):
                             result[b, j, i, c] += part * texels[own, texel, c]
 
@@ -258,23 +261,16 @@ def _backward(
                     share = 1.0 - wp.abs(level - float(n))
                     if share > 0.0:
                         size = sizes[n]
-                        x = texel_place(at[0], size[2], repeat)
-                        y = texel_place(1.0 - at[1], size[1], repeat)
-                        left = int(wp.floor(x))
-                        top = int(wp.floor(y))
                         for corner in range(4):
-                            right = corner % 2
-                            down = corner // 2
-                            across = 1.0 - wp.abs(x - float(left + right))
-                            along = 1.0 - wp.abs(y - float(top + down))
-                            row = size[0] + column(top + down, size[1], repeat) * size[2]
-                            texel = row + column(left + right, size[2], repeat)
+                            texel, across, along = texel_of(at, size, repeat, corner)
                             gain = float(0.0)
                             for c in range(channels):
                                 pull = share * grad[b, j, i, c]
                                 gain += pull * texels[own, texel, c]
                                 if texels_too == 1:
                                     wp.atomic_add(to_texels, own, texel, c, pull * across * along)
-                            to_x += gain * along * float(2 * right - 1) * slope_of(at[0], size[2], repeat)
-                            to_y += gain * across * float(2 * down - 1) * slope_of(1.0 - at[1], size[1], repeat)
+                            right = float(2 * (corner % 2) - 1)
+                            down = float(2 * (corner // 2) - 1)
+                            to_x += gain * along * right * slope_of(at[0], size[2], repeat)
+                            to_y += gain * across * down * slope_of(1.0 - at[1], size[1], repeat)
                 to_uv[b, j, i] = wp.vec2(to_x, -to_y)
