@@ -3,7 +3,6 @@
 from .dream import DREAM_LAYER, PUBLISHED_DREAM, Dream, DreamWeights
 from .edit import MeshEdit
 from .style import PUBLISHED_STYLE, STYLE_LAYERS, Style, StyleWeights
-from .texels import Texels
 from .views import Views
 
 __all__ = [
@@ -16,6 +15,5 @@ __all__ = [
     "MeshEdit",
     "Style",
     "StyleWeights",
-    "Texels",
     "Views",
 ]

@@ -16,8 +16,8 @@ from ...optim import Adam
 from ...raster import Images
 from ...render import render
 from ...topology import Topology
+from ..texels import Texels
 from .deformation import Deformation
-from .texels import Texels
 from .views import Views, generator
 
 _MOST_BYTES = 2 * 2**30  # of cubes; gradients, Adam's means and temporary copies are several times that

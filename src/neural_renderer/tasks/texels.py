@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ... import validate
+from .. import validate
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +65,13 @@ class Texels:
         own = F.embedding(self.index, values)
         mixed = torch.einsum("gl,flc->fgc", self.weights, own)
         return mixed.reshape(len(own), *(self.size,) * 3, values.shape[1])
+
+    def edges(self) -> Tensor:
+        """Pairs of texels that are neighbours on the lattice of a face, [E, 2] int64, each once."""
+        points = _lattice(self.size - 1)
+        apart = (points[:, None] - points).abs().sum(2)  # 2: one step along an edge of the lattice
+        sides = torch.nonzero((apart == 2).triu()).to(self.index.device)
+        return torch.unique(self.index[:, sides].reshape(-1, 2).sort(1).values, dim=0)
 
     def of(self, cubes: Tensor) -> Tensor:
         """The values [count, C] nearest to given cubes [F, T, T, T, C]: the mean over all who share a texel."""

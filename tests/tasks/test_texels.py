@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.tasks.editing import Texels
+from neural_renderer.tasks.texels import Texels
 
 CUBE = nr.cube()[1]
 BALL = nr.icosphere(1)[1]
