@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-NAMES = ["barycentrics", "boundaries", "corners", "coverage", "edges", "interpolate", "intersections", "mipmaps"]
-NAMES += ["neighbors", "scanlines", "seen", "textures", "voxels"]
+NAMES = ["barycentrics", "boundaries", "corners", "coverage", "crossings", "edges", "interpolate", "intersections"]
+NAMES += ["mipmaps", "neighbors", "scanlines", "seen", "textures", "voxels"]
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp's wheel for macOS has no CUDA compiler")

@@ -12,20 +12,15 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from .geometry import facing, homogeneous_weights, to_pixels
+from .crossings import LEAST_RUN, continued, end_of, face_at, gain, leaves, nearness, pixel_at, plane_nearness, seam
+from .geometry import facing, to_pixels
 from .intersections import add_intersections
 from .launch import array, copy, face_lanes, launch, zeros
 from .neighbors import neighbors
 from .registration import differentiable_once, operator
-from .scanlines import place
 from .seen import seen_faces
 
 wp.set_module_options({"enable_backward": False})
-
-# A crossing of a face that is seen on a line with a small probability counts the more, up to the inverse of this.
-LEAST_RUN = wp.constant(0.02)
-# Faces of less area, in pixels, are often missed by all centres.
-SMALL = wp.constant(1.5)
 
 
 @operator
@@ -103,151 +98,6 @@ def _backward(ctx, grad):  # type: ignore[no-untyped-def]
 torch.library.register_autograd("neural_renderer::boundaries", _backward, setup_context=_save)
 
 
-_GAIN = """
-    #pragma clang fp contract(fast)
-    const wp::int64 area = (wp::int64)image.shape[2] * image.shape[3];
-    // The gradient of the pixel that contains the boundary. A centre within a narrow face lies to one side of it in the
-    // mean: there, between the two pixels.
-    const float share = narrow ? away : away < 0.5f ? 0.0f : 1.0f;
-    float sum = 0.0f;
-    for (int c = 0; c < image.shape[1]; ++c) {
-        const float* value = image.data + c * area;
-        const float inside = weights[0] * value[before] + weights[1] * value[own];
-        const float outside = weights[2] * value[other] + weights[3] * value[behind];
-        const float* pull = grad.data + c * area;
-        sum += (inside - outside) * ((1.0f - share) * pull[inner] + share * pull[outer]);
-    }
-    return sum;
-"""
-
-
-@wp.func_native(_GAIN)
-def gain(
-    image: wp.array4d(dtype=float),
-    grad: wp.array4d(dtype=float),
-    before: wp.int64,
-    own: wp.int64,
-    other: wp.int64,
-    behind: wp.int64,
-    weights: wp.vec4,
-    inner: wp.int64,
-    outer: wp.int64,
-    away: float,
-    narrow: bool,
-) -> float:
-    """What the loss changes by if the boundary between two pixels moves outward by a pixel.
-
-    before, own | other, behind: pixels in the first channel, and their weights in the colours on the two sides.
-    inner | outer: the pixels next to the boundary. away: from ``inner`` to it.
-    narrow: whether a side is narrower than a pixel here.
-    """
-    ...
-
-
-@wp.func
-def nearness(z: float, perspective: int) -> float:
-    """What is linear on the screen over a face, and larger for what hides the other."""
-    if perspective == 1:
-        return 1.0 / z
-    return -z
-
-
-@wp.func
-def plane_nearness(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float, perspective: int) -> float:
-    """The nearness of a face's plane at a place on the screen."""
-    a = homogeneous_weights(v0, v1, v2, x, y)
-    near = float(a[0] + a[1] + a[2])
-    if perspective == 0:
-        near = -float(a[0]) * v0[2] * v0[2] - float(a[1]) * v1[2] * v1[2] - float(a[2]) * v2[2] * v2[2]
-    elif v0[2] <= 0.0 or v1[2] <= 0.0 or v2[2] <= 0.0:
-        return near
-    # Not beyond the face's own: seen edge on, its plane goes anywhere within a pixel.
-    n0 = nearness(v0[2], perspective)
-    n1 = nearness(v1[2], perspective)
-    n2 = nearness(v2[2], perspective)
-    return wp.clamp(near, wp.min(n0, wp.min(n1, n2)), wp.max(n0, wp.max(n1, n2)))
-
-
-@wp.func
-def leaves(pu: float, pv: float, qu: float, qv: float, ru: float, rv: float, u: float) -> float:
-    """Where line u, which crosses the edge p - q of a triangle, leaves it again: through p - r or q - r."""
-    limit = rv
-    if (pu <= u) != (ru <= u):
-        limit = pv + (rv - pv) * (u - pu) / (ru - pu)
-    elif qu != ru:
-        limit = qv + (rv - qv) * (u - qu) / (ru - qu)
-    return limit
-
-
-@wp.func
-def end_of(
-    faces: wp.array3d(dtype=wp.vec3), b: int, g: int, axis: int, u: int, v: float, count: int, length: int
-) -> float:
-    """Where line u, which at v enters the face g, leaves it again."""
-    end = v
-    for k in range(3):
-        p = faces[b, g, k]
-        q = faces[b, g, (k + 1) % 3]
-        pu = to_pixels(p[1 - axis], count)
-        qu = to_pixels(q[1 - axis], count)
-        if (pu <= float(u)) != (qu <= float(u)):
-            pv = to_pixels(p[axis], length)
-            at = pv + (to_pixels(q[axis], length) - pv) * (float(u) - pu) / (qu - pu)
-            if wp.abs(at - v) > wp.abs(end - v):
-                end = at
-    return end
-
-
-@wp.func
-def pixel_at(image: wp.array4d(dtype=float), b: int, axis: int, u: int, v: int) -> wp.int64:
-    """Where the pixel v of scan line u lies in the image's memory, in the first channel."""
-    row, column = place(axis, u, v, image.shape[2])
-    first_row = wp.int64(b) * wp.int64(image.shape[1]) * wp.int64(image.shape[2])
-    return (first_row + wp.int64(row)) * wp.int64(image.shape[3]) + wp.int64(column)
-
-
-@wp.func
-def face_at(face_index: wp.array3d(dtype=int), b: int, axis: int, u: int, v: int, length: int) -> int:
-    """The face at the pixel v of scan line u; -2 beyond the image."""
-    if v < 0 or v >= length:
-        return -2
-    row, column = place(axis, u, v, face_index.shape[1])
-    return face_index[b, row, column]
-
-
-@wp.func
-def area_of(faces: wp.array3d(dtype=wp.vec3), b: int, g: int, image: wp.array4d(dtype=float)) -> float:
-    """A face's area in pixels."""
-    a = faces[b, g, 1] - faces[b, g, 0]
-    c = faces[b, g, 2] - faces[b, g, 0]
-    return wp.abs(a[0] * c[1] - a[1] * c[0]) * float(image.shape[2]) * float(image.shape[3]) / 8.0
-
-
-@wp.func
-def middle_of(
-    faces: wp.array3d(dtype=wp.vec3), b: int, g: int, image: wp.array4d(dtype=float), face_index: wp.array3d(dtype=int)
-) -> wp.int64:
-    """A pixel that shows a face near its middle, as `pixel_at` counts, or -1 if there is none."""
-    v0 = faces[b, g, 0]
-    v1 = faces[b, g, 1]
-    v2 = faces[b, g, 2]
-    x = to_pixels((v0[0] + v1[0] + v2[0]) / 3.0, image.shape[3])
-    y = to_pixels((v0[1] + v1[1] + v2[1]) / 3.0, image.shape[2])
-    if not (wp.abs(x) < 32768.0 and wp.abs(y) < 32768.0):
-        return wp.int64(-1)
-    i = int(wp.floor(x + 0.5))
-    j = int(wp.floor(y + 0.5))
-    for n in range(9):
-        # Itself, the pixels beside it, those at its corners.
-        right = (int(n == 1) - int(n == 2)) + (int(n == 5) + int(n == 6) - int(n == 7) - int(n == 8))
-        up = (int(n == 3) - int(n == 4)) + (int(n == 5) - int(n == 6) + int(n == 7) - int(n == 8))
-        row = j + up
-        if row >= 0 and row < image.shape[2]:
-            if face_at(face_index, b, 0, row, i + right, image.shape[3]) == g:
-                return pixel_at(image, b, 0, row, i + right)
-    return wp.int64(-1)
-
-
 @wp.func
 def move_edge(
     b: int,
@@ -304,92 +154,65 @@ def move_edge(
         if shown == -2 or other == -2 or other == shown or (next_pq >= 0 and next_pq < f):
             continue  # the first of its two faces takes a seam
         share = (float(u) - pu) / (qu - pu)
-        last = length - 1
         away = wp.abs(c - float(inner))
+        last = length - 1
         before = pixel_at(image, b, axis, u, wp.clamp(inner - d, 0, last))
         behind = pixel_at(image, b, axis, u, wp.clamp(outer + d, 0, last))
-        own_pixel = pixel_at(image, b, axis, u, inner)
-        other_pixel = pixel_at(image, b, axis, u, outer)
-        inner_pixel = own_pixel
-        outer_pixel = other_pixel
+        inner_pixel = pixel_at(image, b, axis, u, inner)
+        outer_pixel = pixel_at(image, b, axis, u, outer)
+        own_pixel = inner_pixel
+        other_pixel = outer_pixel
         third = face_at(face_index, b, axis, u, inner - d, length)
         fourth = face_at(face_index, b, axis, u, outer + d, length)
-        if next_pq >= 0:
-            run = wp.min(wp.abs(end_of(faces, b, f, axis, u, c, count, length) - c), 1.0)
-            ahead = wp.min(wp.abs(end_of(faces, b, next_pq, axis, u, c, count, length) - c), 1.0)
-            weight = float(1.0)
-            if wp.min(area_of(faces, b, f, image), area_of(faces, b, next_pq, image)) < SMALL:
-                # Centres may miss such a face. A pair of them shows both with this probability, next to none at the
-                # seam's ends.
-                if shown != f or other != next_pq:
-                    continue
-                weight = 1.0 / wp.max(run + ahead - 1.0, LEAST_RUN)
-            # A larger one shows its colour near its middle, where no centre beside the seam meets it.
-            if shown != f:
-                if away < run:
-                    continue  # something hides it
-                own_pixel = middle_of(faces, b, f, image, face_index)
-            if other != next_pq:
-                if 1.0 - away < ahead:
-                    continue
-                other_pixel = middle_of(faces, b, next_pq, image, face_index)
-            if own_pixel < wp.int64(0) or other_pixel < wp.int64(0):
-                continue
-            seam = wp.vec4(0.0, weight, weight, 0.0)
-            if shown == f and third == f:
-                seam[0] = -weight * away
-                seam[1] = weight * (1.0 + away)
-            if other == next_pq and fourth == next_pq:
-                seam[2] = weight * (2.0 - away)
-                seam[3] = -weight * (1.0 - away)
-            step = gain(
-                image, grad, before, own_pixel, other_pixel, behind, seam, inner_pixel, outer_pixel, away, weight > 1.0
-            )  # fmt: skip
-            to_p += (1.0 - share) * step
-            to_q += share * step
-            continue
-        if shown < 0:
-            continue
-        # How far the line runs through the face. Where that is less than a pixel, and the surface goes on, the next
-        # face stands in for this one where the centres miss it.
         run = float(1.0)
         both = float(1.0)
+        weight = float(1.0)
         second = int(-1)
-        if perspective == 0 or r[2] > 0.0:
-            by_p = (pu <= float(u)) != (ru <= float(u))
-            limit = leaves(pu, pv, qu, qv, ru, rv, float(u))
-            run = wp.min(wp.abs(limit - c), 1.0)
-            both = run
-            if run < 1.0:
-                second = next_qr
-                if by_p:
-                    second = next_pr
-                if second >= 0:
-                    both = wp.min(wp.abs(end_of(faces, b, second, axis, u, limit, count, length) - c), 1.0)
-        if shown != f and shown != second:
+        if next_pq >= 0:
+            weight, own_pixel, other_pixel = seam(
+                faces, image, face_index, b, axis, u, c, count, length, f, next_pq, shown, other, inner_pixel,
+                outer_pixel, away,
+            )  # fmt: skip
+            if weight == 0.0:
+                continue
+            if other != next_pq:
+                fourth = -3  # no colour to continue
+            if shown != f:
+                third = -3
+            both = 1.0 / weight
+        elif shown < 0:
             continue
-        run = wp.max(run, LEAST_RUN)
-        weight = 1.0 / wp.max(both, LEAST_RUN)
-        if other >= 0:
-            x = (2.0 * c + 1.0 - float(length)) / float(length)
-            y = (2.0 * float(u) + 1.0 - float(count)) / float(count)
-            if axis == 1:
-                x, y = y, x
-            own = (1.0 - share) * nearness(p[2], perspective) + share * nearness(q[2], perspective)
-            if plane_nearness(faces[b, other, 0], faces[b, other, 1], faces[b, other, 2], x, y, perspective) >= own:
-                continue  # what is seen there hides the edge, or moves by itself
-        # Colours are continued to the crossing along the slope between the last two pixels of each side.
-        weights = wp.vec4(0.0, weight, weight, 0.0)
-        if third == shown:
-            weights[0] = -weight * away
-            weights[1] = weight * (1.0 + away)
-        elif shown == f and second >= 0 and third == second:
+        else:
+            # How far the line runs through the face. Where that is less than a pixel, and the surface goes on, the next
+            # face stands in for this one where the centres miss it.
+            if perspective == 0 or r[2] > 0.0:
+                by_p = (pu <= float(u)) != (ru <= float(u))
+                limit = leaves(pu, pv, qu, qv, ru, rv, float(u))
+                run = wp.min(wp.abs(limit - c), 1.0)
+                both = run
+                if run < 1.0:
+                    second = next_qr
+                    if by_p:
+                        second = next_pr
+                    if second >= 0:
+                        both = wp.min(wp.abs(end_of(faces, b, second, axis, u, limit, count, length) - c), 1.0)
+            if shown != f and shown != second:
+                continue
+            weight = 1.0 / wp.max(both, LEAST_RUN)
+            if other >= 0:
+                x = (2.0 * c + 1.0 - float(length)) / float(length)
+                y = (2.0 * float(u) + 1.0 - float(count)) / float(count)
+                if axis == 1:
+                    x, y = y, x
+                own = (1.0 - share) * nearness(p[2], perspective) + share * nearness(q[2], perspective)
+                if plane_nearness(faces[b, other, 0], faces[b, other, 1], faces[b, other, 2], x, y, perspective) >= own:
+                    continue  # what is seen there hides the edge, or moves by itself
+        inside = continued(weight, away, third == shown)
+        outside = continued(weight, 1.0 - away, fourth == other)
+        if third != shown and shown == f and second >= 0 and third == second:
             # What this face's colour differs by from the next one's, seen only so often.
-            weights[0] = weight - 1.0 / run
-            weights[1] = 1.0 / run
-        if fourth == other:
-            weights[2] = weight * (2.0 - away)
-            weights[3] = -weight * (1.0 - away)
+            inside = wp.vec2(1.0 / wp.max(run, LEAST_RUN), weight - 1.0 / wp.max(run, LEAST_RUN))
+        weights = wp.vec4(inside[1], inside[0], outside[0], outside[1])
         part = gain(
             image, grad, before, own_pixel, other_pixel, behind, weights, inner_pixel, outer_pixel, away, both < 1.0
         )  # fmt: skip
