@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-NAMES = ["barycentrics", "boundaries", "corners", "coverage", "crossings", "edges", "interpolate", "intersections"]
+NAMES = ["barycentrics", "boundaries", "corners", "coverage", "edges", "interpolate", "intersections"]
 NAMES += ["mipmaps", "neighbors", "scanlines", "seen", "textures", "voxels"]
 
 

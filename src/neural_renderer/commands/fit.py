@@ -60,10 +60,10 @@ class Fit:
     """Keep every n-th view for the report instead of fitting it (0: none, else at least 2)."""
     steps: int = 150
     """Steps of descent for the shape or the camera (at least 1)."""
-    texture_steps: int = 150
-    """Steps of descent for the texture (at least 1)."""
+    texture_steps: int = 20
+    """Steps of conjugate gradients for the texture (at least 1)."""
     texture_size: int = 4
-    """Texels along the edge of a face's texture (at least 2)."""
+    """Texels along the edge of a face's texture (at least 3)."""
     batch: int = 6
     """Views that each step looks at (at least 1)."""
     starts: int = 16
@@ -88,7 +88,7 @@ class Fit:
 
     def run(self) -> int:
         """Fit; returns the exit code: 0, or 130 after Ctrl-C. Raises ValueError, TypeError or OSError."""
-        limits = {"cells": 8, "size": 16, "steps": 1, "texture_steps": 1, "texture_size": 2, "batch": 1, "starts": 1}
+        limits = {"cells": 8, "size": 16, "steps": 1, "texture_steps": 1, "texture_size": 3, "batch": 1, "starts": 1}
         for name, least in {**limits, "turntable": 0, "seed": 0}.items():
             checked_count(name, getattr(self, name), least)
         if self.recover != "shape" and self.mesh is None:

@@ -30,9 +30,9 @@ class MeshFit:
         views: with or without photos; without them there is no texture to be found.
         start: "hull", the visual hull of the silhouettes; "sphere"; or a `Mesh` in the world of the cameras.
         recover: "shape" moves the vertices, "texture" leaves the given mesh as it is.
-        steps, texture_steps: of descent for the shape and for the texture, at least 1 each.
+        steps, texture_steps: for the shape and for the texture, at least 1 each.
         cells: along each side of the grid that the hull is carved from, at least 8.
-        texture_size: T, texels along the edge of a face's cube, at least 2.
+        texture_size: T, texels along the edge of a face's cube, at least 3.
         colour_from, weights, batch, gradient, seed: see `ShapeFit`.
 
     Raises:
@@ -46,7 +46,7 @@ class MeshFit:
         *,
         recover: Literal["shape", "texture"] = "shape",
         steps: int = 150,
-        texture_steps: int = 150,
+        texture_steps: int = 20,
         cells: int = 64,
         texture_size: int = 4,
         colour_from: float = 1.0,
@@ -60,9 +60,14 @@ class MeshFit:
         self._centre, self._scale = frame(views)
         self.views = views.moved(self._centre, self._scale)
         """The views of a world in which the object lies in about [-1, 1]."""
-        self._common = {"batch": batch, "seed": seed}
-        self._texture_options = {"size": validate.whole("texture_size", texture_size, 2), "steps": texture_steps}
+        size = validate.whole("texture_size", texture_size, 3)
+        self._texture_options = {
+            "size": size,
+            "steps": validate.whole("texture_steps", texture_steps, 1),
+            "batch": batch,
+        }
         self._shape_options = {"steps": steps, "weights": weights, "gradient": gradient, "colour_from": colour_from}
+        self._shape_options |= {"batch": batch, "seed": seed}
         if start == "sphere":  # which is coarse, and far from what it becomes
             self._shape_options |= {"subdivisions": 2, "rate": 0.03}
         vertices, faces = self._start(start, validate.whole("cells", cells, 8))
@@ -102,9 +107,8 @@ class MeshFit:
         """Take one step; returns its ``loss`` and, while the shape is looked for, the mean ``iou`` of its views."""
         if self._fit.done and not self.done:
             vertices, faces, *_ = self.shape
-            colours = self._fit.colours if isinstance(self._fit, ShapeFit) else None
             self.phase = "texture"
-            self._fit = self._begun(vertices, faces, colours)
+            self._fit = self._begun(vertices, faces)
         return self._fit.advance()
 
     def state_dict(self) -> dict[str, Any]:
@@ -117,10 +121,10 @@ class MeshFit:
         self._fit = self._begun(state["fit"]["vertices"], state["fit"]["faces"])
         self._fit.load_state_dict(state["fit"])
 
-    def _begun(self, vertices: Tensor, faces: Tensor, colours: Tensor | None = None) -> ShapeFit | TextureFit:
+    def _begun(self, vertices: Tensor, faces: Tensor) -> ShapeFit | TextureFit:
         if self.phase == "shape":
-            return ShapeFit(self.views, vertices, faces, **self._shape_options, **self._common)  # type: ignore[arg-type]
-        return TextureFit(self.views, vertices, faces, colours=colours, **self._texture_options, **self._common)
+            return ShapeFit(self.views, vertices, faces, **self._shape_options)  # type: ignore[arg-type]
+        return TextureFit(self.views, vertices, faces, **self._texture_options)
 
     def _start(self, start: Any, cells: int) -> tuple[Tensor, Tensor]:
         device = self.views.masks.device

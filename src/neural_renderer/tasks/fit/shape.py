@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from ... import losses, validate
+from ...io.cubes import barycentric_grid
 from ...topology import Topology
 from .descent import SmoothDescent
-from .texture import blended_cubes
 from .views import Views, agreement, chosen
 
 
@@ -106,12 +106,7 @@ class ShapeFit:
         """What there is now, as the renderer takes it: vertices, faces and, if vertices have colours, textures."""
         if self._colours is None:
             return self._vertices, self._faces
-        return self._vertices, self._faces, blended_cubes(self._colours, self._faces).clamp(0, 1)
-
-    @property
-    def colours(self) -> Tensor | None:
-        """[V, 3] in about [0, 1], or None as long as there are none."""
-        return self._colours
+        return self._vertices, self._faces, _blended(self._colours, self._faces).clamp(0, 1)
 
     def advance(self) -> dict[str, float]:
         """Take one step; returns the ``loss`` and the mean ``iou`` of the views it looked at, before it."""
@@ -124,7 +119,7 @@ class ShapeFit:
         shape: tuple[Tensor, ...] = moving[0], self._faces
         if self._colours is not None:
             moving.append(self._colours.requires_grad_())
-            shape = (*shape, blended_cubes(moving[1], self._faces))
+            shape = (*shape, _blended(moving[1], self._faces))
         images = part.draw(shape, "alpha" if self._colours is None else ("rgb", "alpha"), self._gradient)
         weights, topology = self._weights, self._topology
         loss = weights.silhouette * losses.silhouette_iou(images.alpha, part.masks)  # type: ignore[arg-type]
@@ -181,3 +176,9 @@ class ShapeFit:
         self._have(state["vertices"], state["faces"], state["colours"])
         self._descent.load_state_dict(state["descent"])
         self._colour_descent.load_state_dict(state["colour_descent"])
+
+
+def _blended(colours: Tensor, faces: Tensor) -> Tensor:
+    """Cubes [F, 2, 2, 2, 3] that blend the colours [V, 3] of each face's corners."""
+    weights = torch.from_numpy(barycentric_grid(2)).to(colours)
+    return torch.einsum("gk,fkc->fgc", weights, colours[faces]).reshape(len(faces), 2, 2, 2, 3)
