@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,6 +21,9 @@ from ..tasks.fit.results import comparison, turntable
 from ..version import __version__
 from .common import checked_count, chosen_device
 from .run import Run
+
+# What may change when a fit goes on.
+_FREE = ("output", "steps", "texture_steps", "turntable", "resume", "device")
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,8 @@ class Fit:
     seed: int = 0
     """Seed of the order in which the views are used, and of the cameras to begin with."""
     resume: bool = False
-    """Go on from the checkpoint in the output folder, if there is one."""
+    """Go on from the checkpoint in the output folder, if there is one. It must be of the same images and options, but
+    for the numbers of steps."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute; auto is CUDA where there is one."""
 
@@ -114,7 +119,7 @@ class Fit:
             seed=self.seed,
         )
         self.output.mkdir(parents=True, exist_ok=True)
-        run = self._run(fit, seen.masks, lambda: (fit.views, fit.shape))
+        run = self._run(fit, (seen.masks, seen.photos, *seen.eyes()), lambda: (fit.views, fit.shape))
         finished = run.work(self.resume)
         mesh = fit.mesh()
         mesh.save(self.output / "mesh.obj")
@@ -153,7 +158,7 @@ class Fit:
         def state() -> tuple[Views, tuple[Tensor, ...]]:
             return Views(fit.best(), mask[None], None if photo is None else photo[None]), shape
 
-        run = self._run(fit, mask, state)
+        run = self._run(fit, (mask, photo, *shape), state)
         finished = run.work(self.resume)
         views, _ = state()
         save_image(self.output / "comparison.png", comparison(views, shape))
@@ -171,9 +176,14 @@ class Fit:
         return self._report(run, found, finished)
 
     def _run(
-        self, fit: MeshFit | CameraFit, masks: Tensor, state: Callable[[], tuple[Views, tuple[Tensor, ...]]]
+        self,
+        fit: MeshFit | CameraFit,
+        images: tuple[Tensor | None, ...],
+        state: Callable[[], tuple[Views, tuple[Tensor, ...]]],
     ) -> Run:
-        inputs = {"recover": self.recover, "images": list(masks.shape)}
+        inputs = {name: value for name, value in asdict(self).items() if name not in _FREE}
+        contents = b"".join(part.cpu().numpy().tobytes() for part in images if part is not None)
+        inputs = {name: str(value) for name, value in inputs.items()} | {"images": f"#{zlib.crc32(contents):08x}"}
         return Run(self.output, fit, inputs, lambda path: save_image(path, comparison(*state(), columns=4)))
 
     def _split(self, views: Views) -> tuple[Views, Views | None]:

@@ -102,6 +102,7 @@ class Run:
         except Exception as error:  # whatever torch says of a file that is none of ours
             raise ValueError(f"{self._checkpoint}: expected a checkpoint, got another file ({error})") from None
         if inputs != self._inputs:
-            mine, theirs = (", ".join(f"{k} {v}" for k, v in each.items()) for each in (self._inputs, inputs))
+            names = [k for k in (self._inputs | inputs) if self._inputs.get(k) != inputs.get(k)]
+            mine, theirs = (", ".join(f"{k} {each.get(k)}" for k in names) for each in (self._inputs, inputs))
             raise ValueError(f"{self._checkpoint}: expected a checkpoint of this run ({mine}), got one of {theirs}")
         self._task.load_state_dict(task)

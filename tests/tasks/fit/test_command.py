@@ -110,7 +110,9 @@ def test_fit_writes_its_results(folder: Path, tmp_path: Path, capsys: pytest.Cap
         assert picture.size == (4 * 48, 3 * 48)
 
 
-def test_interrupted_and_resumed(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_and_resumed(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = ["fit", str(folder), "-o", str(tmp_path / "a"), *SMALL]
     advance = MeshFit.advance
 
@@ -124,6 +126,10 @@ def test_interrupted_and_resumed(folder: Path, tmp_path: Path, monkeypatch: pyte
     assert not json.loads((tmp_path / "a" / "report.json").read_text())["finished"]
     assert (tmp_path / "a" / "mesh.obj").is_file()
     monkeypatch.setattr(MeshFit, "advance", advance)
+    assert cli.main([*arguments, "--gradient", "nmr", "--resume"]) == 1
+    assert "expected a checkpoint of this run (gradient nmr), got one of gradient edge" in capsys.readouterr().err
+    assert cli.main([*arguments, "--size", "40", "--resume"]) == 1
+    assert "size 40" in capsys.readouterr().err
     assert cli.main([*arguments, "--resume"]) == 0
     arguments[3] = str(tmp_path / "b")
     assert cli.main(arguments) == 0
