@@ -22,7 +22,7 @@ import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.commands.studio import photograph
 
-MESHES = {"bunny_kato": "4", "teapot_kato": "8"}  # and texels along an edge: the teapot has half as many faces
+MESHES = {"bunny_kato": "4", "teapot_kato": "6"}  # and texels along an edge: the teapot has half as many faces
 PAINTINGS = {
     "elder1": "Bruegel, The Tower of Babel",
     "munch1": "Munch, The Scream",
@@ -30,8 +30,7 @@ PAINTINGS = {
     "hokusai1": "Hokusai, The Great Wave",
     "gogh2": "van Gogh, The Starry Night",
 }
-STYLE = ["--iterations", "300", "--size", "176", "--batch", "3", "--turntable", "0"]
-DREAM = ["--iterations", "200", "--batch", "2", "--texture-rate", "0.03", "--vertex-rate", "1.5e-4", "--turntable", "0"]
+STYLE = ["--iterations", "300", "--batch", "2"]
 _SIDE = 256
 
 
@@ -50,7 +49,7 @@ def main() -> int:
             _run(given.output / mesh / painting, ["style", path, picture, "--weights", given.vgg, *STYLE, *common])
     for mesh in MESHES:
         path = str(given.meshes / f"{mesh}.obj")
-        _run(given.output / mesh / "dream", ["dream", path, "--weights", given.googlenet, *DREAM])
+        _run(given.output / mesh / "dream", ["dream", path, "--weights", given.googlenet])
     together(given.output, given.meshes, given.paintings)
     return 0
 
@@ -76,7 +75,7 @@ def _run(folder: Path, arguments: list[str]) -> None:
     report = folder / "report.json"
     if report.is_file() and json.loads(report.read_text())["finished"]:
         return
-    code = cli.main([*arguments, "-o", str(folder), "--resume"])
+    code = cli.main([*arguments, "-o", str(folder), "--turntable", "0", "--resume"])
     if code:
         sys.exit(code)
 

@@ -44,5 +44,4 @@ class DreamCommand(Edit):
         dream = Dream(
             self.network("googlenet"), layer=self.layer, channel=self.channel, weights=weights, relative=not published
         )
-        inputs = {"layer": self.layer, "channel": self.channel}
-        return self.edited(mesh, coloured, dream, _PRESETS[self.preset], weights, inputs)
+        return self.edited(mesh, coloured, dream, _PRESETS[self.preset], weights)

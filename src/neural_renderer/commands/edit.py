@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -22,6 +23,8 @@ from ..version import __version__
 from .common import checked_count, chosen_device
 from .run import Run
 
+# What may change when an edit goes on.
+_FREE = ("output", "iterations", "preview", "turntable", "resume", "device")
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
 
@@ -71,8 +74,8 @@ class Edit:
     distance: float | None = None
     """From the camera to the middle of the object, whose longest side is 2; by default the preset's."""
     init: Literal["mesh", "random"] | None = None
-    """Begin with the mesh's own colours if it has any, or in any case with grey and a little noise; by default the
-    preset's."""
+    """Begin with the mesh's own colours or, where it has none, with the picture's mean colour (style) or grey (dream);
+    random: with grey in any case. By default the preset's."""
     texture_size: int = 4
     """Texels along the edge of a face's texture (at least 2); more for meshes of few faces."""
     seamless: bool | None = None
@@ -131,11 +134,10 @@ class Edit:
         objective: Objective,
         preset: Preset,
         weights: StyleWeights | DreamWeights,
-        inputs: dict[str, Any],
     ) -> int:
         """Edit the mesh and write what comes of it; the exit code, 0, or 130 after Ctrl-C.
 
-        ``inputs`` tell, with the mesh, what a checkpoint belongs to; ``weights`` are the objective's, for the report.
+        ``weights`` are the objective's, for the report.
         """
         setting = {name: self.chosen(preset, name) for name in asdict(preset)}
         views = Views(setting["elevation"], setting["distance"], light=setting["light"])
@@ -149,15 +151,15 @@ class Edit:
             vertex_rate=setting["vertex_rate"],
             texture_rate=setting["texture_rate"],
             settle=setting["settle"],
-            start=setting["init"] if coloured else "random",
+            start=setting["init"] if coloured or setting["init"] == "random" else "plain",
             texture_size=self.texture_size,
             seamless=setting["seamless"],
             gradient=self.gradient,
             seed=self.seed,
         )
         self.output.mkdir(parents=True, exist_ok=True)
-        inputs |= {"vertices": mesh.num_vertices, "faces": mesh.num_faces, "texture_size": self.texture_size}
-        inputs |= {"seamless": setting["seamless"]}
+        settings = asdict(self) | setting | asdict(weights)
+        inputs = {name: _fingerprint(value) for name, value in settings.items() if name not in _FREE}
         run = Run(self.output, edit, inputs, lambda path: save_image(path, preview(edit)), every=self.preview)
         finished = run.work(self.resume)
         result = edit.mesh()
@@ -168,21 +170,25 @@ class Edit:
             turntable(self.output, result, self.turntable)
         main = next(name for name in run.history[-1] if name not in ("phase", "loss")) if run.history else "loss"
         curve(run.history, main, "loss", logarithmic=main == "style").save(self.output / "loss.png")
-        settings = asdict(self) | setting | asdict(weights)
-        settings = {name: str(value) if isinstance(value, Path) else value for name, value in settings.items()}
-        self._report(edit, run, finished, {**inputs, "settings": settings})
+        self._report(edit, run, finished, mesh, settings)
         return 0 if finished else 130
 
-    def _report(self, edit: MeshEdit, run: Run, finished: bool, inputs: dict[str, Any]) -> None:
+    def _report(self, edit: MeshEdit, run: Run, finished: bool, mesh: Mesh, settings: dict[str, Any]) -> None:
         """Write ``report.json`` and say the most important of it."""
         after, moved = edit.measure(), edit.moved()
         share = {name: round(part / max(sum(edit.seconds.values()), 1e-9), 4) for name, part in edit.seconds.items()}
-        report = {"version": __version__, "finished": finished, "steps": edit.step, **inputs}
+        report = {"version": __version__, "finished": finished, "steps": edit.step}
+        report |= {"vertices": mesh.num_vertices, "faces": mesh.num_faces, "settings": settings}
         report |= {"held_out": {"before": edit.before, "after": after}, "moved": moved}
         report |= {"seconds": round(run.seconds, 1), "share_of_time": share, "history": run.history}
-        (self.output / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        (self.output / "report.json").write_text(json.dumps(report, indent=1, default=str) + "\n", encoding="utf-8")
         console = Console()
         change = f"{edit.before:.4g} → {after:.4g} on views that no step saw, vertices moved by {moved['mean']:.2%}"
         console.print(f"[bold]{change}[/bold] of the mesh's size on average", highlight=False, soft_wrap=True)
         ending = "" if finished else f", interrupted after {edit.step} steps (--resume goes on)"
         console.print(f"{run.seconds:.1f} s{ending}; the results are in {self.output}", highlight=False, soft_wrap=True)
+
+
+def _fingerprint(value: Any) -> Any:
+    """A setting as a checkpoint knows it: of files their names and contents, wherever they lie."""
+    return f"{value.name} #{zlib.crc32(value.read_bytes()):08x}" if isinstance(value, Path) else value

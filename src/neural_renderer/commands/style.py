@@ -40,6 +40,8 @@ class StyleCommand(Edit):
     """Picture whose style the mesh gets: PNG, JPEG or any other that Pillow reads."""
     content: float | None = None
     """Weight of the shape: how much the vertices are held where they were; by default the preset's."""
+    palette: float | None = None
+    """Weight of the picture's colours: how much others are held back; by default the preset's."""
     light: tuple[float, float] | None = None
     """Ambient and directional intensity of the light; by default the preset's."""
     painting_scale: float = 1.0
@@ -64,4 +66,4 @@ class StyleCommand(Edit):
             scale=self.painting_scale,
             relative=not published,
         )
-        return self.edited(mesh, coloured, style, _PRESETS[self.preset], weights, {"style": self.painting.name})
+        return self.edited(mesh, coloured, style, _PRESETS[self.preset], weights)

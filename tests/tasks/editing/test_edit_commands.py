@@ -58,7 +58,7 @@ def test_style_writes_its_results(files: dict[str, str], capsys: pytest.CaptureF
         assert (out / name).stat().st_size > 50, name
     report = json.loads((out / "report.json").read_text())
     assert report["finished"] and report["steps"] == 4 == len(report["history"])
-    assert {"phase", "loss", "style", "content", "bend", "variation"} == set(report["history"][0])
+    assert {"phase", "loss", "style", "content", "bend", "variation", "palette"} == set(report["history"][0])
     assert report["held_out"]["before"] > 0 and report["settings"]["vertex_rate"] == 2.5e-4
     assert report["settings"]["content"] == 200
     assert sum(report["share_of_time"].values()) == pytest.approx(1, abs=0.001)
@@ -80,7 +80,8 @@ def test_dream_writes_its_results(files: dict[str, str]) -> None:
     for name in FILES:
         assert (Path(files["out"]) / name).stat().st_size > 50, name
     report = json.loads((Path(files["out"]) / "report.json").read_text())
-    assert report["layer"] == "conv3_1" and report["channel"] == 2 and "dream" in report["history"][0]
+    assert report["settings"]["layer"] == "conv3_1" and report["settings"]["channel"] == 2
+    assert "dream" in report["history"][0]
 
 
 @pytest.mark.parametrize("command", ["style", "dream"])
@@ -122,10 +123,26 @@ def test_interrupted_and_resumed(
     report = json.loads((Path(files["out"]) / "report.json").read_text())
     assert report["finished"] and len(report["history"]) == 4
 
-    assert style(files, "--resume", "--texture-size", "3") == 1
-    assert "expected a checkpoint of this run (style painting.png, " in capsys.readouterr().err
+    # More steps, and the same files elsewhere, are no other run.
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    Path(files["painting"]).rename(elsewhere / "painting.png")
+    moved = {"painting": str(elsewhere / "painting.png")}
+    assert style(files, "--resume", "--iterations", "5", "--preview", "9", **moved) == 0
+    for option, values, named in (
+        ("--texture-size", ["3"], "(texture_size 3), got one of texture_size 4"),
+        ("--size", ["40"], "(size 40), got one of size 32"),
+        ("--light", ["1", "0"], "(light (1.0, 0.0)), got one of light (0.75, 0.5)"),
+        ("--content", ["3"], "(content 3.0), got one of content 200.0"),
+        ("--init", ["random"], "(init random), got one of init mesh"),
+    ):
+        assert style(files, "--resume", option, *values, **moved) == 1
+        assert f"expected a checkpoint of this run {named}" in capsys.readouterr().err
+    Image.new("RGB", (40, 32)).save(elsewhere / "painting.png")
+    assert style(files, "--resume", **moved) == 1
+    assert "of this run (painting painting.png #" in capsys.readouterr().err
     (Path(files["out"]) / "checkpoint.pt").write_text("text")
-    assert style(files, "--resume") == 1
+    assert style(files, "--resume", **moved) == 1
     assert "expected a checkpoint, got another file" in capsys.readouterr().err
 
 

@@ -151,13 +151,21 @@ def test_dream_losses(network: FeatureNetwork) -> None:
     assert greys.unique().numel() == 1
 
 
-def test_bend_is_blind_to_shifts() -> None:
+def test_bend() -> None:
     mesh = ball()
     start, topology = mesh.vertices.detach(), Topology.of(mesh.faces)
     assert Deformation(start + 0.3, start, topology).bend < 1e-6
+    torch.testing.assert_close(Deformation(1.1 * start, start, topology).bend, torch.tensor(0.01))
     spike = start.clone()
     spike[7] *= 1.2
     assert Deformation(spike, start, topology).bend > 1e-3
+    # A small mesh beside a large one is held as much: what counts is each edge's own length.
+    both = Topology.of(torch.cat((mesh.faces, mesh.faces + 162)))
+    pair, bent = torch.cat((start, 0.2 * start)), torch.cat((spike, 0.2 * spike))
+    torch.testing.assert_close(Deformation(bent, pair, both).bend, Deformation(spike, start, topology).bend)
+    flat = start.clone()
+    flat[7] = flat[topology.edges[(topology.edges == 7).any(1)][0].sum() - 7]  # an edge of no length
+    assert torch.isfinite(Deformation(spike, flat, topology).bend)
 
 
 def test_views() -> None:
@@ -186,15 +194,19 @@ def style_edit(network: FeatureNetwork, **options: object) -> MeshEdit:
 
 
 def test_style_is_transferred(network: FeatureNetwork) -> None:
-    edit = style_edit(network)
+    edit = style_edit(network, steps=80)
     while not edit.done:
         row = edit.advance()
-        assert row["loss"] == pytest.approx(sum(row[name] for name in ("style", "content", "bend", "variation")), 1e-5)
+        parts = ("style", "content", "bend", "variation", "palette")
+        assert row["loss"] == pytest.approx(sum(row[name] for name in parts), 1e-5)
     assert edit.measure() < 0.4 * edit.before
     moved = edit.moved()
     assert 0 < moved["mean"] < moved["most"] < 0.05
     mesh = edit.mesh()
     assert mesh.textures.min() >= 0 and mesh.textures.max() <= 1
+    # Statistics of random features do not tell orange from grey; the palette does.
+    red, green, blue = mesh.textures.mean((0, 1, 2, 3))
+    assert red > 1.3 * green and green > 1.5 * blue
     assert set(edit.seconds) == {"renderer", "network", "rest"} and min(edit.seconds.values()) > 0
 
 
@@ -251,6 +263,14 @@ def test_the_mesh_comes_back_where_it_was_with_its_colours(network: FeatureNetwo
     assert own.vertices.grad is None and own.textures.grad is None
 
 
+def test_where_a_mesh_without_colours_begins(network: FeatureNetwork) -> None:
+    expected = painting().mean((1, 2))
+    colours = style_edit(network, start="plain").mesh().textures
+    torch.testing.assert_close(colours.mean((0, 1, 2, 3)), expected, rtol=0, atol=0.01)
+    assert 0 < colours.std(0).max() < 0.03
+    assert abs(style_edit(network, start="random").mesh().textures.mean() - 0.5) < 0.005
+
+
 def test_texels_that_no_view_shows_take_on_the_colours_around(network: FeatureNetwork) -> None:
     edit = style_edit(network)  # from above; the lowest faces are not seen
     while not edit.done:
@@ -295,7 +315,7 @@ def test_style_with_the_distilled_network(shared: Path) -> None:
 
 def test_what_is_refused(network: FeatureNetwork) -> None:
     for options, sentence in (
-        ({"start": "white"}, 'start: expected "mesh" or "random"'),
+        ({"start": "white"}, 'start: expected "mesh", "plain" or "random"'),
         ({"size": 31}, "size: expected at least 32"),
         ({"steps": 0}, "steps: expected at least 1"),
         ({"batch": 0}, "batch: expected at least 1"),

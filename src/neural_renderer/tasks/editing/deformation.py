@@ -36,11 +36,14 @@ class Deformation:
 
     @property
     def bend(self) -> Tensor:
-        """[], the mean squared difference between the movement of a vertex and its neighbours', over `edge`.
+        """[], the mean over the edges of the squared change (as a vector) over the squared length at the start.
 
-        It is 0 for a mesh that was shifted as a whole and large for one with creases and spikes that were not there.
+        It is 0 for a mesh that was shifted as a whole and large for one with creases and spikes that were not there,
+        as much where the faces are small as where they are large.
         """
-        return losses.laplacian(self.movement, self.topology) / self.edge
+        before, change = (values[self.topology.edges].diff(dim=1) for values in (self.start, self.movement))
+        length = before.square().sum((1, 2)).clamp(min=0.01 * float(self.edge))
+        return (change.square().sum((1, 2)) / length).mean()
 
     @property
     def edge_variance(self) -> Tensor:

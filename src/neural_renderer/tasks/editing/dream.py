@@ -63,6 +63,7 @@ class Dream:
         (self._layer,) = network.checked(layer)
         self._network, self._channel, self._weights, self._relative = network, channel, weights, relative
         device = next(network.parameters()).device
+        self.plain = torch.full((3,), 0.5, device=device)
         with torch.no_grad():
             channels = network(torch.zeros(1, 3, 64, 64, device=device), layer)[layer].shape[1]
         if channel is not None and not 0 <= channel < channels:

@@ -28,6 +28,8 @@ class Objective(Protocol):
     """What images of an edited mesh should be like: `Style` or `Dream`."""
 
     name: str
+    plain: Tensor
+    """[3], the colour of a mesh that has none of its own."""
 
     def background(self, count: int, generator: torch.Generator, /) -> Tensor: ...
 
@@ -57,7 +59,8 @@ class MeshEdit:
         size: their side in pixels, at least 32; they are drawn at twice that.
         vertex_rate, texture_rate: Adam's α, ≥ 0; 0 leaves the shape or the colours as they are.
         settle: the part of the steps, in [0, 1], at the end of which both rates have fallen to 0; 0 keeps them.
-        start: "mesh", its own colours; or "random", grey with a little noise.
+        start: "mesh", its own colours; "plain", the objective's colour with a little noise, for meshes without colours;
+            or "random", grey with a little noise.
         texture_size: T, texels along the edge of a face's cube, at least 2, or 3 if seamless.
         seamless: faces share the texels on their edges; False: each face has its own, as published.
         gradient: the renderer's, through visibility.
@@ -229,11 +232,12 @@ class MeshEdit:
     def _begun(self, mesh: Mesh, start: str, size: int) -> Tensor:
         """The colours [texels, 3] to begin with."""
         device = mesh.vertices.device
-        if start == "random":
-            noise = torch.randn(self._texels.count, 3, generator=torch.Generator().manual_seed(self._seed))
-            return torch.sigmoid(0.05 * noise).to(device)
+        if start in ("plain", "random"):
+            noise = torch.randn(self._texels.count, 3, generator=torch.Generator().manual_seed(self._seed)).to(device)
+            plain = self._objective.plain.to(device).clamp(_DARKEST, 1 - _DARKEST)
+            return torch.sigmoid((torch.logit(plain) if start == "plain" else 0) + 0.05 * noise)
         if start != "mesh":
-            raise ValueError(f'start: expected "mesh" or "random", got {start!r}')
+            raise ValueError(f'start: expected "mesh", "plain" or "random", got {start!r}')
         if mesh.texture_size != size:
             raise ValueError(f"mesh: expected textures of {size}³ texels, got {mesh.texture_size}³")
         return self._texels.of(mesh.textures.detach())

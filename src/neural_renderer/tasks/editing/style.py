@@ -13,6 +13,7 @@ from torch import Tensor
 from ... import losses, validate
 from ...features import FeatureNetwork
 from .deformation import Deformation
+from .palette import Palette
 
 STYLE_LAYERS = ("conv1_2", "conv2_2", "conv3_3", "conv4_3")
 """The paper's, whose conv2_3 does not exist: the published code takes conv2_2."""
@@ -29,9 +30,11 @@ class StyleWeights:
     """Squared difference of a vertex's movement from its neighbours', in edge lengths."""
     variation: float = 0.5
     """Squared difference of neighbouring pixels' colours."""
+    palette: float = 0.2
+    """Distance of colours from the painting's own, where they are beyond 2.5 standard deviations of them."""
 
 
-PUBLISHED_STYLE = StyleWeights(content=2e9, bend=0.0, variation=1e7)
+PUBLISHED_STYLE = StyleWeights(content=2e9, bend=0.0, variation=1e7, palette=0.0)
 """The published code's, for sums (``relative=False``)."""
 
 
@@ -57,6 +60,9 @@ class Style:
         scale: how large the painting is, relative to the images: 2 makes its strokes twice as large.
         relative: see above.
 
+    Attributes:
+        plain: [3], the painting's mean colour.
+
     Raises:
         TypeError, ValueError: another shape, a painting that is too small or wholly transparent, an unknown layer.
     """
@@ -79,15 +85,15 @@ class Style:
         painting, mask = _prepared(painting, size * validate.positive("scale", scale))
         with torch.no_grad():
             self._styles = {name: gram(f, mask) for name, f in network(painting, self._layers).items()}
-        share = mask.sum().clamp(min=1)
-        self._colour = (painting * mask[:, None]).sum((0, 2, 3)) / share
+        self._palette = Palette.of(painting, mask)
+        self.plain = self._palette.mean
 
     def background(self, count: int, _: torch.Generator) -> Tensor:
         """The painting's mean colour [count, 3], which is behind the object."""
-        return self._colour.expand(count, 3)
+        return self.plain.expand(count, 3)
 
     def losses(self, images: Tensor, masks: Tensor, shape: Deformation) -> dict[str, Tensor]:
-        """What to minimise the sum of: ``style``, ``content``, ``bend`` and ``variation``, each with its weight.
+        """What to minimise the sum of: the losses by their names (see `StyleWeights`), each with its weight.
 
         Args:
             images: [B, 3, H, W] in [0, 1].
@@ -96,13 +102,16 @@ class Style:
         """
         inside = (masks == 1).to(images.dtype)
         variation, content = losses.total_variation(images, inside), shape.movement.square().sum()
+        palette = (self._palette.excess(images.movedim(1, -1)) * inside).sum()
         if self._relative:
-            variation, content = variation / inside.sum().clamp(min=1), content / len(shape.start)
+            pixels = inside.sum().clamp(min=1)
+            variation, palette, content = variation / pixels, palette / pixels, content / len(shape.start)
         return {
             "style": self._distances(images, masks).mean(),
             "content": self._weights.content * content,
             "bend": self._weights.bend * shape.bend,
             "variation": self._weights.variation * variation,
+            "palette": self._weights.palette * palette,
         }
 
     @torch.no_grad()
