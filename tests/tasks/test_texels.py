@@ -87,3 +87,16 @@ def test_colours_flow_to_where_nothing_is_known() -> None:
     values = torch.rand(texels.count, 3)
     half = torch.rand(texels.count) < 0.5
     assert torch.equal(texels.spread(values, half)[half], values[half])
+
+
+def test_no_faces() -> None:
+    with pytest.raises(ValueError, match="faces: expected at least one, got none"):
+        Texels.shared(BALL[:0], 3)
+
+
+def test_edges_are_neighbours_on_the_lattice() -> None:
+    texels = Texels.shared(BALL, 4)
+    edges = texels.edges()
+    # A closed surface of 80 · 9 small triangles has 3/2 as many edges, each between two texels that a face has.
+    assert len(edges) == 80 * 9 * 3 // 2 and (edges[:, 0] < edges[:, 1]).all()
+    assert torch.bincount(edges.reshape(-1)).unique().tolist() == [5, 6]

@@ -42,9 +42,13 @@ class Texels:
 
         Points on a corner or an edge belong to all its faces [F, 3], and the colours on an edge depend on its own
         texels alone: the texture is continuous over the mesh.
+
+        Raises TypeError or ValueError for another T, ValueError for no faces.
         """
         # With 2, the texel for a face's centre would be blended into the colours on its edges.
         size = validate.whole("texture_size", size, 3)
+        if not len(faces):
+            raise ValueError("faces: expected at least one, got none")
         steps, device = size - 1, faces.device
         points = _lattice(steps).to(device)  # [L, 3]
         corners, vertices = faces.long(), int(faces.max()) + 1
