@@ -163,6 +163,9 @@ def test_local_response_normalisation() -> None:
 
     values = 300 * torch.randn(2, 9, 4, 5, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(LocalResponse()(values), F.local_response_norm(values, 5, 1e-4, 0.75, 1.0))
+    for channels in (1, 2, 9):
+        values = (30 * torch.randn(2, channels, 3, 4, dtype=torch.float64)).requires_grad_()
+        assert torch.autograd.gradcheck(LocalResponse(), values)
 
 
 def test_distilled_vgg(shared: Path) -> None:
