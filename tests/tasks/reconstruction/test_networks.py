@@ -11,9 +11,10 @@ import neural_renderer as nr
 from neural_renderer.tasks.reconstruction.configs import Config, make_config
 from neural_renderer.tasks.reconstruction.encoders import LightEncoder, PaperEncoder
 from neural_renderer.tasks.reconstruction.framing import view_camera
-from neural_renderer.tasks.reconstruction.mesh_network import MeshDecoder, MeshNetwork, in_octants
+from neural_renderer.tasks.reconstruction.mesh_network import MeshDecoder, MeshNetwork, blurring, in_octants
 from neural_renderer.tasks.reconstruction.networks import make_network
 from neural_renderer.tasks.reconstruction.voxel_network import VoxelNetwork, rays
+from neural_renderer.topology import Topology
 
 SMALL = Config(encoder="light", width=8, hidden=(16,))
 
@@ -53,6 +54,33 @@ def test_symmetry() -> None:
     assert sorted(network.partners.tolist()) == list(range(642))
 
 
+def test_blurring() -> None:
+    """A solution of (1 + λL) x = y, so that what all vertices share stays, and what one has is shared."""
+    vertices, faces = nr.icosphere(2)
+    matrix = blurring(Topology.of(faces), 3.0)
+    generator = torch.Generator().manual_seed(0)
+    noise = torch.randn(len(vertices), 3, generator=generator)
+    blurred = matrix @ noise
+    edges = Topology.of(faces).edges
+    differences = blurred[edges[:, 0]] - blurred[edges[:, 1]]
+    laplacian = torch.zeros_like(blurred).index_add(0, edges[:, 0], differences).index_add(0, edges[:, 1], -differences)
+    torch.testing.assert_close(blurred + 3 * laplacian, noise)
+    torch.testing.assert_close(matrix.sum(1), torch.ones(len(vertices)))
+    assert torch.equal(blurring(Topology.of(faces), 0.0), torch.eye(len(vertices)))
+
+
+def test_blurred_meshes_are_smooth() -> None:
+    """Of the same weights, without a step of training; and that the blur is there is in no weight."""
+    meshes = []
+    for blur in (0.0, 3.0):
+        torch.manual_seed(0)
+        network = MeshNetwork(replace(SMALL, blur=blur))
+        assert "blur" not in network.state_dict()
+        meshes.append(network.vertices(torch.rand(2, 4, 64, 64, generator=torch.Generator().manual_seed(1))))
+    rough, smooth = (nr.losses.normal_consistency(vertices, network.faces) for vertices in meshes)
+    assert smooth < 0.1 * rough
+
+
 @pytest.mark.parametrize("encoder", [PaperEncoder, lambda: LightEncoder(8)])
 def test_a_picture_alone_counts(encoder: type[torch.nn.Module]) -> None:
     torch.manual_seed(0)
@@ -81,7 +109,7 @@ def test_voxels_are_seen_where_their_points_are() -> None:
 @pytest.mark.parametrize("kind", ["mesh", "voxel"])
 def test_gradients_reach_every_weight(kind: str) -> None:
     torch.manual_seed(0)
-    network = make_network(kind, replace(SMALL, smoothness=1e-3, laplacian=1.0))
+    network = make_network(kind, replace(SMALL, smoothness=1e-3, laplacian=1.0, blur=1.0))
     shapes = network(torch.rand(2, 4, 64, 64))
     drawn = network.silhouettes(shapes, torch.tensor([3, 11]))
     target = torch.zeros_like(drawn)

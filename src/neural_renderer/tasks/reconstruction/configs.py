@@ -18,6 +18,7 @@ class Config:
     encoder, width: see `encoders.make_encoder`.
     hidden: widths of the mesh decoder's hidden layers.
     symmetric: make meshes mirror images of themselves at z = 0, the plane that most things are symmetric about.
+    blur: λ of (1 + λL)⁻¹, by which the local biases of vertices are blurred over the sphere (see `mesh_network`).
     objects: in a batch, over all processes; classes are drawn uniformly, then objects.
     views: of each object in a batch; every prediction is compared with all of them.
     inputs: how many of these views are looked at by the network, each for a prediction.
@@ -37,6 +38,7 @@ class Config:
     width: int = 32
     hidden: tuple[int, ...] = (1024, 2048)
     symmetric: bool = False
+    blur: float = 0.0
     objects: int = 64
     views: int = 2
     inputs: int = 2
@@ -71,6 +73,7 @@ _BEST = Config(
     width=48,
     hidden=(512, 1024),
     symmetric=True,
+    blur=3.0,
     objects=32,
     inputs=1,
     augment=True,
