@@ -83,6 +83,17 @@ def moving_square(size: tuple[int, int]) -> torch.Tensor:
     return frames
 
 
+def test_a_photo_of_a_turned_camera(tmp_path):
+    photo = Image.new("RGB", (6, 4), "black")
+    photo.putpixel((0, 0), (255, 255, 255))
+    noted = Image.Exif()
+    noted[0x0112] = 6  # to be turned to the right by a quarter
+    photo.save(tmp_path / "photo.png", exif=noted)
+    stored, upright = load_image(tmp_path / "photo.png"), load_image(tmp_path / "photo.png", upright=True)
+    assert stored.shape == (4, 6, 3) and stored[0, 0].min() == 1
+    assert upright.shape == (6, 4, 3) and upright[0, -1].min() == 1
+
+
 def test_gif(tmp_path):
     frames = moving_square((24, 33))
     save_animation(tmp_path / "new/a.gif", frames, fps=10)

@@ -19,6 +19,7 @@ from ..io import save_image
 from ..tasks.reconstruction.arrays import Split, open_split
 from ..tasks.reconstruction.checkpoint import load_model
 from ..tasks.reconstruction.evaluate import Scores, evaluate
+from ..tasks.reconstruction.files import replacing
 from ..tasks.reconstruction.shapes import Predictor, network_predictor
 from ..tasks.reconstruction.sheets import agreement, prediction_sheet
 from ..tasks.reconstruction.tables import markdown, terminal
@@ -123,7 +124,6 @@ class Evaluate:
         paths: list[Path],
     ) -> None:
         folder = self.output or (paths[0].parent if paths else self.data) / f"evaluation_{self.set}"
-        folder.mkdir(parents=True, exist_ok=True)
         report = {
             "version": __version__,
             "data": str(self.data),
@@ -135,8 +135,9 @@ class Evaluate:
             "seconds": seconds,
             "methods": {label: scores.to_dict() for label, scores in methods.items()},
         }
-        (folder / "scores.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-        (folder / "table.md").write_text(markdown(methods), encoding="utf-8")
+        for name, text in {"scores.json": json.dumps(report, indent=1) + "\n", "table.md": markdown(methods)}.items():
+            with replacing(folder / name) as fresh:
+                fresh.write_text(text, encoding="utf-8")
         for table in terminal(methods, width=console.width):
             console.print(table)
         for label, scores in methods.items():

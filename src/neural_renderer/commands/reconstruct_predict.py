@@ -17,6 +17,7 @@ from ..mesh import Mesh
 from ..tasks.reconstruction.checkpoint import load_model
 from ..tasks.reconstruction.cutout import cut_out
 from ..tasks.reconstruction.drawing import CLAY
+from ..tasks.reconstruction.files import replacing
 from ..tasks.reconstruction.predict import best_frame, predict_meshes, prediction_picture
 from ..tasks.reconstruction.shapes import Predictor, network_predictor
 from .common import checked_count, chosen_device
@@ -114,10 +115,10 @@ class Predict:
 
     def _prepared(self, path: Path, predict: Predictor, device: torch.device) -> tuple[Tensor, Tensor]:
         """The picture [H, W, 3 or 4], and what the network gets of it."""
-        picture = load_image(path)
+        picture = load_image(path, upright=True)
         mask = None
         if self.mask is not None:
-            mask = _as_mask(load_image(self._mask_of(path)))
+            mask = _as_mask(load_image(self._mask_of(path), upright=True))
         elif picture.shape == (64, 64, 4) and bool((picture[..., 3] > 0.5).any()):
             return picture, (picture.permute(2, 0, 1) * 255 + 0.5).to(torch.uint8)
         return picture, best_frame(predict, cut_out(picture, mask), device)
@@ -132,13 +133,17 @@ class Predict:
         raise ValueError(f"{folder}: expected a mask {path.stem}.png, got none")
 
     def _write(self, target: Path, picture: Tensor, image: Tensor, vertices: Tensor, faces: Tensor) -> None:
-        save_mesh(target, vertices, faces)
+        with replacing(target) as fresh:
+            save_mesh(fresh, vertices, faces)
         if self.sheet:
-            save_image(_beside(target, "sheet.png"), prediction_picture(picture, image, vertices, faces))
+            sheet = prediction_picture(picture, image, vertices, faces)
+            with replacing(_beside(target, "sheet.png")) as fresh:
+                save_image(fresh, sheet)
         if self.turntable:
             upright = Mesh(vertices, faces, torch.tensor(CLAY).expand(len(faces), 2, 2, 2, 3)).normalize()
             frames = (photograph(upright, 145 + 360 * i / self.turntable, size=256) for i in range(self.turntable))
-            save_animation(_beside(target, "turntable.gif"), frames, fps=15)
+            with replacing(_beside(target, "turntable.gif")) as fresh:
+                save_animation(fresh, frames, fps=15)
 
 
 def _beside(target: Path, name: str) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from ..tasks.reconstruction.arrays import Split, open_split
 from ..tasks.reconstruction.checkpoint import HEADER, read_checkpoint
 from ..tasks.reconstruction.configs import Config, ConfigName, make_config
 from ..tasks.reconstruction.networks import ModelName
-from .common import checked_count, interruption
+from .common import checked_count, chosen_device, interruption
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,8 @@ class Train:
     """Weight of the smoothness loss, in place of the recipe's."""
     laplacian: float | None = None
     """Weight of the Laplacian loss, likewise."""
+    blur: float | None = None
+    """How far neighbouring vertices move alike (0: each for itself), likewise."""
     every: int = 250
     """Steps between two measurements, checkpoints and pictures (at least 1)."""
     seed: int = 0
@@ -81,6 +84,7 @@ class Train:
             checked_count(name, getattr(self, name), least)
         if self.minutes is not None and not 0 < self.minutes < math.inf:
             raise ValueError(f"--minutes: expected a number above 0, got {self.minutes}")
+        chosen_device(self.device)
         train, val = self._data()
         config = self._recipe(train)
         checkpoint = self._checkpoint(config)
@@ -121,10 +125,10 @@ class Train:
         config = make_config(self.config, train.classes)
         if self.steps is not None:
             config = replace(config, steps=checked_count("steps", self.steps, 1))
-        for name in ("smoothness", "laplacian"):
+        for name in ("smoothness", "laplacian", "blur"):
             weight = getattr(self, name)
             if weight is not None and not 0 <= weight < math.inf:
-                raise ValueError(f"--{name}: expected a weight of at least 0, got {weight}")
+                raise ValueError(f"--{name}: expected a number of at least 0, got {weight}")
             config = config if weight is None else replace(config, **{name: weight})
         return config
 
@@ -135,7 +139,10 @@ class Train:
             return None
         if not self.resume:
             raise ValueError(f"{path}: expected no training in this folder yet, got one; --resume goes on from there")
-        head = read_checkpoint(path)[HEADER]
+        content = read_checkpoint(path)
+        if "training" not in content:
+            raise ValueError(f"{path}: expected the state of a training, got a network alone, as best.ckpt is")
+        head = content[HEADER]
         found = {"model": head["kind"]} | {k: v for k, v in head["config"].items() if k != "steps"}
         wanted = {"model": self.model} | {k: v for k, v in config.to_dict().items() if k != "steps"}
         for name in wanted:
@@ -146,13 +153,18 @@ class Train:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without what Lightning says of itself: its advice is for those who write programs with it."""
+    """Without what Lightning says of itself: its advice is for those who write programs with it.
+
+    And without what TensorBoard's thread says of a full disk, because its next record says it again.
+    """
     logger = logging.getLogger("lightning.pytorch")
-    level = logger.level
+    level, hook = logger.level, threading.excepthook
     logger.setLevel(logging.ERROR)
+    threading.excepthook = lambda arguments: None if arguments.exc_type is OSError else hook(arguments)
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module="lightning")
             yield
     finally:
         logger.setLevel(level)
+        threading.excepthook = hook

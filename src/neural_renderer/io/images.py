@@ -10,7 +10,7 @@ from typing import Any
 import imageio.v2 as imageio
 import numpy as np
 import torch
-from PIL import Image
+from PIL import Image, ImageOps
 from torch import Tensor
 
 from neural_renderer import validate
@@ -20,14 +20,16 @@ _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
 
 
-def load_image(path: str | os.PathLike[str]) -> Tensor:
+def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor:
     """Read a picture: float32 [H, W, 3], or [H, W, 4] if it has transparency, in [0, 1], first row on top, on the CPU.
 
-    Grey, palette, CMYK and 16-bit grey pictures are converted. Raises FileNotFoundError if there is no such file and
-    ValueError if it is no picture.
+    Grey, palette, CMYK and 16-bit grey pictures are converted. ``upright`` turns a photo the way its camera noted to
+    have been held (EXIF); calibrated cameras and texture coordinates belong to the pixels as they are stored. Raises
+    FileNotFoundError if there is no such file and ValueError if it is no picture.
     """
     try:
-        with Image.open(existing(path)) as image:
+        with Image.open(existing(path)) as file:
+            image = ImageOps.exif_transpose(file) if upright else file
             pixels: np.ndarray
             if image.mode.startswith(("I", "F")):  # 16-bit grey, which a conversion to RGB would cut off at 255
                 full = 1 if image.mode.startswith("F") else 65535

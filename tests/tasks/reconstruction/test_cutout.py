@@ -49,6 +49,15 @@ def test_large_pictures_and_objects_at_the_border() -> None:
     assert agree(cut_out(flat)[3], torch.roll(mask, -260, 1)) > 0.96
 
 
+def test_a_huge_picture_is_made_smaller_without_its_background() -> None:
+    rgba = torch.zeros(30, 3000, 4)  # black, transparent
+    rgba[5:25, 1000:2001] = torch.tensor([0.9, 0.2, 0.1, 1])
+    small = cut_out(rgba)
+    assert small.shape == (4, 20, 2048)
+    seen = small[3] > 0.3
+    assert (small[:3, seen] - torch.tensor([[0.9], [0.2], [0.1]])).abs().max() < 0.01
+
+
 def test_masks_and_transparency() -> None:
     photo, mask = scene()
     busy = torch.where(mask[..., None] > 0, photo, torch.rand(photo.shape))

@@ -97,9 +97,20 @@ def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(torch, "save", full)
-    with pytest.raises(OSError, match=r"best.ckpt: expected to write a checkpoint, got: No space .* before is kept"):
+    with pytest.raises(OSError, match=r"best.ckpt: expected to write it, got: No space left on device"):
         save_model(path, network, ["box"])
     assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_disk_that_is_full_for_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, image: Any) -> None:
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("neural_renderer.tasks.reconstruction.callbacks.save_image", full)
+    with pytest.raises(OSError, match=r"00000003.png: expected to write it, got: No space left on device"):
+        train(tmp_path)
+    assert not list((tmp_path / "pictures").iterdir())
 
 
 def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:
@@ -122,6 +133,10 @@ def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:
         load_model(path)
     torch.save(content | {"reconstruction": content["reconstruction"] | {"kind": "mesh"}}, path)
     with pytest.raises(ValueError, match="expected a network's weights, got others than its header says"):
+        load_model(path)
+    content["state_dict"]["decoder.0.bias"][3] = torch.nan
+    torch.save(content, path)
+    with pytest.raises(ValueError, match=r"x.ckpt: expected finite weights, got some that are NaN"):
         load_model(path)
 
 
@@ -154,6 +169,11 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
     assert main([*command, "--steps", "3", "--classes", "box", "--resume"]) == 0
     assert read_checkpoint(out / "last.ckpt")["training"]["steps"] == 3
     assert main([*command, "--classes", "boat"]) == 1 and "boat" in capsys.readouterr().err
+    (out / "last.ckpt").write_bytes((out / "best.ckpt").read_bytes())
+    assert main([*command, "--classes", "box", "--resume"]) == 1
+    assert "expected the state of a training, got a network alone" in " ".join(capsys.readouterr().err.split())
+    if not torch.cuda.is_available():
+        assert main([*command[:-1], "cuda"]) == 1 and "--device: expected cpu, got cuda" in capsys.readouterr().err
     assert main([*command, "--minutes", "-1"]) == 1 and "--minutes" in capsys.readouterr().err
 
 

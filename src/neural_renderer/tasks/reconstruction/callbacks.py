@@ -13,7 +13,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from ...io import save_image
-from .checkpoint import replacing, save_model
+from .checkpoint import save_model
+from .files import replacing, writing
 from .pictures import prediction_sheet
 
 BEST, LAST = "best.ckpt", "last.ckpt"
@@ -75,7 +76,7 @@ class Record(lightning.Callback):
         if module.steps_done and path.is_file():  # what came after the checkpoint is to be done again
             with path.open(newline="", encoding="utf-8") as file:
                 rows = [row for row in csv.DictReader(file) if int(row["step"]) <= module.steps_done]
-        with path.open("w", newline="", encoding="utf-8") as file:
+        with replacing(path) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, self._COLUMNS, extrasaction="ignore", lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
@@ -102,11 +103,11 @@ class Record(lightning.Callback):
             return
         self._write(trainer, module, ("val_iou",))
         sheet = prediction_sheet(module.model, module.val_split)
-        folder = self._folder / "pictures"
-        folder.mkdir(exist_ok=True)
-        save_image(folder / f"{module.steps_done:08d}.png", sheet)
+        with replacing(self._folder / "pictures" / f"{module.steps_done:08d}.png") as fresh:
+            save_image(fresh, sheet)
         for logger in trainer.loggers:
-            logger.experiment.add_image("predictions", sheet, module.steps_done)  # type: ignore[attr-defined]
+            with writing(self._folder / "tensorboard"):
+                logger.experiment.add_image("predictions", sheet, module.steps_done)  # type: ignore[attr-defined]
 
     def on_train_end(self, trainer: lightning.Trainer, module: Any) -> None:
         self._stop()
@@ -123,10 +124,13 @@ class Record(lightning.Callback):
         rate = trainer.optimizers[0].param_groups[0]["lr"]
         row = {"step": module.steps_done, "seconds": round(module.seconds, 2), "rate": f"{rate:.3g}"}
         row |= {name: round(module.latest[name], 6) for name in names}
-        with (self._folder / "log.csv").open("a", newline="", encoding="utf-8") as file:
+        path = self._folder / "log.csv"
+        with writing(path), path.open("a", newline="", encoding="utf-8") as file:
             csv.DictWriter(file, self._COLUMNS, lineterminator="\n").writerow(row)
+        values = {name: module.latest[name] for name in names} | {"rate": rate}
         for logger in trainer.loggers:
-            logger.log_metrics({**{name: module.latest[name] for name in names}, "rate": rate}, step=module.steps_done)
+            with writing(self._folder / "tensorboard"):
+                logger.log_metrics(values, step=module.steps_done)
 
 
 def _clock(seconds: float) -> str:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import torch
 
 from ...version import __version__
 from .configs import Config
+from .files import replacing
 from .networks import Model, make_network
 
 HEADER = "reconstruction"
@@ -60,6 +60,8 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ValueError(f"{path}: expected a network's weights, got others than its header says ({reason})") from None
+    if not all(bool(value.isfinite().all()) for value in found.values()):
+        raise ValueError(f"{path}: expected finite weights, got some that are NaN or infinite")
     return network.to(device).eval().requires_grad_(False)
 
 
@@ -72,31 +74,13 @@ def read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
         )
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # whatever torch says of a file that is none of its own, or cut off
-        reason = " ".join(str(error).split())[:120]
-        raise ValueError(f"{path}: expected a checkpoint, got a file that is broken or none ({reason})") from None
+    except OSError:
+        raise
+    except Exception:  # whatever torch says of a file that is none of its own, or cut off
+        raise ValueError(f"{path}: expected a checkpoint, got a file that is broken or none") from None
     head = content.get(HEADER) if isinstance(content, dict) else None
     if not isinstance(head, dict) or "state_dict" not in content:
         raise ValueError(f"{path}: expected a checkpoint of a reconstruction network, got one of something else")
     if head.get("version") != VERSION:
         raise ValueError(f"{path}: expected a checkpoint of version {VERSION}, got version {head.get('version')}")
     return content
-
-
-@contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A name to write a file under that takes the place of ``path`` once it is whole; else ``path`` stays as it was.
-
-    Raises OSError, naming the file, whatever kind of error a full disk became on its way.
-    """
-    path = Path(path)
-    fresh = path.with_name(f".{path.name}.new")
-    try:
-        yield fresh
-        fresh.replace(path)
-    except (OSError, RuntimeError) as error:
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
-        kept = "; the one saved before is kept" if path.exists() else ""
-        raise OSError(f"{path}: expected to write a checkpoint, got: {reason}{kept}") from error
-    finally:
-        fresh.unlink(missing_ok=True)

@@ -11,6 +11,7 @@ from .framing import SIZE
 
 EXTENT = 44  # pixels of the object's longest side, and how far below the middle its box's middle is: in the training
 _LOWER = 1.5  # data that is so on average
+_KEPT = 2048  # pixels of a picture's longest side: more show nothing more in 64
 _LARGEST = 640  # pixels of the longest side in which an object is looked for
 _SPECK = 0.02  # pieces smaller than this part of the largest one are dirt
 _DETAIL = 8  # pixels: an object that is smaller shows nothing
@@ -19,12 +20,15 @@ _DETAIL = 8  # pixels: an object that is smaller shows nothing
 def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
     """A picture with its object's transparency: [4, H, W] float32 in [0, 1], colours not multiplied by it.
 
+    Larger pictures are made smaller, to 2048 pixels a side.
+
     image: [H, W, 3 or 4] in [0, 1], as `load_image` gives it. mask: [H, W] in [0, 1], 1 on the object, of the same
     size or shape; without it the image's transparency counts, and without that, what differs from a plain background.
     Specks are dropped.
 
     Raises ValueError where there is no object, none but the whole picture, or no plain background.
     """
+    image = _bounded(image, _KEPT)
     rgb = image[..., :3].permute(2, 0, 1)
     height, width = rgb.shape[1:]
     if mask is not None:
@@ -36,9 +40,8 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
     elif image.shape[2] == 4 and float(image[..., 3].min()) < 0.99:
         alpha = image[..., 3]
     else:
-        scale = min(1.0, _LARGEST / max(height, width))
-        small = _resized(rgb, (max(1, round(scale * height)), max(1, round(scale * width))))
-        alpha = _resized(plain_background_mask(small)[None], (height, width))[0]
+        small = _bounded(image, _LARGEST).permute(2, 0, 1)
+        alpha = _resized(plain_background_mask(small[:3])[None], (height, width))[0]
     if float(alpha.max()) < 0.5:
         raise ValueError("expected an object, got a picture without one")
     if float(alpha.min()) > 0.5:
@@ -108,11 +111,7 @@ def plain_background_mask(rgb: Tensor) -> Tensor:
 
 def without_specks(alpha: Tensor) -> Tensor:
     """A mask [H, W] without pieces that are much smaller than the largest one."""
-    scale = min(1.0, _LARGEST / max(alpha.shape))
-    small = alpha
-    if scale < 1:
-        size = (max(1, round(scale * alpha.shape[0])), max(1, round(scale * alpha.shape[1])))
-        small = _resized(alpha[None], size)[0]
+    small = _bounded(alpha[..., None], _LARGEST)[..., 0]
     label = pieces(small > 0.5)
     count = torch.bincount(label[label >= 0])
     kept = torch.isin(label, (count >= _SPECK * count.max()).nonzero()[:, 0])
@@ -142,6 +141,20 @@ def pieces(mask: Tensor) -> Tensor:
             break
         label = passed
     return torch.where(mask, label.reshape(height, width), -1)
+
+
+def _bounded(image: Tensor, most: int) -> Tensor:
+    """[H, W, C], smaller if a side is longer than ``most``; colours count by their transparency, where there is any."""
+    height, width = image.shape[:2]
+    scale = most / max(height, width)
+    if scale >= 1:
+        return image
+    weighted = image if image.shape[2] < 4 else torch.cat((image[..., :3] * image[..., 3:], image[..., 3:]), 2)
+    size = (max(1, round(scale * height)), max(1, round(scale * width)))
+    small = _resized(weighted.permute(2, 0, 1), size).permute(1, 2, 0)
+    if image.shape[2] < 4:
+        return small
+    return torch.cat((small[..., :3] / small[..., 3:].clamp(min=1e-6), small[..., 3:]), 2)
 
 
 def _resized(image: Tensor, size: tuple[int, int]) -> Tensor:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -25,6 +24,7 @@ from ...lighting import Light
 from ...render import render
 from ...version import __version__
 from .arrays import DESCRIPTION, SPLITS
+from .files import replacing
 from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirrored, unit, view_camera
 from .models_folder import Model
 from .voxels import solid
@@ -179,7 +179,7 @@ def _make_file(model: Model, folder: Path, settings: Settings) -> tuple[str | No
             told = isinstance(error, (ValueError, OSError)) and str(error)
             return (str(error) if told else f"{model.path}: {type(error).__name__}: {error}"), []
     arrays: dict[str, Any] = {"images": images.numpy(), "voxels": voxels.numpy()}
-    with _replacing(target) as fresh, open(fresh, "wb") as file:
+    with replacing(target) as fresh, open(fresh, "wb") as file:
         np.savez_compressed(file, key=np.array(_key(model, settings)), **arrays)
     return None, sorted({str(warning.message) for warning in caught})
 
@@ -209,7 +209,7 @@ def assemble(
         "versions": {"neural_renderer": __version__, "torch": torch.__version__, "numpy": np.__version__},
         "broken": broken,
     }
-    with _replacing(folder / DESCRIPTION) as fresh:
+    with replacing(folder / DESCRIPTION) as fresh:
         fresh.write_text(json.dumps(description, indent=1) + "\n", encoding="utf-8")
 
 
@@ -223,7 +223,7 @@ def _names_before(folder: Path) -> dict[str, dict[str, list[str]]]:
 def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
     """One array of all objects, read and written one at a time."""
     with (
-        _replacing(target) as fresh,
+        replacing(target) as fresh,
         zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive,
         archive.open("arr_0.npy", "w", force_zip64=True) as member,
     ):
@@ -233,21 +233,6 @@ def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
             if index == 0:
                 _write_header(member, array, len(objects))
             member.write(np.ascontiguousarray(array).tobytes())
-
-
-@contextmanager
-def _replacing(target: Path) -> Iterator[Path]:
-    """A name to write a file under that takes the place of ``target`` once it is whole; OSError names ``target``."""
-    fresh = target.with_name(f".{target.name}.{os.getpid()}")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        yield fresh
-        fresh.replace(target)
-    except OSError as error:
-        raise OSError(f"{target}: expected to write it, got: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            fresh.unlink(missing_ok=True)
 
 
 def _write_header(member: IO[bytes], array: np.ndarray, count: int) -> None:

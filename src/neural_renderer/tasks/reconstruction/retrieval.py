@@ -16,6 +16,7 @@ from torch import Tensor
 
 from ...features import FeatureNetwork
 from .arrays import Split, cache_folder
+from .files import replacing
 from .framing import VIEWS
 from .shapes import Predictor, Shapes, Solids
 
@@ -71,10 +72,10 @@ class Retrieval:
                     views = torch.from_numpy(images[index].copy()).to(_device(self._network))
                     rows.append(image_features(self._network, views).cpu().numpy().astype(np.float16))
                     yield done + VIEWS * (index + 1)
-                fresh = target.with_name(f".{target.stem}.{os.getpid()}.npy")
-                np.save(fresh, np.concatenate(rows))
-                os.utime(fresh, ns=(source.stat().st_mtime_ns,) * 2)
-                fresh.replace(target)
+                with replacing(target) as fresh:
+                    with fresh.open("wb") as file:
+                        np.save(file, np.concatenate(rows))
+                    os.utime(fresh, ns=(source.stat().st_mtime_ns,) * 2)
             self._features[name] = np.load(target, mmap_mode="r")
             self._known += [(name, index) for index in range(len(images))]
             done += VIEWS * len(images)
