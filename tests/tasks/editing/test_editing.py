@@ -14,6 +14,7 @@ from neural_renderer.features import FeatureNetwork, load_features
 from neural_renderer.features.vgg import vgg
 from neural_renderer.tasks.editing import Dream, DreamWeights, MeshEdit, Style, StyleWeights, Views
 from neural_renderer.tasks.editing.deformation import Deformation
+from neural_renderer.tasks.editing.results import preview
 from neural_renderer.tasks.editing.style import gram
 from neural_renderer.tasks.editing.views import generator
 from neural_renderer.topology import Topology
@@ -263,6 +264,19 @@ def test_the_mesh_comes_back_where_it_was_with_its_colours(network: FeatureNetwo
     assert own.vertices.grad is None and own.textures.grad is None
 
 
+def test_vertices_of_no_face_change_nothing(network: FeatureNetwork) -> None:
+    found = []
+    for extra in (torch.zeros(0, 3), torch.tensor([[9.0, 9.0, 9.0]])):
+        mesh = ball(0.3, 0.3, 0.3)
+        mesh = nr.Mesh(torch.cat((mesh.vertices.detach(), extra)), mesh.faces, mesh.textures.detach())
+        edit = MeshEdit(mesh, Style(network, painting(), 48), steps=1, size=48, batch=1, seed=1)
+        edit.advance()
+        found.append((edit.mesh(), preview(edit, 64)))
+    (one, picture), (other, again) = found
+    assert torch.equal(one.textures, other.textures) and torch.equal(picture, again)
+    assert torch.equal(other.vertices[-1], torch.tensor([9.0, 9.0, 9.0]))
+
+
 def test_where_a_mesh_without_colours_begins(network: FeatureNetwork) -> None:
     expected = painting().mean((1, 2))
     colours = style_edit(network, start="plain").mesh().textures
@@ -328,5 +342,5 @@ def test_what_is_refused(network: FeatureNetwork) -> None:
         with pytest.raises(ValueError, match=sentence):
             style_edit(network, **options)
     point = nr.Mesh(torch.ones(3, 3), torch.tensor([[0, 1, 2]]), torch.ones(1, 4, 4, 4, 3))
-    with pytest.raises(ValueError, match="vertices that all coincide"):
+    with pytest.raises(ValueError, match="faces whose vertices all coincide"):
         MeshEdit(point, Style(network, painting(), 48), size=48)

@@ -97,11 +97,12 @@ class MeshEdit:
         _check_memory(len(self._faces), texture_size)
 
         points, self._vertex = torch.unique(mesh.vertices.detach(), dim=0, return_inverse=True)
-        low, high = points.amin(0), points.amax(0)
+        corners = self._vertex[self._faces.long()]
+        shown = points[corners]  # vertices of no face have no part in where the mesh is and how large
+        low, high = shown.amin((0, 1)), shown.amax((0, 1))
         self._centre, self._scale = (low + high) / 2, float((high - low).max()) / 2
         if not self._scale:
-            raise ValueError("mesh: expected one of some size, got vertices that all coincide")
-        corners = self._vertex[self._faces.long()]
+            raise ValueError("mesh: expected one of some size, got faces whose vertices all coincide")
         self._start = (points - self._centre) / self._scale
         self._vertices = self._start.clone().requires_grad_()
         self._topology = Topology.of(corners)

@@ -40,9 +40,11 @@ def turntable(folder: Path, mesh: Mesh, frames: int = 36, size: int = 320) -> No
 
 @torch.no_grad()
 def _framed(mesh: Mesh, other: Mesh) -> Mesh:
-    """The mesh as it stands when ``other`` fills [-1, 1]³ and is in its middle."""
-    low, high = other.vertices.amin(0), other.vertices.amax(0)
-    return Mesh((mesh.vertices - (low + high) / 2) * (2 / (high - low).max()), mesh.faces, mesh.textures)
+    """The mesh as it stands when ``other``, of the same faces, fills [-1, 1]³ and is in its middle."""
+    used, faces = torch.unique(mesh.faces, return_inverse=True)  # without vertices of no face
+    low, high = other.vertices[used].amin(0), other.vertices[used].amax(0)
+    vertices = (mesh.vertices[used] - (low + high) / 2) * (2 / (high - low).max())
+    return Mesh(vertices, faces.to(mesh.faces.dtype), mesh.textures)
 
 
 def _photographs(mesh: Mesh, angles: list[float] | tuple[float, ...], size: int) -> Iterator[Tensor]:
