@@ -15,7 +15,8 @@ from rich.progress import BarColumn, Progress, TextColumn
 from ...io import save_image
 from .checkpoint import save_model
 from .files import replacing, writing
-from .pictures import prediction_sheet
+from .shapes import network_predictor
+from .sheets import training_sheet
 
 BEST, LAST = "best.ckpt", "last.ckpt"
 _RECORD_EVERY = 10  # steps
@@ -102,7 +103,8 @@ class Record(lightning.Callback):
         if self._progress is None or "val_iou" not in module.latest:
             return
         self._write(trainer, module, ("val_iou",))
-        sheet = prediction_sheet(module.model, module.val_split)
+        predict = network_predictor(module.model)
+        sheet = training_sheet(lambda images: predict(images.to(module.device)), module.val_split)
         with replacing(self._folder / "pictures" / f"{module.steps_done:08d}.png") as fresh:
             save_image(fresh, sheet)
         for logger in trainer.loggers:

@@ -20,16 +20,15 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...io import load_mesh
-from ...lighting import Light
 from ...render import render
 from ...version import __version__
 from .arrays import DESCRIPTION, SPLITS
+from .drawing import shoulder_light
 from .files import replacing
 from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirrored, unit, view_camera
 from .models_folder import Model
 from .voxels import solid
 
-_LAMP = (-0.45, 0.8, 0.5)  # towards the light, in the viewer's right, up and back: a box shows three shades
 _GREY = 0.75  # of models without a colour
 _DARKEST = 0.08  # no paint reflects less, and on pure black no shape shows
 _TEXELS = 4_000_000  # of a whole model, at most
@@ -56,7 +55,7 @@ def render_views(
     """The views of an object: uint8 [K, 4, S, S], red, green, blue and alpha, colours not multiplied by alpha.
 
     vertices: [V, 3] in the frame of reconstruction (see `framing`); faces: [F, 3]; textures: as `render` takes them, or
-    None for grey. The light stands over the viewer's left shoulder, so that no view is dark.
+    None for grey.
     """
     if textures is None:
         textures = torch.full((len(faces), 2, 2, 2, 3), _GREY)
@@ -64,9 +63,7 @@ def render_views(
     pictures = []
     for view in range(settings.views):
         camera = view_camera(torch.tensor([view]), settings.views)
-        right, up, forward = camera.rotation[0]
-        lamp = F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)
-        light = Light(ambient=0.42, directional=0.56, direction=lamp)
+        light = shoulder_light(camera, 0.56)
         size = settings.size * settings.samples
         images = render(
             (vertices, faces, textures), camera, size, light=light, outputs=("rgb", "alpha"), anti_aliasing=False

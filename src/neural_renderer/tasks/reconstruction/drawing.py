@@ -6,6 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ...camera import Camera
 from ...lighting import Light
 from ...render import render
 from .framing import SIZE, view_camera
@@ -13,7 +14,13 @@ from .framing import SIZE, view_camera
 CLAY = (0.86, 0.84, 0.8)
 STONE = (0.72, 0.77, 0.84)
 PAPER = 0.8
-_LAMP = (-0.45, 0.8, 0.5)  # towards the light, in the viewer's right, up and back
+_LAMP = (-0.45, 0.8, 0.5)  # towards the light, in the viewer's right, up and back: a box shows three shades
+
+
+def shoulder_light(camera: Camera, directional: float = 0.6) -> Light:
+    """The light of a camera's picture, over the viewer's left shoulder, so that no view is dark."""
+    right, up, forward = camera.rotation[0]
+    return Light(0.42, directional, direction=F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0))
 
 
 @torch.no_grad()
@@ -22,10 +29,8 @@ def drawn(
 ) -> Tensor:
     """A mesh in the frame of reconstruction from a view, or from between two: [3, size, size] in [0, 1]."""
     camera = view_camera(torch.tensor([view], device=vertices.device))
-    right, up, forward = camera.rotation[0]
-    lamp = F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)
-    light = Light(0.42, 0.6, direction=lamp)
     textures = torch.tensor(colour, device=vertices.device).expand(len(faces), 2, 2, 2, 3)
+    light = shoulder_light(camera)
     rgb = render((vertices, faces, textures), camera, size, light=light, background=(PAPER,) * 3, outputs="rgb").rgb
     return rgb[0].clamp(0, 1)  # type: ignore[index]
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from ...metrics import silhouette_iou
 from .arrays import Split
 from .drawing import PAPER, STONE, drawn, shown
-from .framing import VIEWS
+from .framing import SIZE, VIEWS
 from .shapes import Predictor, Solids
 from .voxels import surface
 
@@ -71,6 +71,24 @@ def prediction_sheet(
             rows.append(torch.cat(row, 2))
     titles = ["input", *(title for name in (*predictors, "truth") for title in (name, *[""] * (len(turns) - 1)))]
     return torch.cat((_header(titles, size), *rows), 1)
+
+
+@torch.no_grad()
+def training_sheet(predict: Predictor, split: Split, most: int = 13, turns: tuple[int, ...] = (0, 6, 15)) -> Tensor:
+    """The first object of each of up to ``most`` classes, for which no voxels are needed: the input; the prediction
+    from views that are ``turns`` further around; and the object's images from there.
+
+    [3, rows · 64, (1 + 2 · len(turns)) · 64] in [0, 1].
+    """
+    rows = []
+    for number, name in enumerate(split.classes[:most]):
+        images = torch.from_numpy(split.images[name][0].copy())
+        look = (7 * number + 2) % VIEWS
+        views = [(look + turn) % VIEWS for turn in turns]
+        shapes = predict(images[look][None])
+        row = [shown(images[look])] + [shapes.picture(0, view, SIZE).cpu() for view in views]
+        rows.append(torch.cat(row + [shown(images[view]) for view in views], 2))
+    return torch.cat(rows, 1)
 
 
 def _header(titles: Sequence[str], size: int, height: int = 20) -> Tensor:
