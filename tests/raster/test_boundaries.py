@@ -175,6 +175,34 @@ def test_cuts_against_differences(device):
         assert abs(found - expected) < 0.06 * abs(expected) + 0.1, (found, expected)
 
 
+@pytest.mark.parametrize("side", range(4))
+def test_outlines_over_the_border_of_the_image(device, side):
+    """A triangle with a corner beyond a border: what is seen of it, by each corner, in the mean over shifts."""
+    size, shifts = 32, 8
+    corners = torch.tensor([[-6.7, 17.3], [24.2, 5.1], [21.4, 27.6]], dtype=torch.float64, requires_grad=True)
+    far, near = corners[0], corners[1:]
+    a, b = far + (near - far) * (-far[0] / (near[:, 0] - far[0]))[:, None]  # where it meets x = 0
+    quad = torch.stack((a, near[0], near[1], b))
+    x, y = quad.unbind(1)
+    area = (x * y.roll(-1) - y * x.roll(-1)).sum().abs() / 2
+    (expected,) = torch.autograd.grad(area, corners)
+
+    def turned(points):  # so that another border is crossed
+        for _ in range(side):
+            points = torch.stack((-points[..., 1], points[..., 0]), -1)
+        return points
+
+    offsets = (torch.cartesian_prod(torch.arange(shifts), torch.arange(shifts)) + 0.5) / shifts - 0.5
+    screen = turned((2 * (corners.detach() + offsets[:, None]) / size - 1).float())
+    faces = torch.cat((screen, torch.full_like(screen[..., :1], 2)), -1)[:, None].to(device)
+    index = coverage(faces, size, size, NEAR, FAR, True, True)
+    image = (index >= 0).float()[:, None]
+    mean = boundaries_backward(torch.ones_like(image), image, faces, index, True, True, True).mean(0)[0, :, :2]
+    torch.testing.assert_close(
+        mean.cpu().double() * 2 / size, turned(expected), rtol=0, atol=0.02 * float(expected.norm())
+    )
+
+
 def test_faces_in_one_plane_do_not_cut(device):
     """The same face twice, from another corner on, as rounding shows it: nothing finite moves the line between them."""
     random = torch.Generator().manual_seed(0)

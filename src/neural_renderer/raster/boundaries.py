@@ -45,8 +45,8 @@ def boundaries(
 
     Exact in the mean over sub-pixel shifts but for: colours that curve within a pixel; gaps narrower than a pixel
     between two boundaries; seams of faces that centres miss: of random colours, a twentieth of their gradient is lost
-    where triangles are 2 pixels wide, a fifth at 1.5 and a third at 1; crossings in the half pixel before the border of
-    the image; the ends of cuts, by up to a pixel; edges with an end behind the camera.
+    where triangles are 2 pixels wide, a fifth at 1.5 and a third at 1; boundaries along the border of the image, closer
+    than a pixel; the ends of cuts, by up to a pixel; edges with an end behind the camera.
     """
     return copy(image)
 
@@ -216,6 +216,8 @@ def move_edge(
         part = gain(
             image, grad, before, own_pixel, other_pixel, behind, weights, inner_pixel, outer_pixel, away, both < 1.0
         )  # fmt: skip
+        if c < 0.5 or c > float(length) - 1.5:
+            part *= 2.0  # of the pixel at the border centres show one half: it stands for the other
         to_p += (1.0 - share) * part
         to_q += share * part
     return 0.5 * float(d * length) * wp.vec2(to_p, to_q)

@@ -139,7 +139,10 @@ def _move(scan: _Scan, f: int, k: int, counter_clockwise: bool) -> tuple[float, 
     to_start = to_end = 0.0
     for u in range(max(0, math.ceil(min(pu, qu))), min(len(scan.shown), math.ceil(max(pu, qu)))):
         share = (u - pu) / (qu - pu)
-        gain = _gain(scan, f, k, u, pv + share * (qv - pv), d, share)
+        c = pv + share * (qv - pv)
+        gain = _gain(scan, f, k, u, c, d, share)
+        if not 0.5 <= c <= len(scan.shown[0]) - 1.5:
+            gain *= 2  # of the pixel at the border centres show one half: it stands for the other
         to_start += (1 - share) * gain
         to_end += share * gain
     pixels = len(scan.shown[0]) / 2  # in a screen unit
@@ -265,6 +268,8 @@ def _cut(grad: Tensor, image: Tensor, face_index: Tensor, corners: Tensor, axis:
     gain = ((own - other) * torch.where(t < 0.5, pulls[0], pulls[1])).sum(0)
     # If f leads by more, the line moves towards g, by that over what the lead falls by within the pixel.
     amount = share * gain / (here - there)
+    place, last = ((cut_y + 1) * height / 2 - 0.5, height - 1) if axis else ((cut_x + 1) * width / 2 - 0.5, width - 1)
+    amount = torch.where((place < 0.5) | (place > last - 0.5), 2 * amount, amount)  # as in `_move`
 
     # Those whose line of equal depth lies between the two centres, in both faces.
     # Faces in one plane lead by rounding only, and cut nothing.

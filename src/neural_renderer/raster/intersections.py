@@ -198,6 +198,13 @@ def _cut(
                                     pull = grad[b, c, height - 1 - j2, i2]
                                 jump += (image[b, c, row, i] - image[b, c, height - 1 - j2, i2]) * pull
                             part *= jump
+                            place = float(i) + float(way) * t
+                            last = float(width) - 1.0
+                            if axis == 1:
+                                place = float(j) + float(way) * t
+                                last = float(height) - 1.0
+                            if place < 0.5 or place > last - 0.5:
+                                part *= 2.0  # of the pixel at the border centres show one half: it stands for the other
                             # With the place fixed, moving corner k by v changes q by -w_k grad(q) . v, and raising its
                             # depth changes it by w_k dq_k / dz_k.
                             for k in range(3):
