@@ -19,10 +19,11 @@ from ..camera import Camera, get_points_from_angles
 from ..io import load_mesh, save_animation, save_image
 from ..lighting import Light
 from ..mesh import Mesh
+from ..normals import vertex_normals
 from ..raster.settings import image_size
 from ..render import render
 from .common import checked_count, chosen_device
-from .studio import corner_cubes, vertex_normals
+from .studio import corner_cubes
 
 _LAMP = (-0.4, 0.6, 0.7)  # towards the light: to the viewer's right, up, and from the scene to the viewer
 _COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": (0.0, 0.0, 0.0)}
@@ -152,7 +153,7 @@ class Render:
         light: Light | None = None
         shown: Mesh | tuple[Tensor, ...] = mesh
         if self.mode == "normals":
-            normals = vertex_normals(mesh.vertices, mesh.faces) @ torch.stack((right, up, -forward), dim=1)
+            normals = vertex_normals(mesh.vertices, mesh.faces)[0] @ torch.stack((right, up, -forward), dim=1)
             shown = mesh.vertices, mesh.faces, corner_cubes((normals + 1) / 2, mesh.faces)
         elif self.light:
             lamp = F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)

@@ -16,19 +16,11 @@ from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
 from ..mesh import Mesh
+from ..normals import vertex_normals
 from ..render import render
 
 _BACKDROP = (0.94, 0.945, 0.955), (0.80, 0.82, 0.85)  # at the top and at the bottom
 _LAMP = (-0.45, 0.75, 0.55)  # towards the light, in the viewer's right, up and back
-
-
-def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Unit normals [V, 3] of vertices [V, 3]: the mean over the faces [F, 3] around, weighted by their areas."""
-    corners = faces.long()
-    v0, v1, v2 = vertices[corners].unbind(1)
-    normal = torch.linalg.cross(v1 - v0, v2 - v0)
-    total = torch.zeros_like(vertices).index_add(0, corners.reshape(-1), normal.repeat_interleave(3, 0))
-    return F.normalize(total, dim=-1)
 
 
 def corner_cubes(values: Tensor, faces: Tensor) -> Tensor:
@@ -60,7 +52,7 @@ def photograph(
     lamp = F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)
 
     colour = render(mesh, camera, size, light=None, outputs=("rgb", "alpha"))
-    cubes = corner_cubes(vertex_normals(vertices, faces), faces)
+    cubes = corner_cubes(vertex_normals(vertices, faces)[0], faces)
     # Anti-aliased normals shrink towards the outline; normalising undoes that.
     normal = render((vertices, faces, cubes), camera, size, light=None, outputs="rgb").rgb
     normal = F.normalize(normal[0], dim=0)  # type: ignore[index]
