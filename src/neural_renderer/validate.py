@@ -192,6 +192,14 @@ def positive(name: str, value: Any) -> float:
     return found
 
 
+def not_negative(name: str, value: Any) -> float:
+    """``value`` as a finite float of at least 0; TypeError or ValueError otherwise."""
+    found = number(name, value)
+    if found < 0:
+        raise ValueError(f"{name}: expected a number of at least 0, got {value}")
+    return found
+
+
 def flag(name: str, value: Any) -> bool:
     """``value`` if it is True or False (0 and 1 pass too); TypeError otherwise."""
     if not isinstance(value, (bool, int, np.bool_, np.integer)) or value not in (0, 1):

@@ -217,6 +217,7 @@ def test_files_that_are_refused(tmp_path: Path) -> None:
         ("half", {k: v for k, v in weights.items() if k != "features.5.bias"}, "a weight and a bias for each"),
         ("bn", weights | {"features.1.running_mean": torch.ones(4)}, "VGG without batch normalisation"),
         ("fc", {k: v for k, v in weights.items() if k != "classifier.3.bias"}, "classifier.3 with 6 inputs"),
+        ("nan", weights | {"features.5.bias": torch.full((4,), torch.nan)}, "got NaN or infinite ones in conv2_1"),
     ):
         torch.save(content, tmp_path / f"{name}.pth")
         with pytest.raises(ValueError, match=rf"{name}.pth: .*{sentence}"):

@@ -39,6 +39,7 @@ class DreamCommand(Edit):
         """Dream; returns the exit code. Raises ValueError, TypeError or OSError with a sentence."""
         self.checked()
         mesh, coloured = self.loaded()
+        self.prepare_output()
         published = self.preset == "published"
         weights = self.loss_weights(PUBLISHED_DREAM if published else DreamWeights())
         dream = Dream(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import zlib
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -127,6 +128,16 @@ class Edit:
         mesh = Mesh(vertices, faces, white if textures is None else textures)
         return mesh.to(chosen_device(self.device)), textures is not None
 
+    def prepare_output(self) -> None:
+        """Make the output folder, before a network is fetched and steps are taken whose results need a place."""
+        try:
+            self.output.mkdir(parents=True, exist_ok=True)
+            reason = None if os.access(self.output, os.W_OK) else "no permission"
+        except OSError as error:
+            reason = error.strerror
+        if reason:
+            raise OSError(f"--output: expected a folder that can be written, got {self.output} ({reason})")
+
     def edited(
         self,
         mesh: Mesh,
@@ -157,7 +168,6 @@ class Edit:
             gradient=self.gradient,
             seed=self.seed,
         )
-        self.output.mkdir(parents=True, exist_ok=True)
         settings = asdict(self) | setting | asdict(weights)
         inputs = {name: _fingerprint(value) for name, value in settings.items() if name not in _FREE}
         run = Run(self.output, edit, inputs, lambda path: save_image(path, preview(edit)), every=self.preview)

@@ -55,6 +55,7 @@ class StyleCommand(Edit):
         device = chosen_device(self.device)
         painting = load_image(self.painting).permute(2, 0, 1).to(device)
         mesh, coloured = self.loaded()
+        self.prepare_output()
         published = self.preset == "published"
         weights = self.loss_weights(PUBLISHED_STYLE if published else StyleWeights())
         style = Style(
@@ -63,7 +64,7 @@ class StyleCommand(Edit):
             self.size,
             layers=self.layers,
             weights=weights,
-            scale=self.painting_scale,
+            painting_scale=self.painting_scale,
             relative=not published,
         )
         return self.edited(mesh, coloured, style, _PRESETS[self.preset], weights)

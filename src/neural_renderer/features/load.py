@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -52,9 +53,9 @@ def _network(weights: dict[str, Tensor], source: str) -> FeatureNetwork:
             weights[name] = value.float()
     try:
         if is_googlenet(weights):
-            return googlenet(weights)
+            return _finite(googlenet(weights))
         if is_vgg(weights):
-            return vgg(weights)
+            return _finite(vgg(weights))
     except ValueError as error:
         raise ValueError(f"{source}: {error}; the file is damaged or of another network") from None
     some = ", ".join(list(weights)[:3]) or "none"
@@ -62,6 +63,13 @@ def _network(weights: dict[str, Tensor], source: str) -> FeatureNetwork:
         f"{source}: expected the weights of a VGG (features.0.weight or conv1_1.weight, …) or of a GoogLeNet "
         f"(inception3a.… or inception_3a.…), got tensors with other names ({some}, …)"
     )
+
+
+def _finite(network: FeatureNetwork) -> FeatureNetwork:
+    for name, value in network.named_parameters():
+        if not bool(torch.isfinite(value).all()):
+            raise ValueError(f"expected finite numbers, got NaN or infinite ones in {name.removeprefix('_stages.')}")
+    return network
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -79,16 +87,27 @@ def _read(path: Path) -> dict[str, Any]:
                 f"{path}: expected a whole .safetensors file, got one that cannot be read ({error})"
             ) from None
     try:
-        weights = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of pickle's version, in files that are refused anyway
+            weights = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch has many words for files that are not its own
-        reason = str(error).strip().split("\n")[0]
         raise ValueError(
-            f"{path}: expected a whole checkpoint of torch, got a file that cannot be read ({reason})"
+            f"{path}: expected a whole checkpoint of torch, got a file that cannot be read ({_reason(error)})"
         ) from None
     weights = weights.get("state_dict", weights) if isinstance(weights, dict) else weights
     if not isinstance(weights, dict):
         raise ValueError(f"{path}: expected a state_dict, got a {type(weights).__name__}")
     return weights
+
+
+def _reason(error: Exception) -> str:
+    """Why torch.load fails, without its advice to load the file with less care."""
+    words = str(error).strip()
+    if "Unsupported global" in words or "Unsupported class" in words:
+        return "it holds other things than tensors, which could run code"
+    if "Weights only load failed" in words:
+        return "it is none"
+    return words.partition(". ")[0].splitlines()[0] if words else type(error).__name__
 
 
 def _published(name: str, progress: bool) -> dict[str, Any]:

@@ -162,6 +162,7 @@ def test_what_is_refused(
     (tmp_path / "text.png").write_text("no picture")
     Image.new("RGBA", (40, 40)).save(tmp_path / "nothing.png")
     Image.new("RGB", (4, 4)).save(tmp_path / "tiny.png")
+    (tmp_path / "file").write_text("no folder")
     monkeypatch.setattr("neural_renderer.tasks.editing.edit._MOST_BYTES", 2**20)
     for options, other, sentence in (
         ([], {"mesh": str(tmp_path / "points.obj")}, "points.obj: expected faces"),
@@ -170,6 +171,11 @@ def test_what_is_refused(
         ([], {"painting": str(tmp_path / "nothing.png")}, "one that is transparent all over"),
         ([], {"painting": str(tmp_path / "tiny.png")}, "expected at least 16 pixels on each side"),
         ([], {"weights": files["mesh"]}, "ball.obj: expected a whole checkpoint of torch"),
+        ([], {"out": str(tmp_path / "file")}, "--output: expected a folder that can be written, got "),
+        ([], {"out": str(tmp_path / "file" / "below")}, "file/below (Not a directory)"),
+        (["--painting-scale", "100"], {}, "--painting-scale: expected at most 64 for images of 32 pixels, got 100"),
+        (["--content", "-1"], {}, "--content: expected a number of at least 0, got -1"),
+        (["--palette", "inf"], {}, "--palette: expected a finite number, got inf"),
         (["--iterations", "0"], {}, "--iterations: expected at least 1, got 0"),
         (["--size", "16"], {}, "--size: expected at least 32, got 16"),
         (["--layers", "conv2_3"], {}, "expected one of conv1_1, conv1_2,"),

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import torch
 from torch import Tensor
 
-from ... import losses
+from ... import losses, validate
 from ...features import FeatureNetwork
 from .deformation import Deformation
 
@@ -46,7 +46,7 @@ class Dream:
         weights: of the other losses.
         relative: see above.
 
-    Raises ValueError for an unknown layer or channel.
+    Raises ValueError for an unknown layer or channel and for a weight below 0.
     """
 
     name = "dream"
@@ -60,6 +60,8 @@ class Dream:
         weights: DreamWeights = DreamWeights(),
         relative: bool = True,
     ) -> None:
+        for name, value in asdict(weights).items():
+            validate.not_negative(name, value)
         (self._layer,) = network.checked(layer)
         self._network, self._channel, self._weights, self._relative = network, channel, weights, relative
         device = next(network.parameters()).device

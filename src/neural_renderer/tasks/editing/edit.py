@@ -110,10 +110,8 @@ class MeshEdit:
         self._texels = (Texels.shared if seamless else Texels.free)(corners, texture_size)
         colours = self._begun(mesh, start, texture_size)
         self._colours = torch.logit(colours.clamp(_DARKEST, 1 - _DARKEST)).requires_grad_()
-        self._rates = validate.number("vertex_rate", vertex_rate), validate.number("texture_rate", texture_rate)
-        for name, rate in zip(("vertex_rate", "texture_rate"), self._rates, strict=True):
-            if rate < 0:
-                raise ValueError(f"{name}: expected a number of at least 0, got {rate}")
+        rates = {"vertex_rate": vertex_rate, "texture_rate": texture_rate}
+        self._rates = [validate.not_negative(name, rate) for name, rate in rates.items()]
         groups = zip((self._vertices, self._colours), self._rates, strict=True)
         self._optimizer = Adam([{"params": [parameter], "lr": rate} for parameter, rate in groups])
         self._settle = validate.number("settle", settle)

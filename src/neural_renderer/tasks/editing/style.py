@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import torch
 import torch.nn.functional as F
@@ -17,6 +17,7 @@ from .palette import Palette
 
 STYLE_LAYERS = ("conv1_2", "conv2_2", "conv3_3", "conv4_3")
 """The paper's, whose conv2_3 does not exist: the published code takes conv2_2."""
+_LARGEST = 2048  # pixels along the side of a square painting, which take a network some gigabytes
 _MARGIN = 16  # pixels around the objects that the network sees too
 
 
@@ -57,7 +58,7 @@ class Style:
             proportions kept.
         layers: names of the network's layers.
         weights: of the other losses.
-        scale: how large the painting is, relative to the images: 2 makes its strokes twice as large.
+        painting_scale: how large the painting is, relative to the images: 2 makes its strokes twice as large.
         relative: see above.
 
     Attributes:
@@ -77,12 +78,20 @@ class Style:
         *,
         layers: Sequence[str] = STYLE_LAYERS,
         weights: StyleWeights = StyleWeights(),
-        scale: float = 1.0,
+        painting_scale: float = 1.0,
         relative: bool = True,
     ) -> None:
         self._network, self._layers = network, network.checked(layers)
         self._weights, self._relative = weights, relative
-        painting, mask = _prepared(painting, size * validate.positive("scale", scale))
+        for name, value in asdict(weights).items():
+            validate.not_negative(name, value)
+        side = size * validate.positive("painting_scale", painting_scale)
+        if side > _LARGEST:
+            most = _LARGEST / size
+            raise ValueError(
+                f"painting_scale: expected at most {most:.3g} for images of {size} pixels, got {painting_scale}"
+            )
+        painting, mask = _prepared(painting, side)
         with torch.no_grad():
             self._styles = {name: gram(f, mask) for name, f in network(painting, self._layers).items()}
         self._palette = Palette.of(painting, mask)

@@ -43,8 +43,7 @@ class Views:
                 f"elevation: expected two numbers between -90 and 90, the lower one first, got {low} {high}"
             )
         validate.positive("distance", self.distance)
-        if validate.number("spread", self.spread) < 0:
-            raise ValueError(f"spread: expected a number of at least 0, got {self.spread}")
+        validate.not_negative("spread", self.spread)
         if self.light is not None and min(validate.number("light", value) for value in self.light) < 0:
             raise ValueError(f"light: expected two numbers of at least 0, got {self.light[0]} {self.light[1]}")
 
