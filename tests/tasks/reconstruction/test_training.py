@@ -172,6 +172,10 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
     (out / "last.ckpt").write_bytes((out / "best.ckpt").read_bytes())
     assert main([*command, "--classes", "box", "--resume"]) == 1
     assert "expected the state of a training, got a network alone" in " ".join(capsys.readouterr().err.split())
+    assert main([*command[:3], str(tmp_path / "shared"), "--devices", "3"]) == 1  # of 4 objects
+    told = " ".join(capsys.readouterr().err.split())
+    assert "--devices: expected a divisor of the batch of 4 objects, got 3" in told
+    assert not torch.distributed.is_initialized()
     if not torch.cuda.is_available():
         assert main([*command[:-1], "cuda"]) == 1 and "--device: expected cpu, got cuda" in capsys.readouterr().err
     assert main([*command, "--minutes", "-1"]) == 1 and "--minutes" in capsys.readouterr().err

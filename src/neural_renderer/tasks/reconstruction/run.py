@@ -12,6 +12,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from .arrays import Split
 from .callbacks import Keep, Record
 from .configs import Config
+from .sampling import Batches
 from .training import Training
 
 
@@ -44,6 +45,7 @@ def fit(
 
     Raises ValueError at a loss that is not finite, OSError for a checkpoint that cannot be written.
     """
+    Batches(train, config, seed, 0, 0, 0, devices * nodes)  # one that cannot be shared is told before all is started
     out.mkdir(parents=True, exist_ok=True)
     training = Training(kind, config, train, val, minutes=minutes, every=every, seed=seed, workers=workers)
     many = devices * nodes > 1
