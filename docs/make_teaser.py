@@ -24,7 +24,7 @@ def main() -> None:
         fit.advance()
         if fit.step in (30, 90):
             stages.append(clay(*fit.shape))
-    paint = TextureFit(Views.of(target, cameras, 192), *fit.shape, batch=8)
+    paint = TextureFit(Views.of(target, cameras, 192), *fit.shape, size=8, batch=8)
     while not paint.done:
         paint.advance()
     stages += [Mesh(*paint.shape), target]

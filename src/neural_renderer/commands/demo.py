@@ -102,7 +102,7 @@ class Demo:
         progress.update(task, note=f"IoU {iou.mean():.3f}")
 
         photos = Views.of(target, cameras, 2 * self.view_size)
-        paint = TextureFit(photos, fit.shape[0], faces, steps=min(20, self.iterations), batch=8)
+        paint = TextureFit(photos, fit.shape[0], faces, size=8, steps=min(20, self.iterations), batch=8)
         task = progress.add_task("Sphere to duck: colours", total=paint.steps, note="")
         while not paint.done:
             progress.update(task, advance=1, note=f"loss {paint.advance()['loss']:.4f}")
