@@ -90,20 +90,21 @@ class Texels:
 
         Parts of the mesh of which nothing is known keep their values.
         """
-        known = known.to(values.dtype)
-        flat = self.index.reshape(-1)
+        unfinished = self.index  # faces with texels of which nothing is known yet
         while True:
-            share = known[self.index]  # [F, L]
-            mean = (values[self.index] * share[..., None]).sum(1) / share.sum(1, keepdim=True).clamp(min=1)
-            reached = (share.sum(1) > 0).to(values.dtype)[:, None].expand_as(self.index).reshape(-1)
-            count = torch.zeros_like(known).index_add_(0, flat, reached)
-            new = (known == 0) & (count > 0)
-            if not bool(new.any()):
+            unfinished = unfinished[~known[unfinished].all(1)]
+            share = known[unfinished]
+            reached = share.any(1)
+            faces, share = unfinished[reached], share[reached].to(values.dtype)[..., None]
+            if not len(faces):
                 return values
-            mean = mean[:, None].expand(-1, self.index.shape[1], -1).reshape(len(flat), -1) * reached[:, None]
+            mean = (values[faces] * share).sum(1) / share.sum(1)
+            flat, mean = faces.reshape(-1), mean.repeat_interleave(faces.shape[1], 0)
             total = torch.zeros_like(values).index_add_(0, flat, mean)
+            count = values.new_zeros(self.count).index_add_(0, flat, values.new_ones(len(flat)))
+            new = (count > 0) & ~known
             values = torch.where(new[:, None], total / count.clamp(min=1)[:, None], values)
-            known = known + new.to(known)
+            known = known | new
 
 
 def _lattice(steps: int) -> Tensor:
