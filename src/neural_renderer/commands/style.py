@@ -53,7 +53,7 @@ class StyleCommand(Edit):
         """Transfer the style; returns the exit code. Raises ValueError, TypeError or OSError with a sentence."""
         self.checked()
         device = chosen_device(self.device)
-        painting = load_image(self.painting).permute(2, 0, 1).to(device)
+        painting = load_image(self.painting, upright=True).permute(2, 0, 1).to(device)
         mesh, coloured = self.loaded()
         self.prepare_output()
         published = self.preset == "published"

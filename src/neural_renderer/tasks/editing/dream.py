@@ -20,7 +20,7 @@ class DreamWeights:
     """How much each loss counts beside the dream, whose weight is 1."""
 
     bend: float = 1.0
-    """Squared difference of a vertex's movement from its neighbours', in edge lengths."""
+    """Squared difference of the movements of an edge's ends, in lengths of that edge."""
     variation: float = 1.0
     """Squared difference of neighbouring pixels' colours."""
     edges: float = 0.0

@@ -28,7 +28,7 @@ class StyleWeights:
     content: float = 200.0
     """Squared distance of the vertices from where they began."""
     bend: float = 1.0
-    """Squared difference of a vertex's movement from its neighbours', in edge lengths."""
+    """Squared difference of the movements of an edge's ends, in lengths of that edge."""
     variation: float = 0.5
     """Squared difference of neighbouring pixels' colours."""
     palette: float = 0.2
