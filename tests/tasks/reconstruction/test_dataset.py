@@ -190,6 +190,13 @@ def test_what_has_changed_is_made_anew(models: Path, tmp_path: Path) -> None:
     write_wedge(found[0].path)
     list(make_objects(found, tmp_path, Settings(samples=1), 0))
     assert len({first, second, path.read_bytes()}) == 3
+    whole = path.read_bytes()
+    spoilt = bytearray(whole)
+    spoilt[len(whole) // 2] ^= 255  # where the images are
+    path.write_bytes(spoilt)
+    with pytest.raises(ValueError, match=r"big\.npz: expected a finished object, got a broken file"):
+        assemble(tmp_path, {"test": {"ball": found}}, SMALL, {})
+    assert not list(tmp_path.glob("*.npz"))
     path.write_bytes(second[:100])
     list(make_objects(found, tmp_path, Settings(samples=1), 0))
     assert np.load(path)["images"].shape == (24, 4, 64, 64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -162,7 +163,7 @@ def _is_made(model: Model, folder: Path, settings: Settings) -> bool:
     try:
         with np.load(object_file(model, folder)) as arrays:
             return str(arrays["key"]) == _key(model, settings)
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError):
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return False
 
 
@@ -225,8 +226,13 @@ def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
         archive.open("arr_0.npy", "w", force_zip64=True) as member,
     ):
         for index, path in enumerate(objects):
-            with np.load(path) as arrays:
-                array = arrays[kind]
+            try:
+                with np.load(path) as arrays:
+                    array = arrays[kind]
+            except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+                raise ValueError(
+                    f"{path}: expected a finished object, got a broken file; without it, it is made anew"
+                ) from error
             if index == 0:
                 _write_header(member, array, len(objects))
             member.write(np.ascontiguousarray(array).tobytes())
