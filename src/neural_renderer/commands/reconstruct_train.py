@@ -47,8 +47,8 @@ class Train:
     model: ModelName = "mesh"
     """Deform a sphere (the paper's method), or predict voxels (the baseline of Yan et al. 2016)."""
     config: ConfigName = "best"
-    """The recipe: the paper's (a million steps: days), the best known one, or "small", that one with fewer steps (20
-    minutes or less)."""
+    """The recipe: the paper's (a million steps: days), the best known one, or "small", that one with fewer steps
+    (a quarter of an hour of one core)."""
     classes: tuple[str, ...] = ()
     """Learn these classes only (default: all there are)."""
     steps: int | None = None
