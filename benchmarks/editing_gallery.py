@@ -61,10 +61,10 @@ def together(folder: Path, meshes: Path, paintings: Path) -> None:
     for mesh in MESHES:
         start = nr.Mesh.load(meshes / f"{mesh}.obj")
         for azimuth in (150.0, 285.0):
-            results = [nr.Mesh.load(folder / mesh / name / "mesh.glb", 8) for name in PAINTINGS]
+            results = [nr.Mesh.load(folder / mesh / name / "mesh.obj", 8) for name in PAINTINGS]
             columns.append(_column([_picture(result, start, azimuth) for result in results]))
-        dream = nr.Mesh.load(folder / mesh / "dream" / "mesh.glb", 8)
-        dreams += [_picture(dream, start, azimuth) for azimuth in (150.0, 285.0)]
+        dream = nr.Mesh.load(folder / mesh / "dream" / "mesh.obj", 8)
+        dreams += [_picture(dream, start, azimuth) for azimuth in (150.0, 30.0)]
         for name in (*PAINTINGS, "dream"):
             _tell(mesh, name, json.loads((folder / mesh / name / "report.json").read_text()))
     Image.fromarray(_pixels(torch.cat(columns, 2))).save(folder / "styles.jpg", quality=88)

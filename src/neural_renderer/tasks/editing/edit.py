@@ -42,7 +42,7 @@ class MeshEdit:
     """Steps of Adam on a mesh, for an objective on images from random views: call `advance` until ``done``.
 
     >>> network = load_features("vgg16-original")
-    >>> edit = MeshEdit(Mesh.load("bunny.obj"), Style(network, painting), steps=500)
+    >>> edit = MeshEdit(Mesh.load("bunny.obj"), Style(network, painting), steps=500, start="plain")
     >>> while not edit.done:
     ...     edit.advance()
     >>> edit.mesh().save("painted.glb")
