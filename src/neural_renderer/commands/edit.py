@@ -75,10 +75,10 @@ class Edit:
     distance: float | None = None
     """From the camera to the middle of the object, whose longest side is 2; by default the preset's."""
     init: Literal["mesh", "random"] | None = None
-    """Begin with the mesh's own colours or, where it has none, with the picture's mean colour (style) or grey (dream);
-    random: with grey in any case. By default the preset's."""
+    """Begin with the mesh's own colours or, where it has none, with the picture's mean colour (style) or grey (dream),
+    or with grey in any case (random). By default the preset's."""
     texture_size: int = 4
-    """Texels along the edge of a face's texture (at least 2); more for meshes of few faces."""
+    """Texels along the edge of a face's texture (at least 3, or 2 if not seamless); more for meshes of few faces."""
     seamless: bool | None = None
     """Faces share the texels on their edges, so that no seam can appear; otherwise each face has its own. By
     default the preset's."""
@@ -95,7 +95,7 @@ class Edit:
     seed: int = 0
     """Seed of the views and of random colours."""
     resume: bool = False
-    """Go on from the checkpoint in the output folder, if there is one."""
+    """Go on from the checkpoint in the output folder, if there is one, which must be of the same files and settings."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute; auto is CUDA where there is one."""
 
