@@ -75,3 +75,29 @@ def test_what_does_not_fit(device):
         nr.fragments(mesh, None)
     with pytest.raises(ValueError, match="gradient: expected one of nmr, edge"):
         nr.fragments(mesh, camera, gradient="soft")
+
+
+def test_seams_between_faces_of_different_colour(device):
+    """A colour for each face, as cubes and as shading of one's own: the same image, and the same gradient."""
+    vertices, faces = (t.to(device) for t in nr.icosphere(1))
+    colors = torch.rand(len(faces), 3, generator=torch.Generator().manual_seed(0)).to(device)
+    camera = nr.Camera.look_at((0.3, 1.0, -2.5), viewing_angle=30)
+    corners = torch.arange(3 * len(faces), device=device).view(-1, 3)
+
+    def shaded(moved, seams):
+        seen = nr.fragments((moved, faces), camera, 48)
+        return seen.composite(seen.interpolate(colors.repeat_interleave(3, 0), corners), seams=seams)
+
+    def drawn(moved):
+        cubes = colors[:, None, None, None].expand(-1, 2, 2, 2, 3).contiguous()
+        return nr.render((moved, faces, cubes), camera, 48, light=None, gradient="edge").rgb
+
+    torch.testing.assert_close(shaded(vertices, True), drawn(vertices), rtol=0, atol=1e-5)
+    weight = torch.randn(1, 3, 48, 48, generator=torch.Generator().manual_seed(1)).to(device)
+    found = []
+    for draw in (lambda v: shaded(v, True), lambda v: shaded(v, False), drawn):
+        leaf = vertices.clone().requires_grad_()
+        found += torch.autograd.grad((draw(leaf) * weight).sum(), leaf)
+    with_seams, without, expected = found
+    torch.testing.assert_close(with_seams, expected, rtol=1e-3, atol=1e-3 * float(expected.abs().max()))
+    assert (without - expected).norm() > 0.3 * expected.norm()

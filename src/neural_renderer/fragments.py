@@ -73,15 +73,17 @@ class Fragments:
         own = attributes.float().expand(images, -1, -1)[image, triangles.long().expand(images, -1, -1)]
         return interpolate(own, self.corners.detach(), self.face_index, self.weights)
 
-    def composite(self, colors: Tensor, background: Any = 0.0) -> Tensor:
+    def composite(self, colors: Tensor, background: Any = 0.0, *, seams: bool = False) -> Tensor:
         """The images [B, C, height, width] float32 of colours, with the gradient through visibility.
 
         colors: [B, H, W, C] floating, of each pixel that shows a face; what others hold does not matter.
         background: a number; a colour [C] or [B, C]; or an image [C, height, width] or [B, C, height, width]. It gets
             gradients.
+        seams: colours may jump where two faces of the surface meet, as with texture charts that do not match or light
+            by the face: then ``"edge"`` looks for their motion there too. Without, which is quicker and less noisy,
+            colours have to be continuous over the surface, or its gradient is wrong at the jumps.
 
-        The colours should be continuous over the surface: jumps where two of its faces meet have no gradient of their
-        own (texture cubes do: see `render`). Raises TypeError or ValueError for other types, shapes or devices.
+        Raises TypeError or ValueError for other types, shapes or devices.
         """
         batch, rows, columns = self.face_index.shape
         validate.floating("colors", colors, (batch, rows, columns, "C"))
@@ -91,7 +93,7 @@ class Fragments:
             background = [validate.number("background", background)] * channels
         behind = behind_image(background, batch, channels, self.settings, colors.device)
         image = torch.where(self.mask[:, None], colors.float().permute(0, 3, 1, 2), behind)
-        image = self.settings.through_visibility(image, self.corners, self.face_index)
+        image = self.settings.through_visibility(image, self.corners, self.face_index, validate.flag("seams", seams))
         return halve(image) if self.settings.anti_aliasing else image.contiguous()
 
 

@@ -70,7 +70,8 @@ class UVMesh:
     def shade(self, seen: Fragments) -> Tensor:
         """The albedo [B, H, W, 3] float32 of what is seen of this mesh, each image filtered by its mipmaps.
 
-        Gradients reach images, colors and, with ``gradient="edge"``, the vertices by what moves under the pixels.
+        Gradients reach images, colors and, with ``gradient="edge"``, the vertices by what moves under the pixels. Where
+        the images' charts do not match, colours jump at their seams: `Fragments.composite` has to be told (``seams``).
         Raises ValueError if ``seen`` is of a mesh with another number of faces.
         """
         count = len(self.uv)

@@ -170,7 +170,8 @@ class Edit:
         )
         settings = asdict(self) | setting | asdict(weights)
         inputs = {name: _fingerprint(value) for name, value in settings.items() if name not in _FREE}
-        run = Run(self.output, edit, inputs, lambda path: save_image(path, preview(edit)), every=self.preview)
+        device = chosen_device(self.device)
+        run = Run(self.output, edit, inputs, lambda path: save_image(path, preview(edit)), self.preview, device)
         finished = run.work(self.resume)
         result = edit.mesh()
         result.save(self.output / "mesh.obj")

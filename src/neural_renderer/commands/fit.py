@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -119,7 +119,9 @@ class Fit:
             seed=self.seed,
         )
         self.output.mkdir(parents=True, exist_ok=True)
-        run = self._run(fit, (seen.masks, seen.photos, *seen.eyes()), lambda: (fit.views, fit.shape))
+        camera = (getattr(seen.camera, part.name) for part in fields(seen.camera))
+        inputs = (seen.masks, seen.photos, *camera, *(() if self.mesh is None else fit.shape[:2]))
+        run = self._run(fit, inputs, lambda: (fit.views, fit.shape))
         finished = run.work(self.resume)
         mesh = fit.mesh()
         mesh.save(self.output / "mesh.obj")
@@ -178,13 +180,19 @@ class Fit:
     def _run(
         self,
         fit: MeshFit | CameraFit,
-        images: tuple[Tensor | None, ...],
+        images: tuple[Any, ...],
         state: Callable[[], tuple[Views, tuple[Tensor, ...]]],
     ) -> Run:
         inputs = {name: value for name, value in asdict(self).items() if name not in _FREE}
-        contents = b"".join(part.cpu().numpy().tobytes() for part in images if part is not None)
+        contents = b"".join(part.cpu().numpy().tobytes() for part in images if isinstance(part, Tensor))
         inputs = {name: str(value) for name, value in inputs.items()} | {"images": f"#{zlib.crc32(contents):08x}"}
-        return Run(self.output, fit, inputs, lambda path: save_image(path, comparison(*state(), columns=4)))
+        return Run(
+            self.output,
+            fit,
+            inputs,
+            lambda path: save_image(path, comparison(*state(), columns=4)),
+            device=chosen_device(self.device),
+        )
 
     def _split(self, views: Views) -> tuple[Views, Views | None]:
         if not self.held_out:

@@ -41,6 +41,7 @@ class Run:
         inputs: plain values that tell what the task works on; a checkpoint is used if they are the same.
         preview: the picture to show meanwhile, written to the path that it is given.
         every: steps from one preview and checkpoint to the next; None: a few seconds.
+        device: where the task computes; a checkpoint may come from another.
     """
 
     def __init__(
@@ -50,9 +51,10 @@ class Run:
         inputs: dict[str, Any],
         preview: Callable[[Path], None],
         every: int | None = None,
+        device: torch.device | str = "cpu",
     ) -> None:
         self._folder, self._task, self._inputs, self._preview, self._every = folder, task, inputs, preview, every
-        self._checkpoint = folder / "checkpoint.pt"
+        self._checkpoint, self._device = folder / "checkpoint.pt", device
         self.history: list[dict[str, Any]] = []
         """What each step returned, and its phase."""
         self.seconds = 0.0
@@ -96,7 +98,7 @@ class Run:
 
     def _restore(self) -> None:
         try:
-            state = torch.load(self._checkpoint, weights_only=True)
+            state = torch.load(self._checkpoint, map_location=self._device, weights_only=True)
             inputs, task = state["inputs"], state["task"]
             self.history, self.seconds = state["history"], state["seconds"]
         except Exception as error:  # whatever torch says of a file that is none of ours

@@ -176,7 +176,7 @@ def _backward(
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
-    """One face of one image, over the pixels that show it; with several lanes, each takes every so manieth row."""
+    """One face of one image, over the pixels that show it; with several lanes, each takes every n-th row."""
     task = first + wp.tid()
     lane = task % lanes
     b = (task // lanes) // faces.shape[1]

@@ -237,7 +237,7 @@ def _move(
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
-    """The edges of one face of one image; with several lanes, each takes every so manieth scan line."""
+    """The edges of one face of one image; with several lanes, each takes every n-th scan line."""
     task = first + wp.tid()
     lane = task % lanes
     b = (task // lanes) // faces.shape[1]

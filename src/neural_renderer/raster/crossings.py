@@ -8,9 +8,11 @@ from .scanlines import place
 
 wp.set_module_options({"enable_backward": False})
 
-# A crossing of a face that is seen on a line with a small probability counts the more, up to the inverse of this.
+# A crossing of a face that is seen on a line with a small probability counts the more, up to the inverse of this: more
+# would be noise, and what is lost is a fiftieth of a pixel.
 LEAST_RUN = wp.constant(0.02)
-# Faces of less area, in pixels, are often missed by all centres.
+# Faces of less area, in pixels, are often missed by all centres. Measured: below it the colour of the middle is too
+# often not to be had, above it a pair of pixels that shows both faces.
 SMALL = wp.constant(1.5)
 
 
@@ -48,7 +50,8 @@ def gain(
 ) -> float:
     """What the loss changes by if the boundary between two pixels moves outward by a pixel.
 
-    before, own | other, behind: pixels in the first channel, and their weights in the colours on the two sides.
+    before, own | other, behind: pixels in the first channel; weights: theirs, in this order, in the colours on the two
+    sides.
     inner | outer: the pixels next to the boundary. away: from ``inner`` to it.
     narrow: whether a side is narrower than a pixel here.
     """
@@ -65,7 +68,7 @@ def nearness(z: float, perspective: int) -> float:
 
 @wp.func
 def plane_nearness(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float, perspective: int) -> float:
-    """The nearness of a face's plane at a place on the screen."""
+    """The nearness of a face's plane at a place on the screen; between its corners' if they are before the camera."""
     a = homogeneous_weights(v0, v1, v2, x, y)
     near = float(a[0] + a[1] + a[2])
     if perspective == 0:

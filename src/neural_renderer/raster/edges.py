@@ -260,7 +260,7 @@ def _pull(
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
-    """One face of one image; with several lanes, each takes every so manieth scan line."""
+    """One face of one image; with several lanes, each takes every n-th scan line."""
     task = first + wp.tid()
     lane = task % lanes
     b = (task // lanes) // faces.shape[1]

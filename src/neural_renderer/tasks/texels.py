@@ -15,6 +15,8 @@ from .. import validate
 class Texels:
     """Which texels a mesh has, and how each face's cube is made of them.
 
+    Faces are neighbours if they name the same vertices: those that files split have to be joined before.
+
     Attributes:
         index: [F, L] int64 in [0, count): the texels of each face.
         weights: [T³, L]: each texel of a cube as a mixture of them, of sum 1.

@@ -198,6 +198,8 @@ def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     [
         ("distance", 0, "distance: expected a number above 0, got 0"),
         ("viewing_angle", 90, "viewing_angle: expected deg"),
+        ("elevation", -90, "image 2: elevation: expected another than straight up or down"),
+        ("azimuth", None, 'image 2: expected something for the key "azimuth", got nothing'),
     ],
 )
 def test_impossible_cameras_are_named(folder: Path, key: str, value: float, sentence: str) -> None:
@@ -206,3 +208,26 @@ def test_impossible_cameras_are_named(folder: Path, key: str, value: float, sent
     (folder / "cameras.json").write_text(json.dumps(given))
     with pytest.raises(ValueError, match=f"cameras.json.*{sentence}"):
         load_views(folder / "cameras.json")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "sentence"),
+    [
+        ("camera_angle_x", 60, "camera_angle_x: expected radians below π, got 60"),
+        ("camera_angle_x", 0, "camera_angle_x: expected a number above 0"),
+        ("fl_x", -100, "fl_x: expected a number above 0, got -100"),
+        ("w", 0, "w: expected a number above 0"),
+        ("camera_model", "OPENCV_FISHEYE", "expected a pinhole lens"),
+    ],
+)
+def test_impossible_lenses_are_named(folder: Path, key: str, value: object, sentence: str) -> None:
+    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]
+    given = {"camera_angle_x": 0.8, "frames": [{"file_path": "r_2.png", "transform_matrix": pose}], key: value}
+    (folder / "transforms.json").write_text(json.dumps(given))
+    with pytest.raises(ValueError, match=sentence):
+        load_views(folder / "transforms.json")
+
+
+def test_background_in_eight_bits_is_refused(folder: Path) -> None:
+    with pytest.raises(ValueError, match=r"background: expected red, green and blue in \[0, 1\]"):
+        load_views(folder, background=(255, 255, 255))

@@ -166,6 +166,30 @@ def test_texels_that_no_view_shows() -> None:
     torch.testing.assert_close(means[place.abs() < 0.1].mean(0), torch.tensor([0.4, 0.0, 0.4]), rtol=0, atol=0.03)
 
 
+def test_a_mesh_as_files_split_it(views: Views) -> None:
+    """Each face with vertices of its own, one of no face, a face of no area: the surface is found to be one again."""
+    mesh = ring()
+    split = torch.cat((mesh.vertices[mesh.faces.long()].flatten(0, 1), torch.full((1, 3), 9.0)))
+    faces = torch.cat((torch.arange(3 * len(mesh.faces)).view(-1, 3), torch.tensor([[0, 0, 1]])))
+    fit = MeshFit(views, nr.Mesh(split, faces, torch.zeros(len(faces), 2, 2, 2, 3)), steps=2)
+    assert len(fit.shape[0]) == len(mesh.vertices)
+    fit.advance()
+    with pytest.raises(ValueError, match="start: expected a mesh in the world of the cameras"):
+        MeshFit(views, nr.Mesh(mesh.vertices + 50, mesh.faces, mesh.textures))
+
+
+@pytest.mark.parametrize("steps", [1, 2, 7, 10])
+def test_how_often_a_sphere_is_refined(views: Views, steps: int) -> None:
+    """Twice, after a third and two thirds of the steps, whatever their number, if there are three."""
+    vertices, faces = nr.icosphere(0, 0.6)
+    fit = ShapeFit(views, vertices, faces, steps=steps, subdivisions=2)
+    sizes = []
+    while not fit.done:
+        fit.advance()
+        sizes.append(len(fit.shape[1]) // 20)
+    assert sizes == [4 ** (3 * step // steps) for step in range(steps)]
+
+
 def test_whole_fit_in_another_world() -> None:
     """The mesh comes out where the cameras say that it is, and a fit that is taken up again ends the same."""
     mesh = ring()

@@ -71,6 +71,7 @@ def load_views(
             without an object, images without anything that tells the object from what is behind it.
     """
     size = validate.whole("size", size, 16)
+    _check_background(background)
     camera_file = _camera_file(Path(path))
     common, frames = _frames(camera_file)
     images: list[Tensor] = []
@@ -97,6 +98,7 @@ def load_photo(
     tolerance: float = 0.05,
 ) -> tuple[Tensor, Tensor | None]:
     """One image without a camera: its mask [H, W] and its colours on black [3, H, W]; see `load_views`."""
+    _check_background(background)
     frame = _Frame(str(path), existing(path), None, {})
     image = load_image(path)
     colours, mask = _prepared(frame, image, validate.whole("size", size, 16), photos, background, tolerance)
@@ -118,6 +120,12 @@ def _prepared(
     return smaller((image[..., :3] * mask[..., None]).permute(2, 0, 1), size), smaller(mask[None], size)[0]
 
 
+def _check_background(background: tuple[float, float, float] | None) -> None:
+    for value in background or ():
+        if not 0 <= validate.number("background", value) <= 1:
+            raise ValueError(f"background: expected red, green and blue in [0, 1], got {background}")
+
+
 def _camera_file(path: Path) -> Path:
     if path.is_file():
         return path
@@ -132,7 +140,7 @@ def _camera_file(path: Path) -> Path:
 def _frames(path: Path) -> tuple[dict[str, Any], list[_Frame]]:
     """What a camera file says of all images, and of each."""
     if path.suffix.lower() == ".csv":
-        rows: list[Any] = list(csv.DictReader(read_text(path).splitlines()))
+        rows: list[Any] = list(csv.DictReader(read_text(path).splitlines(), skipinitialspace=True))
         common: dict[str, Any] = {"views": rows}
     else:
         try:
@@ -165,7 +173,9 @@ def _file(camera_file: Path, name: Any) -> Path:
 
 
 def _key(where: str, row: dict[str, Any], key: str) -> Any:
-    if row.get(key) in (None, ""):
+    if key in row and row[key] in (None, ""):
+        raise ValueError(f'{where}: expected something for the key "{key}", got nothing')
+    if key not in row:
         raise ValueError(f'{where}: expected the key "{key}", got {", ".join(map(str, row)) or "none"}')
     return row[key]
 
@@ -176,6 +186,13 @@ def _number(where: str, row: dict[str, Any], key: str, default: float | None = N
         return validate.number(key, float(value if value not in (None, "") else default))  # type: ignore[arg-type]
     except (TypeError, ValueError):
         raise ValueError(f"{where}: {key}: expected a finite number, got {value!r}") from None
+
+
+def _above_zero(where: str, row: dict[str, Any], key: str, default: float | None = None) -> float:
+    value = _number(where, row, key, default)
+    if value <= 0:
+        raise ValueError(f"{where}: {key}: expected a number above 0, got {value:g}")
+    return value
 
 
 def _same_size(path: Path, image: Tensor, full: tuple[int, int]) -> None:
@@ -215,7 +232,9 @@ def _angles_camera(path: Path, common: dict[str, Any], frames: list[_Frame], ful
     rows = [[_number(f.where, f.numbers, key) for key in ("distance", "elevation", "azimuth")] for f in frames]
     default = _number(str(path), common, "viewing_angle", 30.0)
     angles = [_number(f.where, f.numbers, "viewing_angle", default) for f in frames]
-    for frame, (far, _, _), angle in zip(frames, rows, angles, strict=True):
+    for frame, (far, height, _), angle in zip(frames, rows, angles, strict=True):
+        if abs(abs(height) - 90) < 1e-3:
+            raise ValueError(f"{frame.where}: elevation: expected another than straight up or down, got {height:g}")
         if far <= 0:
             raise ValueError(f"{frame.where}: distance: expected a number above 0, got {far:g}")
         if not 0 < angle < 90:
@@ -229,14 +248,19 @@ def _nerf_camera(path: Path, common: dict[str, Any], frames: list[_Frame], full:
     for frame in frames:
         given = {**{k: v for k, v in common.items() if k != "frames"}, **frame.numbers}
         matrices.append(_pose(frame))
-        width, height = _number(frame.where, given, "w", full[1]), _number(frame.where, given, "h", full[0])
+        if "FISHEYE" in str(given.get("camera_model", "")).upper() or _number(frame.where, given, "k4", 0.0):
+            raise ValueError(f"{frame.where}: expected a pinhole lens with k1, k2, p1, p2 and k3, got a fisheye's")
+        width, height = _above_zero(frame.where, given, "w", full[1]), _above_zero(frame.where, given, "h", full[0])
         if "fl_x" in given:
-            across = _number(frame.where, given, "fl_x")
+            across = _above_zero(frame.where, given, "fl_x")
         elif "camera_angle_x" in given:
-            across = width / 2 / math.tan(_number(frame.where, given, "camera_angle_x") / 2)
+            angle = _above_zero(frame.where, given, "camera_angle_x")
+            if angle >= math.pi:
+                raise ValueError(f"{frame.where}: camera_angle_x: expected radians below π, got {angle:g}")
+            across = width / 2 / math.tan(angle / 2)
         else:
             raise ValueError(f'{path}: expected the key "camera_angle_x" or "fl_x", got neither')
-        down = _number(frame.where, given, "fl_y", across)
+        down = _above_zero(frame.where, given, "fl_y", across)
         centre = _number(frame.where, given, "cx", width / 2), _number(frame.where, given, "cy", height / 2)
         unit = full[1] / width, full[0] / height  # intrinsics of images that were scaled since
         lenses.append(
@@ -264,4 +288,6 @@ def _pose(frame: _Frame) -> list[list[float]]:
         raise ValueError(
             f"{frame.where}: transform_matrix: expected a rotation without scale or mirroring, got {value}"
         )
+    if len(matrix) == 4 and not torch.allclose(matrix[3], matrix.new_tensor([0, 0, 0, 1])):
+        raise ValueError(f"{frame.where}: transform_matrix: expected the last row 0, 0, 0, 1, got {matrix[3].tolist()}")
     return matrix[:3].tolist()

@@ -129,7 +129,14 @@ class MeshFit:
     def _start(self, start: Any, cells: int) -> tuple[Tensor, Tensor]:
         device = self.views.masks.device
         if isinstance(start, Mesh):
-            return (start.vertices.detach().to(device) - self._centre) / self._scale, start.faces.to(device)
+            corners = start.vertices.detach()[start.faces[(start.faces >= 0).all(1)].long()].to(device)
+            # Files split vertices where texture coordinates jump; here what lies in one place is one vertex.
+            placed = (corners.flatten(0, 1) - self._centre) / self._scale
+            vertices, faces = torch.unique(placed, dim=0, return_inverse=True)
+            faces = faces.view(-1, 3)
+            if not bool(self.views.quality((vertices, faces))["iou"].any()):
+                raise ValueError("start: expected a mesh in the world of the cameras, got one that meets no silhouette")
+            return vertices, faces
         if start == "hull":
             return carve(self.views, cells)
         if start != "sphere":

@@ -90,7 +90,7 @@ class ShapeFit:
         self._views, self._weights, self._gradient = views, weights, gradient
         self._rate, self._smooth = validate.positive("rate", rate), smooth
         self._batch, self._seed = min(validate.whole("batch", batch, 1), len(views)), seed
-        self._subdivisions = validate.whole("subdivisions", subdivisions, 0)
+        self._subdivisions, self._refined = validate.whole("subdivisions", subdivisions, 0), 0
         if not 0 <= validate.number("colour_from", colour_from) <= 1:
             raise ValueError(f"colour_from: expected a part in [0, 1], got {colour_from}")
         self._colour_from = self.steps if views.photos is None else round(colour_from * self.steps)
@@ -110,7 +110,7 @@ class ShapeFit:
 
     def advance(self) -> dict[str, float]:
         """Take one step; returns the ``loss`` and the mean ``iou`` of the views it looked at, before it."""
-        if self._subdivisions and self.step and self.step % (self.steps // (self._subdivisions + 1)) == 0:
+        while self._refined < min(self._subdivisions, self.step * (self._subdivisions + 1) // self.steps):
             self._refine()
         if self.step == self._colour_from and self._colours is None:
             self._have(self._vertices, self._faces, torch.full_like(self._vertices, 0.5))
@@ -158,11 +158,13 @@ class ShapeFit:
 
         vertices = torch.cat((self._vertices, self._vertices[edges].mean(1)))
         self._have(vertices, children.reshape(-1, 3), finer(self._colours))
+        self._refined += 1
 
     def state_dict(self) -> dict[str, Any]:
         """All that changes from step to step."""
         return {
             "step": self.step,
+            "refined": self._refined,
             "vertices": self._vertices.detach(),
             "faces": self._faces,
             "colours": None if self._colours is None else self._colours.detach(),
@@ -172,7 +174,7 @@ class ShapeFit:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
-        self.step = state["step"]
+        self.step, self._refined = state["step"], state["refined"]
         self._have(state["vertices"], state["faces"], state["colours"])
         self._descent.load_state_dict(state["descent"])
         self._colour_descent.load_state_dict(state["colour_descent"])

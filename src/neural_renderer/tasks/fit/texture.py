@@ -24,7 +24,8 @@ class TextureFit:
 
         Σ over pixels w (A x − photo)² + smooth Σ over neighbouring texels (x_i − x_j)²
 
-    which conjugate gradients find in some twenty steps, each of which draws all views once and takes the gradient once.
+    which conjugate gradients find in some twenty steps, each of which draws all views once and takes the gradient once;
+    four more are the preparation.
     Faces share the texels on their edges, so that no seam can appear; a texel that no pixel shows gets the colours
     around it, and one that few show is drawn to them.
 
@@ -92,7 +93,7 @@ class TextureFit:
         return self._vertices, self._faces, self._texels.cubes(self._colours).clamp(0, 1)
 
     def advance(self) -> dict[str, float]:
-        """Take one step; returns the ``loss``, the sum above over that of the weights, before it."""
+        """Take one step; returns the ``loss``, the sum above for each pixel's weight and channel, before it."""
         image = self._gradient(self._direction)
         loss = self._constant - (self._colours * (self._residual + self._target)).sum().item()
         length = self._product / (self._direction * image).sum(0).clamp(min=1e-30)
