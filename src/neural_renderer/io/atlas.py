@@ -2,7 +2,8 @@
 
 A tile shows its face as a right triangle, corners at pixels (1, 1), (1, 1 + n) and (1 + n, 1 + n), n a multiple of
 T - 1 so that the texels in the plane of the face fall on pixels. The rest of the tile carries the colours on across the
-triangle's border, so that a viewer which blends neighbouring pixels draws no seam.
+triangle's border, so that a viewer which blends neighbouring pixels draws no seam. One with mipmaps blends neighbouring
+tiles as well, so tiles of similar colour lie together.
 """
 
 from __future__ import annotations
@@ -33,15 +34,26 @@ def build_atlas(textures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     tile = span + 3
     weights, used = _tile_weights(size, span), _face_texels(size)
     picture = np.zeros((rows * tile, columns * tile, 3), dtype=np.uint8)
+    order = _by_colour(textures.reshape(faces, -1, 3)[:, used].mean(axis=1))
     for row in range(rows):
-        cubes = textures[row * columns : (row + 1) * columns].reshape(-1, size**3, 3)[:, used]
+        cubes = textures[order[row * columns : (row + 1) * columns]].reshape(-1, size**3, 3)[:, used]
         colours = weights @ cubes.transpose(1, 0, 2).reshape(len(used), -1)
         colours = (colours.clip(0, 1) * 255 + 0.5).astype(np.uint8).reshape(tile, tile, -1, 3)
         strip = colours.transpose(0, 2, 1, 3).reshape(tile, -1, 3)
         picture[row * tile : (row + 1) * tile, : strip.shape[1]] = strip
-    index = np.arange(faces)
+    index = np.argsort(order)
     origins = np.stack([index % columns, index // columns], axis=1) * tile + 1
     return picture, (origins[:, None] + _TRIANGLE * span).astype(np.float64)
+
+
+def _by_colour(means: np.ndarray) -> np.ndarray:
+    """An order [F] of colours [F, 3] in which neighbours are alike: along a Z-curve through the cube of colours."""
+    levels = (means.clip(0, 1) * 31).astype(np.int64)
+    code = np.zeros(len(means), dtype=np.int64)
+    for bit in range(5):
+        for channel in range(3):
+            code |= ((levels[:, channel] >> bit) & 1) << (3 * bit + channel)
+    return np.argsort(code, kind="stable")
 
 
 def _span(size: int, columns: int) -> int:
