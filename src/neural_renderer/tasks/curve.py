@@ -48,7 +48,9 @@ def curve(
             (low_x + i * across, bottom - (float(v) - low) / span * (bottom - top))
             for i, v in zip(steps, drawn, strict=True)
         ]
-        draw.line(points, fill=ink, width=2)
+        for start, end, here, there in zip(steps, steps[1:], points, points[1:], strict=False):
+            if history[start]["phase"] == history[end]["phase"]:  # the phases' losses are not the same
+                draw.line((here, there), fill=ink, width=2)
         draw.text((side, top - 18), f"{name} (log)" if logarithmic and name == left else name, ink, font)
         draw.text((side, top), f"{float(values.max()):.3g}", ink, font)
         draw.text((side, bottom - 14), f"{float(values.min()):.3g}", ink, font)
