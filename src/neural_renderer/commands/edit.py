@@ -18,7 +18,7 @@ from ..io import load_mesh, save_image
 from ..mesh import Mesh
 from ..tasks.curve import curve
 from ..tasks.editing import DreamWeights, MeshEdit, StyleWeights, Views
-from ..tasks.editing.edit import Objective
+from ..tasks.editing.edit import Objective, check_memory
 from ..tasks.editing.results import preview, six_views, turntable
 from ..version import __version__
 from .common import checked_count, chosen_device
@@ -124,6 +124,7 @@ class Edit:
     def loaded(self) -> tuple[Mesh, bool]:
         """The mesh and whether it has colours of its own."""
         vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
+        check_memory(len(faces), self.texture_size)
         white = torch.ones(len(faces), *(self.texture_size,) * 3, 3)
         mesh = Mesh(vertices, faces, white if textures is None else textures)
         return mesh.to(chosen_device(self.device)), textures is not None

@@ -11,6 +11,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from ..io.files import why_not_loaded
 from .common import interruption
 
 _SECONDS = 4.0  # from one preview and checkpoint to the next
@@ -102,7 +103,9 @@ class Run:
             inputs, task = state["inputs"], state["task"]
             self.history, self.seconds = state["history"], state["seconds"]
         except Exception as error:  # whatever torch says of a file that is none of ours
-            raise ValueError(f"{self._checkpoint}: expected a checkpoint, got another file ({error})") from None
+            raise ValueError(
+                f"{self._checkpoint}: expected a checkpoint, got another file ({why_not_loaded(error)})"
+            ) from None
         if inputs != self._inputs:
             names = [k for k in (self._inputs | inputs) if self._inputs.get(k) != inputs.get(k)]
             mine, theirs = (", ".join(f"{k} {each.get(k)}" for k in names) for each in (self._inputs, inputs))

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..io.files import existing
+from ..io.files import existing, why_not_loaded
 from .googlenet import googlenet, is_googlenet
 from .network import FeatureNetwork
 from .vgg import is_vgg, vgg
@@ -47,10 +47,7 @@ def load_features(source: str | os.PathLike[str], progress: bool = True) -> Feat
 
 
 def _network(weights: dict[str, Tensor], source: str) -> FeatureNetwork:
-    weights = {name: value for name, value in weights.items() if isinstance(value, Tensor)}
-    for name, value in weights.items():
-        if value.is_floating_point():
-            weights[name] = value.float()
+    weights = {name: value.float() for name, value in weights.items() if isinstance(value, Tensor)}
     try:
         if is_googlenet(weights):
             return _finite(googlenet(weights))
@@ -92,22 +89,12 @@ def _read(path: Path) -> dict[str, Any]:
             weights = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch has many words for files that are not its own
         raise ValueError(
-            f"{path}: expected a whole checkpoint of torch, got a file that cannot be read ({_reason(error)})"
+            f"{path}: expected a whole checkpoint of torch, got a file that cannot be read ({why_not_loaded(error)})"
         ) from None
     weights = weights.get("state_dict", weights) if isinstance(weights, dict) else weights
     if not isinstance(weights, dict):
         raise ValueError(f"{path}: expected a state_dict, got a {type(weights).__name__}")
     return weights
-
-
-def _reason(error: Exception) -> str:
-    """Why torch.load fails, without its advice to load the file with less care."""
-    words = str(error).strip()
-    if "Unsupported global" in words or "Unsupported class" in words:
-        return "it holds other things than tensors, which could run code"
-    if "Weights only load failed" in words:
-        return "it is none"
-    return words.partition(". ")[0].splitlines()[0] if words else type(error).__name__
 
 
 def _published(name: str, progress: bool) -> dict[str, Any]:

@@ -101,3 +101,13 @@ def _on_host(name: str, value: Any) -> Any:
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
     return validate.has_numbers(name, value).detach().cpu().resolve_neg() if isinstance(value, Tensor) else value
+
+
+def why_not_loaded(error: Exception) -> str:
+    """Why torch.load failed, without its advice to load the file with less care."""
+    words = str(error).strip()
+    if "unsupported global" in words.lower() or "unsupported class" in words.lower():
+        return "it holds other things than tensors, which could run code"
+    if "Weights only load failed" in words:
+        return "it is none"
+    return words.partition(". ")[0].splitlines()[0] if words else type(error).__name__

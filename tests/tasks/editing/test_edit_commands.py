@@ -181,6 +181,7 @@ def test_what_is_refused(
         (["--layers", "conv2_3"], {}, "expected one of conv1_1, conv1_2,"),
         (["--elevation", "40", "20"], {}, "--elevation: expected two numbers between -90 and 90"),
         (["--distance", "-1"], {}, "--distance: expected a finite number above 0"),
+        (["--distance", "0.5"], {}, "--distance: expected a number from 1.8 to 50"),
         (["--light", "0.5", "-1"], {}, "--light: expected two numbers of at least 0"),
         (["--settle", "2"], {}, "--settle: expected a part in [0, 1]"),
         (["--texture-size", "2"], {}, "--texture-size: expected at least 3, got 2"),

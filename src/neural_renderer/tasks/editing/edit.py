@@ -94,7 +94,7 @@ class MeshEdit:
         self._views = views
         self._faces = mesh.faces.detach()
         texture_size = validate.whole("texture_size", texture_size, 2)
-        _check_memory(len(self._faces), texture_size)
+        check_memory(len(self._faces), texture_size)
 
         points, self._vertex = torch.unique(mesh.vertices.detach(), dim=0, return_inverse=True)
         corners = self._vertex[self._faces.long()]
@@ -255,7 +255,8 @@ class _Clock:
         return time.perf_counter()
 
 
-def _check_memory(faces: int, size: int) -> None:
+def check_memory(faces: int, size: int) -> None:
+    """ValueError if textures of size³ texels for so many faces would take more than 2 GiB."""
     needed = faces * size**3 * 12
     if needed > _MOST_BYTES:
         raise ValueError(

@@ -12,6 +12,7 @@ from ... import validate
 from ...camera import Camera, get_points_from_angles
 from ...lighting import Light
 
+_NEAREST, _FURTHEST = 1.8, 50.0  # however wide the spread, no camera comes into the object, or sees a dot of it
 _LAMP_TILT = math.radians(30)  # of the light from the vertical, as published
 
 
@@ -21,7 +22,7 @@ class Views:
 
     Attributes:
         elevation: lowest and highest, in degrees, uniformly between.
-        distance: from the camera to the origin, on average, > 0.
+        distance: from the camera to the origin, on average, from 1.8 to 50.
         spread: standard deviation of the distance, ≥ 0.
         viewing_angle: half the field of view in degrees.
         light: ambient and directional intensity of a lamp 30° from the vertical in a random direction; None: colours
@@ -42,7 +43,8 @@ class Views:
             raise ValueError(
                 f"elevation: expected two numbers between -90 and 90, the lower one first, got {low} {high}"
             )
-        validate.positive("distance", self.distance)
+        if not _NEAREST <= validate.positive("distance", self.distance) <= _FURTHEST:
+            raise ValueError(f"distance: expected a number from {_NEAREST} to {_FURTHEST}, got {self.distance}")
         validate.not_negative("spread", self.spread)
         if self.light is not None and min(validate.number("light", value) for value in self.light) < 0:
             raise ValueError(f"light: expected two numbers of at least 0, got {self.light[0]} {self.light[1]}")
@@ -52,8 +54,7 @@ class Views:
         elevation, azimuth, lamp = torch.rand(3, count, generator=generator)
         low, high = self.elevation
         distance = self.distance + self.spread * torch.randn(count, generator=generator)
-        # However wide the spread, no camera comes into the object.
-        return self._at(distance.clamp(min=1.8), low + (high - low) * elevation, 360 * azimuth, math.tau * lamp)
+        return self._at(distance.clamp(min=_NEAREST), low + (high - low) * elevation, 360 * azimuth, math.tau * lamp)
 
     def fixed(self, count: int, offset: float = 0.0, elevation: float | None = None) -> tuple[Camera, Light | None]:
         """``count`` views all around at one elevation (the middle one by default) and the mean distance.
@@ -77,4 +78,4 @@ class Views:
 
 def generator(seed: int, step: int) -> torch.Generator:
     """The random numbers of one step: they depend on nothing that came before, so that a run can be continued."""
-    return torch.Generator().manual_seed(1_000_003 * seed + step)
+    return torch.Generator().manual_seed((1_000_003 * seed + step) % 2**63)

@@ -123,7 +123,7 @@ def chosen(count: int, batch: int, seed: int, step: int) -> list[int]:
     """Which of ``count`` views a step looks at: all in turn, in an order that is shuffled for each round."""
     rows: list[int] = []
     for place in range(step * batch, (step + 1) * batch):
-        generator = torch.Generator().manual_seed(1_000_003 * seed + place // count)
+        generator = torch.Generator().manual_seed((1_000_003 * seed + place // count) % 2**63)
         rows.append(int(torch.randperm(count, generator=generator)[place % count]))
     return sorted(set(rows))
 
