@@ -163,7 +163,8 @@ def move_edge(
         own_pixel = inner_pixel
         other_pixel = outer_pixel
         third = face_at(face_index, b, axis, u, inner - d, length)
-        fourth = face_at(face_index, b, axis, u, outer + d, length)
+        goes_on = third == shown
+        goes_on_outside = face_at(face_index, b, axis, u, outer + d, length) == other
         run = float(1.0)
         both = float(1.0)
         weight = float(1.0)
@@ -175,10 +176,9 @@ def move_edge(
             )  # fmt: skip
             if weight == 0.0:
                 continue
-            if other != next_pq:
-                fourth = -3  # no colour to continue
-            if shown != f:
-                third = -3
+            # The colour of a face's middle is taken as it is.
+            goes_on = goes_on and shown == f
+            goes_on_outside = goes_on_outside and other == next_pq
             both = 1.0 / weight
         elif shown < 0:
             continue
@@ -207,9 +207,9 @@ def move_edge(
                 own = (1.0 - share) * nearness(p[2], perspective) + share * nearness(q[2], perspective)
                 if plane_nearness(faces[b, other, 0], faces[b, other, 1], faces[b, other, 2], x, y, perspective) >= own:
                     continue  # what is seen there hides the edge, or moves by itself
-        inside = continued(weight, away, third == shown)
-        outside = continued(weight, 1.0 - away, fourth == other)
-        if third != shown and shown == f and second >= 0 and third == second:
+        inside = continued(weight, away, goes_on)
+        outside = continued(weight, 1.0 - away, goes_on_outside)
+        if not goes_on and shown == f and second >= 0 and third == second:
             # What this face's colour differs by from the next one's, seen only so often.
             inside = wp.vec2(1.0 / wp.max(run, LEAST_RUN), weight - 1.0 / wp.max(run, LEAST_RUN))
         weights = wp.vec4(inside[1], inside[0], outside[0], outside[1])
