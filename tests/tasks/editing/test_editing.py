@@ -16,7 +16,7 @@ from neural_renderer.tasks.editing import Dream, DreamWeights, MeshEdit, Style, 
 from neural_renderer.tasks.editing.deformation import Deformation
 from neural_renderer.tasks.editing.results import preview
 from neural_renderer.tasks.editing.style import gram
-from neural_renderer.tasks.editing.views import generator
+from neural_renderer.tasks.seeds import generator
 from neural_renderer.topology import Topology
 from tests.tasks.editing.networks import vgg_weights
 

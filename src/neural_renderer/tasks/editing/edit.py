@@ -16,9 +16,10 @@ from ...optim import Adam
 from ...raster import Images
 from ...render import render
 from ...topology import Topology
+from ..seeds import generator
 from ..texels import Texels
 from .deformation import Deformation
-from .views import Views, generator
+from .views import Views
 
 _MOST_BYTES = 2 * 2**30  # of cubes; gradients, Adam's means and temporary copies are several times that
 _DARKEST, _SELDOM, _HELD_OUT = 0.05, 0.05, 8  # nearer to black or white the sigmoid hardly moves

@@ -74,8 +74,3 @@ class Views:
         ambient, directional = self.light
         flat, up = math.sin(_LAMP_TILT), torch.full_like(lamp, math.cos(_LAMP_TILT))
         return camera, Light(ambient, directional, direction=torch.stack((flat * lamp.sin(), up, flat * lamp.cos()), 1))
-
-
-def generator(seed: int, step: int) -> torch.Generator:
-    """The random numbers of one step: they depend on nothing that came before, so that a run can be continued."""
-    return torch.Generator().manual_seed((1_000_003 * seed + step) % 2**63)

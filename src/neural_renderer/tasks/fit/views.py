@@ -15,6 +15,7 @@ from ...camera import Camera
 from ...mesh import Mesh
 from ...raster import Images
 from ...render import render
+from ..seeds import generator
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +124,7 @@ def chosen(count: int, batch: int, seed: int, step: int) -> list[int]:
     """Which of ``count`` views a step looks at: all in turn, in an order that is shuffled for each round."""
     rows: list[int] = []
     for place in range(step * batch, (step + 1) * batch):
-        generator = torch.Generator().manual_seed((1_000_003 * seed + place // count) % 2**63)
-        rows.append(int(torch.randperm(count, generator=generator)[place % count]))
+        rows.append(int(torch.randperm(count, generator=generator(seed, place // count))[place % count]))
     return sorted(set(rows))
 
 
