@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zlib
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -22,7 +21,7 @@ from ..tasks.editing.edit import Objective, check_memory
 from ..tasks.editing.results import preview, six_views, turntable
 from ..version import __version__
 from .common import checked_count, chosen_device
-from .run import Run
+from .run import Run, fingerprint
 
 # What may change when an edit goes on.
 _FREE = ("output", "iterations", "preview", "turntable", "resume", "device")
@@ -170,7 +169,7 @@ class Edit:
             seed=self.seed,
         )
         settings = asdict(self) | setting | asdict(weights)
-        inputs = {name: _fingerprint(value) for name, value in settings.items() if name not in _FREE}
+        inputs = {name: fingerprint(value) for name, value in settings.items() if name not in _FREE}
         device = chosen_device(self.device)
         run = Run(self.output, edit, inputs, lambda path: save_image(path, preview(edit)), self.preview, device)
         finished = run.work(self.resume)
@@ -199,8 +198,3 @@ class Edit:
         console.print(f"[bold]{change}[/bold] of the mesh's size on average", highlight=False, soft_wrap=True)
         ending = "" if finished else f", interrupted after {edit.step} steps (--resume goes on)"
         console.print(f"{run.seconds:.1f} s{ending}; the results are in {self.output}", highlight=False, soft_wrap=True)
-
-
-def _fingerprint(value: Any) -> Any:
-    """A setting as a checkpoint knows it: of files their names and contents, wherever they lie."""
-    return f"{value.name} #{zlib.crc32(value.read_bytes()):08x}" if isinstance(value, Path) else value

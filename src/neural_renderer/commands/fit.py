@@ -20,10 +20,10 @@ from ..tasks.fit import CameraFit, MeshFit, Views, Weights, load_photo, load_vie
 from ..tasks.fit.results import comparison, turntable
 from ..version import __version__
 from .common import checked_count, chosen_device
-from .run import Run
+from .run import Run, fingerprint
 
-# What may change when a fit goes on.
-_FREE = ("output", "steps", "texture_steps", "turntable", "resume", "device")
+# What may change when a fit goes on; of the images only what is in them counts.
+_FREE = ("images", "output", "steps", "texture_steps", "turntable", "resume", "device")
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,7 @@ class Fit:
         )
         self.output.mkdir(parents=True, exist_ok=True)
         camera = (getattr(seen.camera, part.name) for part in fields(seen.camera))
-        inputs = (seen.masks, seen.photos, *camera, *(() if self.mesh is None else fit.shape[:2]))
-        run = self._run(fit, inputs, lambda: (fit.views, fit.shape))
+        run = self._run(fit, (seen.masks, seen.photos, *camera), lambda: (fit.views, fit.shape))
         finished = run.work(self.resume)
         mesh = fit.mesh()
         mesh.save(self.output / "mesh.obj")
@@ -183,9 +182,9 @@ class Fit:
         images: tuple[Any, ...],
         state: Callable[[], tuple[Views, tuple[Tensor, ...]]],
     ) -> Run:
-        inputs = {name: value for name, value in asdict(self).items() if name not in _FREE}
+        inputs = {name: fingerprint(value) for name, value in asdict(self).items() if name not in _FREE}
         contents = b"".join(part.cpu().numpy().tobytes() for part in images if isinstance(part, Tensor))
-        inputs = {name: str(value) for name, value in inputs.items()} | {"images": f"#{zlib.crc32(contents):08x}"}
+        inputs["images"] = f"#{zlib.crc32(contents):08x}"
         return Run(
             self.output,
             fit,

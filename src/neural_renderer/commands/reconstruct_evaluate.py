@@ -16,10 +16,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ..io import save_image
+from ..io.replacing import replacing
 from ..tasks.reconstruction.arrays import Split, open_split
 from ..tasks.reconstruction.checkpoint import load_model
 from ..tasks.reconstruction.evaluate import Scores, evaluate
-from ..tasks.reconstruction.files import replacing
 from ..tasks.reconstruction.shapes import Predictor, network_predictor
 from ..tasks.reconstruction.sheets import agreement, prediction_sheet
 from ..tasks.reconstruction.tables import markdown, terminal

@@ -13,11 +13,11 @@ from rich.progress import track
 from torch import Tensor
 
 from ..io import load_image, save_animation, save_image, save_mesh
+from ..io.replacing import replacing
 from ..mesh import Mesh
 from ..tasks.reconstruction.checkpoint import load_model
 from ..tasks.reconstruction.cutout import cut_out
 from ..tasks.reconstruction.drawing import CLAY
-from ..tasks.reconstruction.files import replacing
 from ..tasks.reconstruction.predict import best_frame, predict_meshes, prediction_picture
 from ..tasks.reconstruction.shapes import Predictor, network_predictor
 from .common import checked_count, chosen_device

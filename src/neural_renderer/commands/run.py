@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ..io.files import why_not_loaded
+from ..io.replacing import replacing
 from .common import interruption
 
 _SECONDS = 4.0  # from one preview and checkpoint to the next
@@ -89,13 +91,11 @@ class Run:
 
     def _save(self) -> None:
         """A preview and a checkpoint; whoever looks at the files meanwhile never finds half of one."""
-        fresh = self._folder / "preview.new.png"
-        self._preview(fresh)
-        fresh.replace(self._folder / "preview.png")
+        with replacing(self._folder / "preview.png") as fresh:
+            self._preview(fresh)
         state = {"task": self._task.state_dict(), "history": self.history, "seconds": self.seconds}
-        fresh = self._checkpoint.with_name("checkpoint.new.pt")
-        torch.save({**state, "inputs": self._inputs}, fresh)
-        fresh.replace(self._checkpoint)
+        with replacing(self._checkpoint) as fresh:
+            torch.save({**state, "inputs": self._inputs}, fresh)
 
     def _restore(self) -> None:
         try:
@@ -111,3 +111,8 @@ class Run:
             mine, theirs = (", ".join(f"{k} {each.get(k)}" for k in names) for each in (self._inputs, inputs))
             raise ValueError(f"{self._checkpoint}: expected a checkpoint of this run ({mine}), got one of {theirs}")
         self._task.load_state_dict(task)
+
+
+def fingerprint(value: Any) -> Any:
+    """A setting as a checkpoint knows it: of a file its name and contents, wherever it lies."""
+    return f"{value.name} #{zlib.crc32(value.read_bytes()):08x}" if isinstance(value, Path) else value

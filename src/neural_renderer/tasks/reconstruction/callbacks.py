@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from ...io import save_image
+from ...io.replacing import replacing, writing
 from .checkpoint import save_model
-from .files import replacing, writing
 from .shapes import network_predictor
 from .sheets import training_sheet
 

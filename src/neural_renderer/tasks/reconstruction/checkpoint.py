@@ -9,9 +9,9 @@ from typing import Any
 
 import torch
 
+from ...io.replacing import replacing
 from ...version import __version__
 from .configs import Config
-from .files import replacing
 from .networks import Model, make_network
 
 HEADER = "reconstruction"

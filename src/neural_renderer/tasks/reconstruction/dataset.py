@@ -21,11 +21,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...io import load_mesh
+from ...io.replacing import replacing
 from ...render import render
 from ...version import __version__
 from .arrays import DESCRIPTION, SPLITS
 from .drawing import shoulder_light
-from .files import replacing
 from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirrored, unit, view_camera
 from .models_folder import Model
 from .voxels import solid

@@ -15,8 +15,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...features import FeatureNetwork
+from ...io.replacing import replacing
 from .arrays import Split, cache_folder
-from .files import replacing
 from .framing import VIEWS
 from .shapes import Predictor, Shapes, Solids
 
