@@ -34,10 +34,11 @@ def build_atlas(textures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     tile = span + 3
     weights, used = _tile_weights(size, span), _face_texels(size)
     picture = np.zeros((rows * tile, columns * tile, 3), dtype=np.uint8)
-    order = _by_colour(textures.reshape(faces, -1, 3)[:, used].mean(axis=1))
+    texels = textures.reshape(faces, -1, 3)[:, used]
+    order = _by_colour(texels.mean(axis=1))
     for row in range(rows):
-        cubes = textures[order[row * columns : (row + 1) * columns]].reshape(-1, size**3, 3)[:, used]
-        colours = weights @ cubes.transpose(1, 0, 2).reshape(len(used), -1)
+        own = texels[order[row * columns : (row + 1) * columns]]
+        colours = weights @ own.transpose(1, 0, 2).reshape(len(used), -1)
         colours = (colours.clip(0, 1) * 255 + 0.5).astype(np.uint8).reshape(tile, tile, -1, 3)
         strip = colours.transpose(0, 2, 1, 3).reshape(tile, -1, 3)
         picture[row * tile : (row + 1) * tile, : strip.shape[1]] = strip

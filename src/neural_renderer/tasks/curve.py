@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -48,7 +49,7 @@ def curve(
             (low_x + i * across, bottom - (float(v) - low) / span * (bottom - top))
             for i, v in zip(steps, drawn, strict=True)
         ]
-        for start, end, here, there in zip(steps, steps[1:], points, points[1:], strict=False):
+        for (start, here), (end, there) in pairwise(zip(steps, points, strict=True)):
             if history[start]["phase"] == history[end]["phase"]:  # the phases' losses are not the same
                 draw.line((here, there), fill=ink, width=2)
         draw.text((side, top - 18), f"{name} (log)" if logarithmic and name == left else name, ink, font)

@@ -60,9 +60,8 @@ class MeshFit:
         self._centre, self._scale = frame(views)
         self.views = views.moved(self._centre, self._scale)
         """The views of a world in which the object lies in about [-1, 1]."""
-        size = validate.whole("texture_size", texture_size, 3)
         self._texture_options = {
-            "size": size,
+            "size": validate.whole("texture_size", texture_size, 3),
             "steps": validate.whole("texture_steps", texture_steps, 1),
             "batch": batch,
         }

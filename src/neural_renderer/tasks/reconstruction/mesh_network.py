@@ -37,9 +37,9 @@ class MeshNetwork(nn.Module):
         self.register_buffer("partners", torch.cdist(mirrored, vertices).argmin(1), persistent=False)
         self.encoder = make_encoder(config.encoder, config.width)
         self.decoder = MeshDecoder(len(vertices), config.hidden)
-        self._topology: Topology | None = None
+        self._topology = Topology.of(faces)
         if config.blur:
-            self.register_buffer("blur", blurring(Topology.of(faces), config.blur), persistent=False)
+            self.register_buffer("blur", blurring(self._topology, config.blur), persistent=False)
 
     def forward(self, images: Tensor) -> Tensor:
         """Vertices [B, 642, 3] float32."""
@@ -70,8 +70,8 @@ class MeshNetwork(nn.Module):
 
     def regulariser(self, shapes: Tensor) -> Tensor:
         """The weighted losses that look at vertices [B, 642, 3] alone."""
-        if self._topology is None or self._topology.edges.device != shapes.device:
-            self._topology = Topology.of(self.faces)
+        if self._topology.edges.device != shapes.device:
+            self._topology = self._topology.to(shapes.device)
         loss = shapes.new_zeros(())
         if self.config.smoothness:
             loss = loss + self.config.smoothness * smoothness(shapes, self._topology)
