@@ -12,7 +12,7 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer.commands.studio import photograph
-from neural_renderer.features import FeatureNetwork, load_features
+from neural_renderer.features import FeatureNetwork, features_like, load_features
 
 PLANS = {16: (2, 2, 3, 3, 3), 19: (2, 2, 4, 4, 4)}
 BLOCKS = ("3a", "3b", "4a", "4b", "4c", "4d", "4e", "5a", "5b")
@@ -265,3 +265,21 @@ def test_published_checkpoints(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.hub, "load_state_dict_from_url", offline)
     with pytest.raises(ConnectionError, match=r"googlenet-1378be20.pth cannot be fetched .* with --weights FILE"):
         load_features("googlenet")
+
+
+@pytest.mark.parametrize("weights", [torchvision_googlenet(), torchvision_vgg(16), torchvision_vgg(16, classes=None)])
+def test_a_part_and_a_plan(weights: dict[str, Tensor], tmp_path: Path) -> None:
+    """The part up to a layer, written and read again without the file that the network came from."""
+    network = load(weights, tmp_path)
+    layer = network.layers[6]
+    part = network.until(layer)
+    assert part.layers == network.layers[:7] and part.name == network.name
+    again = features_like(part.plan).until(layer)
+    assert not torch.equal(again(images(), [layer])[layer], network(images(), [layer])[layer])
+    again.load_state_dict(part.state_dict())
+    for copy in (part, again):
+        torch.testing.assert_close(copy(images(), [layer])[layer], network(images(), [layer])[layer], rtol=0, atol=0)
+    with pytest.raises(ValueError, match="layer: expected one of conv1"):
+        network.until("conv9")
+    with pytest.raises(ValueError, match="plan: expected the weights of a VGG"):
+        features_like({"weight": (3, 3)})

@@ -24,7 +24,7 @@ from ..tasks.reconstruction.shapes import Predictor, network_predictor
 from ..tasks.reconstruction.sheets import agreement, prediction_sheet
 from ..tasks.reconstruction.tables import markdown, terminal
 from ..version import __version__
-from .common import chosen_device
+from .common import checked_count, chosen_device
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,8 @@ class Evaluate:
     features: str = "googlenet"
     """The network that says what is alike: vgg16 (its layer fc6, as in the paper) or googlenet, which are fetched once,
     or a file of weights of either."""
+    refine: int | None = None
+    """Steps by which a predicted mesh is fitted to the silhouette that went in, in place of the recipe's (0: none)."""
     classes: tuple[str, ...] = ()
     """Measure these classes only (default: all there are)."""
     threshold: float = 0.5
@@ -68,6 +70,8 @@ class Evaluate:
         """Measure; returns the exit code: 0, or 130 after Ctrl-C. Raises ValueError or OSError."""
         if not 0 < self.threshold < 1:
             raise ValueError(f"--threshold: expected a number above 0 and below 1, got {self.threshold}")
+        if self.refine is not None:
+            checked_count("refine", self.refine, 0)
         if self.checkpoint == "none" and not (self.also or self.baseline):
             raise ValueError("checkpoint: expected a network or --baseline retrieval, got none of them")
         device = chosen_device(self.device)
@@ -91,7 +95,8 @@ class Evaluate:
         return 0 if len(methods) == len(predictors) else 130
 
     def _network(self, path: Path, device: torch.device) -> Predictor:
-        return network_predictor(load_model(path, device), self.threshold)
+        model = load_model(path, device)
+        return network_predictor(model, self.threshold, model.config.refine if self.refine is None else self.refine)
 
     def _check(self, console: Console, split: Split) -> None:
         """Warn where voxels and images of a folder do not belong together."""
@@ -131,6 +136,7 @@ class Evaluate:
             "objects": {name: len(split.images[name]) for name in split.classes},
             "checkpoints": [str(path) for path in paths],
             "threshold": self.threshold,
+            "refine": self.refine,
             "features": self.features if self.baseline else None,
             "seconds": seconds,
             "methods": {label: scores.to_dict() for label, scores in methods.items()},

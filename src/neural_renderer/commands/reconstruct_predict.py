@@ -60,12 +60,16 @@ class Predict:
     """Write a sheet to look at."""
     threshold: float = 0.5
     """The probability (above 0, below 1) at which the surface of a voxel network's prediction lies."""
+    refine: int | None = None
+    """Steps by which a mesh is fitted to the silhouette that was given, in place of the recipe's (0: none)."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute; auto is CUDA where there is one."""
 
     def run(self) -> int:
         """Predict; returns the exit code: 0, or 1 if there was a picture that nothing could be made of."""
         checked_count("turntable", self.turntable, 0)
+        if self.refine is not None:
+            checked_count("refine", self.refine, 0)
         if not 0 < self.threshold < 1:
             raise ValueError(f"--threshold: expected a number above 0 and below 1, got {self.threshold}")
         targets = self._targets()
@@ -77,12 +81,13 @@ class Predict:
             raise ValueError(f"--mask: expected a folder of masks for {len(self.images)} pictures, got {self.mask}")
         device = chosen_device(self.device)
         model = load_model(self.checkpoint, device)
+        refine = model.config.refine if self.refine is None else self.refine
         predict = network_predictor(model, self.threshold)
         console, failures = Console(stderr=True), []
         for path in track(self.images, "Meshes", console=console, transient=True, disable=len(self.images) == 1):
             try:
                 picture, image = self._prepared(path, predict, device)
-                [(vertices, faces)] = predict_meshes(model, image[None].to(device), self.threshold)
+                [(vertices, faces)] = predict_meshes(model, image[None].to(device), self.threshold, refine)
             except (ValueError, OSError) as error:
                 failures.append(_named(path, error))
                 continue

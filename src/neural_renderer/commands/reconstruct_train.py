@@ -15,6 +15,7 @@ from typing import Literal
 import tyro
 from rich.console import Console
 
+from ..features import load_features
 from ..tasks.reconstruction.arrays import Split, open_split
 from ..tasks.reconstruction.checkpoint import HEADER, read_checkpoint
 from ..tasks.reconstruction.configs import Config, ConfigName, make_config
@@ -55,6 +56,9 @@ class Train:
     """Steps of the training, in place of the recipe's (at least 1)."""
     minutes: float | None = None
     """End after this time at the latest, and let the learning rate's schedule fit into it."""
+    features: str | None = None
+    """A network for recognition to look at the pictures with, in place of the recipe's encoder: googlenet, which is
+    fetched once, or a file of weights. With few objects to learn from it knows far more than they can teach."""
     smoothness: float | None = None
     """Weight of the smoothness loss, in place of the recipe's."""
     laplacian: float | None = None
@@ -88,6 +92,7 @@ class Train:
         train, val = self._data()
         config = self._recipe(train)
         checkpoint = self._checkpoint(config)
+        features = None if self.features is None else load_features(self.features)
         self.out.mkdir(parents=True, exist_ok=True)
         from ..tasks.reconstruction.run import fit  # Lightning takes seconds to import
 
@@ -107,6 +112,7 @@ class Train:
                 device=self.device,
                 low_precision=config.low_precision if self.precision == "auto" else self.precision == "bf16",
                 checkpoint=checkpoint,
+                features=features,
                 interrupted=interrupted,
             )
         if training.trainer.is_global_zero:
@@ -123,6 +129,8 @@ class Train:
 
     def _recipe(self, train: Split) -> Config:
         config = make_config(self.config, train.classes)
+        if self.features is not None:
+            config = replace(config, encoder="features")
         if self.steps is not None:
             config = replace(config, steps=checked_count("steps", self.steps, 1))
         for name in ("smoothness", "laplacian", "blur"):

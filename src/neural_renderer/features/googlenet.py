@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from .network import FeatureNetwork, Normalise, convolution, linear
+from .network import FeatureNetwork, Normalise, convolution, linear, plan_of
 
 _BLOCKS = ("3a", "3b", "4a", "4b", "4c", "4d", "4e", "5a", "5b")
 _BRANCHES = ("1x1", "3x3_reduce", "3x3", "5x5_reduce", "5x5", "pool_proj")
@@ -59,7 +59,7 @@ def googlenet(weights: Mapping[str, Tensor]) -> FeatureNetwork:
     stages["pool5"] = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten())
     stages["classifier"] = linear(*layers.pair("loss3.classifier", (layers.width,)))
     normalise = Normalise((127.5,) * 3, (127.5,) * 3) if torchvisions else Normalise((104, 117, 123), bgr=True)
-    return FeatureNetwork("GoogLeNet", normalise, stages)
+    return FeatureNetwork("GoogLeNet", normalise, stages, plan_of(weights))
 
 
 class LocalResponse(nn.Module):

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ..io.files import existing, why_not_loaded
 from .googlenet import googlenet, is_googlenet
-from .network import FeatureNetwork
+from .network import FeatureNetwork, Plan
 from .vgg import is_vgg, vgg
 
 _ADDRESS = "https://download.pytorch.org/models/"
@@ -46,13 +46,19 @@ def load_features(source: str | os.PathLike[str], progress: bool = True) -> Feat
     return _network(_read(path), str(path))
 
 
+def features_like(plan: Plan) -> FeatureNetwork:
+    """A network with a `FeatureNetwork.plan`, all zeros: to be filled by ``load_state_dict``.
+
+    Raises ValueError for a plan of no network that is known.
+    """
+    return _network({name: torch.zeros(tuple(shape)) for name, shape in plan.items()}, "plan")
+
+
 def _network(weights: dict[str, Tensor], source: str) -> FeatureNetwork:
     weights = {name: value.float() for name, value in weights.items() if isinstance(value, Tensor)}
     try:
-        if is_googlenet(weights):
-            return _finite(googlenet(weights))
-        if is_vgg(weights):
-            return _finite(vgg(weights))
+        if is_googlenet(weights) or is_vgg(weights):
+            return _finite(googlenet(weights) if is_googlenet(weights) else vgg(weights))
     except ValueError as error:
         raise ValueError(f"{source}: {error}; the file is damaged or of another network") from None
     some = ", ".join(list(weights)[:3]) or "none"

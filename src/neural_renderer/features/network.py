@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
 from .. import validate
+
+Plan = Mapping[str, Sequence[int]]
+"""The shapes of a checkpoint's tensors by their names."""
 
 
 class FeatureNetwork(nn.Module):
@@ -24,14 +27,16 @@ class FeatureNetwork(nn.Module):
     Attributes:
         layers: the names of all layers in the order in which they are computed.
         name: which network it is.
+        plan: of the checkpoint that it was made from, for `features_like`.
     """
 
-    def __init__(self, name: str, normalise: nn.Module, stages: dict[str, nn.Module]) -> None:
+    def __init__(self, name: str, normalise: nn.Module, stages: dict[str, nn.Module], plan: Plan) -> None:
         super().__init__()
         self.name = name
         self._normalise = normalise
         self._stages = nn.ModuleDict(stages)
         self.layers = tuple(stages)
+        self.plan = plan
         self.requires_grad_(False)
         self.eval()
 
@@ -53,6 +58,12 @@ class FeatureNetwork(nn.Module):
                     break
         return found
 
+    def until(self, layer: str) -> FeatureNetwork:
+        """The part of the network up to this layer, with the same weights, not copies; ValueError for no layer."""
+        (layer,) = self.checked([layer])
+        kept = self.layers[: self.layers.index(layer) + 1]
+        return FeatureNetwork(self.name, self._normalise, {name: self._stages[name] for name in kept}, self.plan)
+
     def checked(self, layers: Sequence[str]) -> tuple[str, ...]:
         """``layers`` if they are names of layers, at least one; ValueError otherwise."""
         layers = (layers,) if isinstance(layers, str) else tuple(layers)
@@ -60,6 +71,11 @@ class FeatureNetwork(nn.Module):
             if name not in self.layers:
                 raise ValueError(f"layer: expected one of {', '.join(self.layers)} of {self.name}, got {name!r}")
         return layers
+
+
+def plan_of(weights: Mapping[str, Tensor]) -> Plan:
+    """The plan of a checkpoint."""
+    return {name: tuple(value.shape) for name, value in weights.items()}
 
 
 class Normalise(nn.Module):

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from .network import IMAGENET_MEAN, IMAGENET_STD, FeatureNetwork, Normalise, Padding, convolution, linear
+from .network import IMAGENET_MEAN, IMAGENET_STD, FeatureNetwork, Normalise, Padding, convolution, linear, plan_of
 
 _NAMED = re.compile(r"conv([1-5])_?([1-4])\.(weight|bias)")
 _ORIGINAL_MEAN = (123.68, 116.779, 103.939)  # of red, green, blue
@@ -66,7 +66,7 @@ def vgg(weights: Mapping[str, Tensor]) -> FeatureNetwork:
             stages |= _classifier(weights, width)
     elif max(plan) == (5, 1):
         depth = 19  # the part of VGG-19 up to conv5_1 that style transfer uses
-    return FeatureNetwork(f"VGG-{depth}", normalise, stages)
+    return FeatureNetwork(f"VGG-{depth}", normalise, stages, plan_of(weights))
 
 
 def _from_torchvision(weights: Mapping[str, Tensor]) -> _Plan:

@@ -8,13 +8,15 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.features import googlenet, vgg
 from neural_renderer.tasks.reconstruction.configs import Config, make_config
-from neural_renderer.tasks.reconstruction.encoders import LightEncoder, PaperEncoder
+from neural_renderer.tasks.reconstruction.encoders import FeatureEncoder, LightEncoder, PaperEncoder
 from neural_renderer.tasks.reconstruction.framing import view_camera
 from neural_renderer.tasks.reconstruction.mesh_network import MeshDecoder, MeshNetwork, blurring, in_octants
 from neural_renderer.tasks.reconstruction.networks import make_network
 from neural_renderer.tasks.reconstruction.voxel_network import VoxelNetwork, rays
 from neural_renderer.topology import Topology
+from tests.features.test_features import torchvision_googlenet, torchvision_vgg
 
 SMALL = Config(encoder="light", width=8, hidden=(16,))
 
@@ -130,3 +132,26 @@ def test_recipes() -> None:
         Config.from_dict({"wings": 2})
     with pytest.raises(ValueError, match="model: expected one of mesh, voxel, got 'cloud'"):
         make_network("cloud", Config())
+
+
+def test_features() -> None:
+    """Images are shown on white, whatever is stored outside of the object; what was learned elsewhere stays."""
+    network = googlenet(torchvision_googlenet())
+    encoder = FeatureEncoder(network)
+    images = torch.rand(3, 4, 64, 64, generator=torch.Generator().manual_seed(0))
+    images[:, 3] = (images[:, 3] > 0.5).float()
+    seen = encoder(images)
+    assert seen.shape == (3, 512) and encoder.layer == "inception_4c" and encoder.features.layers[-1] == "inception_4c"
+    on_white = torch.cat((torch.where(images[:, 3:] > 0, images[:, :3], 1.0), torch.ones_like(images[:, 3:])), 1)
+    torch.testing.assert_close(encoder(on_white), seen)
+    torch.testing.assert_close(encoder(images[:1]), seen[:1], rtol=1e-4, atol=1e-5)  # whatever else is in the batch
+    seen.sum().backward()
+    assert {name for name, value in encoder.named_parameters() if value.grad is not None} == {
+        "learned.1.weight",
+        "learned.1.bias",
+    }
+    assert FeatureEncoder(vgg(torchvision_vgg(16))).layer == "conv4_3"
+    with pytest.raises(ValueError, match="features: expected a network with inception_4c or conv4_3, got GoogLeNet"):
+        FeatureEncoder(network.until("pool3"))
+    with pytest.raises(ValueError, match="features: expected a network for the encoder to look at images with"):
+        make_network("mesh", replace(SMALL, encoder="features"))

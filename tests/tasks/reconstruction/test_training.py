@@ -14,12 +14,14 @@ from typing import Any
 import pytest
 import torch
 
+from neural_renderer.features import googlenet
 from neural_renderer.tasks.reconstruction import configs
 from neural_renderer.tasks.reconstruction.checkpoint import load_model, read_checkpoint, save_model
 from neural_renderer.tasks.reconstruction.configs import Config
 from neural_renderer.tasks.reconstruction.networks import make_network
 from neural_renderer.tasks.reconstruction.run import fit
 from neural_renderer.tasks.reconstruction.training import Training, schedule
+from tests.features.test_features import torchvision_googlenet
 from tests.tasks.reconstruction.fake import SMALL, fake_split, write_split
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -44,6 +46,26 @@ def test_it_learns(tmp_path: Path, kind: str) -> None:
     assert network.kind == kind and not network.training
     torch.testing.assert_close(network(images), training.model(images))
     assert load_model(tmp_path / "best.ckpt")(images).shape == network(images).shape
+
+
+@pytest.mark.parametrize("kind", ["mesh", "voxel"])
+def test_features_of_another_network(tmp_path: Path, kind: str) -> None:
+    """They look, are not changed, and are in the checkpoint: the file that they came from is needed no more."""
+    features = googlenet(torchvision_googlenet())
+    before = {name: value.clone() for name, value in features.state_dict().items()}
+    options: dict[str, Any] = {"config": replace(SMALL, encoder="features"), "features": features}
+    training = train(tmp_path / "whole", kind, **options)
+    for name, value in features.state_dict().items():
+        assert torch.equal(value, before[name]), name
+    images = torch.rand(2, 4, 64, 64)
+    for name in ("last", "best"):
+        network = load_model(tmp_path / "whole" / f"{name}.ckpt")
+        assert network(images).shape == training.model(images).shape
+    torch.testing.assert_close(load_model(tmp_path / "whole" / "last.ckpt")(images), training.model(images))
+    train(tmp_path / "parts", kind, interrupted=[2], **options)
+    resumed = train(tmp_path / "parts", kind, checkpoint=tmp_path / "parts" / "last.ckpt", **options)
+    for (name, one), other in zip(training.state_dict().items(), resumed.state_dict().values(), strict=True):
+        assert torch.equal(one, other), name
 
 
 def test_a_kill_costs_the_steps_since_the_checkpoint_and_no_more(
@@ -192,6 +214,7 @@ from dataclasses import replace
 from pathlib import Path
 from neural_renderer.tasks.reconstruction.arrays import open_split
 from neural_renderer.tasks.reconstruction.run import fit
+from tests.features.test_features import torchvision_googlenet
 from tests.tasks.reconstruction.fake import SMALL
 
 folder, out = Path(sys.argv[1]), Path(sys.argv[2])

@@ -91,7 +91,7 @@ class Record(lightning.Callback):
         if self._progress is None:
             return
         done, begun = module.progress - self._start[0], module.seconds - self._start[1]
-        left = begun / max(done, 1e-9) * (1 - module.progress)
+        left = begun / max(done, 1e-9) * max(1 - module.progress, 0)
         note = f"step {module.steps_done}  loss {module.latest['loss']:.4f}  IoU {module.latest['iou']:.4f}"
         if "val_iou" in module.latest:
             note += f"  val IoU {module.latest['val_iou']:.4f}"

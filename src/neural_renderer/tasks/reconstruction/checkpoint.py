@@ -9,9 +9,11 @@ from typing import Any
 
 import torch
 
+from ...features import features_like
 from ...io.replacing import replacing
 from ...version import __version__
 from .configs import Config
+from .encoders import FeatureEncoder
 from .networks import Model, make_network
 
 HEADER = "reconstruction"
@@ -23,7 +25,9 @@ VERSION = 1
 
 def header(model: Model, classes: Sequence[str], weights: str) -> dict[str, Any]:
     """What `load_model` needs beside a checkpoint's "state_dict", in which ``weights`` begins the names of its own."""
-    return {
+    encoder = model.encoder
+    features = {"features": encoder.features.plan} if isinstance(encoder, FeatureEncoder) else {}
+    return features | {
         "version": VERSION,
         "library": __version__,
         "kind": model.kind,
@@ -53,7 +57,8 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
     content = read_checkpoint(path)
     head, weights = content[HEADER], content["state_dict"]
     try:
-        network = make_network(head["kind"], Config.from_dict(head["config"]))
+        features = features_like(head["features"]) if "features" in head else None
+        network = make_network(head["kind"], Config.from_dict(head["config"]), features)
         prefix = head["weights"]
         found = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
         network.load_state_dict(found)

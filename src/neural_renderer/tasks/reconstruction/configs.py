@@ -31,6 +31,7 @@ class Config:
         then fall to 0.
     average: of the weights over the last steps, by which it is multiplied at each (0: none); predictions use it.
     low_precision: compute the networks in bfloat16 where the hardware is made for it.
+    refine: steps by which a prediction is fitted to the silhouette that went in (see `refine`).
     steps: of the whole training.
     """
 
@@ -53,6 +54,7 @@ class Config:
     schedule: Literal["step", "cosine"] = "step"
     average: float = 0.0
     low_precision: bool = False
+    refine: int = 0
     steps: int = 1_000_000
 
     @classmethod
@@ -86,6 +88,7 @@ _BEST = Config(
     schedule="cosine",
     average=0.995,
     low_precision=True,
+    refine=20,
     steps=20_000,
 )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from ...features import FeatureNetwork
 from ...losses import laplacian, smoothness
 from ...primitives import icosphere
 from ...render import render
@@ -27,7 +28,7 @@ class MeshNetwork(nn.Module):
     partners: Tensor
     blur: Tensor
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, features: FeatureNetwork | None = None) -> None:
         super().__init__()
         self.config = config
         vertices, faces = icosphere(3)
@@ -35,7 +36,7 @@ class MeshNetwork(nn.Module):
         self.register_buffer("faces", faces, persistent=False)
         mirrored = vertices * torch.tensor([1.0, 1.0, -1.0])
         self.register_buffer("partners", torch.cdist(mirrored, vertices).argmin(1), persistent=False)
-        self.encoder = make_encoder(config.encoder, config.width)
+        self.encoder = make_encoder(config.encoder, config.width, features)
         self.decoder = MeshDecoder(len(vertices), config.hidden)
         self._topology = Topology.of(faces)
         if config.blur:
@@ -46,11 +47,14 @@ class MeshNetwork(nn.Module):
         bias, shift = self.decoder(self.encoder(images))
         with torch.autocast(images.device.type, enabled=False):  # positions need more digits than features
             bias = self.blur @ bias.float() if self.config.blur else bias.float()
-            vertices = in_octants(self.sphere, bias, shift.float())
-            if self.config.symmetric:
-                reflected = vertices[:, self.partners] * vertices.new_tensor([1.0, 1.0, -1.0])
-                vertices = (vertices + reflected) / 2
-            return vertices
+            return self.symmetrised(in_octants(self.sphere, bias, shift.float()))
+
+    @property
+    def topology(self) -> Topology:
+        """Of the faces, where the network is."""
+        if self._topology.edges.device != self.sphere.device:
+            self._topology = self._topology.to(self.sphere.device)
+        return self._topology
 
     def vertices(self, images: Tensor) -> Tensor:
         """What `forward` returns."""
@@ -68,15 +72,20 @@ class MeshNetwork(nn.Module):
             anti_aliasing=config.anti_aliasing,
         ).alpha  # type: ignore[return-value]
 
+    def symmetrised(self, vertices: Tensor) -> Tensor:
+        """Vertices [B, 642, 3] averaged with their mirror images at z = 0, if the recipe is of symmetric meshes."""
+        if not self.config.symmetric:
+            return vertices
+        reflected = vertices[:, self.partners] * vertices.new_tensor([1.0, 1.0, -1.0])
+        return (vertices + reflected) / 2
+
     def regulariser(self, shapes: Tensor) -> Tensor:
         """The weighted losses that look at vertices [B, 642, 3] alone."""
-        if self._topology.edges.device != shapes.device:
-            self._topology = self._topology.to(shapes.device)
         loss = shapes.new_zeros(())
         if self.config.smoothness:
-            loss = loss + self.config.smoothness * smoothness(shapes, self._topology)
+            loss = loss + self.config.smoothness * smoothness(shapes, self.topology)
         if self.config.laplacian:
-            loss = loss + self.config.laplacian * laplacian(shapes, self._topology)
+            loss = loss + self.config.laplacian * laplacian(shapes, self.topology)
         return loss
 
 
@@ -125,7 +134,7 @@ def blurring(topology: Topology, strength: float) -> Tensor:
     (Nicolet, Jacobson and Jakob, 2021), section 3.
     """
     start, end = topology.edges.unbind(1)
-    matrix = torch.eye(topology.vertices, dtype=torch.float64)
+    matrix = torch.eye(topology.vertices, dtype=torch.float64, device=start.device)
     matrix.index_put_((torch.cat((start, end)), torch.cat((end, start))), matrix.new_tensor(-strength))
     matrix.diagonal().copy_(2 - matrix.sum(1))
     return torch.linalg.inv(matrix).float()

@@ -14,6 +14,7 @@ from ...metrics import silhouette_iou
 from .cutout import framed
 from .drawing import drawn, shown
 from .framing import VIEWS, mirrored
+from .refine import refined
 from .shapes import Predictor
 
 _EXTENTS = tuple(range(28, 61, 4))
@@ -38,17 +39,20 @@ def best_frame(predict: Predictor, rgba: Tensor, device: torch.device | str = "c
 
 
 @torch.no_grad()
-def predict_meshes(model: Any, images: Tensor, threshold: float = 0.5) -> list[tuple[Tensor, Tensor]]:
+def predict_meshes(model: Any, images: Tensor, threshold: float = 0.5, refine: int = 0) -> list[tuple[Tensor, Tensor]]:
     """What a trained network makes of images uint8 [B, 4, 64, 64] (see `cutout.framed`): vertices [V, 3], faces [F, 3].
 
-    The mesh of a voxel network is the surface where its probabilities, blended between voxels, are ``threshold``.
+    The mesh of a voxel network is the surface where its probabilities, blended between voxels, are ``threshold``; that
+    of a mesh network is fitted by ``refine`` steps to the silhouette that went in (see `refine`).
     Vertices are in the frame of the models (`framing.mirrored` is undone), on the CPU; faces run counter-clockwise
     seen from outside. Raises ValueError if a network finds nothing solid in an image.
     """
     pixels = images.float() / 255
     if model.kind == "mesh":
         faces = model.faces.flip(1).cpu()
-        return [(mirrored(vertices), faces) for vertices in model.vertices(pixels).cpu()]
+        meshes = model.vertices(pixels)
+        meshes = refined(model, meshes, pixels, refine) if refine else meshes
+        return [(mirrored(vertices), faces) for vertices in meshes.cpu()]
     return [_voxel_mesh(occupancy, threshold) for occupancy in model.occupancy(pixels).cpu()]
 
 

@@ -9,6 +9,7 @@ import lightning
 import torch
 from lightning.pytorch.loggers import TensorBoardLogger
 
+from ...features import FeatureNetwork
 from .arrays import Split
 from .callbacks import Keep, Record
 from .configs import Config
@@ -32,12 +33,13 @@ def fit(
     device: str = "auto",
     low_precision: bool = False,
     checkpoint: Path | None = None,
+    features: FeatureNetwork | None = None,
     interrupted: list[int] | None = None,
 ) -> Training:
     """Train until it is done, or until ``interrupted`` has something in it; the results are in the folder ``out``.
 
     Args:
-        kind, config, train, val, minutes, every, seed, workers: as `Training`.
+        kind, config, train, val, minutes, every, seed, workers, features: as `Training`.
         devices, nodes: processes on each machine, and machines; they share each batch, by DDP.
         device: "cpu", "cuda" or "auto".
         low_precision: bfloat16 for the networks, where `has_bfloat16`.
@@ -47,7 +49,9 @@ def fit(
     """
     Batches(train, config, seed, 0, 0, 0, devices * nodes)  # one that cannot be shared is told before all is started
     out.mkdir(parents=True, exist_ok=True)
-    training = Training(kind, config, train, val, minutes=minutes, every=every, seed=seed, workers=workers)
+    training = Training(
+        kind, config, train, val, minutes=minutes, every=every, seed=seed, workers=workers, features=features
+    )
     many = devices * nodes > 1
     trainer = lightning.Trainer(
         accelerator={"cuda": "gpu"}.get(device, device),

@@ -12,6 +12,7 @@ from torch import Tensor
 from ...render import render
 from .drawing import CLAY, STONE, drawn
 from .framing import SIZE, view_camera
+from .refine import refined
 from .voxels import surface, voxelize
 
 
@@ -83,13 +84,18 @@ class Solids:
         return drawn(*surface(self.filled[index]), view, STONE, size)
 
 
-def network_predictor(model: Any, threshold: float = 0.5) -> Predictor:
-    """What a trained network makes of images; voxels are those of a probability above ``threshold``."""
+def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Predictor:
+    """What a trained network makes of images; voxels are those of a probability above ``threshold``.
+
+    ``refine``: steps by which meshes are fitted to the silhouettes that went in (see `refine`).
+    """
 
     @torch.no_grad()
     def predict(images: Tensor) -> Shapes:
-        if model.kind == "mesh":
-            return Meshes(model.vertices(images.float() / 255), model.faces)
-        return Solids(model.occupancy(images.float() / 255) > threshold)
+        pixels = images.float() / 255
+        if model.kind == "voxel":
+            return Solids(model.occupancy(pixels) > threshold)
+        vertices = model.vertices(pixels)
+        return Meshes(refined(model, vertices, pixels, refine) if refine else vertices, model.faces)
 
     return predict

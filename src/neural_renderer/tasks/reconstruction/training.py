@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.utils.data import DataLoader
 
+from ...features import FeatureNetwork
 from ...losses import silhouette_iou
 from ...optim import Adam
 from .arrays import Split
@@ -41,6 +42,7 @@ class Training(lightning.LightningModule):
         every: steps between two validations.
         seed: of the network's start and of the batches.
         workers: processes that read batches ahead; 0 reads them in the training process.
+        features: for the recipe's encoder, if that is "features".
     """
 
     def __init__(
@@ -54,12 +56,13 @@ class Training(lightning.LightningModule):
         every: int = 200,
         seed: int = 0,
         workers: int = 0,
+        features: FeatureNetwork | None = None,
     ) -> None:
         super().__init__()
         self.config, self.train_split, self.val_split = config, train, val
         self.every, self.minutes, self.seed, self._workers = every, minutes, seed, workers
         torch.manual_seed(seed)
-        self.network: Model = make_network(kind, config)
+        self.network: Model = make_network(kind, config, features)
         self.network.encoder.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average: Model | None = copy.deepcopy(self.network).requires_grad_(False) if config.average else None
         self.steps_done = 0
@@ -104,12 +107,14 @@ class Training(lightning.LightningModule):
         if config.optimiser == "adam":
             # The published code lets the global bias learn ten times more slowly than all else.
             slow = list(network.decoder.global_bias.parameters()) if isinstance(network, MeshNetwork) else []
-            fast = [value for value in network.parameters() if all(value is not other for other in slow)]
+            fast = [value for value in network.parameters() if value.requires_grad]
+            fast = [value for value in fast if all(value is not other for other in slow)]
             groups = [{"params": fast, "lr": config.rate, "base": config.rate}]
             groups += [{"params": slow, "lr": config.rate / 10, "base": config.rate / 10}] if slow else []
             return Adam(groups)
-        matrices = [value for value in network.parameters() if value.ndim > 1]
-        others = [value for value in network.parameters() if value.ndim <= 1]
+        learned = [value for value in network.parameters() if value.requires_grad]
+        matrices = [value for value in learned if value.ndim > 1]
+        others = [value for value in learned if value.ndim <= 1]
         groups = [
             {"params": matrices, "weight_decay": config.decay, "base": config.rate},
             {"params": others, "weight_decay": 0.0, "base": config.rate},
@@ -157,9 +162,9 @@ class Training(lightning.LightningModule):
         if self.average is not None:
             # A short memory at first: the first weights are not worth remembering.
             keep = min(self.config.average, (1 + self.steps_done) / (10 + self.steps_done))
-            torch._foreach_lerp_(
-                list(self.average.parameters()), [v.detach() for v in self.network.parameters()], 1 - keep
-            )
+            pairs = zip(self.average.parameters(), self.network.parameters(), strict=True)
+            means, values = zip(*((mean, value.detach()) for mean, value in pairs if value.requires_grad), strict=True)
+            torch._foreach_lerp_(means, values, 1 - keep)
 
     def validation_step(self, item: Any, batch_idx: int) -> None:
         """IoU of the silhouettes of an object in all its views, predicted from one of them."""

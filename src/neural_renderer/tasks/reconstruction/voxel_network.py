@@ -8,6 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from ...features import FeatureNetwork
 from .configs import Config
 from .encoders import FEATURES, make_encoder
 from .framing import DISTANCE, GRID, VIEWING_ANGLE, VIEWS, view_camera
@@ -21,10 +22,10 @@ class VoxelNetwork(nn.Module):
 
     kind = "voxel"
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, features: FeatureNetwork | None = None) -> None:
         super().__init__()
         self.config = config
-        self.encoder = make_encoder(config.encoder, config.width)
+        self.encoder = make_encoder(config.encoder, config.width, features)
         self.decoder = VoxelDecoder()
         self._rays: Tensor | None = None
 
