@@ -283,3 +283,11 @@ def test_a_part_and_a_plan(weights: dict[str, Tensor], tmp_path: Path) -> None:
         network.until("conv9")
     with pytest.raises(ValueError, match="plan: expected the weights of a VGG"):
         features_like({"weight": (3, 3)})
+
+
+@pytest.mark.parametrize("weights", [torchvision_googlenet(), torchvision_vgg(16)])
+def test_small_images(weights: dict[str, Tensor], tmp_path: Path) -> None:
+    network = load(weights, tmp_path)
+    assert network(images(32), network.layers)
+    with pytest.raises(ValueError, match=r"images: expected larger ones for the layer pool\d, got 2 x 2"):
+        network(images(2), network.layers)

@@ -151,6 +151,8 @@ class Edit:
         ``weights`` are the objective's, for the report.
         """
         setting = {name: self.chosen(preset, name) for name in asdict(preset)}
+        if setting["init"] == "mesh" and not coloured:
+            setting["init"] = "plain"
         views = Views(setting["elevation"], setting["distance"], light=setting["light"])
         edit = MeshEdit(
             mesh,
@@ -162,7 +164,7 @@ class Edit:
             vertex_rate=setting["vertex_rate"],
             texture_rate=setting["texture_rate"],
             settle=setting["settle"],
-            start=setting["init"] if coloured or setting["init"] == "random" else "plain",
+            start=setting["init"],
             texture_size=self.texture_size,
             seamless=setting["seamless"],
             gradient=self.gradient,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
+from rich.console import Console
 
 from ..io import load_image
 from ..tasks.editing import PUBLISHED_STYLE, STYLE_LAYERS, Style, StyleWeights
@@ -58,8 +59,12 @@ class StyleCommand(Edit):
         self.prepare_output()
         published = self.preset == "published"
         weights = self.loss_weights(PUBLISHED_STYLE if published else StyleWeights())
+        network = self.network("vgg16-original")
+        if published and network.name != "VGG-16":
+            text = f"--preset published: its losses are made for VGG-16, of another scale than those of {network.name}"
+            Console(stderr=True).print(text, style="yellow", highlight=False, soft_wrap=True)
         style = Style(
-            self.network("vgg16-original"),
+            network,
             painting,
             self.size,
             layers=self.layers,

@@ -10,6 +10,8 @@ from torch import Tensor, nn
 
 from .. import validate
 
+_ALWAYS_ENOUGH = 32  # pixels: five halvings
+
 Plan = Mapping[str, Sequence[int]]
 """The shapes of a checkpoint's tensors by their names."""
 
@@ -27,16 +29,16 @@ class FeatureNetwork(nn.Module):
     Attributes:
         layers: the names of all layers in the order in which they are computed.
         name: which network it is.
-        plan: of the checkpoint that it was made from, for `features_like`.
+        plan: of the checkpoint that it was made from, for `features_like`; empty for one that was made otherwise.
     """
 
-    def __init__(self, name: str, normalise: nn.Module, stages: dict[str, nn.Module], plan: Plan) -> None:
+    def __init__(self, name: str, normalise: nn.Module, stages: dict[str, nn.Module], plan: Plan | None = None) -> None:
         super().__init__()
         self.name = name
         self._normalise = normalise
         self._stages = nn.ModuleDict(stages)
         self.layers = tuple(stages)
-        self.plan = plan
+        self.plan: Plan = plan or {}
         self.requires_grad_(False)
         self.eval()
 
@@ -44,14 +46,21 @@ class FeatureNetwork(nn.Module):
         """The layers named, of images [B, 3, H, W] with red, green and blue in [0, 1].
 
         Returns [B, C, h, w] for each layer, [B, C] for those of a classifier. Nothing behind the last layer asked for
-        is computed. Raises TypeError or ValueError for other images and for a name that is none of ``layers``.
+        is computed. Raises TypeError or ValueError for other images, for some too small for a layer, and for a name not
+        in ``layers``.
         """
         validate.floating("images", images, ("B", 3, "H", "W"))
         wanted = set(self.checked(layers))
         found: dict[str, Tensor] = {}
         values = self._normalise(images)
         for name in self.layers:
-            values = self._stages[name](values)
+            try:
+                values = self._stages[name](values)
+            except RuntimeError:  # a pool, or a padding, of less than there has to be
+                if min(images.shape[2:]) >= _ALWAYS_ENOUGH:
+                    raise
+                height, width = images.shape[2:]
+                raise ValueError(f"images: expected larger ones for the layer {name}, got {width} x {height}") from None
             if name in wanted:
                 found[name] = values
                 if len(found) == len(wanted):

@@ -85,7 +85,7 @@ def test_dream_writes_its_results(files: dict[str, str]) -> None:
 
 
 @pytest.mark.parametrize("command", ["style", "dream"])
-def test_presets(files: dict[str, str], command: str) -> None:
+def test_presets(files: dict[str, str], command: str, capsys: pytest.CaptureFixture[str]) -> None:
     layer = ["--layer", "conv2_1"] if command == "dream" else []
     inputs = [files["mesh"]] + ([files["painting"]] if command == "style" else [])
     found = {}
@@ -93,6 +93,8 @@ def test_presets(files: dict[str, str], command: str) -> None:
         out = Path(files["out"]) / preset
         arguments = [command, *inputs, "-o", str(out), "--weights", files["weights"], "--preset", preset, *layer]
         assert cli.main([*arguments, "--iterations", "1", *SMALL, "--turntable", "0"]) == 0
+        warned = "its losses are made for VGG-16, of another scale than those of VGG-13" in capsys.readouterr().err
+        assert warned == (preset == "published" and command == "style")
         found[preset] = json.loads((out / "report.json").read_text())["settings"]
         assert not (out / "turntable.gif").exists()
     rates = {"style": (2.5e-4, 5e-4), "dream": (5e-5, 1e-4)}[command]
@@ -134,10 +136,12 @@ def test_interrupted_and_resumed(
         ("--size", ["40"], "(size 40), got one of size 32"),
         ("--light", ["1", "0"], "(light (1.0, 0.0)), got one of light (0.75, 0.5)"),
         ("--content", ["3"], "(content 3.0), got one of content 200.0"),
-        ("--init", ["random"], "(init random), got one of init mesh"),
+        ("--init", ["random"], "(init random), got one of init plain"),
     ):
         assert style(files, "--resume", option, *values, **moved) == 1
         assert f"expected a checkpoint of this run {named}" in capsys.readouterr().err
+    assert style(files, "--resume", "--iterations", "3", **moved) == 1
+    assert "steps: expected at least the 5 that are taken already, got 3" in capsys.readouterr().err
     Image.new("RGB", (40, 32)).save(elsewhere / "painting.png")
     assert style(files, "--resume", **moved) == 1
     assert "of this run (painting painting.png #" in capsys.readouterr().err

@@ -20,6 +20,7 @@ import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.features import FeatureNetwork
 from neural_renderer.tasks.reconstruction.arrays import Split, open_split
+from neural_renderer.tasks.reconstruction.configs import Config
 from neural_renderer.tasks.reconstruction.dataset import Settings, render_views
 from neural_renderer.tasks.reconstruction.evaluate import Scores, evaluate
 from neural_renderer.tasks.reconstruction.framing import unit
@@ -53,6 +54,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 class Knowing:
     """A "network" that knows its three objects by how much of the image they cover."""
+
+    config = Config()
 
     def __init__(self, kind: str, grown: float = 1.0) -> None:
         self.kind, self.faces, self._grown = kind, SHAPES["ball"][1], grown
@@ -258,6 +261,7 @@ def test_what_is_wrong_is_a_sentence(
         ([checkpoint, str(data), "--set", "val"], "expected files {class}_val_images.npz, got none"),
         ([checkpoint, str(data), "--classes", "lamp"], "the classes are ball, pole, slab"),
         ([checkpoint, str(data), "--threshold", "1"], "--threshold: expected a number above 0 and below 1"),
+        ([checkpoint, str(data), "--refine", "-1"], "--refine: expected at least 0, got -1"),
         (["none", str(data)], "checkpoint: expected a network or --baseline retrieval, got none of them"),
     ):
         assert cli.main(["reconstruct", "evaluate", *arguments]) == 1

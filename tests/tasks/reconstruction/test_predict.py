@@ -12,6 +12,7 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer import cli
+from neural_renderer.tasks.reconstruction.configs import Config
 from neural_renderer.tasks.reconstruction.framing import mirrored, unit, view_camera
 from neural_renderer.tasks.reconstruction.predict import best_frame, predict_meshes, prediction_picture
 from neural_renderer.tasks.reconstruction.shapes import network_predictor
@@ -31,6 +32,8 @@ def volume(vertices: Tensor, faces: Tensor) -> float:
 
 class Knowing:
     """A "network" that always sees the wedge, in the frame of reconstruction."""
+
+    config = Config()
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
@@ -156,6 +159,7 @@ def test_masks_in_a_folder(pictures: Path) -> None:
     [
         (["wall.jpg", "cut.png"], ["-o", "a.obj"], "--output: expected a folder for 2 meshes, got 'a.obj'"),
         (["wall.jpg"], ["-o", "a.stl"], "--output: expected a name that ends in .obj, .glb, .ply, or a folder, got"),
+        (["wall.jpg"], ["-o", "a.obj", "--refine", "-1"], "--refine: expected at least 0, got -1"),
         (["wall.jpg"], ["-o", "a.obj", "--threshold", "2"], "--threshold: expected a number above 0 and below 1"),
         (["wall.jpg"], ["-o", "a.obj", "--mask", "nowhere.png"], "nowhere.png: expected a file, got nothing there"),
         (["nothing.png"], ["-o", "a.obj"], "nothing.png: expected an object, got a picture without one"),

@@ -203,6 +203,29 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
     assert main([*command, "--minutes", "-1"]) == 1 and "--minutes" in capsys.readouterr().err
 
 
+def test_command_with_features(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from neural_renderer.cli import main
+
+    monkeypatch.setattr(configs, "_CONFIGS", {"best": SMALL})
+    data, out, weights = tmp_path / "data", tmp_path / "out", tmp_path / "weights.pth"
+    data.mkdir()
+    write_split(data, "train", 1)
+    torch.save(torchvision_googlenet(), weights)
+    command = ["reconstruct", "train", str(data), str(out), "--device", "cpu", "--steps", "1"]
+    assert main([*command, "--features", str(data / "none.pth")]) == 1 and "none.pth" in capsys.readouterr().err
+    assert main([*command, "--features", str(weights)]) == 0
+    weights.unlink()
+    assert load_model(out / "last.ckpt").config.encoder == "features"
+    assert main([*command, "--resume"]) == 1
+    assert "expected a checkpoint with encoder light, got features" in " ".join(capsys.readouterr().err.split())
+    torch.save({"weight": torch.zeros(3)}, weights)
+    assert main([*command[:3], str(tmp_path / "other"), *command[4:], "--features", str(weights)]) == 1
+    assert "expected the weights of a VGG" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "other").exists()
+
+
 def test_schedules() -> None:
     assert [schedule("step", p) for p in (0.0, 0.5, 0.949, 0.951)] == [1, 1, 1, 0.1]
     assert schedule("cosine", 0.02) == 1 and schedule("cosine", 0.01) == 0.5 and schedule("cosine", 1.0) < 1e-9
@@ -214,7 +237,6 @@ from dataclasses import replace
 from pathlib import Path
 from neural_renderer.tasks.reconstruction.arrays import open_split
 from neural_renderer.tasks.reconstruction.run import fit
-from tests.features.test_features import torchvision_googlenet
 from tests.tasks.reconstruction.fake import SMALL
 
 folder, out = Path(sys.argv[1]), Path(sys.argv[2])

@@ -89,7 +89,8 @@ class Dream:
             norm = norm.clamp(min=1e-12).log()
             variation, edges = variation / inside.sum().clamp(min=1), edges / shape.edge
         else:
-            edges = edges * (2 / 3 * len(shape.topology.edges))  # a closed mesh has so many faces
+            # Of k faces at an edge, the topology has one as the edge and the others as hinges: three to a face.
+            edges = edges * ((len(shape.topology.edges) + len(shape.topology.hinges)) / 3)
         return {
             "dream": -norm,
             "bend": self._weights.bend * shape.bend,

@@ -199,7 +199,9 @@ class MeshEdit:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` of an edit of the same mesh was taken."""
+        """Continue where `state_dict` of an edit of the same mesh was taken; ValueError if that is beyond ``steps``."""
+        if state["step"] > self.steps:
+            raise ValueError(f"steps: expected at least the {state['step']} that are taken already, got {self.steps}")
         with torch.no_grad():
             self._vertices.copy_(state["vertices"])
             self._colours.copy_(state["colours"])
