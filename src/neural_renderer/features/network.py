@@ -53,6 +53,8 @@ class FeatureNetwork(nn.Module):
         wanted = set(self.checked(layers))
         found: dict[str, Tensor] = {}
         values = self._normalise(images)
+        if not images.is_cuda:  # a quarter faster on processors
+            values = values.contiguous(memory_format=torch.channels_last)
         for name in self.layers:
             try:
                 values = self._stages[name](values)
