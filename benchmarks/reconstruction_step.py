@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import statistics
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 import tyro
 
+from neural_renderer.features import load_features
 from neural_renderer.losses import silhouette_iou
 from neural_renderer.tasks.reconstruction.arrays import open_split
 from neural_renderer.tasks.reconstruction.configs import ConfigName, make_config
@@ -29,15 +31,20 @@ def main(
     model: ModelName = "mesh",
     steps: int = 20,
     processor: bool = False,
+    features: Path | None = None,
 ) -> None:
     """Print the median time of each part over some steps, as they are in training, and its share.
 
     ``processor``: the processor's time, of all threads, and not the clock's, which counts what other programs do.
+    ``features``: as of `reconstruct train`.
     """
     now_is = time.process_time if processor else time.perf_counter
     split = open_split(data, "train")
     recipe = make_config(config, split.classes)
-    training = Training(model, recipe, split, every=steps)
+    if features is not None:
+        recipe = replace(recipe, encoder="features")
+    looking = None if features is None else load_features(features)
+    training = Training(model, recipe, split, every=steps, features=looking)
     network, optimiser = training.network, training.configure_optimizers()
     batches = training.batches()
     parts: dict[str, list[float]] = {}
