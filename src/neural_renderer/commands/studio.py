@@ -20,6 +20,7 @@ from ..normals import vertex_normals
 from ..render import render
 
 _BACKDROP = (0.94, 0.945, 0.955), (0.80, 0.82, 0.85)  # at the top and at the bottom
+_FADE = 0.12  # of a picture's sides, in which shadows end
 _LAMP = (-0.45, 0.75, 0.55)  # towards the light, in the viewer's right, up and back
 
 
@@ -84,14 +85,19 @@ def _backdrop(size: tuple[int, int]) -> Tensor:
 
 
 def _shadow(mesh: Mesh, camera: Camera, lamp: Tensor, ground: float, size: tuple[int, int]) -> Tensor:
-    """How much of the ground is in shadow at each pixel [H, W]: the mesh pressed flat along the light, then blurred."""
+    """How much of the ground is in shadow at each pixel [H, W]: the mesh pressed flat along the light, then blurred.
+
+    Towards the picture's border it fades, or it would end there in a line beside the next picture of a sheet.
+    """
     steep = F.normalize(lamp * lamp.new_tensor([1.0, 2.0, 1.0]), dim=0)
     flat = mesh.vertices - (mesh.vertices[:, 1:2] - ground) / steep[1] * steep
     shadow = render((flat, mesh.faces), camera, size, outputs="alpha").alpha[None]  # type: ignore[index]
     radius = max(size[0] // 40, 1)
     for _ in range(3):
         shadow = F.avg_pool2d(F.pad(shadow, [radius] * 4, mode="replicate"), 2 * radius + 1, stride=1)
-    return shadow[0, 0]
+    across, down = (((0.5 - (torch.linspace(0, 1, side) - 0.5).abs()) / _FADE).clamp(max=1) for side in size[::-1])
+    border = (down[:, None] * across).to(shadow)
+    return shadow[0, 0] * border * border * (3 - 2 * border)
 
 
 def sheet(rows: Sequence[Sequence[Tensor]], labels: Sequence[str] = ()) -> Tensor:
