@@ -101,6 +101,18 @@ def test_most_gradients_agree_closely(device):
     assert compared >= 0.8 * total > 0
 
 
+@pytest.mark.parametrize("live", [0, 1, 3])
+def test_channels_without_a_gradient_have_no_part(device, live):
+    scene = Scene(3, 2, 10, 24, 31, True, True, ("plain", "tiny"))
+    index = coverage(scene.faces.to(device), 24, 31, NEAR, FAR, True, True)
+    image, grad = scene.noise(2, 2, 5, 24, 31).to(device)
+    grad[:, live:] = 0
+    found = gradient(image, scene.faces.to(device), index, 1e-3, True, False, grad)
+    alone = gradient(image[:, :live], scene.faces.to(device), index, 1e-3, True, False, grad[:, :live])
+    torch.testing.assert_close(found, alone, rtol=1e-5, atol=1e-6)
+    assert bool(found.any()) == (live > 0)
+
+
 def on_pixels(side: int) -> list[torch.Tensor]:
     """Triangles whose corners are pixel centres, with edges along rows, columns and diagonals: nothing is rounded."""
     pixel = torch.tensor([[2, 1], [6, 1], [6, 5], [2, 5], [4, 3], [0, 0]], dtype=torch.float32)

@@ -55,6 +55,9 @@ def nmr_edges_backward(
         return result
     device = faces.device
 
+    # The last channels, such as an alpha that no loss looks at, may be without a gradient. (On a GPU to ask is to wait.)
+    while not (binary or grad.is_cuda or channels == 1 or bool(grad[:, channels - 1].any())):
+        channels -= 1
     planes = 1 if binary else 1 + channels
     abreast = 1 if faces.is_cuda else WIDE
     lanes = face_lanes(faces, height * width)
@@ -130,9 +133,7 @@ def pull_edge(
         count = height
         length = width
         first_line = int(0)
-    channels = image.shape[1]
-    if binary == 1:
-        channels = int(0)
+    channels = lines.shape[2] - 1
     plane = wp.int64(lines.shape[3])
     pu = to_pixels(p[1 - axis], count)
     qu = to_pixels(q[1 - axis], count)

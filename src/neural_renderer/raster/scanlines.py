@@ -20,8 +20,9 @@ WIDE = 16
 def empty_lines(batch: int, lines: int, length: int, planes: int, device: torch.device) -> Tensor:
     """Room for scan lines: [batch, lines, planes, WIDE + length]; what is stored of a pixel is a plane apart.
 
-    First the sum over channels of value times gradient, then each channel's gradient. Of a silhouette, one number: what
-    a pixel beside the shape gains by being covered, or, less than zero, what one of the shape gains by being uncovered.
+    First the sum over channels of value times gradient, then the gradient of each channel, of which the image may have
+    more than are stored. Of a silhouette, one number: what a pixel beside the shape gains by being covered, or, less
+    than zero, what one of the shape gains by being uncovered.
     """
     shape = (batch, lines, planes, WIDE + length)
     room = torch.empty(math.prod(shape) + WIDE, dtype=torch.float32, device=device)
@@ -44,7 +45,7 @@ _COPY = """
         }
     } else {
         EACH stored[to] = 0.0f;
-        for (int c = 0; c < channels; ++c, value += area, pull += area) {
+        for (int c = 0; c < planes - 1; ++c, value += area, pull += area) {
             // Summed as `_SUM` does it: a pixel of the very colour it would change to must gain nothing at all.
             float* pulls = stored + (c + 1) * plane;
             EACH {
