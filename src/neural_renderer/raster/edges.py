@@ -55,7 +55,7 @@ def nmr_edges_backward(
         return result
     device = faces.device
 
-    # The last channels, such as an alpha that no loss looks at, may be without a gradient. (On a GPU to ask is to wait.)
+    # The last channels, such as an alpha that no loss looks at, may have no gradient. (To ask on a GPU is to wait.)
     while not (binary or grad.is_cuda or channels == 1 or bool(grad[:, channels - 1].any())):
         channels -= 1
     planes = 1 if binary else 1 + channels
