@@ -193,13 +193,13 @@ def test_debug_shows_where(monkeypatch: pytest.MonkeyPatch) -> None:
         cli.main(arguments)
 
 
-def test_interruption_is_quiet(ball: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_interruption_is_one_word(ball: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("neural_renderer.commands.render.load_mesh", interrupted)
     assert cli.main(["render", ball, "-o", "a.png"]) == 130
-    assert capsys.readouterr() == ("", "")
+    assert capsys.readouterr() == ("", "interrupted\n")
 
 
 def test_info_says_ok(capsys: pytest.CaptureFixture[str]) -> None:

@@ -43,6 +43,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # --help (0) and wrong usage (2)
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except KeyboardInterrupt:
+        _say("interrupted", "yellow")
         return 130
     except BrokenPipeError:  # the reader of our output, such as `head`, has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -263,7 +263,7 @@ def test_published_checkpoints(monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError("no route to host")
 
     monkeypatch.setattr(torch.hub, "load_state_dict_from_url", offline)
-    with pytest.raises(ConnectionError, match=r"googlenet-1378be20.pth cannot be fetched .* with --weights FILE"):
+    with pytest.raises(ConnectionError, match=r"googlenet-1378be20.pth cannot be fetched .* name the file instead"):
         load_features("googlenet")
 
 

@@ -14,10 +14,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ..io import save_image
+from ..tasks.reconstruction.agreement import agreement
 from ..tasks.reconstruction.arrays import SPLITS, open_split
-from ..tasks.reconstruction.dataset import Settings, assemble, make_objects
+from ..tasks.reconstruction.dataset import Settings, assemble, make_objects, names_before
 from ..tasks.reconstruction.models_folder import Model, find_models, read_splits, shared_out
-from ..tasks.reconstruction.sheets import agreement, data_sheet
+from ..tasks.reconstruction.sheets import data_sheet
 from .common import checked_count
 
 
@@ -63,6 +64,7 @@ class Dataset:
             raise ValueError("--set: expected it alone or --splits alone, got both")
         models, broken = find_models(self.models)
         chosen = self._chosen(models, broken)
+        self._check_splits(chosen)
         settings = Settings(self.views, self.size, self.samples)
         console = Console()
         self.out.mkdir(parents=True, exist_ok=True)
@@ -94,6 +96,18 @@ class Dataset:
         if not chosen:
             raise ValueError(f"{self.splits}: expected models of {self.models}, got none of them")
         return chosen
+
+    def _check_splits(self, chosen: dict[tuple[str, str], str]) -> None:
+        """No object may be in two splits, one of them from an earlier run."""
+        for earlier, classes in names_before(self.out).items():
+            for category, names in classes.items():
+                for name in names:
+                    now = chosen.get((category, name), earlier)
+                    if now != earlier:
+                        raise ValueError(
+                            f"{self.out}: expected a folder in which {category}/{name} is in {now}, got one that has "
+                            f"it in {earlier}; choose another folder"
+                        )
 
     def _make(self, models: list[Model], settings: Settings, broken: dict[str, str]) -> bool:
         """Make the objects with progress; False after Ctrl-C."""
@@ -129,7 +143,7 @@ class Dataset:
                 data = open_split(self.out, split, sorted(classes))
                 for name in classes:
                     save_image(self.out / "sheets" / f"{name}_{split}.png", data_sheet(data, name))
-                    lowest = min(lowest, agreement(data, name))
+                    lowest = min(lowest, agreement(data, name)[0])
             text = f"outlines of voxels and images agree to an IoU of at least {lowest:.2f} in every class"
             console.print(f"{text}; look at {self.out / 'sheets'}", highlight=False, soft_wrap=True)
         if left_out:

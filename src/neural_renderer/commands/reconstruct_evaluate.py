@@ -17,14 +17,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ..io import save_image
 from ..io.replacing import replacing
+from ..tasks.reconstruction.agreement import agreement
 from ..tasks.reconstruction.arrays import Split, open_split
 from ..tasks.reconstruction.checkpoint import load_model
 from ..tasks.reconstruction.evaluate import Scores, evaluate
+from ..tasks.reconstruction.networks import Model
 from ..tasks.reconstruction.shapes import Predictor, network_predictor
-from ..tasks.reconstruction.sheets import agreement, prediction_sheet
+from ..tasks.reconstruction.sheets import prediction_sheet
 from ..tasks.reconstruction.tables import markdown, terminal
 from ..version import __version__
 from .common import checked_count, chosen_device
+
+_LEAST_AGREEMENT = 0.35  # thin objects reach 0.5
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,9 @@ class Evaluate:
         device = chosen_device(self.device)
         split = open_split(self.data, self.set, self.classes or None)
         paths = ([] if self.checkpoint == "none" else [Path(self.checkpoint)]) + list(self.also)
-        predictors = dict(zip(_labels(paths), (self._network(path, device) for path in paths), strict=True))
+        models = dict(zip(_labels(paths), (load_model(path, device) for path in paths), strict=True))
+        steps = {label: self._steps(model) for label, model in models.items()}
+        predictors = {label: network_predictor(model, self.threshold, steps[label]) for label, model in models.items()}
         console = Console()
         self._check(console, split)
         if self.baseline:
@@ -91,20 +97,22 @@ class Evaluate:
         except KeyboardInterrupt:
             if not methods:
                 raise
-        self._write(console, split, {label: predictors[label] for label in methods}, methods, seconds, paths)
+        self._write(console, split, {label: predictors[label] for label in methods}, methods, seconds, paths, steps)
         return 0 if len(methods) == len(predictors) else 130
 
-    def _network(self, path: Path, device: torch.device) -> Predictor:
-        model = load_model(path, device)
-        return network_predictor(model, self.threshold, model.config.refine if self.refine is None else self.refine)
+    def _steps(self, model: Model) -> int:
+        """Those of refinement."""
+        if model.kind == "voxel":
+            return 0
+        return model.config.refine if self.refine is None else self.refine
 
     def _check(self, console: Console, split: Split) -> None:
         """Warn where voxels and images of a folder do not belong together."""
         for name in split.classes:
-            if name in split.voxels and agreement(split, name, most=4) < 0.4:
-                text = (
-                    f"{name}: the outlines of voxels and images do not agree; are the axes those of the published data?"
-                )
+            fit, axes = agreement(split, name) if name in split.voxels else (1.0, None)
+            if axes is not None or fit < _LEAST_AGREEMENT:
+                seem = "" if axes is None else f"; with the axes {axes} they would"
+                text = f"{name}: the outlines of voxels and images do not agree as in the published data{seem}"
                 console.print(text, style="yellow", highlight=False, soft_wrap=True)
 
     def _retrieval(self, split: Split, device: torch.device) -> Predictor:
@@ -127,6 +135,7 @@ class Evaluate:
         methods: dict[str, Scores],
         seconds: dict[str, float],
         paths: list[Path],
+        steps: dict[str, int],
     ) -> None:
         folder = self.output or (paths[0].parent if paths else self.data) / f"evaluation_{self.set}"
         report = {
@@ -136,7 +145,7 @@ class Evaluate:
             "objects": {name: len(split.images[name]) for name in split.classes},
             "checkpoints": [str(path) for path in paths],
             "threshold": self.threshold,
-            "refine": self.refine,
+            "refine": steps,
             "features": self.features if self.baseline else None,
             "seconds": seconds,
             "methods": {label: scores.to_dict() for label, scores in methods.items()},

@@ -124,7 +124,7 @@ class Predict:
         mask = None
         if self.mask is not None:
             mask = _as_mask(load_image(self._mask_of(path), upright=True))
-        elif picture.shape == (64, 64, 4) and bool((picture[..., 3] > 0.5).any()):
+        elif picture.shape == (64, 64, 4) and float(picture[..., 3].min()) < 0.5 < float(picture[..., 3].max()):
             return picture, (picture.permute(2, 0, 1) * 255 + 0.5).to(torch.uint8)
         return picture, best_frame(predict, cut_out(picture, mask), device)
 

@@ -12,13 +12,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import torch
 import tyro
 from rich.console import Console
+from torch import Tensor
 
-from ..features import load_features
+from ..features import FeatureNetwork, load_features
 from ..tasks.reconstruction.arrays import Split, open_split
-from ..tasks.reconstruction.checkpoint import HEADER, read_checkpoint
+from ..tasks.reconstruction.checkpoint import BEST, HEADER, LAST, read_checkpoint
 from ..tasks.reconstruction.configs import Config, ConfigName, make_config
+from ..tasks.reconstruction.encoders import FeatureEncoder
 from ..tasks.reconstruction.networks import ModelName
 from .common import checked_count, chosen_device, interruption
 
@@ -91,8 +94,8 @@ class Train:
         chosen_device(self.device)
         train, val = self._data()
         config = self._recipe(train)
-        checkpoint = self._checkpoint(config)
         features = None if self.features is None else load_features(self.features)
+        checkpoint = self._checkpoint(config, train, features)
         self.out.mkdir(parents=True, exist_ok=True)
         from ..tasks.reconstruction.run import fit  # Lightning takes seconds to import
 
@@ -125,6 +128,11 @@ class Train:
         classes = self.classes or None
         train = open_split(self.data, "train", classes)
         present = [name for name in train.classes if (self.data / f"{name}_val_images.npz").exists()]
+        missing = [name for name in train.classes if name not in present]
+        if missing:
+            then = "" if present else f"; {BEST} will be the network of the last step"
+            text = f"{', '.join(missing)}: no pictures of the split val, which are measured on{then}"
+            Console(stderr=True).print(text, style="yellow", highlight=False, soft_wrap=True)
         return train, open_split(self.data, "val", present) if present else None
 
     def _recipe(self, train: Split) -> Config:
@@ -140,10 +148,14 @@ class Train:
             config = config if weight is None else replace(config, **{name: weight})
         return config
 
-    def _checkpoint(self, config: Config) -> Path | None:
+    def _checkpoint(self, config: Config, train: Split, features: FeatureNetwork | None) -> Path | None:
         """What to go on from. A training that was not asked for again is not written over."""
-        path = self.out / "last.ckpt"
+        path = self.out / LAST
         if not path.exists():
+            if (self.out / BEST).exists():
+                raise ValueError(
+                    f"{self.out / BEST}: expected a folder without a network, or one with {LAST} beside it"
+                )
             return None
         if not self.resume:
             raise ValueError(f"{path}: expected no training in this folder yet, got one; --resume goes on from there")
@@ -151,12 +163,25 @@ class Train:
         if "training" not in content:
             raise ValueError(f"{path}: expected the state of a training, got a network alone, as best.ckpt is")
         head = content[HEADER]
-        found = {"model": head["kind"]} | {k: v for k, v in head["config"].items() if k != "steps"}
-        wanted = {"model": self.model} | {k: v for k, v in config.to_dict().items() if k != "steps"}
+        state = content["training"]
+        found = {"model": head["kind"], "classes": head["classes"], "seed": state["seed"]} | head["config"]
+        wanted = {"model": self.model, "classes": list(train.classes), "seed": self.seed} | config.to_dict()
         for name in wanted:
-            if found.get(name) != wanted[name]:
+            if name != "steps" and found.get(name) != wanted[name]:
                 raise ValueError(f"{path}: expected a checkpoint with {name} {wanted[name]}, got {found.get(name)}")
+        if features is not None and not _looks_with(content["state_dict"], features):
+            raise ValueError(f"{path}: expected a checkpoint with the features of {self.features}, got other ones")
+        if config.steps < state["steps"]:
+            raise ValueError(f"--steps: expected at least the {state['steps']} that are taken, got {config.steps}")
         return path
+
+
+def _looks_with(weights: dict[str, Tensor], features: FeatureNetwork) -> bool:
+    """Whether a checkpoint's network looks at images with these features."""
+    prefix = "network.encoder.features."
+    found = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
+    wanted = FeatureEncoder(features).features.state_dict()
+    return found.keys() == wanted.keys() and all(torch.equal(found[name], wanted[name]) for name in wanted)
 
 
 @contextmanager

@@ -111,5 +111,5 @@ def _published(name: str, progress: bool) -> dict[str, Any]:
         )
     except Exception as error:  # no network, no such address, a checksum that differs, no room
         raise ConnectionError(
-            f"{name}: {address} cannot be fetched ({error}); fetch it elsewhere and give the file with --weights FILE"
+            f"{name}: {address} cannot be fetched ({error}); fetch it elsewhere, and name the file instead"
         ) from None

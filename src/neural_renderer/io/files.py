@@ -108,6 +108,6 @@ def why_not_loaded(error: Exception) -> str:
     words = str(error).strip()
     if "unsupported global" in words.lower() or "unsupported class" in words.lower():
         return "it holds other things than tensors, which could run code"
-    if "Weights only load failed" in words:
+    if "Weights only load failed" in words or words.isdigit():
         return "it is none"
     return words.partition(". ")[0].splitlines()[0] if words else type(error).__name__

@@ -200,4 +200,4 @@ def test_what_is_refused(
 
     monkeypatch.setattr(torch.hub, "load_state_dict_from_url", offline)
     assert cli.main(["style", files["mesh"], files["painting"], "-o", files["out"]]) == 1
-    assert "give the file with --weights FILE" in capsys.readouterr().err
+    assert "name the file instead" in capsys.readouterr().err

@@ -82,11 +82,11 @@ def test_memory_stays_small(tmp_path: Path) -> None:
         header = {"descr": "|u1", "fortran_order": False, "shape": (count, 24, 4, 64, 64)}
         np.lib.format.write_array_header_1_0(member, header)
         for index in range(count):
-            member.write(bytes([index]) * (24 * 4 * 64 * 64))
+            member.write(bytes([index + 1]) * (24 * 4 * 64 * 64))
     tracemalloc.start()
     try:
         images = open_split(tmp_path, "test").images["chair"]
-        assert int(images[99, 0, 0, 0, 0]) == 99 and tracemalloc.get_traced_memory()[1] < 16_000_000
+        assert int(images[99, 0, 0, 0, 0]) == 100 and tracemalloc.get_traced_memory()[1] < 16_000_000
     finally:
         tracemalloc.stop()
 
@@ -166,3 +166,15 @@ def test_a_full_disk_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with pytest.raises(OSError, match=r"chair_test_images\.npy: expected room to unpack .* No space left on device"):
         open_split(tmp_path, "test")
     assert not [path for path in tmp_path.iterdir() if path.suffix == ".npy"]
+
+
+def test_images_without_objects(tmp_path: Path) -> None:
+    write(tmp_path)
+    with np.load(tmp_path / "chair_test_images.npz") as arrays:
+        images = arrays["arr_0"].copy()
+    images[:, :, 3] = 0
+    np.savez(tmp_path / "chair_test_images.npz", images)
+    with pytest.raises(
+        ValueError, match=r"chair_test_images.npz: expected objects with transparency around"
+    ):
+        open_split(tmp_path, "test")

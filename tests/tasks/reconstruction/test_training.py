@@ -21,7 +21,7 @@ from neural_renderer.tasks.reconstruction.configs import Config
 from neural_renderer.tasks.reconstruction.networks import make_network
 from neural_renderer.tasks.reconstruction.run import fit
 from neural_renderer.tasks.reconstruction.training import Training, schedule
-from tests.features.test_features import torchvision_googlenet
+from tests.features.test_features import torchvision_googlenet, torchvision_vgg
 from tests.tasks.reconstruction.fake import SMALL, fake_split, write_split
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -191,6 +191,16 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
     assert main([*command, "--steps", "3", "--classes", "box", "--resume"]) == 0
     assert read_checkpoint(out / "last.ckpt")["training"]["steps"] == 3
     assert main([*command, "--classes", "boat"]) == 1 and "boat" in capsys.readouterr().err
+    for option, value, sentence in (
+        ("--classes", "ball", "expected a checkpoint with classes ['ball'], got ['box']"),
+        ("--seed", "1", "expected a checkpoint with seed 1, got 0"),
+        ("--steps", "2", "--steps: expected at least the 3 that are taken, got 2"),
+    ):
+        assert main([*command, "--classes", "box", "--resume", option, value]) == 1
+        assert sentence in " ".join(capsys.readouterr().err.split())
+    (out / "last.ckpt").rename(tmp_path / "last.ckpt")
+    assert main([*command, "--classes", "box"]) == 1
+    assert "best.ckpt: expected a folder without a network" in " ".join(capsys.readouterr().err.split())
     (out / "last.ckpt").write_bytes((out / "best.ckpt").read_bytes())
     assert main([*command, "--classes", "box", "--resume"]) == 1
     assert "expected the state of a training, got a network alone" in " ".join(capsys.readouterr().err.split())
@@ -216,6 +226,15 @@ def test_command_with_features(
     command = ["reconstruct", "train", str(data), str(out), "--device", "cpu", "--steps", "1"]
     assert main([*command, "--features", str(data / "none.pth")]) == 1 and "none.pth" in capsys.readouterr().err
     assert main([*command, "--features", str(weights)]) == 0
+    assert "ball, box: no pictures of the split val" in " ".join(capsys.readouterr().err.split())
+    assert torch.equal(*(load_model(out / f"{name}.ckpt").sphere for name in ("best", "last")))
+    torch.save(torchvision_vgg(16), tmp_path / "vgg.pth")
+    torch.save({name: value * 2 for name, value in torchvision_googlenet().items()}, tmp_path / "other.pth")
+    for other in ("vgg", "other"):
+        assert main([*command, "--resume", "--features", str(tmp_path / f"{other}.pth")]) == 1
+        told = " ".join(capsys.readouterr().err.split())
+        assert "last.ckpt: expected a checkpoint with the features of" in told and "got other ones" in told
+    assert main([*command, "--resume", "--features", str(weights)]) == 0
     weights.unlink()
     assert load_model(out / "last.ckpt").config.encoder == "features"
     assert main([*command, "--resume"]) == 1

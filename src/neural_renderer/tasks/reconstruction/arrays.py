@@ -66,7 +66,7 @@ def open_split(folder: str | os.PathLike[str], split: str, classes: Sequence[str
     Raises:
         FileNotFoundError: no such folder, or no images of a class.
         ValueError: a file that is broken, cut off, or of another shape or type; another number of voxels or names than
-            of images; no objects in a class. The file is named.
+            of images; no objects in a class, or an empty first one. The file is named.
         OSError: nowhere to unpack to, as on a full disk.
     """
     folder = Path(folder)
@@ -96,6 +96,8 @@ def open_split(folder: str | os.PathLike[str], split: str, classes: Sequence[str
         count = len(images[name])
         if not count:
             raise ValueError(f"{path}: expected at least one object, got none")
+        if not images[name][0, :, 3].any():
+            raise ValueError(f"{path}: expected objects with transparency around, got images that are empty")
         solid = folder / f"{name}_{split}_voxels.npz"
         if solid.exists():
             voxels[name] = _opened(solid, "voxels")

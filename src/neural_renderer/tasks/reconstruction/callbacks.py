@@ -14,17 +14,17 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from ...io import save_image
 from ...io.replacing import replacing, writing
-from .checkpoint import save_model
+from .checkpoint import BEST, LAST, save_model
 from .shapes import network_predictor
 from .sheets import training_sheet
 
-BEST, LAST = "best.ckpt", "last.ckpt"
 _RECORD_EVERY = 10  # steps
 
 
 class Keep(lightning.Callback):
     """Writes the checkpoints of a folder after each round: "last.ckpt", all that is needed to go on; and "best.ckpt",
-    the network with the best silhouettes on the validation split. Either is whole at any time.
+    the network with the best silhouettes on the validation split, or the last one if there is no such split. Either is
+    whole at any time.
 
     It also ends the training when it is done, or when ``interrupted`` has something in it, in all processes at once.
     """
@@ -43,10 +43,11 @@ class Keep(lightning.Callback):
             trainer.should_stop = True
 
     def on_train_epoch_end(self, trainer: lightning.Trainer, module: Any) -> None:
-        score = module.latest.get("val_iou")
-        if trainer.is_global_zero and score is not None and score > self.best:
+        score = module.latest.get("val_iou", self.best)
+        if trainer.is_global_zero and (score > self.best or module.val_split is None):
             self.best = score
-            facts = {"steps": module.steps_done, "seconds": module.seconds, "val_iou": score}
+            facts = {"steps": module.steps_done, "seconds": module.seconds}
+            facts |= {} if module.val_split is None else {"val_iou": score}
             save_model(self._folder / BEST, module.model, module.train_split.classes, **facts)
         # Every process must call, one of them writes.
         path = self._folder / LAST

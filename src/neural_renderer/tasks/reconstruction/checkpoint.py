@@ -19,6 +19,9 @@ from .networks import Model, make_network
 HEADER = "reconstruction"
 """The key of a checkpoint under which stands what `load_model` needs beside the weights."""
 
+BEST, LAST = "best.ckpt", "last.ckpt"
+"""The files of a training: its best network, and all that is needed to go on."""
+
 VERSION = 1
 """Of the networks and of the header: one more whenever older weights would mean something else."""
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import threading
+import time
 import warnings
 import zipfile
 import zlib
@@ -27,7 +31,7 @@ from ...version import __version__
 from .arrays import DESCRIPTION, SPLITS
 from .drawing import shoulder_light
 from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirrored, unit, view_camera
-from .models_folder import Model
+from .models_folder import Model, is_mesh
 from .voxels import solid
 
 _GREY = 0.75  # of models without a colour
@@ -104,20 +108,23 @@ def make_objects(
     What is there already stays. Yields each model as it is done, with None or a sentence that says why it could not be
     made, and warnings about it.
     """
-    waiting = {}
-    for model in models:
-        if _is_made(model, folder, settings):
-            yield model, None, []
+    waiting: dict[Model, str] = {}
+    for model, key in _keys(models, settings).items():
+        notes = _made(model, folder, key)
+        if notes is not None:
+            yield model, None, notes
         elif processes == 0:
-            yield model, *_make_file(model, folder, settings)
+            yield model, *_make_file(model, folder, settings, key)
         else:
-            waiting[model] = True
+            waiting[model] = key
     while waiting:
         # A process that dies takes its pool with it; whose fault it was shows when one after the other is tried.
         for count in dict.fromkeys((processes, 1)):
             crashed = False
             with _pool(count) as pool:
-                futures = {pool.submit(_make_file, model, folder, settings): model for model in waiting}
+                futures = {
+                    pool.submit(_make_file, model, folder, settings, key): model for model, key in waiting.items()
+                }
                 try:
                     for future in as_completed(futures):
                         problem, notes = future.result()
@@ -134,19 +141,24 @@ def make_objects(
 
 @contextmanager
 def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    pool = ProcessPoolExecutor(processes, get_context("spawn"), _begin)
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), _begin, (os.getpid(),))
     try:
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _begin() -> None:
-    """A worker: one thread, and Ctrl-C is its parent's business."""
-    import signal
-
+def _begin(parent: int) -> None:
+    """A worker: one thread, Ctrl-C is its parent's business, and it does not outlive a parent that was killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def object_file(model: Model, folder: Path) -> Path:
@@ -154,20 +166,44 @@ def object_file(model: Model, folder: Path) -> Path:
     return folder / "objects" / model.category / f"{model.name}.npz"
 
 
-def _key(model: Model, settings: Settings) -> str:
-    status = model.path.stat()
-    return json.dumps([_RECIPE, asdict(settings), status.st_size, status.st_mtime_ns])
+def _keys(models: Sequence[Model], settings: Settings) -> dict[Model, str]:
+    """What tells for each model whether it has changed: its file, and the materials and pictures that lie around it.
+
+    Of a folder with several models each has what is named like it, and what is named like none of them.
+    """
+    together: dict[Path, list[Model]] = {}
+    for model in models:
+        own = next((folder for folder in model.path.parents if folder.name == model.name), model.path.parent)
+        together.setdefault(own, []).append(model)
+    keys = {}
+    for folder, here in together.items():
+        names = [path.stem for path in folder.iterdir() if is_mesh(path)]
+        around: dict[str | None, list[Any]] = {}
+        for path in sorted(path for path in folder.rglob("*") if path.is_file() and not is_mesh(path)):
+            owner = max((name for name in names if path.name.startswith(name)), key=len, default=None)
+            around.setdefault(owner, []).append((str(path), _stamp(path)))
+        for model in here:
+            own_files = around.get(model.path.stem, []), around.get(None, [])
+            recipe = [_RECIPE, asdict(settings), *_stamp(model.path), zlib.crc32(repr(own_files).encode())]
+            keys[model] = json.dumps(recipe)
+    return {model: keys[model] for model in models}
 
 
-def _is_made(model: Model, folder: Path, settings: Settings) -> bool:
+def _stamp(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
+
+
+def _made(model: Model, folder: Path, key: str) -> list[str] | None:
+    """The warnings about an object that is there already; None if it is to be made."""
     try:
         with np.load(object_file(model, folder)) as arrays:
-            return str(arrays["key"]) == _key(model, settings)
+            return arrays["notes"].tolist() if str(arrays["key"]) == key else None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
-        return False
+        return None
 
 
-def _make_file(model: Model, folder: Path, settings: Settings) -> tuple[str | None, list[str]]:
+def _make_file(model: Model, folder: Path, settings: Settings, key: str) -> tuple[str | None, list[str]]:
     target = object_file(model, folder)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -176,10 +212,11 @@ def _make_file(model: Model, folder: Path, settings: Settings) -> tuple[str | No
         except Exception as error:  # whatever a model is broken by, the others are not
             told = isinstance(error, (ValueError, OSError)) and str(error)
             return (str(error) if told else f"{model.path}: {type(error).__name__}: {error}"), []
-    arrays: dict[str, Any] = {"images": images.numpy(), "voxels": voxels.numpy()}
+    notes = sorted({str(warning.message) for warning in caught})
+    arrays: dict[str, Any] = {"images": images.numpy(), "voxels": voxels.numpy(), "notes": np.array(notes, np.str_)}
     with replacing(target) as fresh, open(fresh, "wb") as file:
-        np.savez_compressed(file, key=np.array(_key(model, settings)), **arrays)
-    return None, sorted({str(warning.message) for warning in caught})
+        np.savez_compressed(file, key=np.array(key), **arrays)
+    return None, notes
 
 
 def assemble(
@@ -193,7 +230,7 @@ def assemble(
     splits: the models of each class, in order, of each split. Classes and splits that are not among them stay as they
     are in a folder that has them already.
     """
-    names: dict[str, dict[str, list[str]]] = {split: {} for split in SPLITS} | _names_before(folder)
+    names: dict[str, dict[str, list[str]]] = {split: {} for split in SPLITS} | names_before(folder)
     for split, classes in splits.items():
         for name, models in classes.items():
             for kind in ("images", "voxels"):
@@ -211,7 +248,8 @@ def assemble(
         fresh.write_text(json.dumps(description, indent=1) + "\n", encoding="utf-8")
 
 
-def _names_before(folder: Path) -> dict[str, dict[str, list[str]]]:
+def names_before(folder: Path) -> dict[str, dict[str, list[str]]]:
+    """The names of the objects by split and class that a folder of data holds already."""
     try:
         return json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["names"]
     except (OSError, ValueError, KeyError):

@@ -44,7 +44,7 @@ def find_models(folder: Path) -> tuple[list[Model], dict[str, str]]:
     broken: dict[str, str] = {}
     for category in sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
         entries = sorted(path for path in category.iterdir() if not path.name.startswith("."))
-        files = [path for path in entries if path.is_file() and path.suffix.lower() in _SUFFIXES]
+        files = [path for path in entries if path.is_file() and is_mesh(path)]
         for path in sorted(files, key=lambda path: _SUFFIXES.index(path.suffix.lower())):
             models.setdefault((category.name, path.stem), Model(category.name, path.stem, path))
         for entry in (path for path in entries if path.is_dir()):
@@ -62,6 +62,11 @@ def find_models(folder: Path) -> tuple[list[Model], dict[str, str]]:
             f"{folder}: expected category/model.obj or category/model/model.obj, got no mesh file in such a place"
         )
     return [models[key] for key in sorted(models)], broken
+
+
+def is_mesh(path: Path) -> bool:
+    """Whether a file is a mesh, by its name."""
+    return path.suffix.lower() in _SUFFIXES
 
 
 def _in_model_folder(folder: Path) -> list[Path]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -66,7 +67,7 @@ class Retrieval:
             images = self._split.images[name]
             source = self._split.folder / f"{name}_{self._split.split}_images.npz"
             target = cache_folder(source) / f"{source.stem}_{stamp}.npy"
-            if not target.is_file() or target.stat().st_mtime_ns != source.stat().st_mtime_ns:
+            if _cached(target, source) is None:
                 rows = []
                 for index in range(len(images)):
                     views = torch.from_numpy(images[index].copy()).to(_device(self._network))
@@ -106,6 +107,14 @@ class Retrieval:
             return Solids(torch.from_numpy(np.stack(rows)).to(images.device))
 
         return predict
+
+
+def _cached(target: Path, source: Path) -> np.ndarray | None:
+    """Features in a file that are those of the images in another; None for a file that is older or broken."""
+    try:
+        return np.load(target, mmap_mode="r") if target.stat().st_mtime_ns == source.stat().st_mtime_ns else None
+    except (OSError, ValueError, EOFError):
+        return None
 
 
 def _device(network: FeatureNetwork) -> torch.device:

@@ -1,4 +1,4 @@
-"""Pictures to look at: the data, what a network made of them, and whether voxels and images show the same."""
+"""Pictures to look at: the data, and what a network made of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from ...metrics import silhouette_iou
 from .arrays import Split
 from .drawing import PAPER, STONE, drawn, shown
 from .framing import SIZE, VIEWS
@@ -20,7 +19,7 @@ from .voxels import surface
 def data_sheet(split: Split, name: str, most: int = 48, columns: int = 8) -> Tensor:
     """The objects of a class, one a row: some of their views, and their voxels from the first and the last of those."""
     rows = []
-    for index in _spread(len(split.images[name]), most):
+    for index in spread(len(split.images[name]), most):
         views = [round(column * VIEWS / columns) for column in range(columns)]
         row = [shown(torch.from_numpy(split.images[name][index, view].copy())) for view in views]
         if name in split.voxels:
@@ -30,21 +29,7 @@ def data_sheet(split: Split, name: str, most: int = 48, columns: int = 8) -> Ten
     return torch.cat(rows, 1)
 
 
-def agreement(split: Split, name: str, most: int = 8) -> float:
-    """The mean IoU of the voxels' outlines and the images', of some objects of a class, each from four views.
-
-    Voxels are coarse, so that thin objects reach 0.5; of other axes, or another order of the views, much less is left.
-    """
-    values = []
-    views = torch.arange(0, VIEWS, VIEWS // 4)
-    for index in _spread(len(split.images[name]), most):
-        solids = Solids(torch.from_numpy(split.voxels[name][index].copy())[None])
-        masks = torch.from_numpy(split.images[name][index, views.numpy(), 3].copy()) > 127
-        values.append(silhouette_iou(solids.silhouettes(views[None])[0], masks))
-    return float(torch.cat(values).mean())
-
-
-def _spread(count: int, most: int) -> list[int]:
+def spread(count: int, most: int) -> list[int]:
     """Up to ``most`` of ``count`` numbers, evenly spread."""
     return sorted({round(index * (count - 1) / max(min(most, count) - 1, 1)) for index in range(min(most, count))})
 
@@ -60,7 +45,7 @@ def prediction_sheet(
     """
     rows = []
     for number, name in enumerate(split.classes):
-        for index in _spread(len(split.images[name]), each):
+        for index in spread(len(split.images[name]), each):
             view = (7 * number + 5 * index + 2) % VIEWS
             image = torch.from_numpy(split.images[name][index, view].copy())
             truth = Solids(torch.from_numpy(split.voxels[name][index].copy())[None])
