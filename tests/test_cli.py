@@ -193,7 +193,9 @@ def test_debug_shows_where(monkeypatch: pytest.MonkeyPatch) -> None:
         cli.main(arguments)
 
 
-def test_interruption_is_one_word(ball: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_interruption_is_one_word(
+    ball: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 

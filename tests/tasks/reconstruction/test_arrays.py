@@ -174,7 +174,5 @@ def test_images_without_objects(tmp_path: Path) -> None:
         images = arrays["arr_0"].copy()
     images[:, :, 3] = 0
     np.savez(tmp_path / "chair_test_images.npz", images)
-    with pytest.raises(
-        ValueError, match=r"chair_test_images.npz: expected objects with transparency around"
-    ):
+    with pytest.raises(ValueError, match=r"chair_test_images.npz: expected objects with transparency around"):
         open_split(tmp_path, "test")
