@@ -132,6 +132,12 @@ def test_one_picture(pictures: Path) -> None:
         assert picture.n_frames == 2  # type: ignore[attr-defined]
 
 
+def test_a_small_square_without_transparency_is_cut_out(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nr.save_image(pictures / "plain.png", torch.cat((torch.full((64, 64, 3), 0.8), torch.ones(64, 64, 1)), 2))
+    assert command(pictures / "plain.png", "-o", pictures / "plain.obj") == 1
+    assert "plain.png: expected" in capsys.readouterr().err and not (pictures / "plain.obj").exists()
+
+
 def test_many_pictures_of_which_some_are_wrong(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = ["wall.jpg", "nothing.png", "cut.png", "text.png", "crowd.png", "nowhere.png"]
     paths = [pictures / name for name in names]
