@@ -121,8 +121,14 @@ class MeshEdit:
         self._seen = torch.zeros(self._texels.count, dtype=torch.int32, device=self._colours.device)
         self.seconds = {"renderer": 0.0, "network": 0.0, "rest": 0.0}
         """Where the time of the steps went: drawing and its gradient; the objective and its; the rest."""
-        self.before = self.measure()
+        self._before: float | None = None
+
+    @property
+    def before(self) -> float:
         """`measure` before the first step."""
+        if self._before is None:
+            self._before = self.measure()
+        return self._before
 
     @property
     def done(self) -> bool:
@@ -148,6 +154,7 @@ class MeshEdit:
 
     def advance(self) -> dict[str, float]:
         """Take one step; returns the losses before it, each with its weight, and their sum ``loss``."""
+        _ = self.before  # now or never
         clock = _Clock(self._vertices.device)
         random = generator(self._seed, self.step)
         camera, light = self._views.sample(self._batch, random)
@@ -207,7 +214,7 @@ class MeshEdit:
             self._colours.copy_(state["colours"])
             self._seen.copy_(state["seen"])
         self._optimizer.load_state_dict(state["optimizer"])
-        self.step, self.before = state["step"], state["before"]
+        self.step, self._before = state["step"], state["before"]
         self.seconds = dict(state["seconds"])
 
     def _adapt(self) -> None:
