@@ -1,6 +1,7 @@
 """Anti-aliasing's second half: the average of 2 x 2 pixels."""
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from .registration import operator
@@ -19,9 +20,9 @@ def halve(image: Tensor) -> Tensor:
 @operator
 def halve_backward(grad: Tensor) -> Tensor:
     """The transpose of `halve`: a quarter of each gradient to each pixel of its block."""
-    batch, channels, height, width = grad.shape
-    blocks = (grad * 0.25)[..., :, None, :, None].expand(batch, channels, height, 2, width, 2)
-    return blocks.reshape(batch, channels, 2 * height, 2 * width)
+    if not grad.numel():  # which torch does not enlarge
+        return grad.new_zeros((*grad.shape[:2], 2 * grad.shape[2], 2 * grad.shape[3]))
+    return F.interpolate(grad.contiguous() * 0.25, scale_factor=2, mode="nearest")
 
 
 @torch.library.register_fake("neural_renderer::halve")
