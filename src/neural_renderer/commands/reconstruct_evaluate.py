@@ -21,7 +21,7 @@ from ..tasks.reconstruction.agreement import agreement
 from ..tasks.reconstruction.arrays import Split, open_split
 from ..tasks.reconstruction.checkpoint import load_model
 from ..tasks.reconstruction.evaluate import Scores, evaluate
-from ..tasks.reconstruction.networks import Model
+from ..tasks.reconstruction.refine import chosen_steps
 from ..tasks.reconstruction.shapes import Predictor, network_predictor
 from ..tasks.reconstruction.sheets import prediction_sheet
 from ..tasks.reconstruction.tables import markdown, terminal
@@ -82,7 +82,7 @@ class Evaluate:
         split = open_split(self.data, self.set, self.classes or None)
         paths = ([] if self.checkpoint == "none" else [Path(self.checkpoint)]) + list(self.also)
         models = dict(zip(_labels(paths), (load_model(path, device) for path in paths), strict=True))
-        steps = {label: self._steps(model) for label, model in models.items()}
+        steps = {label: chosen_steps(model, self.refine) for label, model in models.items()}
         predictors = {label: network_predictor(model, self.threshold, steps[label]) for label, model in models.items()}
         console = Console()
         self._check(console, split)
@@ -99,12 +99,6 @@ class Evaluate:
                 raise
         self._write(console, split, {label: predictors[label] for label in methods}, methods, seconds, paths, steps)
         return 0 if len(methods) == len(predictors) else 130
-
-    def _steps(self, model: Model) -> int:
-        """Those of refinement."""
-        if model.kind == "voxel":
-            return 0
-        return model.config.refine if self.refine is None else self.refine
 
     def _check(self, console: Console, split: Split) -> None:
         """Warn where voxels and images of a folder do not belong together."""

@@ -19,6 +19,7 @@ from ..tasks.reconstruction.checkpoint import load_model
 from ..tasks.reconstruction.cutout import cut_out
 from ..tasks.reconstruction.drawing import CLAY
 from ..tasks.reconstruction.predict import best_frame, predict_meshes, prediction_picture
+from ..tasks.reconstruction.refine import chosen_steps
 from ..tasks.reconstruction.shapes import Predictor, network_predictor
 from .common import checked_count, chosen_device
 from .studio import photograph
@@ -81,7 +82,7 @@ class Predict:
             raise ValueError(f"--mask: expected a folder of masks for {len(self.images)} pictures, got {self.mask}")
         device = chosen_device(self.device)
         model = load_model(self.checkpoint, device)
-        refine = model.config.refine if self.refine is None else self.refine
+        refine = chosen_steps(model, self.refine)
         predict = network_predictor(model, self.threshold)
         console, failures = Console(stderr=True), []
         for path in track(self.images, "Meshes", console=console, transient=True, disable=len(self.images) == 1):

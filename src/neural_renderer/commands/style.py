@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.console import Console
 
 from ..io import load_image
+from ..io.files import warn
 from ..tasks.editing import PUBLISHED_STYLE, STYLE_LAYERS, Style, StyleWeights
 from .common import chosen_device
 from .edit import Edit, Preset
@@ -61,8 +61,7 @@ class StyleCommand(Edit):
         weights = self.loss_weights(PUBLISHED_STYLE if published else StyleWeights())
         network = self.network("vgg16-original")
         if published and network.name != "VGG-16":
-            text = f"--preset published: its losses are made for VGG-16, of another scale than those of {network.name}"
-            Console(stderr=True).print(text, style="yellow", highlight=False, soft_wrap=True)
+            warn(f"--preset published: its losses are made for VGG-16, of another scale than those of {network.name}")
         style = Style(
             network,
             painting,

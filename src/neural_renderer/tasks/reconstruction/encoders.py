@@ -83,10 +83,15 @@ class FeatureEncoder(nn.Module):
         return self.learned(seen)
 
     def _seen(self, images: Tensor) -> Tensor:
-        shown = images[:, :3] * images[:, 3:] + 1 - images[:, 3:]
-        shown = F.interpolate(shown, (self.SIZE, self.SIZE), mode="bilinear", align_corners=False)
-        seen = F.adaptive_avg_pool2d(self.features(shown, [self.layer])[self.layer], 4)
+        found = self.features(on_white(images, self.SIZE), [self.layer])[self.layer]
+        seen = F.adaptive_avg_pool2d(found, 4)
         return F.group_norm(seen, math.gcd(seen.shape[1], 32))
+
+
+def on_white(images: Tensor, size: int) -> Tensor:
+    """Images [B, 4, H, W] in [0, 1] as networks for recognition know them: [B, 3, size, size], on white."""
+    shown = images[:, :3] * images[:, 3:] + 1 - images[:, 3:]
+    return F.interpolate(shown, (size, size), mode="bilinear", align_corners=False)
 
 
 class _Centred(nn.Module):

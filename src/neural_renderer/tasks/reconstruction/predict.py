@@ -50,8 +50,7 @@ def predict_meshes(model: Any, images: Tensor, threshold: float = 0.5, refine: i
     pixels = images.float() / 255
     if model.kind == "mesh":
         faces = model.faces.flip(1).cpu()
-        meshes = model.vertices(pixels)
-        meshes = refined(model, meshes, pixels, refine) if refine else meshes
+        meshes = refined(model, model.vertices(pixels), pixels, refine)
         return [(mirrored(vertices), faces) for vertices in meshes.cpu()]
     return [_voxel_mesh(occupancy, threshold) for occupancy in model.occupancy(pixels).cpu()]
 

@@ -12,9 +12,17 @@ from torch import Tensor
 from ...losses import laplacian, silhouette_iou
 from .framing import VIEWS
 from .mesh_network import MeshNetwork, blurring
+from .networks import Model
 
 _RATE, _BETAS = 0.01, (0.7, 0.9)  # of Adam; vertices move in lengths of the object
 _BLUR, _LAPLACIAN = 3.0, 3.0  # as of the recipe "best"
+
+
+def chosen_steps(model: Model, asked: int | None) -> int:
+    """The steps of `refined` that were asked for, or else the recipe's; voxels have none."""
+    if model.kind == "voxel":
+        return 0
+    return model.config.refine if asked is None else asked
 
 
 def refined(network: MeshNetwork, vertices: Tensor, images: Tensor, steps: int) -> Tensor:
@@ -25,8 +33,10 @@ def refined(network: MeshNetwork, vertices: Tensor, images: Tensor, steps: int) 
     From which of the 24 views an image was taken is not known: it is taken for the one from which the prediction's
     silhouette is most like the image's. From there ``steps`` of Adam lessen 1 − IoU, for each mesh by itself; moves are
     blurred over the sphere (see `mesh_network.blurring`), symmetric meshes stay symmetric, and a Laplacian loss holds
-    what cannot be seen. Returns [B, 642, 3] in [-½, ½], without a gradient.
+    what cannot be seen. Returns [B, 642, 3] in [-½, ½], without a gradient; of 0 steps, the vertices as they are.
     """
+    if not steps:
+        return vertices
     vertices, masks = vertices.detach(), images[:, 3]
     views = likeliest_views(network, vertices, masks)
     spread = blurring(network.topology, _BLUR)

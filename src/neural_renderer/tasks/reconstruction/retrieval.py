@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from ...features import FeatureNetwork
 from ...io.replacing import replacing
 from .arrays import Split, cache_folder
+from .encoders import on_white
 from .framing import VIEWS
 from .shapes import Predictor, Shapes, Solids
 
@@ -37,11 +37,8 @@ def feature_layer(network: FeatureNetwork) -> str:
 @torch.no_grad()
 def image_features(network: FeatureNetwork, images: Tensor) -> Tensor:
     """Features [B, D] float32 of images uint8 [B, 4, H, W], shown on white and enlarged to the network's 224 pixels."""
-    pixels = images.float() / 255
-    shown = pixels[:, :3] * pixels[:, 3:] + 1 - pixels[:, 3:]
-    shown = F.interpolate(shown, (_INPUT, _INPUT), mode="bilinear", align_corners=False)
     layer = feature_layer(network)
-    return network(shown, [layer])[layer].flatten(1)
+    return network(on_white(images.float() / 255, _INPUT), [layer])[layer].flatten(1)
 
 
 class Retrieval:
@@ -67,7 +64,8 @@ class Retrieval:
             images = self._split.images[name]
             source = self._split.folder / f"{name}_{self._split.split}_images.npz"
             target = cache_folder(source) / f"{source.stem}_{stamp}.npy"
-            if _cached(target, source) is None:
+            features = _cached(target, source)
+            if features is None:
                 rows = []
                 for index in range(len(images)):
                     views = torch.from_numpy(images[index].copy()).to(_device(self._network))
@@ -77,7 +75,8 @@ class Retrieval:
                     with fresh.open("wb") as file:
                         np.save(file, np.concatenate(rows))
                     os.utime(fresh, ns=(source.stat().st_mtime_ns,) * 2)
-            self._features[name] = np.load(target, mmap_mode="r")
+                features = np.load(target, mmap_mode="r")
+            self._features[name] = features
             self._known += [(name, index) for index in range(len(images))]
             done += VIEWS * len(images)
             yield done

@@ -96,6 +96,6 @@ def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Pr
         if model.kind == "voxel":
             return Solids(model.occupancy(pixels) > threshold)
         vertices = model.vertices(pixels)
-        return Meshes(refined(model, vertices, pixels, refine) if refine else vertices, model.faces)
+        return Meshes(refined(model, vertices, pixels, refine), model.faces)
 
     return predict

@@ -104,15 +104,14 @@ class Training(lightning.LightningModule):
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """The recipe's optimiser; each group of parameters keeps its own rate as "base"."""
         config, network = self.config, self.network
+        learned = [value for value in network.parameters() if value.requires_grad]
         if config.optimiser == "adam":
             # The published code lets the global bias learn ten times more slowly than all else.
             slow = list(network.decoder.global_bias.parameters()) if isinstance(network, MeshNetwork) else []
-            fast = [value for value in network.parameters() if value.requires_grad]
-            fast = [value for value in fast if all(value is not other for other in slow)]
+            fast = [value for value in learned if all(value is not other for other in slow)]
             groups = [{"params": fast, "lr": config.rate, "base": config.rate}]
             groups += [{"params": slow, "lr": config.rate / 10, "base": config.rate / 10}] if slow else []
             return Adam(groups)
-        learned = [value for value in network.parameters() if value.requires_grad]
         matrices = [value for value in learned if value.ndim > 1]
         others = [value for value in learned if value.ndim <= 1]
         groups = [
