@@ -114,3 +114,127 @@ def test_what_does_not_fit(tmp_path):
         mesh = nr.Mesh.icosphere(1)
         (tmp_path / "plain.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
         nr.UVMesh.load(tmp_path / "plain.obj").shade(nr.fragments(mesh, nr.Camera.look_at((0.0, 0.0, 3.0)), 8))
+
+
+def globe(colour, device="cpu"):
+    """A sphere whose corners all look at one image of one colour, and the same with cubes."""
+    vertices, faces = nr.icosphere(2)
+    count, colour = len(faces), torch.tensor(colour)
+    generator = torch.Generator().manual_seed(1)
+    painted = nr.UVMesh(
+        vertices,
+        faces,
+        uv=torch.rand(count, 3, 2, generator=generator),
+        image_index=torch.zeros(count, dtype=torch.int64),
+        images=(colour.expand(8, 8, 3).contiguous(),),
+        colors=torch.zeros(count, 3, 3),
+        wraps=("repeat",),
+    )
+    cubes = nr.Mesh(vertices, faces, colour.expand(count, 2, 2, 2, 3))
+    return painted.to(device), cubes.to(device)
+
+
+@pytest.mark.parametrize("gradient", ["nmr", "edge"])
+def test_render_draws_images_as_it_draws_cubes(device, gradient):
+    """Outlines, light, background, gradients: all that is not the texture itself is the same."""
+    eye = nr.get_points_from_angles(2.7, 20.0, torch.tensor([10.0, 130.0, 250.0])).to(device)
+    target = torch.rand(3, 3, 24, 32, generator=torch.Generator().manual_seed(2)).to(device)
+    found = []
+    for mesh in globe((0.8, 0.4, 0.2), device):
+        vertices = mesh.vertices.detach().clone().requires_grad_()
+        way = torch.tensor([0.3, 0.8, 0.5], device=device, requires_grad=True)
+        textures = None
+        if isinstance(mesh, nr.UVMesh):
+            drawn = dataclasses.replace(mesh, vertices=vertices)
+        else:
+            textures = mesh.textures.detach().clone().requires_grad_()
+            drawn = (vertices, mesh.faces, textures)
+        light = [nr.Light(0.4, 0.5, direction=way), nr.Light(0.0, 0.2)]
+        images = nr.render(
+            drawn, nr.Camera.look_at(eye, viewing_angle=30), (24, 32), light=light, background=(0.1, 0.2, 0.3),
+            gradient=gradient,
+        )  # fmt: skip
+        ((images.rgb - target).square().sum() + images.alpha.sum() + images.depth.sum()).backward()
+        found.append((*images, vertices.grad, way.grad))
+    for one, other in zip(*found, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-4 * float(other.detach().abs().max()))
+
+
+def test_render_reaches_images_and_colours(board):
+    mesh = nr.UVMesh.load(board[0])
+    image, colors = mesh.images[0].clone().requires_grad_(), mesh.colors.clone().requires_grad_()
+    mesh = dataclasses.replace(mesh, images=(image,), colors=colors)
+    camera = nr.Camera.look_at((0.0, 0.0, 3.0), orthographic=True)
+    rgb = nr.render(mesh, camera, 16, light=None, anti_aliasing=False).rgb
+    seen = seen_from_the_front(mesh, 16)
+    assert torch.equal(rgb, seen.composite(mesh.shade(seen)))
+    rgb.sum().backward()
+    assert image.grad.sum() == pytest.approx(3 * int((seen.face_index == 0).sum()))
+    assert colors.grad[1].sum() == pytest.approx(3 * int((seen.face_index == 1).sum()))
+    with pytest.raises(ValueError, match="background: expected"):
+        nr.render(mesh, camera, 16, background=(1.0, 1.0))
+
+
+@pytest.mark.parametrize("name", ["again.obj", "again.glb"])
+def test_a_saved_mesh_is_the_same_again(board, tmp_path, name):
+    if name.endswith("glb"):
+        pytest.importorskip("trimesh")
+    mesh = nr.UVMesh.load(board[0])
+    mesh.save(tmp_path / "new" / name)
+    again = nr.UVMesh.load(tmp_path / "new" / name)
+    assert len(again.images) == 2  # one more for the face that had none
+    assert sum(torch.equal(image, mesh.images[0]) for image in again.images) == 1
+    camera = nr.Camera.look_at((0.0, 0.0, 3.0), orthographic=True)
+    one, other = (nr.render(each, camera, 64, light=None, anti_aliasing=False) for each in (mesh, again))
+    apart = (one.rgb - other.rgb).abs().amax(1) > 0.002  # colours are in steps of 1 / 255
+    assert apart.sum() <= 64  # the diagonal, where the face of lower index is seen: files may change their order
+    assert torch.equal(one.alpha, other.alpha)
+
+
+def test_a_corner_keeps_several_places_on_an_image(tmp_path):
+    """As at a seam: an OBJ file's corners refer to them, a GLB file repeats the vertex."""
+    pytest.importorskip("trimesh")
+    mesh, _ = globe((0.5, 0.5, 0.5))
+    mesh = dataclasses.replace(mesh, images=(torch.rand(16, 16, 3).mul(255).round() / 255,))
+    mesh.save(tmp_path / "ball.obj")
+    again = nr.UVMesh.load(tmp_path / "ball.obj")
+    assert torch.equal(again.vertices, mesh.vertices) and torch.equal(again.faces, mesh.faces)
+    torch.testing.assert_close(again.uv, mesh.uv, rtol=0, atol=1e-7)
+    mesh.save(tmp_path / "ball.glb")
+    corners = nr.UVMesh.load(tmp_path / "ball.glb")
+    assert len(corners.vertices) == 3 * len(mesh.faces)  # all differ here
+    torch.testing.assert_close(corners.vertices[corners.faces.long()], mesh.vertices[mesh.faces.long()])
+    torch.testing.assert_close(corners.uv, mesh.uv, rtol=0, atol=1e-6)
+
+
+def test_resized_images_lie_where_they_lay(board):
+    path, picture = board
+    mesh = nr.UVMesh.load(path).resized(4)
+    below = mesh.images[0][2, 2]  # well inside of its face
+    torch.testing.assert_close(below, picture[:, 7:13, 7:13].mean((1, 2)), rtol=0, atol=0.2)
+    assert mesh.images[0].shape == (4, 4, 3) and torch.equal(mesh.resized(9).uv, mesh.uv)
+
+
+def test_texels_that_are_not_known_take_the_colours_around():
+    quad = torch.tensor([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    uv = quad[torch.tensor([[0, 1, 2], [0, 2, 3]])]
+    texture = torch.full((16, 16, 3), 0.25)
+    texture[4:9, 5:11] = 1.0
+    known = texture[..., 0] < 1
+    torch.testing.assert_close(nr.fill_gutters(texture, uv, known), torch.full((16, 16, 3), 0.25))
+    assert torch.equal(nr.fill_gutters(texture, uv, torch.zeros_like(known)), texture)  # nothing to begin from
+
+
+def test_what_cannot_be_saved(board, tmp_path):
+    mesh = nr.UVMesh.load(board[0])
+    wrong = {
+        "path: expected a name that ends in .obj or .glb": ("mesh.ply", {}),
+        "image_index: expected one of 1 images": ("mesh.obj", {"image_index": torch.tensor([0, 1])}),
+        "uv: expected shape": ("mesh.obj", {"uv": mesh.uv[:1]}),
+        "images: expected": ("mesh.obj", {"images": (torch.full((2, 2, 3), torch.nan),)}),
+    }
+    for sentence, (name, change) in wrong.items():
+        with pytest.raises(ValueError, match=sentence):
+            dataclasses.replace(mesh, **change).save(tmp_path / name)
+    with pytest.raises(ValueError, match="known: expected bool"):
+        nr.fill_gutters(torch.zeros(4, 4, 3), mesh.uv, torch.zeros(4, 4))

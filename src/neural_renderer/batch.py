@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -41,6 +42,22 @@ def join(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]:
     firsts = itertools.accumulate((len(mesh.vertices) for mesh in meshes[:-1]), initial=0)
     faces = torch.cat([mesh.faces + first for mesh, first in zip(meshes, firsts, strict=True)])
     return torch.cat([mesh.vertices for mesh in meshes]), faces, torch.cat([mesh.textures for mesh in meshes])
+
+
+def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
+    """(vertices, faces, textures or None) of a `Mesh`, a list of them, or a tuple; TypeError for anything else."""
+    if isinstance(mesh, Mesh):
+        return mesh.vertices, mesh.faces, mesh.textures
+    if isinstance(mesh, list):
+        return batch(mesh)
+    if isinstance(getattr(mesh, "vertices", None), Tensor) and isinstance(getattr(mesh, "faces", None), Tensor):
+        return mesh.vertices, mesh.faces, None
+    if isinstance(mesh, tuple) and len(mesh) in (2, 3):
+        return mesh[0], mesh[1], mesh[2] if len(mesh) == 3 else None
+    raise TypeError(
+        f"mesh: expected a Mesh, a list of them, (vertices, faces) or (vertices, faces, textures), "
+        f"got {type(mesh).__name__}"
+    )
 
 
 def _check(meshes: Sequence[Mesh]) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from . import validate
+from .batch import mesh_parts
 from .camera import Camera
 from .mesh import Mesh
 from .raster.barycentrics import barycentrics
@@ -16,7 +17,9 @@ from .raster.downsample import halve
 from .raster.interpolate import interpolate
 from .raster.rasterize import behind_image, checked_faces, vertices_to_faces
 from .raster.settings import Settings
-from .render import mesh_parts
+
+if TYPE_CHECKING:
+    from .uvmesh import UVMesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +101,7 @@ class Fragments:
 
 
 def fragments(
-    mesh: Mesh | tuple[Tensor, Tensor],
+    mesh: Mesh | UVMesh | tuple[Tensor, Tensor],
     camera: Camera,
     size: int | tuple[int, int] = 256,
     *,
@@ -111,8 +114,8 @@ def fragments(
 ) -> Fragments:
     """What every camera of a batch sees of a mesh, to be shaded by any torch code.
 
-    mesh: a `Mesh`, or (vertices, faces) with vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or [B, F, 3]
-        integer.
+    mesh: a `Mesh`, a `UVMesh`, or (vertices, faces) with vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or
+        [B, F, 3] integer.
     camera, size, near, far, anti_aliasing, two_sided, gradient, eps: as in `render`.
 
     Raises TypeError or ValueError with a sentence for anything that does not fit.

@@ -3,33 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
 
 from . import validate
-from .batch import batch
+from .batch import mesh_parts
 from .camera import Camera
+from .fragments import Fragments, fragments
 from .lighting import Light
 from .mesh import Mesh
 from .raster.rasterize import (
     OUTPUTS,
     Images,
+    behind_image,
     checked_faces,
     checked_outputs,
+    finish_images,
     rasterize_images,
     vertices_to_faces,
     world_corners,
 )
 from .raster.settings import image_size
+from .raster.textures import sample_textures
 from .spherical_harmonics import SphericalHarmonicLight
+from .uvmesh import UVMesh
 
 AnyLight: TypeAlias = Light | SphericalHarmonicLight
 
 
 def render(
-    mesh: Mesh | list[Mesh] | tuple[Tensor, ...],
+    mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
     camera: Camera,
     size: int | tuple[int, int] = 256,
     *,
@@ -45,16 +51,16 @@ def render(
 ) -> Images:
     """Render a mesh from every camera of a batch, differentiably.
 
-    mesh: a `Mesh`; a list of them, of any sizes, one for each image (see `batch`); or (vertices, faces) or (vertices,
-        faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces [F, 3] or [B, F, 3] integer, textures
-        [F, T, T, T, 3] or [B, F, T, T, T, 3] floating with T >= 2.
+    mesh: a `Mesh`; a list of them, of any sizes, one for each image (see `batch`); a `UVMesh`, whose images are sampled
+        at every pixel drawn; or (vertices, faces) or (vertices, faces, textures) with vertices [V, 3] or [B, V, 3]
+        floating, faces [F, 3] or [B, F, 3] integer, textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating, T >= 2.
     camera: one camera, or B of them. One mesh is drawn from all cameras, and one camera sees all meshes.
     size: the images' side or (height, width), in pixels; they need not be square, and pixels stay square.
     light: a `Light`, a `SphericalHarmonicLight`, or a list of them, which add up; None draws the textures as they are.
     background, outputs, near, far, anti_aliasing, two_sided, gradient, eps: as in `rasterize_images`.
 
     Returns Images(rgb [B, 3, H, W], alpha [B, H, W], depth [B, H, W]) float32, row 0 at the top; None for what was not
-    asked for. Gradients reach vertices, textures, the camera's and the light's parameters, and the background.
+    asked for. Gradients reach vertices, textures or images, the camera's and the light's parameters and the background.
     Raises TypeError or ValueError with a sentence for anything that does not fit.
 
     >>> mesh = Mesh.icosphere()
@@ -72,6 +78,22 @@ def render(
     screen = validate.in_float32("vertices on the screen", camera(vertices, aspect=width / height))
     checked_faces(faces)
     factors = None
+    if lights and "rgb" in outputs:
+        corners = world_corners(vertices, faces, len(screen))
+        factors = torch.stack([one.two_sided(corners, camera.mirrored) for one in lights]).sum(0)
+    if isinstance(mesh, UVMesh) and "rgb" in outputs:
+        seen = fragments(
+            mesh,
+            camera,
+            size,
+            near=near,
+            far=far,
+            anti_aliasing=anti_aliasing,
+            two_sided=two_sided,
+            gradient=gradient,
+            eps=eps,
+        )
+        return _sampled(mesh, seen, factors, background, outputs)
     if "rgb" not in outputs:
         textures = None
     elif textures is None:
@@ -80,9 +102,6 @@ def render(
         owners = ("F",) if getattr(textures, "ndim", 6) == 5 else ("B", "F")
         textures = validate.cubes("textures", textures, *owners)
         textures = textures if textures.dim() == 6 else textures[None]
-        if lights:
-            corners = world_corners(vertices, faces, len(screen))
-            factors = torch.stack([one.two_sided(corners, camera.mirrored) for one in lights]).sum(0)
     return rasterize_images(
         vertices_to_faces(screen, faces),
         (height, width),
@@ -100,6 +119,25 @@ def render(
     )
 
 
+def _sampled(
+    mesh: UVMesh, seen: Fragments, factors: Tensor | None, background: Any, outputs: Collection[str]
+) -> Images:
+    """Images of a mesh whose colours are images; factors: of the light, as `rasterize_images` takes them."""
+    settings, corners, face_index = seen.settings, seen.corners, seen.face_index
+    if settings.gradient == "nmr":  # which knows nothing of what moves inside of faces
+        seen = replace(seen, weights=seen.weights.detach())
+    behind = behind_image(background, len(face_index), 3, settings, face_index.device)
+    color = mesh.shade(seen).movedim(3, 1)
+    if factors is not None:
+        white = torch.ones((1, len(mesh.faces), 2, 2, 2, 3), device=face_index.device)
+        still = corners.detach(), face_index, seen.weights.detach()
+        color = color * sample_textures(
+            white, factors, torch.zeros_like(color), *still, settings.eps, settings.perspective
+        )
+    layers = {"rgb": torch.where(seen.mask[:, None], color, behind)}
+    return finish_images(layers, seen.depth, corners, face_index, settings, outputs)
+
+
 def _checked_lights(light: Any) -> list[AnyLight]:
     lights = list(light) if isinstance(light, (list, tuple)) else [] if light is None else [light]
     for one in lights:
@@ -108,19 +146,3 @@ def _checked_lights(light: Any) -> list[AnyLight]:
     if light is not None and not lights:
         raise ValueError("light: expected at least one, got an empty list; None draws the textures as they are")
     return lights
-
-
-def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
-    """(vertices, faces, textures or None) of a `Mesh`, a list of them, or a tuple; TypeError for anything else."""
-    if isinstance(mesh, Mesh):
-        return mesh.vertices, mesh.faces, mesh.textures
-    if isinstance(mesh, list):
-        return batch(mesh)
-    if isinstance(getattr(mesh, "vertices", None), Tensor) and isinstance(getattr(mesh, "faces", None), Tensor):
-        return mesh.vertices, mesh.faces, None
-    if isinstance(mesh, tuple) and len(mesh) in (2, 3):
-        return mesh[0], mesh[1], mesh[2] if len(mesh) == 3 else None
-    raise TypeError(
-        f"mesh: expected a Mesh, a list of them, (vertices, faces) or (vertices, faces, textures), "
-        f"got {type(mesh).__name__}"
-    )

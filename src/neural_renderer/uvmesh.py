@@ -13,6 +13,7 @@ from torch.nn import functional
 from . import validate
 from .fragments import Fragments
 from .io.formats import read_mesh
+from .io.painted import save_painted
 from .io.skin import Skin
 from .raster.rasterize import rasterize_images
 from .uv import sample_texture
@@ -22,7 +23,8 @@ from .uv import sample_texture
 class UVMesh:
     """A mesh with images as its albedo, to be sampled at every pixel and not baked into cubes.
 
-    Replace a tensor by one that asks for gradients (``dataclasses.replace``) to fit it.
+    `render` and `fragments` draw it. Replace a tensor by one that asks for gradients (``dataclasses.replace``) to fit
+    it.
 
     Attributes:
         vertices: [V, 3] float32. faces: [F, 3] int32.
@@ -67,6 +69,35 @@ class UVMesh:
             wraps=tuple("repeat" if wrapping == "REPEAT" else "clamp" for wrapping in skin.wrapping),
         )
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the mesh as OBJ, its materials and pictures beside it, or as GLB; colours are clamped to [0, 1].
+
+        The faces of each image come together; those without one get one together, with a tile for each. Raises
+        TypeError or ValueError for another suffix, NaN, and tensors that do not fit together.
+        """
+        count = len(self.faces)
+        validate.floating("uv", self.uv, (count, 3, 2))
+        validate.floating("colors", self.colors, (count, 3, 3))
+        validate.indices("image_index", self.image_index, (count,))
+        for name, value in {"uv": self.uv, "colors": self.colors}.items():
+            validate.finite(name, value, always=True)
+        for image in self.images:
+            validate.floating("images", image, ("H", "W", 3))
+            validate.finite("images", image, always=True)
+        if len(self.image_index) and not -1 <= self.image_index.min() <= self.image_index.max() < len(self.images):
+            raise ValueError(
+                f"image_index: expected one of {len(self.images)} images or -1, got "
+                f"{int(self.image_index.min())} to {int(self.image_index.max())}"
+            )
+        skin = Skin(
+            self.colors.detach().cpu().numpy(),
+            self.image_index.cpu().numpy(),
+            self.uv.detach().double().cpu().numpy(),
+            [image.detach().cpu().numpy() for image in self.images],
+            ["REPEAT" if wrap == "repeat" else "CLAMP_TO_EDGE" for wrap in self.wraps],
+        )
+        save_painted(path, self.vertices, self.faces, skin)
+
     def shade(self, seen: Fragments) -> Tensor:
         """The albedo [B, H, W, 3] float32 of what is seen of this mesh, each image filtered by its mipmaps.
 
@@ -76,14 +107,24 @@ class UVMesh:
         """
         count = len(self.uv)
         corners = torch.arange(3 * count, device=self.uv.device).view(count, 3)
-        albedo = seen.interpolate(self.colors.reshape(-1, 3), corners)
+        plain = self.image_index < 0
+        parts = []  # each 0 where another one is seen
+        if not self.images or bool(plain.any()):
+            parts.append(seen.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
         if self.images:
             uv = seen.interpolate(self.uv.reshape(-1, 2), corners)
-            shown = self.image_index[seen.face_index.clamp(min=0).long()]
+            shown = self.image_index[seen.face_index.clamp(min=0).long()] if len(self.images) > 1 or parts else None
             for number, (image, wrap) in enumerate(zip(self.images, self.wraps, strict=True)):
-                own = torch.where(shown == number, seen.face_index, -1)
-                albedo = torch.where((own >= 0)[..., None], sample_texture(image, uv, own, wrap=wrap), albedo)
-        return albedo
+                own = seen.face_index if shown is None else torch.where(shown == number, seen.face_index, -1)
+                parts.append(sample_texture(image, uv, own, wrap=wrap))
+        return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
+
+    def resized(self, side: int) -> UVMesh:
+        """The same with all images of ``side`` x ``side`` pixels, filtered; where they lie on the mesh stays."""
+        size = (validate.whole("side", side, 1),) * 2
+        images = [image.movedim(2, 0)[None] for image in self.images]
+        resized = [functional.interpolate(image, size, mode="bilinear", antialias=True) for image in images]
+        return replace(self, images=tuple(image[0].movedim(0, 2).contiguous() for image in resized))
 
     def to(self, device: torch.device | str) -> UVMesh:
         """The same with all tensors on ``device``."""
@@ -96,10 +137,12 @@ class UVMesh:
         return replace(self, **{part.name: moved(getattr(self, part.name)) for part in fields(self)})
 
 
-def fill_gutters(texture: Tensor, uv: Tensor) -> Tensor:
+def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None) -> Tensor:
     """The texture with every texel that no face shows replaced by a blend of those around it.
 
     texture: [h, w, C] floating. uv: [F, 3, 2] floating, the faces' corners on it, v up; beyond [0, 1] it repeats.
+    known: [h, w] bool, where the texture has a colour: others are replaced too; None: everywhere. With no texel left to
+        begin from, nothing is replaced.
 
     Mipmaps average over the borders of charts: with the gaps between them black, thin dark lines follow every seam.
     The gaps are filled from coarser and coarser means of what is shown, each over its own part alone, as in the
@@ -108,6 +151,10 @@ def fill_gutters(texture: Tensor, uv: Tensor) -> Tensor:
     """
     validate.floating("texture", texture, ("h", "w", "C"))
     validate.floating("uv", uv, ("F", 3, 2))
+    if known is not None and (known.shape != texture.shape[:2] or known.dtype != torch.bool):
+        raise ValueError(
+            f"known: expected bool {list(texture.shape[:2])} like the texture, got {validate.shape_of(known)}"
+        )
     height, width = texture.shape[:2]
     with torch.no_grad():
         flat = uv.float() - uv.float().amin(1, keepdim=True).floor()
@@ -118,6 +165,10 @@ def fill_gutters(texture: Tensor, uv: Tensor) -> Tensor:
             corners, (height, width), outputs=("alpha",), perspective=False, anti_aliasing=False, near=0.5, far=2.0
         ).alpha
         shown = drawn[:, None]  # type: ignore[index]
+        if known is not None:
+            shown = shown * known
+        if not shown.any():
+            return texture.float()
     return _pull_push(texture.float().permute(2, 0, 1)[None], shown)[0].permute(1, 2, 0).contiguous()
 
 

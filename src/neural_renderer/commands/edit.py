@@ -17,8 +17,10 @@ from ..io import load_mesh, save_image
 from ..mesh import Mesh
 from ..tasks.curve import curve
 from ..tasks.editing import DreamWeights, MeshEdit, StyleWeights, Views
-from ..tasks.editing.edit import Objective, check_memory
+from ..tasks.editing.edit import Objective
+from ..tasks.editing.paint import check_cubes
 from ..tasks.editing.results import preview, six_views, turntable
+from ..uvmesh import UVMesh
 from ..version import __version__
 from .common import checked_count, chosen_device
 from .run import Run, fingerprint
@@ -78,6 +80,9 @@ class Edit:
     or with grey in any case (random). By default the preset's."""
     texture_size: int = 4
     """Texels along the edge of a face's texture (at least 3, or 2 if not seamless); more for meshes of few faces."""
+    uv: int | None = None
+    """Paint where the file's own texture coordinates lead to, on images of so many pixels a side (at least 16): for
+    meshes of few, large faces. By default faces get texels of their own, and the mesh new texture coordinates."""
     seamless: bool | None = None
     """Faces share the texels on their edges, so that no seam can appear; otherwise each face has its own. By
     default the preset's."""
@@ -117,13 +122,21 @@ class Edit:
         limits = {"batch": 1, "size": 32, "texture_size": 2, "preview": 1, "turntable": 0, "seed": 0}
         for name, least in limits.items():
             checked_count(name, getattr(self, name), least)
-        if self.iterations is not None:
-            checked_count("iterations", self.iterations, 1)
+        for name, least in {"iterations": 1, "uv": 16}.items():
+            if getattr(self, name) is not None:
+                checked_count(name, getattr(self, name), least)
 
-    def loaded(self) -> tuple[Mesh, bool]:
+    def loaded(self) -> tuple[Mesh | UVMesh, bool]:
         """The mesh and whether it has colours of its own."""
+        if self.uv is not None:
+            painted = UVMesh.load(self.mesh)
+            if not painted.images:
+                raise ValueError(
+                    f"--uv: expected a mesh with texture coordinates and an image, got {self.mesh}, which has none"
+                )
+            return painted.resized(self.uv).to(chosen_device(self.device)), True
         vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
-        check_memory(len(faces), self.texture_size)
+        check_cubes(len(faces), self.texture_size)
         white = torch.ones(len(faces), *(self.texture_size,) * 3, 3)
         mesh = Mesh(vertices, faces, white if textures is None else textures)
         return mesh.to(chosen_device(self.device)), textures is not None
@@ -140,7 +153,7 @@ class Edit:
 
     def edited(
         self,
-        mesh: Mesh,
+        mesh: Mesh | UVMesh,
         coloured: bool,
         objective: Objective,
         preset: Preset,
@@ -186,12 +199,12 @@ class Edit:
         self._report(edit, run, finished, mesh, settings)
         return 0 if finished else 130
 
-    def _report(self, edit: MeshEdit, run: Run, finished: bool, mesh: Mesh, settings: dict[str, Any]) -> None:
+    def _report(self, edit: MeshEdit, run: Run, finished: bool, mesh: Mesh | UVMesh, settings: dict[str, Any]) -> None:
         """Write ``report.json`` and say the most important of it."""
         after, moved = edit.measure(), edit.moved()
         share = {name: round(part / max(sum(edit.seconds.values()), 1e-9), 4) for name, part in edit.seconds.items()}
         report = {"version": __version__, "finished": finished, "steps": edit.step}
-        report |= {"vertices": mesh.num_vertices, "faces": mesh.num_faces, "settings": settings}
+        report |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces), "settings": settings}
         report |= {"held_out": {"before": edit.before, "after": after}, "moved": moved}
         report |= {"seconds": round(run.seconds, 1), "share_of_time": share, "history": run.history}
         (self.output / "report.json").write_text(json.dumps(report, indent=1, default=str) + "\n", encoding="utf-8")

@@ -18,6 +18,7 @@ from ..camera import Camera, get_points_from_angles
 from ..mesh import Mesh
 from ..normals import vertex_normals
 from ..render import render
+from ..uvmesh import UVMesh
 
 _BACKDROP = (0.94, 0.945, 0.955), (0.80, 0.82, 0.85)  # at the top and at the bottom
 _FADE = 0.12  # of a picture's sides, in which shadows end
@@ -32,7 +33,7 @@ def corner_cubes(values: Tensor, faces: Tensor) -> Tensor:
 
 @torch.no_grad()
 def photograph(
-    mesh: Mesh,
+    mesh: Mesh | UVMesh,
     azimuth: float,
     elevation: float = 12.0,
     size: int | tuple[int, int] = 320,
@@ -70,7 +71,7 @@ def photograph(
     return (shaded + backdrop * (1 - alpha)).clamp(0, 1)
 
 
-def lowest(mesh: Mesh) -> float:
+def lowest(mesh: Mesh | UVMesh) -> float:
     """The height of the lowest vertex."""
     return mesh.vertices.detach()[:, 1].min().item()
 
@@ -84,7 +85,7 @@ def _backdrop(size: tuple[int, int]) -> Tensor:
     return (top + (bottom - top) * torch.linspace(0, 1, size[0])[:, None]).expand(3, *size)
 
 
-def _shadow(mesh: Mesh, camera: Camera, lamp: Tensor, ground: float, size: tuple[int, int]) -> Tensor:
+def _shadow(mesh: Mesh | UVMesh, camera: Camera, lamp: Tensor, ground: float, size: tuple[int, int]) -> Tensor:
     """How much of the ground is in shadow at each pixel [H, W]: the mesh pressed flat along the light, then blurred.
 
     Towards the picture's border it fades, or it would end there in a line beside the next picture of a sheet.

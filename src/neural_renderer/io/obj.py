@@ -163,14 +163,14 @@ def save_obj(filename: str | os.PathLike[str], vertices: Any, faces: Any, textur
         height, width = picture.shape[:2]
         uv = pixels / [width - 1, height - 1] * [1, -1] + [0, 1]
         text.append(f"mtllib {path.stem}.mtl\n\n")
-    text.append(_lines("v %.9g %.9g %.9g\n", points))
+    text.append(format_lines("v %.9g %.9g %.9g\n", points))
     if cubes is None:
-        text.append("\n" + _lines("f %d %d %d\n", corners + 1))
+        text.append("\n" + format_lines("f %d %d %d\n", corners + 1))
     else:
-        text.append("\n" + _lines("vt %.8f %.8f\n", uv.reshape(-1, 2)))
+        text.append("\n" + format_lines("vt %.8f %.8f\n", uv.reshape(-1, 2)))
         order = np.arange(3 * len(corners)).reshape(-1, 3)
         text.append("\nusemtl material_1\n")
-        text.append(_lines("f %d/%d %d/%d %d/%d\n", np.stack([corners, order], axis=2).reshape(-1, 6) + 1))
+        text.append(format_lines("f %d/%d %d/%d %d/%d\n", np.stack([corners, order], axis=2).reshape(-1, 6) + 1))
     path.parent.mkdir(parents=True, exist_ok=True)
     if cubes is not None:
         Image.fromarray(picture).save(path.with_suffix(".png"))
@@ -179,5 +179,5 @@ def save_obj(filename: str | os.PathLike[str], vertices: Any, faces: Any, textur
     path.write_text("".join(text), encoding="utf-8")
 
 
-def _lines(form: str, rows: np.ndarray) -> str:
+def format_lines(form: str, rows: np.ndarray) -> str:
     return (form * len(rows)) % tuple(rows.reshape(-1).tolist())

@@ -118,6 +118,23 @@ def rasterize_images(
             layers["rgb"] = sample_textures(
                 cubes, factors, behind, still, face_index, weights, settings.eps, perspective
             )
+    return finish_images(layers, depth, corners, face_index, settings, outputs)
+
+
+def finish_images(
+    layers: dict[str, Tensor],
+    depth: Tensor | None,
+    corners: Tensor,
+    face_index: Tensor,
+    settings: Settings,
+    outputs: Collection[str],
+) -> Images:
+    """Images of the ``outputs`` from what is drawn: through visibility, and averaged if they are anti-aliased.
+
+    layers: "rgb", [B, 3, H, W] with the background, if it is among the outputs. depth: [B, H, W], likewise. corners,
+        face_index: [B, F, 3, 3] and [B, H, W], which faces were drawn and which of them is seen.
+    """
+    whole = settings.gradient == "edge"
     if "alpha" in outputs:
         layers["alpha"] = silhouette(face_index)
     if "depth" in outputs and whole:
@@ -126,7 +143,7 @@ def rasterize_images(
     if layers:
         image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
         image = settings.through_visibility(image, corners, face_index, "rgb" in outputs, "rgb" not in outputs)
-        if anti_aliasing:
+        if settings.anti_aliasing:
             image = halve(image)
         # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied.
         if len(layers) > 1:
@@ -140,7 +157,7 @@ def rasterize_images(
         depth = layers["depth"].squeeze(1)
     elif "depth" not in outputs:
         depth = None
-    elif anti_aliasing and depth is not None:
+    elif settings.anti_aliasing and depth is not None:
         depth = halve(depth[:, None])[:, 0]
     return Images(rgb, alpha, depth)
 

@@ -74,6 +74,26 @@ def test_style_writes_its_results(files: dict[str, str], capsys: pytest.CaptureF
         assert (mesh.vertices.amin(0) - 2).abs().max() < 0.2 and (mesh.vertices.amax(0) - 8).abs().max() < 0.2
 
 
+def test_style_in_the_texture_coordinates_of_the_file(
+    files: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert style(files, "--uv", "24") == 1
+    assert "--uv: expected a mesh with texture coordinates and an image, got " in capsys.readouterr().err
+    assert style(files, "--uv", "8") == 1
+    assert "--uv: expected at least 16, got 8" in capsys.readouterr().err
+    square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3 4/4\n"
+    (tmp_path / "square.obj").write_text("mtllib square.mtl\n" + square)
+    (tmp_path / "square.mtl").write_text("newmtl a\nmap_Kd painting.png\n")
+    assert style(files, "--uv", "24", mesh=str(tmp_path / "square.obj")) == 0
+    for name in FILES:
+        assert (Path(files["out"]) / name).stat().st_size > 50, name
+    before = nr.UVMesh.load(tmp_path / "square.obj")
+    for name in ("mesh.obj", "mesh.glb"):
+        mesh = nr.UVMesh.load(Path(files["out"]) / name)
+        assert mesh.images[0].shape == (24, 24, 3) and len(mesh.vertices) == 4
+        torch.testing.assert_close(mesh.uv, before.uv)
+
+
 def test_dream_writes_its_results(files: dict[str, str]) -> None:
     arguments = ["dream", files["mesh"], "-o", files["out"], "--weights", files["weights"], "--layer", "conv3_1"]
     assert cli.main([*arguments, "--iterations", "3", "--channel", "2", *SMALL]) == 0
@@ -167,7 +187,7 @@ def test_what_is_refused(
     Image.new("RGBA", (40, 40)).save(tmp_path / "nothing.png")
     Image.new("RGB", (4, 4)).save(tmp_path / "tiny.png")
     (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr("neural_renderer.tasks.editing.edit._MOST_BYTES", 2**20)
+    monkeypatch.setattr("neural_renderer.tasks.editing.paint._MOST_BYTES", 2**20)
     for options, other, sentence in (
         ([], {"mesh": str(tmp_path / "points.obj")}, "points.obj: expected faces"),
         ([], {"mesh": str(tmp_path / "none.obj")}, "none.obj: expected a file"),

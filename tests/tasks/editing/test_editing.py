@@ -224,22 +224,21 @@ def test_same_seed_same_result_and_going_on(network: FeatureNetwork) -> None:
     assert second.step == 3 and second.before == whole.before
     while not second.done:
         second.advance()
-    for one, other in zip(whole.shape, second.shape, strict=True):
-        assert torch.equal(one, other)
+    for part in ("vertices", "colours"):
+        assert torch.equal(whole.state_dict()[part], second.state_dict()[part])
     other = style_edit(network, steps=6, seed=5)
     while not other.done:
         other.advance()
-    assert not torch.equal(whole.shape[0], other.shape[0])
+    assert not torch.equal(whole.mesh().vertices, other.mesh().vertices)
 
 
 def test_rates_of_zero_leave_alone(network: FeatureNetwork) -> None:
-    edit = style_edit(network, steps=2, vertex_rate=0.0)
-    start = edit.shape
-    edit.advance()
-    assert torch.equal(edit.shape[0], start[0]) and not torch.equal(edit.shape[2], start[2])
-    edit = style_edit(network, steps=2, texture_rate=0.0)
-    edit.advance()
-    assert not torch.equal(edit.shape[0], start[0]) and torch.equal(edit.shape[2], start[2])
+    for rate, still, moving in (("vertex_rate", "vertices", "colours"), ("texture_rate", "colours", "vertices")):
+        edit = style_edit(network, steps=2, **{rate: 0.0})
+        start = {name: edit.state_dict()[name].clone() for name in (still, moving)}
+        edit.advance()
+        assert torch.equal(edit.state_dict()[still], start[still])
+        assert not torch.equal(edit.state_dict()[moving], start[moving])
 
 
 def test_the_mesh_comes_back_where_it_was_with_its_colours(network: FeatureNetwork) -> None:
@@ -291,9 +290,55 @@ def test_texels_that_no_view_shows_take_on_the_colours_around(network: FeatureNe
         edit.advance()
     low = ball().vertices[ball().faces.long()][..., 1].amax(1) < -0.9
     assert low.any()
-    raw, filled = edit.shape[2][low], edit.mesh().textures[low]
-    torch.testing.assert_close(raw, torch.full_like(raw, 0.05))
-    assert (filled - raw).mean() > 0.02
+    assert (edit.state_dict()["colours"].sigmoid() < 0.0501).all(1).any()  # where ball() began, and still is
+    assert (edit.mesh().textures[low] - 0.05).mean() > 0.02
+
+
+def unfolded(colour: float) -> nr.UVMesh:
+    """The ball with an image for its upper half, by longitude and height, and grey corners below."""
+    mesh = ball()
+    vertices, faces = mesh.vertices.detach(), mesh.faces
+    corners = vertices[faces.long()]
+    angle = torch.atan2(corners[..., 2], corners[..., 0]) / torch.pi / 2 + 0.5
+    angle = torch.where(angle < angle.amax(1, keepdim=True) - 0.5, angle + 1, angle)
+    return nr.UVMesh(
+        vertices,
+        faces,
+        uv=torch.stack((angle, corners[..., 1] / 2 + 0.5), 2),
+        image_index=torch.where(corners[..., 1].mean(1) > 0, 0, -1),
+        images=(torch.full((24, 48, 3), colour),),
+        colors=torch.full((len(faces), 3, 3), colour),
+        wraps=("repeat",),
+    )
+
+
+def test_images_are_painted_where_a_mesh_has_some(network: FeatureNetwork) -> None:
+    mesh = unfolded(0.1)
+    views = Views((-10.0, 30.0))
+    edit = MeshEdit(
+        mesh, Style(network, painting(), 48), views, steps=60, size=48, batch=2, texture_rate=0.2, settle=0.0
+    )
+    start = edit.mesh()
+    assert isinstance(start, nr.UVMesh)
+    torch.testing.assert_close(start.images[0], mesh.images[0])
+    torch.testing.assert_close(start.vertices, mesh.vertices)
+    while not edit.done:
+        edit.advance()
+    assert edit.measure() < 0.35 * edit.before
+    found = edit.mesh()
+    assert isinstance(found, nr.UVMesh) and torch.equal(found.uv, mesh.uv)
+    expected = painting().mean((1, 2))
+    assert (found.images[0].mean((0, 1)) - expected).abs().max() < 0.15  # all of it, what no face shows too
+    upper = mesh.image_index == 0
+    colours = found.colors[~upper]
+    assert torch.equal(found.colors[upper], mesh.colors[upper]) and (colours > 0.12).any()
+    place = found.vertices[found.faces.long()][~upper].reshape(-1, 3)
+    _, same = torch.unique(place, dim=0, return_inverse=True)
+    first = torch.stack(
+        [colours.reshape(-1, 3)[same == vertex].std(0, False).max() for vertex in range(same.max() + 1)]
+    )
+    assert first.max() < 1e-6  # a vertex has one colour
+    assert torch.equal(mesh.images[0], torch.full((24, 48, 3), 0.1))  # the caller's
 
 
 def test_dream_grows(network: FeatureNetwork) -> None:

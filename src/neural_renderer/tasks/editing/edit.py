@@ -16,12 +16,12 @@ from ...optim import Adam
 from ...raster import Images
 from ...render import render
 from ...topology import Topology
+from ...uvmesh import UVMesh
 from ..seeds import generator
-from ..texels import Texels
 from .deformation import Deformation
+from .paint import FacePaint, ImagePaint, Paint
 from .views import Views
 
-_MOST_BYTES = 2 * 2**30  # of cubes; gradients, Adam's means and temporary copies are several times that
 _DARKEST, _SELDOM, _HELD_OUT = 0.05, 0.05, 8  # nearer to black or white the sigmoid hardly moves
 
 
@@ -52,7 +52,8 @@ class MeshEdit:
     the sigmoid of what is optimised, and begin between 0.05 and 0.95.
 
     Args:
-        mesh: the mesh, with colours to begin with.
+        mesh: the mesh, with colours to begin with. Of a `UVMesh` the images are painted, each in its own size; of a
+            `Mesh` the faces.
         objective: on its images.
         views: where it is looked at from, and in which light.
         steps: how many there are, at least 1.
@@ -62,8 +63,8 @@ class MeshEdit:
         settle: the part of the steps, in [0, 1], at the end of which both rates have fallen to 0; 0 keeps them.
         start: "mesh", its own colours; "plain", the objective's colour with a little noise, for meshes without colours;
             or "random", grey with a little noise.
-        texture_size: T, texels along the edge of a face's cube, at least 2, or 3 if seamless.
-        seamless: faces share the texels on their edges; False: each face has its own, as published.
+        texture_size: T, texels along the edge of a face's cube, at least 2, or 3 if seamless; not for a `UVMesh`.
+        seamless: faces share the texels on their edges; False: each face has its own, as published; not for a `UVMesh`.
         gradient: the renderer's, through visibility.
         seed: of the views and of random colours.
 
@@ -72,7 +73,7 @@ class MeshEdit:
 
     def __init__(
         self,
-        mesh: Mesh,
+        mesh: Mesh | UVMesh,
         objective: Objective,
         views: Views = Views(),  # noqa: B008 (immutable)
         *,
@@ -93,12 +94,10 @@ class MeshEdit:
         self.phase = objective.name
         self._objective, self._gradient, self._seed = objective, gradient, validate.whole("seed", seed, 0)
         self._views = views
-        self._faces = mesh.faces.detach()
         texture_size = validate.whole("texture_size", texture_size, 2)
-        check_memory(len(self._faces), texture_size)
 
         points, self._vertex = torch.unique(mesh.vertices.detach(), dim=0, return_inverse=True)
-        corners = self._vertex[self._faces.long()]
+        corners = self._vertex[mesh.faces.long()]
         shown = points[corners]  # vertices of no face have no part in where the mesh is and how large
         low, high = shown.amin((0, 1)), shown.amax((0, 1))
         self._centre, self._scale = (low + high) / 2, float((high - low).max()) / 2
@@ -108,8 +107,12 @@ class MeshEdit:
         self._vertices = self._start.clone().requires_grad_()
         self._topology = Topology.of(corners)
 
-        self._texels = (Texels.shared if seamless else Texels.free)(corners, texture_size)
-        colours = self._begun(mesh, start, texture_size)
+        self._paint: Paint
+        if isinstance(mesh, UVMesh):
+            self._paint = ImagePaint(mesh, corners)
+        else:
+            self._paint = FacePaint(mesh, corners, texture_size, seamless)
+        colours = self._begun(start, mesh.vertices.device)
         self._colours = torch.logit(colours.clamp(_DARKEST, 1 - _DARKEST)).requires_grad_()
         rates = {"vertex_rate": vertex_rate, "texture_rate": texture_rate}
         self._rates = [validate.not_negative(name, rate) for name, rate in rates.items()]
@@ -118,7 +121,7 @@ class MeshEdit:
         self._settle = validate.number("settle", settle)
         if not 0 <= self._settle <= 1:
             raise ValueError(f"settle: expected a part in [0, 1], got {settle}")
-        self._seen = torch.zeros(self._texels.count, dtype=torch.int32, device=self._colours.device)
+        self._seen = torch.zeros(self._paint.count, dtype=torch.int32, device=self._colours.device)
         self.seconds = {"renderer": 0.0, "network": 0.0, "rest": 0.0}
         """Where the time of the steps went: drawing and its gradient; the objective and its; the rest."""
         self._before: float | None = None
@@ -135,17 +138,11 @@ class MeshEdit:
         """Whether all steps are taken."""
         return self.step >= self.steps
 
-    @property
-    def shape(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Vertices in [-1, 1]³ or near, faces, and textures [F, T, T, T, 3] in [0, 1]."""
-        return self._vertices.detach()[self._vertex], self._faces, self._cubes(self._colours.detach())
-
-    def mesh(self) -> Mesh:
+    def mesh(self) -> Mesh | UVMesh:
         """The mesh as it is now, in its own world; texels that hardly a view has shown take on the colours around."""
         often = self._seen > _SELDOM * self.step
-        colours = self._texels.spread(self._colours.detach(), often)
-        vertices = self.shape[0] * self._scale + self._centre
-        return Mesh(vertices, self._faces, self._cubes(colours))
+        vertices = self._vertices.detach()[self._vertex] * self._scale + self._centre
+        return self._paint.finished(vertices, torch.sigmoid(self._colours.detach()), often)
 
     def moved(self) -> dict[str, float]:
         """How far the vertices are from their start, the mean and the most, as parts of the mesh's longest side."""
@@ -159,9 +156,9 @@ class MeshEdit:
         random = generator(self._seed, self.step)
         camera, light = self._views.sample(self._batch, random)
         background = self._objective.background(self._batch, random)
-        cubes = self._cubes(self._colours)
+        mesh = self._drawn()
         begun = clock()
-        images = self._draw((self._vertices[self._vertex], self._faces, cubes), camera, light, background)
+        images = self._draw(mesh, camera, light, background)
         drawn = clock()
         rgb, alpha = images.rgb, images.alpha
         pixels = rgb.detach().requires_grad_()  # type: ignore[union-attr]
@@ -186,7 +183,7 @@ class MeshEdit:
         camera, light = self._views.fixed(_HELD_OUT, offset=11.0)
         background = self._objective.background(_HELD_OUT, generator(-1, 0))
         with torch.no_grad():
-            images = self._draw(self.shape, camera, light, background)
+            images = self._draw(self._drawn(), camera, light, background)
             found = [
                 self._objective.measure(rgb, alpha)
                 for rgb, alpha in zip(images.rgb.split(self._batch), images.alpha.split(self._batch), strict=True)  # type: ignore[union-attr]
@@ -224,32 +221,30 @@ class MeshEdit:
             group["lr"] = rate * min(1.0, left / max(self._settle, 1e-9))
         self._optimizer.step()
 
-    def _draw(self, shape: tuple[Tensor, ...], camera: Camera, light: Light | None, background: Tensor) -> Images:
+    def _drawn(self) -> UVMesh | tuple[Tensor, ...]:
+        """The mesh in [-1, 1]³ or near, as it is drawn."""
+        return self._paint.drawn(self._vertices[self._vertex], torch.sigmoid(self._colours))
+
+    def _draw(self, mesh: Any, camera: Camera, light: Light | None, background: Tensor) -> Images:
         return render(
-            shape,
+            mesh,
             camera,
             self._size,
             light=light,
-            background=background.to(shape[0].device),
+            background=background.to(self._vertices.device),
             outputs=("rgb", "alpha"),
             gradient=self._gradient,
         )
 
-    def _cubes(self, colours: Tensor) -> Tensor:
-        return self._texels.cubes(torch.sigmoid(colours))
-
-    def _begun(self, mesh: Mesh, start: str, size: int) -> Tensor:
-        """The colours [texels, 3] to begin with."""
-        device = mesh.vertices.device
+    def _begun(self, start: str, device: torch.device) -> Tensor:
+        """The colours [count, 3] to begin with."""
         if start in ("plain", "random"):
-            noise = torch.randn(self._texels.count, 3, generator=torch.Generator().manual_seed(self._seed)).to(device)
+            noise = torch.randn(self._paint.count, 3, generator=torch.Generator().manual_seed(self._seed)).to(device)
             plain = self._objective.plain.to(device).clamp(_DARKEST, 1 - _DARKEST)
             return torch.sigmoid((torch.logit(plain) if start == "plain" else 0) + 0.05 * noise)
         if start != "mesh":
             raise ValueError(f'start: expected "mesh", "plain" or "random", got {start!r}')
-        if mesh.texture_size != size:
-            raise ValueError(f"mesh: expected textures of {size}³ texels, got {mesh.texture_size}³")
-        return self._texels.of(mesh.textures.detach())
+        return self._paint.first()
 
 
 class _Clock:
@@ -263,14 +258,3 @@ class _Clock:
         if self._device.type == "cuda":
             torch.cuda.synchronize(self._device)
         return time.perf_counter()
-
-
-def check_memory(faces: int, size: int) -> None:
-    """ValueError if textures of size³ texels for so many faces would take more than 2 GiB."""
-    needed = faces * size**3 * 12
-    if needed > _MOST_BYTES:
-        raise ValueError(
-            f"mesh: expected textures of at most {_MOST_BYTES / 2**30:.0f} GiB, got {needed / 2**30:.1f} GiB "
-            f"({faces} faces of {size}³ texels); choose a smaller texture size, or a mesh of fewer faces "
-            f"(Blender's modifier Decimate makes one)"
-        )

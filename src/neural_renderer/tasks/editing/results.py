@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -12,12 +13,13 @@ from torch import Tensor
 from ...commands.studio import photograph, sheet
 from ...io import save_animation
 from ...mesh import Mesh
+from ...uvmesh import UVMesh
 from .edit import MeshEdit
 
 _FRONT, _ELEVATION, _ANGLE = 150.0, 20.0, 19.0
 
 
-def six_views(before: Mesh, after: Mesh, size: int = 320) -> Tensor:
+def six_views(before: Mesh | UVMesh, after: Mesh | UVMesh, size: int = 320) -> Tensor:
     """A mesh from six sides, and below how it is now, as in the paper's figures: [2 · size, 6 · size, 3] uint8."""
     pair = [_framed(mesh, before) for mesh in (before, after)]
     angles = [_FRONT + 60 * index for index in range(6)]
@@ -30,7 +32,7 @@ def preview(edit: MeshEdit, size: int = 256) -> Tensor:
     return sheet([[picture.cpu() for picture in _photographs(_framed(mesh, mesh), (_FRONT, 270.0, 30.0), size)]])
 
 
-def turntable(folder: Path, mesh: Mesh, frames: int = 36, size: int = 320) -> None:
+def turntable(folder: Path, mesh: Mesh | UVMesh, frames: int = 36, size: int = 320) -> None:
     """Write ``turntable.mp4`` and ``turntable.gif`` of a mesh that goes round once."""
     angles = [_FRONT + 360 * index / frames for index in range(frames)]
     pictures = [picture.cpu() for picture in _photographs(_framed(mesh, mesh), angles, size)]
@@ -39,15 +41,18 @@ def turntable(folder: Path, mesh: Mesh, frames: int = 36, size: int = 320) -> No
 
 
 @torch.no_grad()
-def _framed(mesh: Mesh, other: Mesh) -> Mesh:
+def _framed(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
     """The mesh as it stands when ``other``, of the same faces, fills [-1, 1]³ and is in its middle."""
     used, faces = torch.unique(mesh.faces, return_inverse=True)  # without vertices of no face
     low, high = other.vertices[used].amin(0), other.vertices[used].amax(0)
     vertices = (mesh.vertices[used] - (low + high) / 2) * (2 / (high - low).max())
-    return Mesh(vertices, faces.to(mesh.faces.dtype), mesh.textures)
+    faces = faces.to(mesh.faces.dtype)
+    if isinstance(mesh, UVMesh):
+        return replace(mesh, vertices=vertices, faces=faces)
+    return Mesh(vertices, faces, mesh.textures)
 
 
-def _photographs(mesh: Mesh, angles: list[float] | tuple[float, ...], size: int) -> Iterator[Tensor]:
+def _photographs(mesh: Mesh | UVMesh, angles: list[float] | tuple[float, ...], size: int) -> Iterator[Tensor]:
     radius = mesh.vertices.detach().norm(dim=1).max().item()
     distance = 1.03 * radius / math.sin(math.radians(_ANGLE))
     for angle in angles:
