@@ -120,14 +120,9 @@ class Mesh(nn.Module):
 
         Raises ValueError if all vertices coincide, or are not finite.
         """
-        vertices = validate.vertices(validate.has_numbers("vertices", self.vertices)).detach().double()
-        low, high = vertices.min(dim=0).values, vertices.max(dim=0).values
-        longest = float((high - low).max())
-        if longest == 0:
-            raise ValueError(f"vertices: expected a mesh to normalise, got {len(vertices)} vertices that all coincide")
         result = copy.deepcopy(self)
         with torch.no_grad():
-            result.vertices.copy_((vertices - (low + high) / 2) * (2 / longest))
+            result.vertices.copy_(centred(self.vertices))
         return result
 
     def get_batch(self, batch_size: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -158,6 +153,16 @@ class Mesh(nn.Module):
     def __repr__(self) -> str:
         device = self.vertices.device
         return f"Mesh({self.num_vertices} vertices, {self.num_faces} faces, textures of {self.texture_size}³, {device})"
+
+
+def centred(vertices: Tensor) -> Tensor:
+    """Vertices [V, 3] moved and scaled into [-1, 1] (see `Mesh.normalize`), detached, float64."""
+    vertices = validate.vertices(validate.has_numbers("vertices", vertices)).detach().double()
+    low, high = vertices.min(dim=0).values, vertices.max(dim=0).values
+    longest = float((high - low).max())
+    if longest == 0:
+        raise ValueError(f"vertices: expected a mesh to normalise, got {len(vertices)} vertices that all coincide")
+    return (vertices - (low + high) / 2) * (2 / longest)
 
 
 def _as_tensor(value: Any) -> Any:

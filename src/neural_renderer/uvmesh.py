@@ -15,6 +15,7 @@ from .fragments import Fragments
 from .io.formats import read_mesh
 from .io.painted import save_painted
 from .io.skin import Skin
+from .mesh import centred
 from .raster.rasterize import rasterize_images
 from .uv import sample_texture
 
@@ -48,14 +49,14 @@ class UVMesh:
     wraps: tuple[str, ...]
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> UVMesh:
+    def load(cls, path: str | os.PathLike[str], grey: float = 0.5) -> UVMesh:
         """Read an OBJ, PLY, STL, OFF, GLB or glTF file with its materials, unbaked, to the CPU.
 
         What lies between an image's charts, which mipmaps would mix into their borders, is filled with the colours
-        around it (`fill_gutters`). A file without colour is grey 0.5. Raises what `load_mesh` raises.
+        around it (`fill_gutters`). A file without colour is ``grey``. Raises what `load_mesh` raises.
         """
         vertices, faces, skin, _ = read_mesh(path)
-        skin = skin or Skin.plain(len(faces), 0.5)
+        skin = skin or Skin.plain(len(faces), validate.number("grey", grey))
         uv = torch.from_numpy(skin.uv).float()
         index = torch.from_numpy(skin.image).long()
         images = [torch.from_numpy(image).float() for image in skin.images]
@@ -118,6 +119,10 @@ class UVMesh:
                 own = seen.face_index if shown is None else torch.where(shown == number, seen.face_index, -1)
                 parts.append(sample_texture(image, uv, own, wrap=wrap))
         return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
+
+    def normalize(self) -> UVMesh:
+        """The same, centred at the origin and its longest side from -1 to 1; see `Mesh.normalize`."""
+        return replace(self, vertices=centred(self.vertices).float())
 
     def resized(self, side: int) -> UVMesh:
         """The same with all images of ``side`` x ``side`` pixels, filtered; where they lie on the mesh stays."""

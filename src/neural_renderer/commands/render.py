@@ -22,6 +22,7 @@ from ..mesh import Mesh
 from ..normals import vertex_normals
 from ..raster.settings import image_size
 from ..render import render
+from ..uvmesh import UVMesh
 from .common import checked_count, chosen_device
 from .studio import corner_cubes
 
@@ -71,8 +72,9 @@ class Render:
     """Light the model from over the viewer's shoulder; without light its colours are drawn as they are."""
     normalize: bool = True
     """Move the model to the origin and scale its longest side to 2 units."""
-    texture_size: int = 4
-    """Texels along the side of a face's texture (at least 2); more for detailed pictures on few faces."""
+    texture_size: int | None = None
+    """Bake the colours into textures of so many texels along the side of a face (at least 2), as `Mesh.load` does. By
+    default the file's images are shown as they are."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute; auto is CUDA where there is one."""
 
@@ -80,10 +82,7 @@ class Render:
         """Draw; returns the exit code 0. Raises ValueError, TypeError or OSError with a sentence."""
         self._check()
         device = chosen_device(self.device)
-        vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
-        if textures is None:
-            textures = torch.full((len(faces), 2, 2, 2, 3), _GREY)
-        mesh = Mesh(vertices, faces, textures).to(device)
+        mesh = self._loaded().to(device)
         mesh = mesh.normalize() if self.normalize else mesh
         animated = self.output.suffix.lower() in _ANIMATIONS
         count = (60 if self.turntable is None else self.turntable) if animated else 1
@@ -98,6 +97,14 @@ class Render:
         Console().print(f"{self.output}", highlight=False, soft_wrap=True)
         return 0
 
+    def _loaded(self) -> Mesh | UVMesh:
+        if self.texture_size is None:
+            return UVMesh.load(self.mesh, _GREY)
+        vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
+        if textures is None:
+            textures = torch.full((len(faces), 2, 2, 2, 3), _GREY)
+        return Mesh(vertices, faces, textures)
+
     def _check(self) -> None:
         suffix = self.output.suffix.lower()
         if suffix not in _PICTURES + _ANIMATIONS:
@@ -108,7 +115,8 @@ class Render:
             if suffix in _PICTURES:
                 raise ValueError(f"--output: expected a .gif or .mp4 for a turntable, got {self.output.name!r}")
         image_size("size", self.size)
-        checked_count("texture_size", self.texture_size, 2)
+        if self.texture_size is not None:
+            checked_count("texture_size", self.texture_size, 2)
         self._between("fps", self.fps, 0, math.inf)
         self._between("viewing-angle", self.viewing_angle, 0, 90)
         self._between("elevation", self.elevation, -90, 90)
@@ -130,7 +138,7 @@ class Render:
             raise ValueError(f"--{name}: expected a number above {low}{limit}, got {value}")
 
     @torch.no_grad()
-    def picture(self, mesh: Mesh, azimuth: float) -> Tensor:
+    def picture(self, mesh: Mesh | UVMesh, azimuth: float) -> Tensor:
         """One view: [3, H, W] or, with transparency, [4, H, W]; [H, W] for silhouettes and depth."""
         height, width = (self.size, self.size) if isinstance(self.size, int) else self.size
         aspect = min(1.0, width / max(height, 1))
@@ -151,7 +159,7 @@ class Render:
             return alpha if self.mode == "silhouettes" else _grey_depth(depth, alpha, far)
         right, up, forward = camera.rotation[0]
         light: Light | None = None
-        shown: Mesh | tuple[Tensor, ...] = mesh
+        shown: Mesh | UVMesh | tuple[Tensor, ...] = mesh
         if self.mode == "normals":
             normals = vertex_normals(mesh.vertices, mesh.faces)[0] @ torch.stack((right, up, -forward), dim=1)
             shown = mesh.vertices, mesh.faces, corner_cubes((normals + 1) / 2, mesh.faces)

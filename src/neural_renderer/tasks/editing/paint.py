@@ -7,6 +7,7 @@ from typing import Protocol
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from ...mesh import Mesh
 from ...uvmesh import UVMesh, fill_gutters
@@ -58,7 +59,7 @@ class FacePaint:
 
 
 class ImagePaint:
-    """The pixels of a mesh's images, and of faces that have none the colours of their corners.
+    """The pixels of a mesh's images, a little smoothed, and of faces that have none the colours of their corners.
 
     corners: [F, 3] as for `FacePaint`: faces without an image share the colours of their vertices.
     """
@@ -81,7 +82,7 @@ class ImagePaint:
 
     def drawn(self, vertices: Tensor, colours: Tensor) -> UVMesh:
         *pixels, plain = colours.split(self._sizes)
-        images = tuple(own.view_as(old) for own, old in zip(pixels, self._mesh.images, strict=True))
+        images = tuple(_smooth(own.view_as(old)) for own, old in zip(pixels, self._mesh.images, strict=True))
         colors = self._mesh.colors
         if len(plain):
             colors = colors.index_put((self._plain,), plain[self._corner])
@@ -94,6 +95,16 @@ class ImagePaint:
             for number, (image, own) in enumerate(zip(mesh.images, known.split(self._sizes)[:-1], strict=True))
         ]
         return replace(mesh, images=tuple(filled))
+
+
+def _smooth(image: Tensor) -> Tensor:
+    """The image [H, W, C] with each pixel mixed with its neighbours, 1 : 2 : 1 along both sides.
+
+    Where pixels are smaller than those that a network sees, their differences are nobody's concern, and would stay as
+    grain.
+    """
+    padded = functional.pad(image.movedim(2, 0)[None], (1, 1, 1, 1), mode="replicate")
+    return functional.avg_pool2d(functional.avg_pool2d(padded, 2, 1), 2, 1)[0].movedim(0, 2)
 
 
 def check_cubes(faces: int, size: int) -> None:
