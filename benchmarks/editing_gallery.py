@@ -1,6 +1,6 @@
 """The gallery of docs/editing.md: two meshes in the style of five paintings, and what a network dreams of them.
 
-    python -m benchmarks.editing_gallery MESHES PAINTINGS --vgg VGG --googlenet GOOGLENET -o gallery
+    python -m benchmarks.editing_gallery MESHES PAINTINGS --vgg VGG --googlenet GOOGLENET --uv MESH MESH MESH -o gallery
 
 runs `neural-renderer style` and `dream` one after the other; what is finished in the folder is not run again. Then it
 puts the pictures together, and prints what was measured.
@@ -21,6 +21,7 @@ from PIL import Image
 import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.commands.studio import photograph
+from neural_renderer.tasks.editing.results import framed
 
 MESHES = {"bunny_kato": "4", "teapot_kato": "6"}  # and texels along an edge: the teapot has half as many faces
 PAINTINGS = {
@@ -30,6 +31,7 @@ PAINTINGS = {
     "hokusai1": "Hokusai, The Great Wave",
     "gogh2": "van Gogh, The Starry Night",
 }
+UV_PAINTINGS = ("hokusai1", "munch1", "gogh2")  # for meshes that are painted in their own texture coordinates
 STYLE = ["--iterations", "300", "--batch", "2"]
 _SIDE = 256
 
@@ -40,6 +42,7 @@ def main() -> int:
     parser.add_argument("paintings", type=Path, help=f"folder with {', '.join(PAINTINGS)} (.jpg)")
     parser.add_argument("--vgg", required=True, help="weights of the network of style")
     parser.add_argument("--googlenet", required=True, help="weights of the network of dream")
+    parser.add_argument("--uv", nargs="*", type=Path, default=[], help="up to three meshes with texture coordinates")
     parser.add_argument("-o", "--output", type=Path, default=Path("gallery"))
     given = parser.parse_args()
     for painting in PAINTINGS:
@@ -50,12 +53,16 @@ def main() -> int:
     for mesh in MESHES:
         path = str(given.meshes / f"{mesh}.obj")
         _run(given.output / mesh / "dream", ["dream", path, "--weights", given.googlenet])
-    together(given.output, given.meshes, given.paintings)
+    for path, painting in zip(given.uv, UV_PAINTINGS, strict=False):
+        picture = str(given.paintings / f"{painting}.jpg")
+        common = ["--weights", given.vgg, *STYLE, "--uv", "512"]
+        _run(given.output / path.stem / painting, ["style", str(path), picture, *common])
+    together(given.output, given.meshes, given.paintings, given.uv)
     return 0
 
 
-def together(folder: Path, meshes: Path, paintings: Path) -> None:
-    """The pictures ``styles.jpg`` and ``dreams.jpg`` in the folder, and the numbers on the screen."""
+def together(folder: Path, meshes: Path, paintings: Path, uv: list[Path]) -> None:
+    """The pictures ``styles.jpg``, ``dreams.jpg`` and ``uv.jpg`` in the folder, and the numbers on the screen."""
     print("| mesh | | steps | before | after | change | vertices, mean | most | s | share of time")
     columns, dreams = [_column([_painting(paintings / f"{name}.jpg") for name in PAINTINGS])], []
     for mesh in MESHES:
@@ -67,6 +74,14 @@ def together(folder: Path, meshes: Path, paintings: Path) -> None:
         dreams += [_picture(dream, start, azimuth) for azimuth in (150.0, 30.0)]
         for name in (*PAINTINGS, "dream"):
             _tell(mesh, name, json.loads((folder / mesh / name / "report.json").read_text()))
+    painted: list[torch.Tensor] = []
+    for path, painting in zip(uv, UV_PAINTINGS, strict=False):
+        before = nr.UVMesh.load(path)
+        after = nr.UVMesh.load(folder / path.stem / painting / "mesh.obj")
+        painted += [_column([_picture(mesh, before, azimuth) for mesh in (before, after)]) for azimuth in (150.0, 30.0)]
+        _tell(path.stem, painting, json.loads((folder / path.stem / painting / "report.json").read_text()))
+    if painted:
+        Image.fromarray(_pixels(torch.cat(painted, 2))).save(folder / "uv.jpg", quality=88)
     Image.fromarray(_pixels(torch.cat(columns, 2))).save(folder / "styles.jpg", quality=88)
     Image.fromarray(_pixels(torch.cat(dreams, 2))).save(folder / "dreams.jpg", quality=88)
 
@@ -90,13 +105,10 @@ def _tell(mesh: str, name: str, report: dict[str, Any]) -> None:
     )
 
 
-@torch.no_grad()
-def _picture(mesh: nr.Mesh, start: nr.Mesh, azimuth: float) -> torch.Tensor:
-    low, high = start.vertices.amin(0), start.vertices.amax(0)
-    placed = nr.Mesh((mesh.vertices - (low + high) / 2) * (2 / (high - low).max()), mesh.faces, mesh.textures)
+def _picture(mesh: nr.Mesh | nr.UVMesh, start: nr.Mesh | nr.UVMesh, azimuth: float) -> torch.Tensor:
+    placed = framed(mesh, start)
     radius = placed.vertices.norm(dim=1).max().item()
-    distance = 1.03 * radius / math.sin(math.radians(19))
-    return photograph(placed, azimuth, 20.0, _SIDE, distance=distance)
+    return photograph(placed, azimuth, 20.0, _SIDE, distance=1.03 * radius / math.sin(math.radians(19)))
 
 
 def _painting(path: Path) -> torch.Tensor:
