@@ -35,9 +35,9 @@ class UVMesh:
         colors: [F, 3, 3] float32, the RGB of the corners of faces without an image.
         wraps: for each image what lies beyond [0, 1], as in `sample_texture`.
 
-    >>> mesh = UVMesh.load("spot.obj")                                              # doctest: +SKIP
-    >>> seen = fragments(mesh, Camera.look_at((0, 1, -2.7), viewing_angle=30), 256)  # doctest: +SKIP
-    >>> image = seen.composite(mesh.shade(seen), background=1.0)                     # doctest: +SKIP
+    >>> mesh = UVMesh.load("spot.obj")                                          # doctest: +SKIP
+    >>> images = render(mesh, Camera.look_at((0, 1, -2.7), viewing_angle=30))   # doctest: +SKIP
+    >>> mesh.save("spot.glb")                                                   # doctest: +SKIP
     """
 
     vertices: Tensor
@@ -91,10 +91,10 @@ class UVMesh:
                 f"{int(self.image_index.min())} to {int(self.image_index.max())}"
             )
         skin = Skin(
-            self.colors.detach().cpu().numpy(),
+            self.colors.detach().float().cpu().numpy(),
             self.image_index.cpu().numpy(),
             self.uv.detach().double().cpu().numpy(),
-            [image.detach().cpu().numpy() for image in self.images],
+            [image.detach().float().cpu().numpy() for image in self.images],
             ["REPEAT" if wrap == "repeat" else "CLAMP_TO_EDGE" for wrap in self.wraps],
         )
         save_painted(path, self.vertices, self.faces, skin)
@@ -166,10 +166,8 @@ def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None) -> Te
         # A chart that begins in one repetition of the image may end in the next: it is drawn in all four.
         shifts = [flat - flat.new_tensor(shift) for shift in ((0, 0), (1, 0), (0, 1), (1, 1))]
         corners = functional.pad(2 * torch.cat(shifts) - 1, (0, 1), value=1.0)[None]
-        drawn = rasterize_images(
-            corners, (height, width), outputs=("alpha",), perspective=False, anti_aliasing=False, near=0.5, far=2.0
-        ).alpha
-        shown = drawn[:, None]  # type: ignore[index]
+        drawn = {"two_sided": True, "perspective": False, "anti_aliasing": False, "near": 0.5, "far": 2.0}
+        shown = rasterize_images(corners, (height, width), outputs=("alpha",), **drawn).alpha[:, None]  # type: ignore[arg-type, index]
         if known is not None:
             shown = shown * known
         if not shown.any():
