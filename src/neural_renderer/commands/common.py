@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 
 import torch
@@ -24,6 +26,18 @@ def checked_count(name: str, value: int, least: int) -> int:
     if value < least:
         raise ValueError(f"--{name.replace('_', '-')}: expected at least {least}, got {value}")
     return value
+
+
+def output_folder(option: str, folder: Path) -> Path:
+    """The folder, made if missing; OSError names the ``option`` if it cannot be, or cannot be written to."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        reason = None if os.access(folder, os.W_OK) else "no permission"
+    except OSError as error:
+        reason = error.strerror
+    if reason:
+        raise OSError(f"{option}: expected a folder that can be written, got {folder} ({reason})")
+    return folder
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..tasks.editing import DREAM_LAYER, PUBLISHED_DREAM, Dream, DreamWeights
+from .common import output_folder
 from .edit import Edit, Preset
 
 _PRESETS = {
@@ -39,7 +40,7 @@ class DreamCommand(Edit):
         """Dream; returns the exit code. Raises ValueError, TypeError or OSError with a sentence."""
         self.checked()
         mesh, coloured = self.loaded()
-        self.prepare_output()
+        output_folder("--output", self.output)  # before a network is fetched and steps are taken
         published = self.preset == "published"
         weights = self.loss_weights(PUBLISHED_DREAM if published else DreamWeights())
         dream = Dream(

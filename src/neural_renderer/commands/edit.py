@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -140,16 +139,6 @@ class Edit:
         white = torch.ones(len(faces), *(self.texture_size,) * 3, 3)
         mesh = Mesh(vertices, faces, white if textures is None else textures)
         return mesh.to(chosen_device(self.device)), textures is not None
-
-    def prepare_output(self) -> None:
-        """Make the output folder, before a network is fetched and steps are taken whose results need a place."""
-        try:
-            self.output.mkdir(parents=True, exist_ok=True)
-            reason = None if os.access(self.output, os.W_OK) else "no permission"
-        except OSError as error:
-            reason = error.strerror
-        if reason:
-            raise OSError(f"--output: expected a folder that can be written, got {self.output} ({reason})")
 
     def edited(
         self,

@@ -19,7 +19,7 @@ from ..tasks.curve import curve
 from ..tasks.fit import CameraFit, MeshFit, Views, Weights, load_photo, load_views
 from ..tasks.fit.results import comparison, turntable
 from ..version import __version__
-from .common import checked_count, chosen_device
+from .common import checked_count, chosen_device, output_folder
 from .run import Run, fingerprint
 
 # What may change when a fit goes on; of the images only what is in them counts.
@@ -118,7 +118,7 @@ class Fit:
             gradient=self.gradient,
             seed=self.seed,
         )
-        self.output.mkdir(parents=True, exist_ok=True)
+        output_folder("--output", self.output)
         camera = (getattr(seen.camera, part.name) for part in fields(seen.camera))
         run = self._run(fit, (seen.masks, seen.photos, *camera), lambda: (fit.views, fit.shape))
         finished = run.work(self.resume)
@@ -154,7 +154,7 @@ class Fit:
             gradient=self.gradient,
             seed=self.seed,
         )
-        self.output.mkdir(parents=True, exist_ok=True)
+        output_folder("--output", self.output)
 
         def state() -> tuple[Views, tuple[Tensor, ...]]:
             return Views(fit.best(), mask[None], None if photo is None else photo[None]), shape

@@ -19,7 +19,7 @@ from ..tasks.reconstruction.arrays import SPLITS, open_split
 from ..tasks.reconstruction.dataset import Settings, assemble, make_objects, names_before
 from ..tasks.reconstruction.models_folder import Model, find_models, read_splits, shared_out
 from ..tasks.reconstruction.sheets import data_sheet
-from .common import checked_count
+from .common import checked_count, output_folder
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Dataset:
         self._check_splits(chosen)
         settings = Settings(self.views, self.size, self.samples)
         console = Console()
-        self.out.mkdir(parents=True, exist_ok=True)
+        output_folder("OUT", self.out)
         if not self._make([model for model in models if (model.category, model.name) in chosen], settings, broken):
             console.print(f"interrupted; the same command goes on, with what is in {self.out}", highlight=False)
             return 130

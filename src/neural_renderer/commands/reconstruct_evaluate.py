@@ -56,9 +56,9 @@ class Evaluate:
     """Further networks, for rows of their own in the same table."""
     baseline: Literal["retrieval"] | None = None
     """Measure too how well the voxels of the most alike training image do."""
-    features: str = "googlenet"
-    """The network that says what is alike: vgg16 (its layer fc6, as in the paper) or googlenet, which are fetched once,
-    or a file of weights of either."""
+    features: str | None = None
+    """The network that says what is alike to the baseline: vgg16 (its layer fc6, as in the paper) or googlenet (the
+    default), which are fetched once, or a file of weights of either."""
     refine: int | None = None
     """Steps by which a predicted mesh is fitted to the silhouette that went in, in place of the recipe's (0: none)."""
     classes: tuple[str, ...] = ()
@@ -78,6 +78,8 @@ class Evaluate:
             checked_count("refine", self.refine, 0)
         if self.checkpoint == "none" and not (self.also or self.baseline):
             raise ValueError("checkpoint: expected a network or --baseline retrieval, got none of them")
+        if self.features is not None and not self.baseline:
+            raise ValueError(f"--features: expected --baseline retrieval with it, got {self.features} alone")
         device = chosen_device(self.device)
         split = open_split(self.data, self.set, self.classes or None)
         paths = ([] if self.checkpoint == "none" else [Path(self.checkpoint)]) + list(self.also)
@@ -114,7 +116,7 @@ class Evaluate:
         from ..tasks.reconstruction.retrieval import Retrieval
 
         train = open_split(self.data, "train", self.classes or None)
-        retrieval = Retrieval(train, load_features(self.features).to(device))
+        retrieval = Retrieval(train, load_features(self.features or "googlenet").to(device))
         with _progress() as progress:
             task = progress.add_task("features of the training images", total=24 * len(train))
             for done in retrieval.prepare():
@@ -140,7 +142,7 @@ class Evaluate:
             "checkpoints": [str(path) for path in paths],
             "threshold": self.threshold,
             "refine": steps,
-            "features": self.features if self.baseline else None,
+            "features": (self.features or "googlenet") if self.baseline else None,
             "seconds": seconds,
             "methods": {label: scores.to_dict() for label, scores in methods.items()},
         }

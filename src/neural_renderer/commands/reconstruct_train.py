@@ -23,7 +23,7 @@ from ..tasks.reconstruction.checkpoint import BEST, HEADER, LAST, read_checkpoin
 from ..tasks.reconstruction.configs import Config, ConfigName, make_config
 from ..tasks.reconstruction.encoders import FeatureEncoder
 from ..tasks.reconstruction.networks import ModelName
-from .common import checked_count, chosen_device, interruption
+from .common import checked_count, chosen_device, interruption, output_folder
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Train:
         config = self._recipe(train)
         features = None if self.features is None else load_features(self.features)
         checkpoint = self._checkpoint(config, train, features)
-        self.out.mkdir(parents=True, exist_ok=True)
+        output_folder("OUT", self.out)
         from ..tasks.reconstruction.run import fit  # Lightning takes seconds to import
 
         with _quiet(), interruption() as interrupted:

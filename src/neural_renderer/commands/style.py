@@ -10,7 +10,7 @@ import tyro
 from ..io import load_image
 from ..io.files import warn
 from ..tasks.editing import PUBLISHED_STYLE, STYLE_LAYERS, Style, StyleWeights
-from .common import chosen_device
+from .common import chosen_device, output_folder
 from .edit import Edit, Preset
 
 _PRESETS = {
@@ -56,7 +56,7 @@ class StyleCommand(Edit):
         device = chosen_device(self.device)
         painting = load_image(self.painting, upright=True).permute(2, 0, 1).to(device)
         mesh, coloured = self.loaded()
-        self.prepare_output()
+        output_folder("--output", self.output)  # before a network is fetched and steps are taken
         published = self.preset == "published"
         weights = self.loss_weights(PUBLISHED_STYLE if published else StyleWeights())
         network = self.network("vgg16-original")

@@ -262,6 +262,10 @@ def test_what_is_wrong_is_a_sentence(
         ([checkpoint, str(data), "--classes", "lamp"], "the classes are ball, pole, slab"),
         ([checkpoint, str(data), "--threshold", "1"], "--threshold: expected a number above 0 and below 1"),
         ([checkpoint, str(data), "--refine", "-1"], "--refine: expected at least 0, got -1"),
+        (
+            [checkpoint, str(data), "--features", "vgg16"],
+            "--features: expected --baseline retrieval with it, got vgg16",
+        ),
         (["none", str(data)], "checkpoint: expected a network or --baseline retrieval, got none of them"),
     ):
         assert cli.main(["reconstruct", "evaluate", *arguments]) == 1

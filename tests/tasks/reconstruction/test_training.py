@@ -198,6 +198,11 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
     ):
         assert main([*command, "--classes", "box", "--resume", option, value]) == 1
         assert sentence in " ".join(capsys.readouterr().err.split())
+    file = out / "best.ckpt"
+    assert main([*command[:3], str(file), *command[4:], "--classes", "box"]) == 1
+    assert f"OUT: expected a folder that can be written, got {file} (File exists)" in " ".join(
+        capsys.readouterr().err.split()
+    )
     (out / "last.ckpt").rename(tmp_path / "last.ckpt")
     assert main([*command, "--classes", "box"]) == 1
     assert "best.ckpt: expected a folder without a network" in " ".join(capsys.readouterr().err.split())
