@@ -68,6 +68,20 @@ def test_no_light_draws_the_colour_itself(ball: str, tmp_path: Path) -> None:
     assert torch.allclose(picture[0, 0], torch.tensor([0, 0.5, 1]), atol=3e-3)
 
 
+def test_images_are_shown_at_full_detail(tmp_path: Path) -> None:
+    stripes = (torch.arange(32) % 2).float().expand(3, 32, 32)
+    nr.save_image(tmp_path / "stripes.png", stripes)
+    square = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3 4/4\n"
+    (tmp_path / "a.obj").write_text("mtllib a.mtl\n" + square)
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd stripes.png\n")
+    front = ["--size", "256", "--azimuth", "180", "--elevation", "0", "--orthographic", "--no-light"]
+    middle = slice(100, 156)  # within the square
+    sharp = render(str(tmp_path / "a.obj"), tmp_path / "sharp.png", *front)[middle, middle, 0]
+    baked = render(str(tmp_path / "a.obj"), tmp_path / "baked.png", *front, "--texture-size", "4")[middle, middle, 0]
+    assert sharp.max() > 0.95 and sharp.min() < 0.05 and (sharp - sharp[0]).abs().max() < 0.01
+    assert baked.std() < 0.6 * sharp.std()
+
+
 @pytest.mark.parametrize("lens", [[], ["--orthographic"]])
 def test_silhouette_fits_into_the_picture(ball: str, tmp_path: Path, lens: list[str]) -> None:
     for height, width in ((64, 64), (64, 40)):
@@ -199,7 +213,7 @@ def test_interruption_is_one_word(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("neural_renderer.commands.render.load_mesh", interrupted)
+    monkeypatch.setattr("neural_renderer.commands.render.UVMesh.load", interrupted)
     assert cli.main(["render", ball, "-o", "a.png"]) == 130
     assert capsys.readouterr() == ("", "interrupted\n")
 
