@@ -89,26 +89,7 @@ def test_the_vertices_of_a_file_without_colour_are_grey(tmp_path):
     assert (mesh.shade(seen)[seen.mask] == 0.5).all() and mesh.to("cpu").images == ()
 
 
-def test_gutters_take_the_colours_beside_them():
-    texture = torch.zeros(32, 32, 3)
-    texture[8:24, 8:16] = torch.tensor([1.0, 0, 0])
-    texture[8:24, 16:24] = torch.tensor([0.0, 0, 1])
-    quad = torch.tensor([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
-    uv = quad[torch.tensor([[0, 1, 2], [0, 2, 3]])]
-    texture.requires_grad_()
-    filled = nr.fill_gutters(texture, uv)
-    assert torch.equal(filled[8:24, 8:24], texture[8:24, 8:24])
-    assert (filled.sum(-1) - 1).abs().max() < 1e-5  # nothing of the black
-    assert filled[16, 2, 0] > 0.8 and filled[16, 29, 2] > 0.8
-    filled.sum().backward()
-    assert (texture.grad[:8] == 0).all() and (texture.grad[8:24, 8:24] >= 1).all()
-    for other in (uv + 3, uv.flip(1)):  # in another repetition of the image; mirrored, as charts are that serve twice
-        torch.testing.assert_close(nr.fill_gutters(texture.detach(), other), filled.detach())
-
-
 def test_what_does_not_fit(tmp_path):
-    with pytest.raises(ValueError, match="uv: expected shape"):
-        nr.fill_gutters(torch.zeros(4, 4, 3), torch.zeros(2, 2))
     with pytest.raises(FileNotFoundError):
         nr.UVMesh.load(tmp_path / "none.obj")
     with pytest.raises(ValueError, match="triangles: expected"):
@@ -216,26 +197,30 @@ def test_resized_images_lie_where_they_lay(board):
     assert mesh.images[0].shape == (4, 4, 3) and torch.equal(mesh.resized(9).uv, mesh.uv)
 
 
-def test_texels_that_are_not_known_take_the_colours_around():
-    quad = torch.tensor([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    uv = quad[torch.tensor([[0, 1, 2], [0, 2, 3]])]
-    texture = torch.full((16, 16, 3), 0.25)
-    texture[4:9, 5:11] = 1.0
-    known = texture[..., 0] < 1
-    torch.testing.assert_close(nr.fill_gutters(texture, uv, known), torch.full((16, 16, 3), 0.25))
-    assert torch.equal(nr.fill_gutters(texture, uv, torch.zeros_like(known)), texture)  # nothing to begin from
-
-
-def test_what_cannot_be_saved(board, tmp_path):
+def test_what_can_be_neither_saved_nor_drawn(board, tmp_path):
     mesh = nr.UVMesh.load(board[0])
     wrong = {
         "path: expected a name that ends in .obj or .glb": ("mesh.ply", {}),
-        "image_index: expected one of 1 images": ("mesh.obj", {"image_index": torch.tensor([0, 1])}),
+        "image_index: expected one of 1 images or -1, got 1": ("mesh.obj", {"image_index": torch.tensor([0, 1])}),
+        "image_index: expected one of 1 images or -1, got -3": ("mesh.obj", {"image_index": torch.tensor([-3, 0])}),
+        "image_index: expected shape": ("mesh.obj", {"image_index": torch.tensor([0])}),
         "uv: expected shape": ("mesh.obj", {"uv": mesh.uv[:1]}),
-        "images: expected": ("mesh.obj", {"images": (torch.full((2, 2, 3), torch.nan),)}),
+        "uv: expected finite": ("mesh.obj", {"uv": torch.full_like(mesh.uv, torch.inf)}),
+        "images: expected finite": ("mesh.obj", {"images": (torch.full((2, 2, 3), torch.nan),)}),
+        "images: expected shape": ("mesh.obj", {"images": (torch.zeros(2, 2, 4),)}),
+        "images: expected at least one pixel": ("mesh.obj", {"images": (torch.zeros(0, 2, 3),)}),
+        "wraps: expected 1 like images, got 0": ("mesh.obj", {"wraps": ()}),
+        "wrap: expected one of repeat, clamp": ("mesh.obj", {"wraps": ("mirror",)}),
     }
+    camera = nr.Camera.look_at((0.0, 0.0, 3.0))
     for sentence, (name, change) in wrong.items():
+        bad = dataclasses.replace(mesh, **change)
         with pytest.raises(ValueError, match=sentence):
-            dataclasses.replace(mesh, **change).save(tmp_path / name)
-    with pytest.raises(ValueError, match="known: expected bool"):
-        nr.fill_gutters(torch.zeros(4, 4, 3), mesh.uv, torch.zeros(4, 4))
+            bad.save(tmp_path / name)
+        if change:
+            with pytest.raises(ValueError, match=sentence):
+                nr.render(bad, camera, 8)
+    (tmp_path / "folder.obj").mkdir()
+    with pytest.raises(OSError, match=r"folder\.obj"):
+        mesh.save(tmp_path / "folder.obj")
+    assert not (tmp_path / "folder.mtl").exists() and not (tmp_path / "folder_1.png").exists()

@@ -8,6 +8,7 @@ from . import losses, metrics
 from .batch import batch, join
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
 from .fragments import Fragments, fragments
+from .gutters import fill_gutters
 from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
 from .lighting import Light, lighting
 from .mesh import Mesh
@@ -20,7 +21,7 @@ from .render import render
 from .renderer import Renderer
 from .spherical_harmonics import SphericalHarmonicLight
 from .uv import sample_texture
-from .uvmesh import UVMesh, fill_gutters
+from .uvmesh import UVMesh
 from .validate import check_values
 from .version import __version__
 

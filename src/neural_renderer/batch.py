@@ -55,8 +55,8 @@ def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
     if isinstance(mesh, tuple) and len(mesh) in (2, 3):
         return mesh[0], mesh[1], mesh[2] if len(mesh) == 3 else None
     raise TypeError(
-        f"mesh: expected a Mesh, a list of them, (vertices, faces) or (vertices, faces, textures), "
-        f"got {type(mesh).__name__}"
+        f"mesh: expected a Mesh, a list of them, a UVMesh, (vertices, faces) or (vertices, faces, textures), all of "
+        f"tensors, got {type(mesh).__name__}"
     )
 
 

@@ -29,8 +29,7 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
     validate.floating("texture", texture, ("h", "w", "C") if getattr(texture, "ndim", 4) == 3 else ("B", "h", "w", "C"))
     validate.floating("uv", uv, ("B", "H", "W", 2))
     validate.same_device(texture=texture, uv=uv, face_index=face_index)
-    if wrap not in WRAPS:
-        raise ValueError(f"wrap: expected one of {', '.join(WRAPS)}, got {wrap!r}")
+    checked_wrap(wrap)
     image = (texture if texture.dim() == 4 else texture[None]).float().permute(0, 3, 1, 2)
     if len(image) not in (1, len(uv)):
         raise ValueError(f"texture: expected a batch of 1 or {len(uv)} like uv, got {len(image)}")
@@ -45,3 +44,10 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
     if face_index.shape != uv.shape[:3]:
         raise ValueError(f"face_index: expected {list(uv.shape[:3])} like uv, got {list(face_index.shape)}")
     return sample_mipmaps(pyramid(image), height, width, uv.float(), face_index.int(), True, wrap == "repeat")
+
+
+def checked_wrap(wrap: str) -> str:
+    """``wrap`` if it is one; ValueError otherwise."""
+    if wrap not in WRAPS:
+        raise ValueError(f"wrap: expected one of {', '.join(WRAPS)}, got {wrap!r}")
+    return wrap

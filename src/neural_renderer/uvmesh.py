@@ -12,12 +12,12 @@ from torch.nn import functional
 
 from . import validate
 from .fragments import Fragments
+from .gutters import fill_gutters
 from .io.formats import read_mesh
 from .io.painted import save_painted
 from .io.skin import Skin
 from .mesh import centred
-from .raster.rasterize import rasterize_images
-from .uv import sample_texture
+from .uv import checked_wrap, sample_texture
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,43 +53,36 @@ class UVMesh:
         """Read an OBJ, PLY, STL, OFF, GLB or glTF file with its materials, unbaked, to the CPU.
 
         What lies between an image's charts, which mipmaps would mix into their borders, is filled with the colours
-        around it (`fill_gutters`). A file without colour is ``grey``. Raises what `load_mesh` raises.
+        around it (`fill_gutters`). A file without colour is ``grey``. Images of GLB and glTF repeat beyond [0, 1],
+        whatever the file's samplers say. Raises what `load_mesh` raises.
         """
         vertices, faces, skin, _ = read_mesh(path)
         skin = skin or Skin.plain(len(faces), validate.number("grey", grey))
         uv = torch.from_numpy(skin.uv).float()
         index = torch.from_numpy(skin.image).long()
-        images = [torch.from_numpy(image).float() for image in skin.images]
+        wraps = tuple("repeat" if wrapping == "REPEAT" else "clamp" for wrapping in skin.wrapping)
+        images = [
+            fill_gutters(torch.from_numpy(image).float(), uv[index == number], wrap=wrap)
+            for number, (image, wrap) in enumerate(zip(skin.images, wraps, strict=True))
+        ]
         return cls(
             vertices=torch.from_numpy(vertices).float(),
             faces=torch.from_numpy(faces).int(),
             uv=uv,
             image_index=index,
-            images=tuple(fill_gutters(image, uv[index == n]) for n, image in enumerate(images)),
+            images=tuple(images),
             colors=torch.from_numpy(skin.colors),
-            wraps=tuple("repeat" if wrapping == "REPEAT" else "clamp" for wrapping in skin.wrapping),
+            wraps=wraps,
         )
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the mesh as OBJ, its materials and pictures beside it, or as GLB; colours are clamped to [0, 1].
+        """Write the mesh as OBJ, its materials and pictures beside it, or as GLB, where images repeat beyond [0, 1];
+        colours are clamped to [0, 1].
 
         The faces of each image come together; those without one get one together, with a tile for each. Raises
         TypeError or ValueError for another suffix, NaN, and tensors that do not fit together.
         """
-        count = len(self.faces)
-        validate.floating("uv", self.uv, (count, 3, 2))
-        validate.floating("colors", self.colors, (count, 3, 3))
-        validate.indices("image_index", self.image_index, (count,))
-        for name, value in {"uv": self.uv, "colors": self.colors}.items():
-            validate.finite(name, value, always=True)
-        for image in self.images:
-            validate.floating("images", image, ("H", "W", 3))
-            validate.finite("images", image, always=True)
-        if len(self.image_index) and not -1 <= self.image_index.min() <= self.image_index.max() < len(self.images):
-            raise ValueError(
-                f"image_index: expected one of {len(self.images)} images or -1, got "
-                f"{int(self.image_index.min())} to {int(self.image_index.max())}"
-            )
+        self._check(always=True)
         skin = Skin(
             self.colors.detach().float().cpu().numpy(),
             self.image_index.cpu().numpy(),
@@ -106,6 +99,7 @@ class UVMesh:
         the images' charts do not match, colours jump at their seams: `Fragments.composite` has to be told (``seams``).
         Raises ValueError if ``seen`` is of a mesh with another number of faces.
         """
+        self._check()
         count = len(self.uv)
         corners = torch.arange(3 * count, device=self.uv.device).view(count, 3)
         plain = self.image_index < 0
@@ -119,6 +113,26 @@ class UVMesh:
                 own = seen.face_index if shown is None else torch.where(shown == number, seen.face_index, -1)
                 parts.append(sample_texture(image, uv, own, wrap=wrap))
         return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
+
+    def _check(self, always: bool = False) -> None:
+        """TypeError or ValueError unless all parts fit together; values are checked as `validate.finite` does it."""
+        count = len(self.faces)
+        for name, value, shape in (("uv", self.uv, (count, 3, 2)), ("colors", self.colors, (count, 3, 3))):
+            validate.finite(name, validate.floating(name, value, shape), always)
+        validate.indices("image_index", self.image_index, (count,))
+        for image in self.images:
+            validate.finite("images", validate.floating("images", image, ("H", "W", 3)), always)
+            if not image.numel():
+                raise ValueError(f"images: expected at least one pixel in each, got {validate.shape_of(image)}")
+        if len(self.wraps) != len(self.images):
+            raise ValueError(f"wraps: expected {len(self.images)} like images, got {len(self.wraps)}")
+        for wrap in self.wraps:
+            checked_wrap(wrap)
+        if count and (always or validate.values_are_checked(self.image_index)):
+            low, high = (int(value) for value in torch.aminmax(self.image_index))
+            if low < -1 or high >= len(self.images):
+                wrong = low if low < -1 else high
+                raise ValueError(f"image_index: expected one of {len(self.images)} images or -1, got {wrong}")
 
     def normalize(self) -> UVMesh:
         """The same, centred at the origin and its longest side from -1 to 1; see `Mesh.normalize`."""
@@ -140,48 +154,3 @@ class UVMesh:
             return value.to(device) if isinstance(value, Tensor) else value
 
         return replace(self, **{part.name: moved(getattr(self, part.name)) for part in fields(self)})
-
-
-def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None) -> Tensor:
-    """The texture with every texel that no face shows replaced by a blend of those around it.
-
-    texture: [h, w, C] floating. uv: [F, 3, 2] floating, the faces' corners on it, v up; beyond [0, 1] it repeats.
-    known: [h, w] bool, where the texture has a colour: others are replaced too; None: everywhere. With no texel left to
-        begin from, nothing is replaced.
-
-    Mipmaps average over the borders of charts: with the gaps between them black, thin dark lines follow every seam.
-    The gaps are filled from coarser and coarser means of what is shown, each over its own part alone, as in the
-    pull-push algorithm (Gortler et al., "The Lumigraph", 1996, section 3.4). Returns [h, w, C] float32; gradients
-    reach the texture. Raises TypeError or ValueError for other types or shapes.
-    """
-    validate.floating("texture", texture, ("h", "w", "C"))
-    validate.floating("uv", uv, ("F", 3, 2))
-    if known is not None and (known.shape != texture.shape[:2] or known.dtype != torch.bool):
-        raise ValueError(
-            f"known: expected bool {list(texture.shape[:2])} like the texture, got {validate.shape_of(known)}"
-        )
-    height, width = texture.shape[:2]
-    with torch.no_grad():
-        flat = uv.float() - uv.float().amin(1, keepdim=True).floor()
-        # A chart that begins in one repetition of the image may end in the next: it is drawn in all four.
-        shifts = [flat - flat.new_tensor(shift) for shift in ((0, 0), (1, 0), (0, 1), (1, 1))]
-        corners = functional.pad(2 * torch.cat(shifts) - 1, (0, 1), value=1.0)[None]
-        drawn = {"two_sided": True, "perspective": False, "anti_aliasing": False, "near": 0.5, "far": 2.0}
-        shown = rasterize_images(corners, (height, width), outputs=("alpha",), **drawn).alpha[:, None]  # type: ignore[arg-type, index]
-        if known is not None:
-            shown = shown * known
-        if not shown.any():
-            return texture.float()
-    return _pull_push(texture.float().permute(2, 0, 1)[None], shown)[0].permute(1, 2, 0).contiguous()
-
-
-def _pull_push(image: Tensor, shown: Tensor) -> Tensor:
-    """image [1, C, h, w] with what is not shown [1, 1, h, w] filled from the level above."""
-    if image.shape[2:] == (1, 1) or not bool((shown == 0).any()):
-        return image
-    half = (-(-image.shape[2] // 2), -(-image.shape[3] // 2))
-    share = functional.adaptive_avg_pool2d(shown, half)
-    coarse = functional.adaptive_avg_pool2d(image * shown, half) / share.clamp(min=1e-6)
-    coarse = _pull_push(coarse, (share > 0).float())
-    above = functional.interpolate(coarse, size=image.shape[2:], mode="bilinear", align_corners=False)
-    return torch.where(shown > 0, image, above)

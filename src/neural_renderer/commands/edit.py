@@ -11,13 +11,14 @@ import torch
 import tyro
 from rich.console import Console
 
+from .. import validate
 from ..features import FeatureNetwork, load_features
 from ..io import load_mesh, save_image
 from ..mesh import Mesh
 from ..tasks.curve import curve
 from ..tasks.editing import DreamWeights, MeshEdit, StyleWeights, Views
 from ..tasks.editing.edit import Objective
-from ..tasks.editing.paint import check_cubes
+from ..tasks.editing.paint import check_cubes, check_images
 from ..tasks.editing.results import preview, six_views, turntable
 from ..uvmesh import UVMesh
 from ..version import __version__
@@ -80,8 +81,9 @@ class Edit:
     texture_size: int = 4
     """Texels along the edge of a face's texture (at least 3, or 2 if not seamless); more for meshes of few faces."""
     uv: int | None = None
-    """Paint where the file's own texture coordinates lead to, on images of so many pixels a side (at least 16): for
-    meshes of few, large faces. By default faces get texels of their own, and the mesh new texture coordinates."""
+    """Paint where the file's own texture coordinates lead to, each of its images on so many pixels a side (at least
+    16): for meshes of few, large faces, which must have an image. --texture-size and --seamless then have no part.
+    By default faces get texels of their own, and the mesh new texture coordinates."""
     seamless: bool | None = None
     """Faces share the texels on their edges, so that no seam can appear; otherwise each face has its own. By
     default the preset's."""
@@ -133,7 +135,8 @@ class Edit:
                 raise ValueError(
                     f"--uv: expected a mesh with texture coordinates and an image, got {self.mesh}, which has none"
                 )
-            return painted.resized(self.uv).to(chosen_device(self.device)), True
+            check_images(len(painted.images), self.uv)
+            return painted.to(chosen_device(self.device)), True
         vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
         check_cubes(len(faces), self.texture_size)
         white = torch.ones(len(faces), *(self.texture_size,) * 3, 3)
@@ -157,7 +160,7 @@ class Edit:
             setting["init"] = "plain"
         views = Views(setting["elevation"], setting["distance"], light=setting["light"])
         edit = MeshEdit(
-            mesh,
+            mesh if self.uv is None else mesh.resized(self.uv),  # type: ignore[operator]
             objective,
             views,
             steps=setting["iterations"],
@@ -176,7 +179,8 @@ class Edit:
         inputs = {name: fingerprint(value) for name, value in settings.items() if name not in _FREE}
         device = chosen_device(self.device)
         run = Run(self.output, edit, inputs, lambda path: save_image(path, preview(edit)), self.preview, device)
-        finished = run.work(self.resume)
+        with validate.called(steps="--iterations"):
+            finished = run.work(self.resume)
         result = edit.mesh()
         result.save(self.output / "mesh.obj")
         result.save(self.output / "mesh.glb")

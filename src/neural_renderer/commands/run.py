@@ -106,8 +106,9 @@ class Run:
             raise ValueError(
                 f"{self._checkpoint}: expected a checkpoint, got another file ({why_not_loaded(error)})"
             ) from None
-        if inputs != self._inputs:
-            names = [k for k in (self._inputs | inputs) if self._inputs.get(k) != inputs.get(k)]
+        # What an older checkpoint does not know was not there to be chosen.
+        names = [k for k in (self._inputs | inputs) if self._inputs.get(k) != inputs.get(k)]
+        if names:
             mine, theirs = (", ".join(f"{k} {each.get(k)}" for k in names) for each in (self._inputs, inputs))
             raise ValueError(f"{self._checkpoint}: expected a checkpoint of this run ({mine}), got one of {theirs}")
         self._task.load_state_dict(task)

@@ -62,10 +62,10 @@ def _parts(skin: Skin) -> list[_Part]:
 
 def _save_obj(path: Path, points: np.ndarray, corners: np.ndarray, parts: list[_Part]) -> None:
     text = [f"# {path.name}\n#\n\nmtllib {path.stem}.mtl\n\n", format_lines("v %.9g %.9g %.9g\n", points)]
-    materials, before = [], 1
+    materials, pictures, before = [], {}, 1
     for number, part in enumerate(parts, 1):
         name = f"{path.stem}.png" if len(parts) == 1 else f"{path.stem}_{number}.png"
-        part.picture.save(path.with_name(name))
+        pictures[name] = part.picture
         clamp = "-clamp on " if part.clamp else ""
         materials.append(
             f"newmtl material_{number}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {clamp}{name}\n"
@@ -75,8 +75,10 @@ def _save_obj(path: Path, points: np.ndarray, corners: np.ndarray, parts: list[_
         both = np.stack([corners[part.faces] + 1, place.reshape(-1, 3) + before], axis=2)
         text.append(format_lines("f %d/%d %d/%d %d/%d\n", both.reshape(-1, 6)))
         before += len(places)
-    path.with_suffix(".mtl").write_text("\n".join(materials), encoding="utf-8")
     path.write_text("".join(text), encoding="utf-8")
+    path.with_suffix(".mtl").write_text("\n".join(materials), encoding="utf-8")
+    for name, picture in pictures.items():
+        picture.save(path.with_name(name))
 
 
 def _save_glb(path: Path, points: np.ndarray, corners: np.ndarray, parts: list[_Part]) -> None:

@@ -84,6 +84,8 @@ def test_style_in_the_texture_coordinates_of_the_file(
     square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3 4/4\n"
     (tmp_path / "square.obj").write_text("mtllib square.mtl\n" + square)
     (tmp_path / "square.mtl").write_text("newmtl a\nmap_Kd painting.png\n")
+    assert style(files, "--uv", "100000", mesh=str(tmp_path / "square.obj")) == 1
+    assert "got 111.8 GiB (1 images of 100000² pixels); choose smaller images" in capsys.readouterr().err
     assert style(files, "--uv", "24", mesh=str(tmp_path / "square.obj")) == 0
     for name in FILES:
         assert (Path(files["out"]) / name).stat().st_size > 50, name
@@ -161,7 +163,7 @@ def test_interrupted_and_resumed(
         assert style(files, "--resume", option, *values, **moved) == 1
         assert f"expected a checkpoint of this run {named}" in capsys.readouterr().err
     assert style(files, "--resume", "--iterations", "3", **moved) == 1
-    assert "steps: expected at least the 5 that are taken already, got 3" in capsys.readouterr().err
+    assert "--iterations: expected at least the 5 that are taken already, got 3" in capsys.readouterr().err
     Image.new("RGB", (40, 32)).save(elsewhere / "painting.png")
     assert style(files, "--resume", **moved) == 1
     assert "of this run (painting painting.png #" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -332,13 +333,32 @@ def test_images_are_painted_where_a_mesh_has_some(network: FeatureNetwork) -> No
     upper = mesh.image_index == 0
     colours = found.colors[~upper]
     assert torch.equal(found.colors[upper], mesh.colors[upper]) and (colours > 0.12).any()
-    place = found.vertices[found.faces.long()][~upper].reshape(-1, 3)
+    place = found.vertices[found.faces.long()][~upper].reshape(-1, 3)  # all begin in one colour
     _, same = torch.unique(place, dim=0, return_inverse=True)
     first = torch.stack(
         [colours.reshape(-1, 3)[same == vertex].std(0, False).max() for vertex in range(same.max() + 1)]
     )
     assert first.max() < 1e-6  # a vertex has one colour
     assert torch.equal(mesh.images[0], torch.full((24, 48, 3), 0.1))  # the caller's
+
+
+def test_colours_that_do_not_change_are_the_mesh_s_own(network: FeatureNetwork) -> None:
+    generator = torch.Generator().manual_seed(0)
+    image, cubes = torch.rand(24, 48, 3, generator=generator), ball(1.0, 0.0, 0.5)
+    painted = replace(unfolded(0.0), images=(image,), colors=torch.rand(320, 3, 3, generator=generator))
+    for mesh, textures in ((painted, lambda mesh: mesh.images[0]), (cubes, lambda mesh: mesh.textures)):
+        edit = MeshEdit(mesh, Style(network, painting(), 48), steps=1, size=48, batch=1, texture_rate=0.0)
+        edit.advance()
+        found = edit.mesh()
+        assert torch.equal(textures(found), textures(mesh)) and not torch.equal(found.vertices, mesh.vertices)
+    assert torch.equal(edit.mesh().faces, cubes.faces)
+
+
+def test_faces_without_an_image_keep_borders_between_colours(network: FeatureNetwork) -> None:
+    mesh = unfolded(0.5)
+    colors = torch.where(mesh.vertices[mesh.faces.long()].mean(1)[:, :1, None] > 0, 0.8, 0.2).expand(-1, 3, 3)
+    start = MeshEdit(replace(mesh, colors=colors.contiguous()), Style(network, painting(), 48), size=48).mesh()
+    torch.testing.assert_close(start.colors[mesh.image_index < 0], colors[mesh.image_index < 0])
 
 
 def test_dream_grows(network: FeatureNetwork) -> None:

@@ -112,6 +112,7 @@ class MeshEdit:
             self._paint = ImagePaint(mesh, corners)
         else:
             self._paint = FacePaint(mesh, corners, texture_size, seamless)
+        self._own_colours = start == "mesh"
         colours = self._begun(start, mesh.vertices.device)
         self._colours = torch.logit(colours.clamp(_DARKEST, 1 - _DARKEST)).requires_grad_()
         rates = {"vertex_rate": vertex_rate, "texture_rate": texture_rate}
@@ -140,8 +141,10 @@ class MeshEdit:
 
     def mesh(self) -> Mesh | UVMesh:
         """The mesh as it is now, in its own world; texels that hardly a view has shown take on the colours around."""
-        often = self._seen > _SELDOM * self.step
         vertices = self._vertices.detach()[self._vertex] * self._scale + self._centre
+        if self._own_colours and not self._rates[1]:
+            return self._paint.unpainted(vertices)
+        often = self._seen > _SELDOM * self.step
         return self._paint.finished(vertices, torch.sigmoid(self._colours.detach()), often)
 
     def moved(self) -> dict[str, float]:

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from ...gutters import fill_gutters
 from ...mesh import Mesh
-from ...uvmesh import UVMesh, fill_gutters
+from ...uvmesh import UVMesh
 from ..texels import Texels
 
 _MOST_BYTES = 2 * 2**30  # of texels; gradients, Adam's means and temporary copies are several times that
@@ -31,6 +32,10 @@ class Paint(Protocol):
 
     def finished(self, vertices: Tensor, colours: Tensor, known: Tensor) -> Mesh | UVMesh:
         """The mesh to keep; where colours are not ``known`` [count] it has those around."""
+        ...
+
+    def unpainted(self, vertices: Tensor) -> Mesh | UVMesh:
+        """The mesh with its own colours, which may be brighter and darker than those that are painted."""
         ...
 
 
@@ -57,28 +62,29 @@ class FacePaint:
     def finished(self, vertices: Tensor, colours: Tensor, known: Tensor) -> Mesh:
         return Mesh(*self.drawn(vertices, self._texels.spread(colours, known)))
 
+    def unpainted(self, vertices: Tensor) -> Mesh:
+        return Mesh(vertices, self._mesh.faces, self._mesh.textures)
+
 
 class ImagePaint:
     """The pixels of a mesh's images, a little smoothed, and of faces that have none the colours of their corners.
 
-    corners: [F, 3] as for `FacePaint`: faces without an image share the colours of their vertices.
+    corners: [F, 3] as for `FacePaint`: at a vertex, faces without an image share their colour if it is the same.
     """
 
     def __init__(self, mesh: UVMesh, corners: Tensor) -> None:
         self._mesh = mesh
         self._plain = mesh.image_index < 0
-        vertices, self._corner = torch.unique(corners[self._plain], return_inverse=True)
-        self._sizes = [image.shape[0] * image.shape[1] for image in mesh.images] + [len(vertices)]
+        colors = mesh.colors.detach()[self._plain].reshape(-1, 3)
+        both = torch.cat((corners[self._plain].reshape(-1, 1).double(), colors.double()), 1)
+        own, corner = torch.unique(both, dim=0, return_inverse=True)
+        self._corner, self._colors = corner.view(-1, 3), own[:, 1:].float()
+        self._sizes = [image.shape[0] * image.shape[1] for image in mesh.images] + [len(own)]
         self.count = sum(self._sizes)
         _check_texels(self.count, f"{len(mesh.images)} images of {self.count} pixels in all", "choose smaller images")
 
     def first(self) -> Tensor:
-        last = self._sizes[-1]
-        colours = self._mesh.colors.new_zeros(last, 3)
-        index = self._corner.reshape(-1)
-        colours.index_add_(0, index, self._mesh.colors[self._plain].reshape(-1, 3))
-        colours /= torch.bincount(index, minlength=last).clamp(min=1)[:, None]
-        return torch.cat([*(image.reshape(-1, 3) for image in self._mesh.images), colours]).detach()
+        return torch.cat([*(image.reshape(-1, 3) for image in self._mesh.images), self._colors]).detach()
 
     def drawn(self, vertices: Tensor, colours: Tensor) -> UVMesh:
         *pixels, plain = colours.split(self._sizes)
@@ -91,10 +97,15 @@ class ImagePaint:
     def finished(self, vertices: Tensor, colours: Tensor, known: Tensor) -> UVMesh:
         mesh = self.drawn(vertices, colours)
         filled = [
-            fill_gutters(image, mesh.uv[mesh.image_index == number], own.view(image.shape[:2]))
-            for number, (image, own) in enumerate(zip(mesh.images, known.split(self._sizes)[:-1], strict=True))
+            fill_gutters(image, mesh.uv[mesh.image_index == number], own.view(image.shape[:2]), wrap=wrap)
+            for number, (image, own, wrap) in enumerate(
+                zip(mesh.images, known.split(self._sizes)[:-1], mesh.wraps, strict=True)
+            )
         ]
         return replace(mesh, images=tuple(filled))
+
+    def unpainted(self, vertices: Tensor) -> UVMesh:
+        return replace(self._mesh, vertices=vertices)
 
 
 def _smooth(image: Tensor) -> Tensor:
@@ -105,6 +116,11 @@ def _smooth(image: Tensor) -> Tensor:
     """
     padded = functional.pad(image.movedim(2, 0)[None], (1, 1, 1, 1), mode="replicate")
     return functional.avg_pool2d(functional.avg_pool2d(padded, 2, 1), 2, 1)[0].movedim(0, 2)
+
+
+def check_images(count: int, side: int) -> None:
+    """ValueError if so many images of side² pixels would take more than 2 GiB."""
+    _check_texels(count * side**2, f"{count} images of {side}² pixels", "choose smaller images")
 
 
 def check_cubes(faces: int, size: int) -> None:
