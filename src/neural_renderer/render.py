@@ -26,6 +26,7 @@ from .raster.rasterize import (
     vertices_to_faces,
     world_corners,
 )
+from .raster.seams import image_marks
 from .raster.settings import image_size
 from .raster.textures import sample_textures
 from .spherical_harmonics import SphericalHarmonicLight
@@ -135,7 +136,15 @@ def _sampled(
             white, factors, torch.zeros_like(color), *still, settings.eps, settings.perspective
         )
     layers = {"rgb": torch.where(seen.mask[:, None], color, behind)}
-    return finish_images(layers, seen.depth, corners, face_index, settings, outputs)
+    return finish_images(
+        layers,
+        seen.depth,
+        corners,
+        face_index,
+        settings,
+        outputs,
+        lambda: image_marks(mesh.vertices, mesh.faces, mesh.uv, mesh.image_index, factors),
+    )
 
 
 def _checked_lights(light: Any) -> list[AnyLight]:

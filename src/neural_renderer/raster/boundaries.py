@@ -8,6 +8,8 @@ take the motion along x, the columns that along y.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+from typing import Optional
+
 import torch
 import warp as wp
 from torch import Tensor
@@ -25,7 +27,13 @@ wp.set_module_options({"enable_backward": False})
 
 @operator
 def boundaries(
-    image: Tensor, faces: Tensor, face_index: Tensor, two_sided: bool, perspective: bool, seams: bool
+    image: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    two_sided: bool,
+    perspective: bool,
+    seams: bool,
+    marks: Optional[Tensor] = None,  # noqa: UP045 (schemas are inferred from it)
 ) -> Tensor:
     """The image unchanged; its gradient also flows to the faces, by the motion of the boundaries that are seen.
 
@@ -34,6 +42,8 @@ def boundaries(
     two_sided, perspective: as in `coverage`.
     seams: colours may jump where two faces of a surface meet, as texture cubes and light by the face make them; else,
         such edges are left out, which is right, and quieter, where colours are interpolated.
+    marks: [1 or B, F, 3] int64: edge k, from corner k to the next, of two faces of a surface is left out too if both
+        have the same mark for it, other than 0 (see `texture_marks`); None: no edge.
 
     Where the edge of a face crosses a row between the centres of two pixels, of which the inner shows the face and the
     outer something behind it, x of the edge moves the crossing; the gradient of the pixel that contains the crossing,
@@ -52,13 +62,20 @@ def boundaries(
 
 
 @torch.library.register_fake("neural_renderer::boundaries")
-def _(image, faces, face_index, two_sided, perspective, seams):  # type: ignore[no-untyped-def]
+def _(image, faces, face_index, two_sided, perspective, seams, marks=None):  # type: ignore[no-untyped-def]
     return torch.empty_like(image, memory_format=torch.contiguous_format)
 
 
 @differentiable_once
 def boundaries_backward(
-    grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, two_sided: bool, perspective: bool, seams: bool
+    grad: Tensor,
+    image: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    two_sided: bool,
+    perspective: bool,
+    seams: bool,
+    marks: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
     """The gradient [B, F, 3, 3] that `boundaries` sends to its faces."""
     grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
@@ -71,28 +88,29 @@ def boundaries_backward(
     beyond = neighbors(faces, two_sided, perspective)
     lanes = face_lanes(faces, height * width)
     arguments = [array(faces, wp.vec3), array(image), array(grad), array(face_index), array(seen), array(beyond)]
-    options = [int(perspective), int(seams), lanes, array(result, wp.vec3)]
+    none = torch.zeros((1, 1, 3), dtype=torch.int64, device=faces.device)
+    options = [int(perspective), int(seams), array(none if marks is None else marks), lanes, array(result, wp.vec3)]
     launch(_move, batch * count * lanes, [*arguments, *options], faces.device)
     add_intersections(result, grad, image, faces, face_index, beyond, perspective)
     return result
 
 
 @torch.library.register_fake("neural_renderer::boundaries_backward")
-def _(grad, image, faces, face_index, two_sided, perspective, seams):  # type: ignore[no-untyped-def]
+def _(grad, image, faces, face_index, two_sided, perspective, seams, marks=None):  # type: ignore[no-untyped-def]
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    _, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams = inputs
-    ctx.save_for_backward(output, faces, face_index)
+    _, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, marks = inputs
+    ctx.save_for_backward(output, faces, face_index, marks)
 
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
-    image, faces, face_index = ctx.saved_tensors
+    image, faces, face_index, marks = ctx.saved_tensors
     to_faces = None
     if ctx.needs_input_grad[1]:
-        to_faces = boundaries_backward(grad, image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams)
-    return grad, to_faces, None, None, None, None
+        to_faces = boundaries_backward(grad, image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, marks)
+    return grad, to_faces, None, None, None, None, None
 
 
 torch.library.register_autograd("neural_renderer::boundaries", _backward, setup_context=_save)
@@ -223,6 +241,19 @@ def move_edge(
     return 0.5 * float(d * length) * wp.vec2(to_p, to_q)
 
 
+@wp.func
+def sewn(marks: wp.array3d(dtype=wp.int64), beyond: wp.array3d(dtype=int), b: int, f: int, k: int) -> bool:
+    """Whether the edge k of face f has the same mark on the face beyond it."""
+    own = wp.min(b, marks.shape[0] - 1)
+    last = marks.shape[1] - 1
+    mark = marks[own, wp.min(f, last), k]
+    g = beyond[b, f, k]
+    for m in range(3):
+        if mark != wp.int64(0) and beyond[b, g, m] == f and marks[own, wp.min(g, last), m] == mark:
+            return True
+    return False
+
+
 @wp.kernel
 def _move(
     first: int,
@@ -234,6 +265,7 @@ def _move(
     beyond: wp.array3d(dtype=int),
     perspective: int,
     seams: int,
+    marks: wp.array3d(dtype=wp.int64),
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
@@ -257,7 +289,7 @@ def _move(
     y = wp.vec3(0.0, 0.0, 0.0)
     corners = int(3)  # a variable, or Warp would unroll the loop sixfold
     for k in range(corners):
-        if beyond[b, f, k] < 0 or seams == 1:
+        if beyond[b, f, k] < 0 or (seams == 1 and not sewn(marks, beyond, b, f, k)):
             m = (k + 1) % 3
             n = (k + 2) % 3
             p = faces[b, f, k]

@@ -35,7 +35,14 @@ def neighbors_reference(faces: Tensor, two_sided: bool, perspective: bool) -> Te
 
 
 def boundaries_reference(
-    grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, two_sided: bool, perspective: bool, seams: bool
+    grad: Tensor,
+    image: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    two_sided: bool,
+    perspective: bool,
+    seams: bool,
+    marks: Tensor | None = None,
 ) -> Tensor:
     """The gradient [B, F, 3, 3] through visibility, from the image's gradient ``grad``; see `boundaries`."""
     result = torch.zeros(faces.shape, dtype=torch.float64)
@@ -48,12 +55,19 @@ def boundaries_reference(
             scan = _Scan.of(pull, color, shown, corners[b], beyond[b], axis, perspective)
             for f in drawn[b].nonzero().flatten().tolist():
                 for k in range(3):
-                    if seams or beyond[b, f, k] < 0:
+                    if beyond[b, f, k] < 0 or (seams and not _sewn(marks, beyond[b], b, f, k)):
                         to_start, to_end = _move(scan, f, k, bool(side[b, f] > 0))
                         result[b, f, k, axis] += to_start
                         result[b, f, (k + 1) % 3, axis] += to_end
             result[b] += _cut(pull, color, shown, corners[b], axis, perspective)
     return result.to(faces.device)
+
+
+def _sewn(marks: Tensor | None, beyond: Tensor, b: int, f: int, k: int) -> bool:
+    if marks is None:
+        return False
+    own, g = marks[min(b, len(marks) - 1)].tolist(), int(beyond[f, k])
+    return own[f][k] != 0 and any(beyond[g, m] == f and own[g][m] == own[f][k] for m in range(3))
 
 
 class _Scan(NamedTuple):

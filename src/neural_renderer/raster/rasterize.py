@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 import torch
@@ -13,6 +13,7 @@ from .barycentrics import barycentrics
 from .corners import gather_corners
 from .coverage import silhouette
 from .downsample import halve
+from .seams import texture_marks
 from .settings import Settings
 from .textures import sample_textures
 
@@ -118,7 +119,8 @@ def rasterize_images(
             layers["rgb"] = sample_textures(
                 cubes, factors, behind, still, face_index, weights, settings.eps, perspective
             )
-    return finish_images(layers, depth, corners, face_index, settings, outputs)
+    marks = (lambda: texture_marks(cubes, factors)) if "rgb" in outputs else None
+    return finish_images(layers, depth, corners, face_index, settings, outputs, marks)
 
 
 def finish_images(
@@ -128,11 +130,12 @@ def finish_images(
     face_index: Tensor,
     settings: Settings,
     outputs: Collection[str],
+    marks: Callable[[], Tensor] | None = None,
 ) -> Images:
     """Images of the ``outputs`` from what is drawn: through visibility, and averaged if they are anti-aliased.
 
     layers: "rgb", [B, 3, H, W] with the background, if it is among the outputs. depth: [B, H, W], likewise. corners,
-        face_index: [B, F, 3, 3] and [B, H, W], which faces were drawn and which of them is seen.
+        face_index: [B, F, 3, 3] and [B, H, W], which faces were drawn and which of them is seen. marks: see `Settings`.
     """
     whole = settings.gradient == "edge"
     if "alpha" in outputs:
@@ -142,7 +145,8 @@ def finish_images(
     rgb = alpha = None
     if layers:
         image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
-        image = settings.through_visibility(image, corners, face_index, "rgb" in outputs, "rgb" not in outputs)
+        colored = "rgb" in outputs
+        image = settings.through_visibility(image, corners, face_index, colored, not colored, marks)
         if settings.anti_aliasing:
             image = halve(image)
         # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,13 +77,23 @@ class Settings:
         return coverage(corners.detach(), height, width, self.near, self.far, self.two_sided, self.perspective)
 
     def through_visibility(
-        self, image: Tensor, corners: Tensor, face_index: Tensor, seams: bool = False, binary: bool = False
+        self,
+        image: Tensor,
+        corners: Tensor,
+        face_index: Tensor,
+        seams: bool = False,
+        binary: bool = False,
+        marks: Callable[[], Tensor] | None = None,
     ) -> Tensor:
-        """The image [B, C, H, W] unchanged, with the gradient to the corners of `nmr_edges` or `boundaries`."""
+        """The image [B, C, H, W] unchanged, with the gradient to the corners of `nmr_edges` or `boundaries`.
+
+        marks: gives those of `boundaries`, if they are needed.
+        """
         if not (corners.requires_grad and torch.is_grad_enabled()):
             return image
         if self.gradient == "edge":
-            return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams)
+            own = marks() if marks and seams else None
+            return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams, own)
         if not self.perspective:  # depth has no part in it: a corner behind an orthographic camera is like any other
             corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
         return nmr_edges(image, corners, face_index, self.eps, self.two_sided, binary)
