@@ -143,7 +143,7 @@ def _sampled(
         face_index,
         settings,
         outputs,
-        lambda: image_marks(mesh.vertices, mesh.faces, mesh.uv, mesh.image_index, factors),
+        lambda: image_marks(mesh.uv, mesh.image_index, factors),
     )
 
 

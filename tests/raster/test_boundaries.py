@@ -339,13 +339,13 @@ def test_size_does_not_depend_on_channels_that_do_not_change(device):
 @pytest.mark.parametrize("batch", [1, 2])
 def test_seams_of_equal_marks_are_left_out(device, batch):
     faces = ball(3, 1).repeat(2, 1, 1, 1)
-    marks = torch.randint(0, 2, (batch, faces.shape[1], 3), generator=torch.Generator().manual_seed(batch))
+    marks = torch.randint(0, 2, (batch, faces.shape[1], 3, 2), generator=torch.Generator().manual_seed(batch))
     told = compare(device, faces, 40, 33, 3, True, True, True, 1, marks)
     assert told[0] > 30
     index = coverage(faces.to(device), 40, 33, NEAR, FAR, True, True)
     image, grad = torch.randn(2, 2, 3, 40, 33, device=device)
     for value, seams in ((0, True), (7, False)):
-        equal = torch.full((1, faces.shape[1], 3), value, device=device)
+        equal = torch.full((1, faces.shape[1], 3, 2), value, device=device)
         found = boundaries_backward(grad, image, faces.to(device), index, True, True, True, equal)
         expected = boundaries_backward(grad, image, faces.to(device), index, True, True, seams)
         assert torch.equal(found, expected)

@@ -42,8 +42,8 @@ def boundaries(
     two_sided, perspective: as in `coverage`.
     seams: colours may jump where two faces of a surface meet, as texture cubes and light by the face make them; else,
         such edges are left out, which is right, and quieter, where colours are interpolated.
-    marks: [1 or B, F, 3] int64: edge k, from corner k to the next, of two faces of a surface is left out too if both
-        have the same mark for it, other than 0 (see `texture_marks`); None: no edge.
+    marks: [1 or B, F, 3, 2] int64: an edge of two faces that name it in opposite orders is left out too if the first
+        mark of the one is the second of the other, and not 0 (see `texture_marks`); None: no edge.
 
     Where the edge of a face crosses a row between the centres of two pixels, of which the inner shows the face and the
     outer something behind it, x of the edge moves the crossing; the gradient of the pixel that contains the crossing,
@@ -88,7 +88,7 @@ def boundaries_backward(
     beyond = neighbors(faces, two_sided, perspective)
     lanes = face_lanes(faces, height * width)
     arguments = [array(faces, wp.vec3), array(image), array(grad), array(face_index), array(seen), array(beyond)]
-    none = torch.zeros((1, 1, 3), dtype=torch.int64, device=faces.device)
+    none = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=faces.device)
     options = [int(perspective), int(seams), array(none if marks is None else marks), lanes, array(result, wp.vec3)]
     launch(_move, batch * count * lanes, [*arguments, *options], faces.device)
     add_intersections(result, grad, image, faces, face_index, beyond, perspective)
@@ -242,15 +242,23 @@ def move_edge(
 
 
 @wp.func
-def sewn(marks: wp.array3d(dtype=wp.int64), beyond: wp.array3d(dtype=int), b: int, f: int, k: int) -> bool:
-    """Whether the edge k of face f has the same mark on the face beyond it."""
+def sewn(
+    marks: wp.array4d(dtype=wp.int64),
+    faces: wp.array3d(dtype=wp.vec3),
+    beyond: wp.array3d(dtype=int),
+    b: int,
+    f: int,
+    k: int,
+) -> bool:
+    """Whether the marks say that colours go on beyond the edge k of face f."""
     own = wp.min(b, marks.shape[0] - 1)
     last = marks.shape[1] - 1
-    mark = marks[own, wp.min(f, last), k]
+    mark = marks[own, wp.min(f, last), k, 0]
     g = beyond[b, f, k]
-    for m in range(3):
-        if mark != wp.int64(0) and beyond[b, g, m] == f and marks[own, wp.min(g, last), m] == mark:
-            return True
+    if mark != wp.int64(0):
+        for m in range(3):
+            if faces[b, g, (m + 1) % 3] == faces[b, f, k] and faces[b, g, m] == faces[b, f, (k + 1) % 3]:
+                return marks[own, wp.min(g, last), m, 1] == mark
     return False
 
 
@@ -265,7 +273,7 @@ def _move(
     beyond: wp.array3d(dtype=int),
     perspective: int,
     seams: int,
-    marks: wp.array3d(dtype=wp.int64),
+    marks: wp.array4d(dtype=wp.int64),
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
@@ -289,7 +297,7 @@ def _move(
     y = wp.vec3(0.0, 0.0, 0.0)
     corners = int(3)  # a variable, or Warp would unroll the loop sixfold
     for k in range(corners):
-        if beyond[b, f, k] < 0 or (seams == 1 and not sewn(marks, beyond, b, f, k)):
+        if beyond[b, f, k] < 0 or (seams == 1 and not sewn(marks, faces, beyond, b, f, k)):
             m = (k + 1) % 3
             n = (k + 2) % 3
             p = faces[b, f, k]

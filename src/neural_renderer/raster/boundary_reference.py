@@ -55,7 +55,7 @@ def boundaries_reference(
             scan = _Scan.of(pull, color, shown, corners[b], beyond[b], axis, perspective)
             for f in drawn[b].nonzero().flatten().tolist():
                 for k in range(3):
-                    if beyond[b, f, k] < 0 or (seams and not _sewn(marks, beyond[b], b, f, k)):
+                    if beyond[b, f, k] < 0 or (seams and not _sewn(marks, corners[b], beyond[b], b, f, k)):
                         to_start, to_end = _move(scan, f, k, bool(side[b, f] > 0))
                         result[b, f, k, axis] += to_start
                         result[b, f, (k + 1) % 3, axis] += to_end
@@ -63,11 +63,14 @@ def boundaries_reference(
     return result.to(faces.device)
 
 
-def _sewn(marks: Tensor | None, beyond: Tensor, b: int, f: int, k: int) -> bool:
+def _sewn(marks: Tensor | None, corners: Tensor, beyond: Tensor, b: int, f: int, k: int) -> bool:
     if marks is None:
         return False
     own, g = marks[min(b, len(marks) - 1)].tolist(), int(beyond[f, k])
-    return own[f][k] != 0 and any(beyond[g, m] == f and own[g][m] == own[f][k] for m in range(3))
+    for m in range(3):
+        if torch.equal(corners[g, [(m + 1) % 3, m]], corners[f, [k, (k + 1) % 3]]):
+            return own[f][k][0] != 0 and own[g][m][1] == own[f][k][0]
+    return False
 
 
 class _Scan(NamedTuple):
