@@ -69,6 +69,23 @@ def test_beyond_its_borders_an_image_that_is_clamped_shows_them():
     assert not torch.equal(filled[1:-1, 1:-1], texture[1:-1, 1:-1])
 
 
+def test_a_sliver_that_leaves_an_image_that_is_clamped():
+    texture = torch.rand(64, 64, 3)
+    sliver = torch.tensor([[[0.1, 0.1], [4.0, 0.9], [4.0, 0.901]]])
+    filled = nr.fill_gutters(texture, sliver, wrap="clamp")
+    along = sliver[:, :1] + torch.linspace(0, 1, 200)[None, :, None] * (sliver[:, 1:2] - sliver[:, :1])
+    shown, expected = (nr.sample_texture(each, along[None], wrap="clamp") for each in (filled, texture))
+    torch.testing.assert_close(shown, expected)
+    assert not torch.equal(filled, texture)
+
+
+def test_slivers_without_number_leave_an_image_as_it_is():
+    texture = torch.rand(256, 256, 3)
+    ends = torch.rand(30000, 2, 2)
+    slivers = torch.cat((ends, ends[:, 1:] + 1e-4), 1)
+    assert torch.equal(nr.fill_gutters(texture, slivers), texture)
+
+
 def test_what_does_not_fit():
     uv = torch.zeros(1, 3, 2)
     for sentence, arguments, options in (

@@ -220,6 +220,9 @@ def test_what_can_be_neither_saved_nor_drawn(board, tmp_path):
         if change:
             with pytest.raises(ValueError, match=sentence):
                 nr.render(bad, camera, 8)
+    for change in ({"images": mesh.images[0][None]}, {"images": None}, {"wraps": "repeat"}):
+        with pytest.raises(TypeError, match=f"{next(iter(change))}: expected a tuple, got"):
+            nr.render(dataclasses.replace(mesh, **change), camera, 8)
     (tmp_path / "folder.obj").mkdir()
     with pytest.raises(OSError, match=r"folder\.obj"):
         mesh.save(tmp_path / "folder.obj")

@@ -12,7 +12,7 @@ from .uv import checked_wrap
 
 # Texels: a circle of this radius has a texel's centre in it wherever it lies.
 _HOLDS_A_CENTRE = 0.7072
-_AT_ONCE = 1024  # faces
+_MOST_PLACES = 1 << 23  # that are looked at one by one: a second's work
 
 
 def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wrap: str = "repeat") -> Tensor:
@@ -68,10 +68,10 @@ def _shown(uv: Tensor, height: int, width: int, repeat: bool) -> Tensor:
         outside = ((uv < 0) | (uv > 1)).any()
         shown[[0, -1]] |= outside
         shown[:, [0, -1]] |= outside
-        places = torch.minimum(places.clamp(min=-1), size)
-    for some in _small(places).split(_AT_ONCE):
-        for texel in _blended(some, height, width, repeat):
-            shown.view(-1)[texel] = True
+    texels = _blended(_small(places), height, width, repeat)
+    if texels is None:
+        return torch.ones_like(shown)
+    shown.view(-1)[texels] = True
     return shown
 
 
@@ -83,12 +83,17 @@ def _small(places: Tensor) -> Tensor:
     return places[radius < _HOLDS_A_CENTRE]
 
 
-def _blended(places: Tensor, height: int, width: int, repeat: bool) -> list[Tensor]:
-    """The numbers of the texels that are blended on the sides and medians of triangles [F, 3, 2]."""
+def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | None:
+    """The numbers of the texels that are blended on the sides and medians of triangles [F, 3, 2].
+
+    None if there are too many places to look at, as of a hundred thousand slivers across a whole image.
+    """
     begin = places.repeat(1, 2, 1)
     end = torch.cat((places.roll(-1, 1), (places.roll(-1, 1) + places.roll(-2, 1)) / 2), 1)
     begin, way = begin.reshape(-1, 2), (end - begin).reshape(-1, 2)
     steps = (2 * way.norm(dim=1)).ceil().long() + 1  # half a texel apart, or less
+    if float((steps + 1).double().sum()) > _MOST_PLACES:
+        return None
     line = torch.arange(len(steps), device=places.device).repeat_interleave(steps + 1)
     step = torch.arange(len(line), device=places.device) - (steps + 1).cumsum(0)[line] + steps[line] + 1
     low = (begin[line] + way[line] * (step / steps[line])[:, None]).floor().long()
@@ -97,7 +102,7 @@ def _blended(places: Tensor, height: int, width: int, repeat: bool) -> list[Tens
         x, y = low[:, 0] + right, low[:, 1] + down
         x, y = (x % width, y % height) if repeat else (x.clamp(0, width - 1), y.clamp(0, height - 1))
         found.append(y * width + x)
-    return found
+    return torch.cat(found)
 
 
 def _pull_push(image: Tensor, shown: Tensor) -> Tensor:

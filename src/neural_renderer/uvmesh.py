@@ -118,8 +118,11 @@ class UVMesh:
         """TypeError or ValueError unless all parts fit together; values are checked as `validate.finite` does it."""
         count = len(self.faces)
         for name, value, shape in (("uv", self.uv, (count, 3, 2)), ("colors", self.colors, (count, 3, 3))):
-            validate.finite(name, validate.floating(name, value, shape), always)
+            validate.finite(name, validate.floating(name, value, shape).float(), always)
         validate.indices("image_index", self.image_index, (count,))
+        for name, several in (("images", self.images), ("wraps", self.wraps)):
+            if not isinstance(several, (tuple, list)):
+                raise TypeError(f"{name}: expected a tuple, got {type(several).__name__}")
         for image in self.images:
             validate.finite("images", validate.floating("images", image, ("H", "W", 3)), always)
             if not image.numel():

@@ -112,11 +112,11 @@ class MeshEdit:
             self._paint = ImagePaint(mesh, corners)
         else:
             self._paint = FacePaint(mesh, corners, texture_size, seamless)
-        self._own_colours = start == "mesh"
         colours = self._begun(start, mesh.vertices.device)
         self._colours = torch.logit(colours.clamp(_DARKEST, 1 - _DARKEST)).requires_grad_()
         rates = {"vertex_rate": vertex_rate, "texture_rate": texture_rate}
         self._rates = [validate.not_negative(name, rate) for name, rate in rates.items()]
+        self._unpainted = start == "mesh" and not self._rates[1]  # then its colours need not be within reach of others
         groups = zip((self._vertices, self._colours), self._rates, strict=True)
         self._optimizer = Adam([{"params": [parameter], "lr": rate} for parameter, rate in groups])
         self._settle = validate.number("settle", settle)
@@ -142,8 +142,9 @@ class MeshEdit:
     def mesh(self) -> Mesh | UVMesh:
         """The mesh as it is now, in its own world; texels that hardly a view has shown take on the colours around."""
         vertices = self._vertices.detach()[self._vertex] * self._scale + self._centre
-        if self._own_colours and not self._rates[1]:
-            return self._paint.unpainted(vertices)
+        if self._unpainted:
+            mesh = self._paint.unpainted(vertices)
+            return mesh if isinstance(mesh, UVMesh) else Mesh(*mesh)
         often = self._seen > _SELDOM * self.step
         return self._paint.finished(vertices, torch.sigmoid(self._colours.detach()), often)
 
@@ -174,7 +175,8 @@ class MeshEdit:
         rgb.backward(pixels.grad)  # type: ignore[union-attr]
         returned = clock()
         self._adapt()
-        self._seen += (self._colours.grad != 0).any(1)  # type: ignore[union-attr]
+        if self._colours.grad is not None:
+            self._seen += (self._colours.grad != 0).any(1)
         self.step += 1
         self.seconds["renderer"] += drawn - begun + returned - judged
         self.seconds["network"] += judged - drawn
@@ -226,7 +228,10 @@ class MeshEdit:
 
     def _drawn(self) -> UVMesh | tuple[Tensor, ...]:
         """The mesh in [-1, 1]³ or near, as it is drawn."""
-        return self._paint.drawn(self._vertices[self._vertex], torch.sigmoid(self._colours))
+        vertices = self._vertices[self._vertex]
+        if self._unpainted:
+            return self._paint.unpainted(vertices)
+        return self._paint.drawn(vertices, torch.sigmoid(self._colours))
 
     def _draw(self, mesh: Any, camera: Camera, light: Light | None, background: Tensor) -> Images:
         return render(

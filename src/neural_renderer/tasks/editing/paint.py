@@ -34,8 +34,8 @@ class Paint(Protocol):
         """The mesh to keep; where colours are not ``known`` [count] it has those around."""
         ...
 
-    def unpainted(self, vertices: Tensor) -> Mesh | UVMesh:
-        """The mesh with its own colours, which may be brighter and darker than those that are painted."""
+    def unpainted(self, vertices: Tensor) -> UVMesh | tuple[Tensor, Tensor, Tensor]:
+        """What `render` draws with the mesh's own colours as they are."""
         ...
 
 
@@ -62,8 +62,8 @@ class FacePaint:
     def finished(self, vertices: Tensor, colours: Tensor, known: Tensor) -> Mesh:
         return Mesh(*self.drawn(vertices, self._texels.spread(colours, known)))
 
-    def unpainted(self, vertices: Tensor) -> Mesh:
-        return Mesh(vertices, self._mesh.faces, self._mesh.textures)
+    def unpainted(self, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        return vertices, self._mesh.faces, self._mesh.textures.detach()
 
 
 class ImagePaint:
