@@ -12,7 +12,7 @@ from .uv import checked_wrap
 
 # Texels: a circle of this radius has a texel's centre in it wherever it lies.
 _HOLDS_A_CENTRE = 0.7072
-_MOST_PLACES = 1 << 23  # that are looked at one by one: a second's work
+_MOST_PLACES = 1 << 22  # that are looked at one by one: a second's work
 
 
 def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wrap: str = "repeat") -> Tensor:
