@@ -160,7 +160,7 @@ class Edit:
             setting["init"] = "plain"
         views = Views(setting["elevation"], setting["distance"], light=setting["light"])
         edit = MeshEdit(
-            mesh if self.uv is None else mesh.resized(self.uv),  # type: ignore[operator]
+            mesh.resized(self.uv) if isinstance(mesh, UVMesh) and self.uv else mesh,
             objective,
             views,
             steps=setting["iterations"],
