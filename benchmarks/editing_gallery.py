@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,7 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.commands.studio import photograph
-from neural_renderer.tasks.editing.results import framed
+from neural_renderer.tasks.editing.results import framed, photographs
 
 MESHES = {"bunny_kato": "4", "teapot_kato": "6"}  # and texels along an edge: the teapot has half as many faces
 PAINTINGS = {
@@ -106,9 +104,7 @@ def _tell(mesh: str, name: str, report: dict[str, Any]) -> None:
 
 
 def _picture(mesh: nr.Mesh | nr.UVMesh, start: nr.Mesh | nr.UVMesh, azimuth: float) -> torch.Tensor:
-    placed = framed(mesh, start)
-    radius = placed.vertices.norm(dim=1).max().item()
-    return photograph(placed, azimuth, 20.0, _SIDE, distance=1.03 * radius / math.sin(math.radians(19)))
+    return next(photographs(framed(mesh, start), [azimuth], _SIDE))
 
 
 def _painting(path: Path) -> torch.Tensor:

@@ -132,7 +132,11 @@ def fragments(
     settings = Settings.checked(
         size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
     )
-    screen = camera(vertices, aspect=settings.width / settings.height)
+    return seen_on(camera(vertices, aspect=settings.width / settings.height), faces, settings)
+
+
+def seen_on(screen: Tensor, faces: Tensor, settings: Settings) -> Fragments:
+    """`fragments` of vertices [B, V, 3] that are on the screen already."""
     corners = settings.corners(vertices_to_faces(screen, checked_faces(faces)), 8)
     face_index = settings.face_index(corners)
     weights, depth = barycentrics(corners, face_index, settings.far, settings.perspective)

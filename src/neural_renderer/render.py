@@ -12,7 +12,7 @@ from torch import Tensor
 from . import validate
 from .batch import mesh_parts
 from .camera import Camera
-from .fragments import Fragments, fragments
+from .fragments import Fragments, seen_on
 from .lighting import Light
 from .mesh import Mesh
 from .raster.rasterize import (
@@ -27,7 +27,7 @@ from .raster.rasterize import (
     world_corners,
 )
 from .raster.seams import image_marks
-from .raster.settings import image_size
+from .raster.settings import Settings, image_size
 from .raster.textures import sample_textures
 from .spherical_harmonics import SphericalHarmonicLight
 from .uvmesh import UVMesh
@@ -83,18 +83,10 @@ def render(
         corners = world_corners(vertices, faces, len(screen))
         factors = torch.stack([one.two_sided(corners, camera.mirrored) for one in lights]).sum(0)
     if isinstance(mesh, UVMesh) and "rgb" in outputs:
-        seen = fragments(
-            mesh,
-            camera,
-            size,
-            near=near,
-            far=far,
-            anti_aliasing=anti_aliasing,
-            two_sided=two_sided,
-            gradient=gradient,
-            eps=eps,
+        settings = Settings.checked(
+            size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
         )
-        return _sampled(mesh, seen, factors, background, outputs)
+        return _sampled(mesh, seen_on(screen, faces, settings), factors, background, outputs)
     if "rgb" not in outputs:
         textures = None
     elif textures is None:

@@ -47,6 +47,11 @@ def build_atlas(textures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return picture, (origins[:, None] + _TRIANGLE * span).astype(np.float64)
 
 
+def coordinates(pixels: np.ndarray, picture: np.ndarray) -> np.ndarray:
+    """Texture coordinates of pixel positions [..., 2] on a picture [H, W, 3] whose borders are 0 and 1, v up."""
+    return (pixels + 0.5) / [picture.shape[1], picture.shape[0]] * [1, -1] + [0, 1]
+
+
 def _by_colour(means: np.ndarray) -> np.ndarray:
     """An order [F] of colours [F, 3] in which neighbours are alike: along a Z-curve through the cube of colours."""
     levels = (means.clip(0, 1) * 31).astype(np.int64)

@@ -12,10 +12,11 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from neural_renderer.io.atlas import build_atlas
+from neural_renderer.io.atlas import build_atlas, coordinates
 from neural_renderer.io.cubes import check_size
 from neural_renderer.io.files import existing, mesh_to_write
 from neural_renderer.io.obj import obj_skin, save_obj
+from neural_renderer.io.painted import with_picture
 from neural_renderer.io.parse import read_obj
 from neural_renderer.io.skin import Skin
 
@@ -215,13 +216,7 @@ def _vertex_colours(count: int, corners: np.ndarray, cubes: np.ndarray) -> np.nd
 
 
 def _with_atlas(points: np.ndarray, corners: np.ndarray, cubes: np.ndarray) -> trimesh.Trimesh:
-    import trimesh
-
     picture, pixels = build_atlas(cubes)
-    uv = (pixels.reshape(-1, 2) + 0.5) / [picture.shape[1], picture.shape[0]] * [1, -1] + [0, 1]
-    material = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=Image.fromarray(picture), metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
-    )
-    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    uv = coordinates(pixels.reshape(-1, 2), picture)
     own = np.arange(corners.size).reshape(-1, 3)
-    return trimesh.Trimesh(points[corners].reshape(-1, 3), own, visual=visual, process=False)
+    return with_picture(points[corners].reshape(-1, 3), own, uv, Image.fromarray(picture))

@@ -174,9 +174,14 @@ def save_obj(filename: str | os.PathLike[str], vertices: Any, faces: Any, textur
     path.parent.mkdir(parents=True, exist_ok=True)
     if cubes is not None:
         Image.fromarray(picture).save(path.with_suffix(".png"))
-        material = f"newmtl material_1\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {path.stem}.png\n"
-        path.with_suffix(".mtl").write_text(material, encoding="utf-8")
+        path.with_suffix(".mtl").write_text(format_material(1, f"{path.stem}.png"), encoding="utf-8")
     path.write_text("".join(text), encoding="utf-8")
+
+
+def format_material(number: int, picture: str, clamp: bool = False) -> str:
+    """The material ``material_<number>`` of an MTL file, which shows a picture as it is."""
+    option = "-clamp on " if clamp else ""
+    return f"newmtl material_{number}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {option}{picture}\n"
 
 
 def format_lines(form: str, rows: np.ndarray) -> str:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from PIL import Image
 
-from neural_renderer.io.atlas import build_atlas
+from neural_renderer.io.atlas import build_atlas, coordinates
 from neural_renderer.io.cubes import bake_corners
 from neural_renderer.io.files import mesh_to_write
-from neural_renderer.io.obj import format_lines
+from neural_renderer.io.obj import format_lines, format_material
 from neural_renderer.io.skin import Skin
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 class _Part(NamedTuple):
@@ -55,8 +58,7 @@ def _parts(skin: Skin) -> list[_Part]:
     plain = np.flatnonzero(skin.image < 0)
     if len(plain):
         pixels, place = build_atlas(bake_corners(skin.colors[plain].clip(0, 1), 2))
-        uv = (place + 0.5) / [pixels.shape[1], pixels.shape[0]] * [1, -1] + [0, 1]
-        found.append(_Part(plain, uv, Image.fromarray(pixels), True))
+        found.append(_Part(plain, coordinates(place, pixels), Image.fromarray(pixels), True))
     return found
 
 
@@ -66,10 +68,7 @@ def _save_obj(path: Path, points: np.ndarray, corners: np.ndarray, parts: list[_
     for number, part in enumerate(parts, 1):
         name = f"{path.stem}.png" if len(parts) == 1 else f"{path.stem}_{number}.png"
         pictures[name] = part.picture
-        clamp = "-clamp on " if part.clamp else ""
-        materials.append(
-            f"newmtl material_{number}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {clamp}{name}\n"
-        )
+        materials.append(format_material(number, name, part.clamp))
         places, place = np.unique(part.uv.reshape(-1, 2), axis=0, return_inverse=True)
         text.append("\n" + format_lines("vt %.9g %.9g\n", places) + f"\nusemtl material_{number}\n")
         both = np.stack([corners[part.faces] + 1, place.reshape(-1, 3) + before], axis=2)
@@ -89,10 +88,17 @@ def _save_glb(path: Path, points: np.ndarray, corners: np.ndarray, parts: list[_
         # A vertex has one place on the picture there: one that has several becomes as many.
         both = np.concatenate([corners[part.faces].reshape(-1, 1), part.uv.reshape(-1, 2)], axis=1)
         own, index = np.unique(both, axis=0, return_inverse=True)
-        material = trimesh.visual.material.PBRMaterial(
-            baseColorTexture=part.picture, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
-        )
-        visual = trimesh.visual.TextureVisuals(uv=own[:, 1:], material=material)
-        mesh = trimesh.Trimesh(points[own[:, 0].astype(int)], index.reshape(-1, 3), visual=visual, process=False)
+        mesh = with_picture(points[own[:, 0].astype(int)], index.reshape(-1, 3), own[:, 1:], part.picture)
         scene.add_geometry(mesh, geom_name=f"part_{number}")
     scene.export(path, file_type="glb")
+
+
+def with_picture(points: np.ndarray, corners: np.ndarray, uv: np.ndarray, picture: Image.Image) -> trimesh.Trimesh:
+    """A mesh that shows a picture as it is, matt and from both sides; uv: [V, 2], where its vertices are on it."""
+    import trimesh
+
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
+    )
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    return trimesh.Trimesh(points, corners, visual=visual, process=False)

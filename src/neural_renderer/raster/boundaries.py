@@ -14,7 +14,19 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from .crossings import LEAST_RUN, continued, end_of, face_at, gain, leaves, nearness, pixel_at, plane_nearness, seam
+from .crossings import (
+    LEAST_RUN,
+    continued,
+    end_of,
+    face_at,
+    gain,
+    leaves,
+    nearness,
+    pixel_at,
+    plane_nearness,
+    seam,
+    sewn,
+)
 from .geometry import facing, to_pixels
 from .intersections import add_intersections
 from .launch import array, copy, face_lanes, launch, zeros
@@ -239,27 +251,6 @@ def move_edge(
         to_p += (1.0 - share) * part
         to_q += share * part
     return 0.5 * float(d * length) * wp.vec2(to_p, to_q)
-
-
-@wp.func
-def sewn(
-    marks: wp.array4d(dtype=wp.int64),
-    faces: wp.array3d(dtype=wp.vec3),
-    beyond: wp.array3d(dtype=int),
-    b: int,
-    f: int,
-    k: int,
-) -> bool:
-    """Whether the marks say that colours go on beyond the edge k of face f."""
-    own = wp.min(b, marks.shape[0] - 1)
-    last = marks.shape[1] - 1
-    mark = marks[own, wp.min(f, last), k, 0]
-    g = beyond[b, f, k]
-    if mark != wp.int64(0):
-        for m in range(3):
-            if faces[b, g, (m + 1) % 3] == faces[b, f, k] and faces[b, g, m] == faces[b, f, (k + 1) % 3]:
-                return marks[own, wp.min(g, last), m, 1] == mark
-    return False
 
 
 @wp.kernel

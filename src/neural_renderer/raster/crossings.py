@@ -209,6 +209,27 @@ def seam(
 
 
 @wp.func
+def sewn(
+    marks: wp.array4d(dtype=wp.int64),
+    faces: wp.array3d(dtype=wp.vec3),
+    beyond: wp.array3d(dtype=int),
+    b: int,
+    f: int,
+    k: int,
+) -> bool:
+    """Whether the marks say that colours go on beyond the edge k of face f."""
+    own = wp.min(b, marks.shape[0] - 1)
+    last = marks.shape[1] - 1
+    mark = marks[own, wp.min(f, last), k, 0]
+    g = beyond[b, f, k]
+    if mark != wp.int64(0):
+        for m in range(3):
+            if faces[b, g, (m + 1) % 3] == faces[b, f, k] and faces[b, g, m] == faces[b, f, (k + 1) % 3]:
+                return marks[own, wp.min(g, last), m, 1] == mark
+    return False
+
+
+@wp.func
 def continued(weight: float, away: float, straight: bool) -> wp.vec2:
     """The colour at a boundary, times a weight, from two pixels: how much the one beside it counts, and the next one.
 

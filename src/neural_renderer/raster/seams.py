@@ -31,8 +31,7 @@ def texture_marks(textures: Tensor, light: Tensor) -> Tensor:
 
 def image_marks(uv: Tensor, image_index: Tensor, light: Tensor | None) -> Tensor:
     """Likewise [1 or B, F, 3, 2] of texture coordinates [F, 3, 2] on images of that index [F], which must be equal."""
-    numbers = (uv.detach().float() + 0.0).view(torch.int32).long()  # + 0: or -0 would be another number than 0
-    corners = _hash(torch.cat((numbers, image_index[:, None, None].expand(-1, 3, 1)), 2))
+    corners = _hash(torch.cat((_bits(uv.detach()).long(), image_index[:, None, None].expand(-1, 3, 1)), 2))
     following = corners.roll(-1, 1)
     marks = torch.stack((corners * _THERE + following * _BACK, following * _THERE + corners * _BACK), 2)
     # A face without an image has colours of its own.
@@ -48,7 +47,12 @@ def _light_hash(light: Tensor) -> Tensor:
 
 def _digits(values: Tensor) -> Tensor:
     """Whole numbers that are equal for values that are to one part in 4000: 12 of a float's 23 bits are left."""
-    return ((values.float() + 0.0).view(torch.int32) + (1 << 10)) >> 11
+    return (_bits(values) + (1 << 10)) >> 11
+
+
+def _bits(values: Tensor) -> Tensor:
+    """Those of float32, int32; the same for 0 and -0."""
+    return (values.float() + 0.0).view(torch.int32)
 
 
 def _hash(numbers: Tensor) -> Tensor:

@@ -105,13 +105,13 @@ class MeshEdit:
             raise ValueError("mesh: expected one of some size, got faces whose vertices all coincide")
         self._start = (points - self._centre) / self._scale
         self._vertices = self._start.clone().requires_grad_()
-        self._topology = Topology.of(corners)
 
         self._paint: Paint
         if isinstance(mesh, UVMesh):
             self._paint = ImagePaint(mesh, corners)
         else:
             self._paint = FacePaint(mesh, corners, texture_size, seamless)
+        self._topology = Topology.of(corners)
         colours = self._begun(start, mesh.vertices.device)
         self._colours = torch.logit(colours.clamp(_DARKEST, 1 - _DARKEST)).requires_grad_()
         rates = {"vertex_rate": vertex_rate, "texture_rate": texture_rate}
