@@ -19,7 +19,7 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.tasks.editing.results import framed, photographs
+from neural_renderer.tasks.editing.edit_pictures import framed, photographs
 
 MESHES = {"bunny_kato": "4", "teapot_kato": "6"}  # and texels along an edge: the teapot has half as many faces
 PAINTINGS = {

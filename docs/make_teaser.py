@@ -7,8 +7,8 @@ from PIL import Image
 
 from neural_renderer import Mesh
 from neural_renderer.commands.demo import around, ball, clay
-from neural_renderer.commands.shapes import duck, knot
-from neural_renderer.commands.studio import lowest, photograph, sheet
+from neural_renderer.commands.demo_models import duck, knot
+from neural_renderer.pictures.photograph import lowest, photograph, sheet
 from neural_renderer.tasks.fit import TextureFit, Views
 
 SIDE = 256

@@ -10,7 +10,7 @@ import torch
 from torch.autograd import gradcheck
 
 from neural_renderer import losses, metrics, validate
-from neural_renderer.topology import Topology
+from neural_renderer.meshes.topology import Topology
 
 TETRAHEDRON = torch.tensor([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 # Two faces of a square, one in its plane beside it, and a vertex (6) that no face uses.

@@ -5,23 +5,24 @@ and the rest.
 """
 
 from . import losses, metrics
-from .batch import batch, join
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
+from .compat.adam import Adam
+from .compat.lighting import lighting
+from .compat.rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
+from .compat.renderer import Renderer
 from .fragments import Fragments, fragments
-from .gutters import fill_gutters
 from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
-from .lighting import Light, lighting
-from .mesh import Mesh
-from .normals import vertex_normals
-from .optim import Adam
-from .primitives import cube, icosphere, torus
+from .meshes.batch import batch, join
+from .meshes.mesh import Mesh
+from .meshes.normals import vertex_normals
+from .meshes.primitives import cube, icosphere, torus
+from .meshes.uv_mesh import UVMesh
 from .raster import Images, rasterize_images, vertices_to_faces
-from .rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
 from .render import render
-from .renderer import Renderer
-from .spherical_harmonics import SphericalHarmonicLight
-from .uv import sample_texture
-from .uvmesh import UVMesh
+from .shading.lights import Light
+from .shading.spherical_harmonics import SphericalHarmonicLight
+from .textures.gutters import fill_gutters
+from .textures.sample_texture import sample_texture
 from .validate import check_values
 from .version import __version__
 

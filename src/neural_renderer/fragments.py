@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from . import validate
-from .batch import mesh_parts
 from .camera import Camera
-from .mesh import Mesh
-from .raster.barycentrics import barycentrics
-from .raster.downsample import halve
-from .raster.interpolate import interpolate
+from .meshes.batch import mesh_parts
+from .meshes.mesh import Mesh
+from .meshes.uv_mesh import UVMesh
+from .raster.ops.barycentrics import barycentrics
+from .raster.ops.downsample import halve
+from .raster.ops.interpolate import interpolate
 from .raster.rasterize import behind_image, checked_faces, vertices_to_faces
 from .raster.settings import Settings
-
-if TYPE_CHECKING:
-    from .uvmesh import UVMesh
 
 
 @dataclass(frozen=True, eq=False)

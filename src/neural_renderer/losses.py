@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from . import validate
-from .lighting import face_normals
-from .topology import Topology
+from .meshes.normals import face_normals
+from .meshes.topology import Topology
 
 
 def silhouette_iou(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tensor:

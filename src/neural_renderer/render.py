@@ -10,11 +10,12 @@ import torch
 from torch import Tensor
 
 from . import validate
-from .batch import mesh_parts
 from .camera import Camera
 from .fragments import Fragments, seen_on
-from .lighting import Light
-from .mesh import Mesh
+from .meshes.batch import mesh_parts
+from .meshes.mesh import Mesh
+from .meshes.uv_mesh import UVMesh
+from .raster.ops.texture_cubes import sample_textures
 from .raster.rasterize import (
     OUTPUTS,
     Images,
@@ -26,11 +27,10 @@ from .raster.rasterize import (
     vertices_to_faces,
     world_corners,
 )
-from .raster.seams import image_marks
 from .raster.settings import Settings, image_size
-from .raster.textures import sample_textures
-from .spherical_harmonics import SphericalHarmonicLight
-from .uvmesh import UVMesh
+from .raster.visibility.continuity import image_marks
+from .shading.lights import Light
+from .shading.spherical_harmonics import SphericalHarmonicLight
 
 AnyLight: TypeAlias = Light | SphericalHarmonicLight
 

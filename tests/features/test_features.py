@@ -11,8 +11,8 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer.commands.studio import photograph
 from neural_renderer.features import FeatureNetwork, features_like, load_features
+from neural_renderer.pictures.photograph import photograph
 
 PLANS = {16: (2, 2, 3, 3, 3), 19: (2, 2, 4, 4, 4)}
 BLOCKS = ("3a", "3b", "4a", "4b", "4c", "4d", "4e", "5a", "5b")

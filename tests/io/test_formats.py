@@ -12,7 +12,7 @@ from PIL import Image
 
 from neural_renderer.io.cubes import bake_corners
 from neural_renderer.io.formats import load_mesh, save_mesh
-from neural_renderer.primitives import cube, icosphere
+from neural_renderer.meshes.primitives import cube, icosphere
 
 REFUSED = {
     "assimp_misc/OutOfMemory.off": "cannot be read as OFF",

@@ -13,8 +13,8 @@ from PIL import Image
 from neural_renderer.io.atlas import build_atlas
 from neural_renderer.io.cubes import bake_corners, barycentric_grid
 from neural_renderer.io.obj import load_obj, save_obj
-from neural_renderer.mesh import Mesh
-from neural_renderer.primitives import icosphere
+from neural_renderer.meshes.mesh import Mesh
+from neural_renderer.meshes.primitives import icosphere
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 UV = "vt 0 0\nvt 1 0\nvt 0 1\n"

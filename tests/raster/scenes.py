@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from neural_renderer.raster.reference import faces_at_pixels, pixel_centres, sides
+from neural_renderer.raster.reference.operators import faces_at_pixels, pixel_centres, sides
 
 KINDS = ("plain", "tiny", "huge", "outside", "point", "line", "copy", "flat", "crossing", "behind", "nan")
 FRONT = KINDS[:8]

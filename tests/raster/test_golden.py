@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from neural_renderer.raster.barycentrics import barycentrics
-from neural_renderer.raster.coverage import coverage
-from neural_renderer.raster.edges import nmr_edges
-from neural_renderer.raster.textures import sample_textures
+from neural_renderer.raster.ops.barycentrics import barycentrics
+from neural_renderer.raster.ops.coverage import coverage
+from neural_renderer.raster.ops.texture_cubes import sample_textures
+from neural_renderer.raster.visibility.nmr import nmr_edges
 
 CASES = ("offscreen", "soup_all", "soup_alpha", "soup_depth", "soup_rgb", "tiny_faces")
 

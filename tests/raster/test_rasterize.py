@@ -7,10 +7,12 @@ import sys
 
 import pytest
 import torch
-from scenes import FAR, FRONT, NEAR, Scene
 
 import neural_renderer as nr
-from neural_renderer.raster import barycentrics, corners, coverage, edges, textures
+from neural_renderer.raster.ops import barycentrics, corners, coverage
+from neural_renderer.raster.ops import texture_cubes as textures
+from neural_renderer.raster.visibility import nmr as edges
+from tests.raster.scenes import FAR, FRONT, NEAR, Scene
 
 
 def scene_inputs(device, batch=2, count=9, height=14, width=18):

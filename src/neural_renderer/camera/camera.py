@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .arguments import Array, Scalar, batch_of, batch_size, common_device, float_type, parameter, scalar
 from .lens import calibration, image_size, in_parallel, in_perspective, pixels_to_screen, viewing_angle
+from .parameters import Array, Scalar, batch_of, batch_size, common_device, float_type, parameter, scalar
 from .view import look_at_frame, look_frame, transform
 
 

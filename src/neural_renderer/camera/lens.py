@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .arguments import Array, Scalar, as_tensor, batch_of, batch_size, parameter, scalar
+from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, parameter, scalar
 from .view import rotate
 
 _NEAREST = 1e-6  # |z| by which x and y are divided at the least, in world units

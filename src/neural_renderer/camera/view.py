@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .. import validate
-from .arguments import Array, batch_of, batch_size, common_device, float_type, parameter
+from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter
 
 _FLOOR = 1e-5  # lengths below it count as zero, as in the published code
 

@@ -15,12 +15,12 @@ from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
 from ..io import save_animation, save_image
-from ..mesh import Mesh
-from ..primitives import icosphere
+from ..meshes.mesh import Mesh
+from ..meshes.primitives import icosphere
+from ..pictures.photograph import lowest, photograph, sheet
 from ..tasks.fit import ShapeFit, TextureFit, Views
 from .common import checked_count, chosen_device
-from .shapes import duck, knot
-from .studio import lowest, photograph, sheet
+from .demo_models import duck, knot
 
 _ANGLES = (145.0, 90.0, 180.0, 250.0, 20.0)
 

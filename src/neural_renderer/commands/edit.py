@@ -14,16 +14,16 @@ from rich.console import Console
 from .. import validate
 from ..features import FeatureNetwork, load_features
 from ..io import load_mesh, save_image
-from ..mesh import Mesh
-from ..tasks.curve import curve
+from ..meshes.mesh import Mesh
+from ..meshes.uv_mesh import UVMesh
+from ..pictures.curve import curve
 from ..tasks.editing import DreamWeights, MeshEdit, StyleWeights, Views
 from ..tasks.editing.edit import Objective
+from ..tasks.editing.edit_pictures import preview, six_views, turntable
 from ..tasks.editing.paint import check_cubes, check_images
-from ..tasks.editing.results import preview, six_views, turntable
-from ..uvmesh import UVMesh
 from ..version import __version__
 from .common import checked_count, chosen_device
-from .run import Run, fingerprint
+from .task_runner import Run, fingerprint
 
 # What may change when an edit goes on.
 _FREE = ("output", "iterations", "preview", "turntable", "resume", "device")

@@ -14,13 +14,13 @@ from rich.console import Console
 from torch import Tensor
 
 from ..io import save_image
-from ..mesh import Mesh
-from ..tasks.curve import curve
+from ..meshes.mesh import Mesh
+from ..pictures.curve import curve
 from ..tasks.fit import CameraFit, MeshFit, Views, Weights, load_photo, load_views
-from ..tasks.fit.results import comparison, turntable
+from ..tasks.fit.fit_pictures import comparison, turntable
 from ..version import __version__
 from .common import checked_count, chosen_device, output_folder
-from .run import Run, fingerprint
+from .task_runner import Run, fingerprint
 
 # What may change when a fit goes on; of the images only what is in them counts.
 _FREE = ("images", "output", "steps", "texture_steps", "turntable", "resume", "device")

@@ -13,9 +13,9 @@ import warp as wp
 from rich.console import Console
 from rich.table import Table
 
-from ..primitives import icosphere
+from ..meshes.primitives import icosphere
 from ..raster import rasterize_images, vertices_to_faces
-from ..raster.reference import coverage_reference, nmr_edges_reference
+from ..raster.reference.operators import coverage_reference, nmr_edges_reference
 from ..version import __version__
 
 # Two triangles and a pixel each, with the gradient that the first package published for them: the loss is |I − target|

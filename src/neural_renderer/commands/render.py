@@ -17,14 +17,14 @@ from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
 from ..io import load_mesh, save_animation, save_image
-from ..lighting import Light
-from ..mesh import Mesh
-from ..normals import vertex_normals
+from ..meshes.mesh import Mesh
+from ..meshes.normals import vertex_normals
+from ..meshes.uv_mesh import UVMesh
+from ..pictures.photograph import corner_cubes
 from ..raster.settings import image_size
 from ..render import render
-from ..uvmesh import UVMesh
+from ..shading.lights import Light
 from .common import checked_count, chosen_device
-from .studio import corner_cubes
 
 _LAMP = (-0.4, 0.6, 0.7)  # towards the light: to the viewer's right, up, and from the scene to the viewer
 _COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": (0.0, 0.0, 0.0)}

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neural_renderer import validate
+from .. import validate
 
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 

@@ -12,13 +12,13 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from neural_renderer.io.atlas import build_atlas, coordinates
-from neural_renderer.io.cubes import check_size
-from neural_renderer.io.files import existing, mesh_to_write
-from neural_renderer.io.obj import obj_skin, save_obj
-from neural_renderer.io.painted import with_picture
-from neural_renderer.io.parse import read_obj
-from neural_renderer.io.skin import Skin
+from .atlas import build_atlas, coordinates
+from .cubes import check_size
+from .files import existing, mesh_to_write
+from .obj import obj_skin, save_obj
+from .parse import read_obj
+from .surface_colors import Skin
+from .textured_writer import with_picture
 
 if TYPE_CHECKING:
     import trimesh

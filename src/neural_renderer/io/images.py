@@ -13,8 +13,8 @@ import torch
 from PIL import Image, ImageOps
 from torch import Tensor
 
-from neural_renderer import validate
-from neural_renderer.io.files import existing
+from .. import validate
+from .files import existing
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from neural_renderer.io.files import read_text
+from .files import read_text
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # Options stand before the file name, which may itself hold spaces. -o, -s and -t take one to three numbers.

@@ -12,13 +12,13 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from neural_renderer.io.atlas import build_atlas
-from neural_renderer.io.cubes import WRAPPINGS
-from neural_renderer.io.files import existing, find_file, mesh_to_write, warn
-from neural_renderer.io.images import load_image
-from neural_renderer.io.mtl import Material, read_mtl
-from neural_renderer.io.parse import ObjFile, read_obj
-from neural_renderer.io.skin import Skin
+from .atlas import build_atlas
+from .cubes import WRAPPINGS
+from .files import existing, find_file, mesh_to_write, warn
+from .images import load_image
+from .mtl import Material, read_mtl
+from .parse import ObjFile, read_obj
+from .surface_colors import Skin
 
 
 def load_obj(

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from neural_renderer.io.files import read_text
-from neural_renderer.io.polygons import triangulate
+from .files import read_text
+from .polygons import triangulate
 
 
 @dataclass

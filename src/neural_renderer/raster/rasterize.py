@@ -9,13 +9,13 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .barycentrics import barycentrics
-from .corners import gather_corners
-from .coverage import silhouette
-from .downsample import halve
-from .seams import texture_marks
+from .ops.barycentrics import barycentrics
+from .ops.corners import gather_corners
+from .ops.coverage import silhouette
+from .ops.downsample import halve
+from .ops.texture_cubes import sample_textures
 from .settings import Settings
-from .textures import sample_textures
+from .visibility.continuity import texture_marks
 
 OUTPUTS = ("rgb", "alpha", "depth")
 

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .boundaries import boundaries
-from .coverage import coverage
-from .edges import nmr_edges
+from .ops.coverage import coverage
+from .visibility.edge import boundaries
+from .visibility.nmr import nmr_edges
 
 GRADIENTS = ("nmr", "edge")
 

@@ -15,7 +15,8 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.tasks.editing import MeshEdit, results
+from neural_renderer.tasks.editing import MeshEdit
+from neural_renderer.tasks.editing import edit_pictures as results
 from tests.tasks.editing.networks import saved_vgg
 
 SMALL = ["--size", "32", "--batch", "2", "--turntable", "2"]

@@ -13,12 +13,12 @@ from torch import Tensor
 import neural_renderer as nr
 from neural_renderer.features import FeatureNetwork, load_features
 from neural_renderer.features.vgg import vgg
+from neural_renderer.meshes.topology import Topology
 from neural_renderer.tasks.editing import Dream, DreamWeights, MeshEdit, Style, StyleWeights, Views
 from neural_renderer.tasks.editing.deformation import Deformation
-from neural_renderer.tasks.editing.results import preview
+from neural_renderer.tasks.editing.edit_pictures import preview
 from neural_renderer.tasks.editing.style import gram
 from neural_renderer.tasks.seeds import generator
-from neural_renderer.topology import Topology
 from tests.tasks.editing.networks import vgg_weights
 
 LAYERS = ("conv1_2", "conv2_2", "conv3_3", "conv4_3")

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.meshes.topology import Topology
 from neural_renderer.tasks.fit import CameraFit, MeshFit, ShapeFit, TextureFit, Views, Weights, carve, frame
 from neural_renderer.tasks.fit.descent import SmoothDescent
-from neural_renderer.topology import Topology
 
 
 def ring() -> nr.Mesh:

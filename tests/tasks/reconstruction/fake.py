@@ -8,9 +8,9 @@ import numpy as np
 import torch
 
 import neural_renderer as nr
-from neural_renderer.tasks.reconstruction.arrays import Split
-from neural_renderer.tasks.reconstruction.configs import Config
-from neural_renderer.tasks.reconstruction.framing import view_camera
+from neural_renderer.tasks.reconstruction.data.arrays import Split
+from neural_renderer.tasks.reconstruction.data.framing import view_camera
+from neural_renderer.tasks.reconstruction.networks.configs import Config
 
 SMALL = Config(
     encoder="light",

@@ -2,8 +2,8 @@
 
 from .dream import DREAM_LAYER, PUBLISHED_DREAM, Dream, DreamWeights
 from .edit import MeshEdit
+from .random_views import Views
 from .style import PUBLISHED_STYLE, STYLE_LAYERS, Style, StyleWeights
-from .views import Views
 
 __all__ = [
     "DREAM_LAYER",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from ... import losses
-from ...topology import Topology
+from ...meshes.topology import Topology
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,17 +10,17 @@ from torch import Tensor
 
 from ... import validate
 from ...camera import Camera
-from ...lighting import Light
-from ...mesh import Mesh
-from ...optim import Adam
+from ...compat.adam import Adam
+from ...meshes.mesh import Mesh
+from ...meshes.topology import Topology
+from ...meshes.uv_mesh import UVMesh
 from ...raster import Images
 from ...render import render
-from ...topology import Topology
-from ...uvmesh import UVMesh
+from ...shading.lights import Light
 from ..seeds import generator
 from .deformation import Deformation
 from .paint import FacePaint, ImagePaint, Paint
-from .views import Views
+from .random_views import Views
 
 _DARKEST, _SELDOM, _HELD_OUT = 0.05, 0.05, 8  # nearer to black or white the sigmoid hardly moves
 

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ...gutters import fill_gutters
-from ...mesh import Mesh
-from ...uvmesh import UVMesh
+from ...meshes.mesh import Mesh
+from ...meshes.uv_mesh import UVMesh
+from ...textures.gutters import fill_gutters
 from ..texels import Texels
 
 _MOST_BYTES = 2 * 2**30  # of texels; gradients, Adam's means and temporary copies are several times that

@@ -1,12 +1,12 @@
 """A textured mesh from images with known cameras, a texture for a known mesh, or the camera of one image."""
 
+from .fit_views import Views
 from .hull import carve, frame
 from .load import load_photo, load_views
 from .mesh import MeshFit
 from .pose import CameraFit
 from .shape import ShapeFit, Weights
 from .texture import TextureFit
-from .views import Views
 
 __all__ = [
     "CameraFit",

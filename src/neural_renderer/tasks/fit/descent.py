@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...topology import Topology
+from ...meshes.topology import Topology
 
 
 class SmoothDescent:

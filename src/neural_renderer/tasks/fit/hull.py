@@ -7,10 +7,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...isosurface import isosurface
-from ...topology import Topology
+from ...meshes.isosurface import isosurface
+from ...meshes.topology import Topology
 from .descent import SmoothDescent
-from .views import Views
+from .fit_views import Views
 
 _ROOM = 1.08  # half of the cube that is carved, of a world whose object is within [-1, 1]
 

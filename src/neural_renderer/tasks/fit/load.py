@@ -27,7 +27,7 @@ from ... import validate
 from ...camera import Camera, get_points_from_angles
 from ...io import load_image
 from ...io.files import existing, read_text
-from .views import Views, smaller
+from .fit_views import Views, smaller
 
 _CAMERA_FILES = ("transforms.json", "transforms_train.json", "cameras.json", "cameras.csv")
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG")

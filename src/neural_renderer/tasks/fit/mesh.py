@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from ... import validate
-from ...mesh import Mesh
-from ...primitives import icosphere
+from ...meshes.mesh import Mesh
+from ...meshes.primitives import icosphere
+from .fit_views import Views
 from .hull import carve, frame
 from .shape import ShapeFit, Weights
 from .texture import TextureFit
-from .views import Views
 
 CLAY = (0.55, 0.68, 0.84)
 

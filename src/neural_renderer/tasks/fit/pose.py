@@ -12,7 +12,7 @@ from torch import Tensor
 from ... import losses, validate
 from ...camera import Camera
 from ...render import render
-from .views import agreement, smaller
+from .fit_views import agreement, smaller
 
 _COARSE, _FINE = 64, 128  # pixels of the longer side
 

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from ... import losses, validate
 from ...io.cubes import barycentric_grid
-from ...topology import Topology
+from ...meshes.topology import Topology
 from .descent import SmoothDescent
-from .views import Views, agreement, chosen
+from .fit_views import Views, agreement, chosen
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ... import validate
 from ..texels import Texels
-from .views import Views
+from .fit_views import Views
 
 _OUTLINE = 0.05  # a pixel beside an outline counts so much
 _CHANGING = ("_colours", "_residual", "_direction", "_product")

@@ -1,0 +1,168 @@
+"""`neural-renderer reconstruct predict`: a mesh from one picture, for one picture or for many."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import torch
+import tyro
+from rich.console import Console
+from rich.progress import track
+from torch import Tensor
+
+from ...io import load_image, save_animation, save_image, save_mesh
+from ...io.atomic_write import replacing
+from ...meshes.mesh import Mesh
+from ...pictures.photograph import photograph
+from ...tasks.reconstruction.data.drawing import CLAY
+from ...tasks.reconstruction.evaluation.cutout import cut_out
+from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshes, prediction_picture
+from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
+from ...tasks.reconstruction.evaluation.refine import chosen_steps
+from ...tasks.reconstruction.networks.checkpoint import load_model
+from ..common import checked_count, chosen_device
+
+_SUFFIXES = (".obj", ".glb", ".ply")
+_PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+
+
+@dataclass(frozen=True)
+class Predict:
+    """Turn a picture of an object into a mesh, with a trained network.
+
+    A picture is a PNG with transparency, a photo with a --mask, or an object before a plain background; of any size:
+    the object is cut out and framed as the pictures that the network has learned from, at the size at which the
+    prediction casts the silhouette that was given. A square of 64 pixels with transparency is taken as it is. Beside
+    the mesh (y up, its longest side about 1) there will be a sheet of what was given, what the network saw, and views
+    of the mesh (_sheet.png), and a turntable (_turntable.gif).
+
+    Example: neural-renderer reconstruct predict trained/best.ckpt chair.png -o chair.obj
+
+    Example: neural-renderer reconstruct predict trained/best.ckpt photo.jpg --mask mask.png -o chair.glb
+
+    Example: neural-renderer reconstruct predict trained/best.ckpt photos/*.png -o meshes
+    """
+
+    checkpoint: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CHECKPOINT")]
+    """The trained network, of meshes or of voxels."""
+    images: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="IMAGE")]
+    """One or more pictures."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The mesh, .obj, .glb or .ply; for several pictures a folder, which is made if missing."""
+    mask: Path | None = None
+    """Picture that is white, or opaque, on the object; for several pictures a folder of masks with the same names."""
+    format: Literal["obj", "glb", "ply"] = "obj"
+    """Of the meshes in a folder."""
+    turntable: int = 36
+    """Pictures of the turntable (0: none)."""
+    sheet: bool = True
+    """Write a sheet to look at."""
+    threshold: float = 0.5
+    """The probability (above 0, below 1) at which the surface of a voxel network's prediction lies."""
+    refine: int | None = None
+    """Steps by which a mesh is fitted to the silhouette that was given, in place of the recipe's (0: none)."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to compute; auto is CUDA where there is one."""
+
+    def run(self) -> int:
+        """Predict; returns the exit code: 0, or 1 if there was a picture that nothing could be made of."""
+        checked_count("turntable", self.turntable, 0)
+        if self.refine is not None:
+            checked_count("refine", self.refine, 0)
+        if not 0 < self.threshold < 1:
+            raise ValueError(f"--threshold: expected a number above 0 and below 1, got {self.threshold}")
+        targets = self._targets()
+        for target in targets.values():
+            for path in (target, _beside(target, "sheet.png"), _beside(target, "turntable.gif")):
+                if path.exists() and any(path.samefile(image) for image in self.images if image.exists()):
+                    raise ValueError(f"--output: expected another file than the picture {path}")
+        if self.mask is not None and len(self.images) > 1 and not self.mask.is_dir():
+            raise ValueError(f"--mask: expected a folder of masks for {len(self.images)} pictures, got {self.mask}")
+        device = chosen_device(self.device)
+        model = load_model(self.checkpoint, device)
+        refine = chosen_steps(model, self.refine)
+        predict = network_predictor(model, self.threshold)
+        console, failures = Console(stderr=True), []
+        for path in track(self.images, "Meshes", console=console, transient=True, disable=len(self.images) == 1):
+            try:
+                picture, image = self._prepared(path, predict, device)
+                [(vertices, faces)] = predict_meshes(model, image[None].to(device), self.threshold, refine)
+            except (ValueError, OSError) as error:
+                failures.append(_named(path, error))
+                continue
+            self._write(targets[path], picture, image, vertices, faces)
+            Console().print(f"{targets[path]}", highlight=False, soft_wrap=True)
+        if len(self.images) == 1 and failures:
+            raise ValueError(failures[0])
+        for text in failures:
+            console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+        return 1 if failures else 0
+
+    def _targets(self) -> dict[Path, Path]:
+        """The mesh's file for each picture."""
+        if not self.images:
+            raise ValueError("images: expected at least one picture, got none")
+        if self.output.suffix.lower() in _SUFFIXES:
+            if len(self.images) > 1:
+                count = len(self.images)
+                raise ValueError(f"--output: expected a folder for {count} meshes, got {self.output.name!r}")
+            return {self.images[0]: self.output}
+        if self.output.suffix and not self.output.is_dir() and len(self.images) == 1:
+            expected = ", ".join(_SUFFIXES)
+            raise ValueError(
+                f"--output: expected a name that ends in {expected}, or a folder, got {self.output.name!r}"
+            )
+        targets = {path: self.output / f"{path.stem}.{self.format}" for path in self.images}
+        if len(set(targets.values())) < len(set(self.images)):
+            raise ValueError("images: expected pictures of different names, got some whose meshes would be one file")
+        return targets
+
+    def _prepared(self, path: Path, predict: Predictor, device: torch.device) -> tuple[Tensor, Tensor]:
+        """The picture [H, W, 3 or 4], and what the network gets of it."""
+        picture = load_image(path, upright=True)
+        mask = None
+        if self.mask is not None:
+            mask = _as_mask(load_image(self._mask_of(path), upright=True))
+        elif picture.shape == (64, 64, 4) and float(picture[..., 3].min()) < 0.5 < float(picture[..., 3].max()):
+            return picture, (picture.permute(2, 0, 1) * 255 + 0.5).to(torch.uint8)
+        return picture, best_frame(predict, cut_out(picture, mask), device)
+
+    def _mask_of(self, path: Path) -> Path:
+        folder = self.mask
+        if folder is None or not folder.is_dir():
+            return folder or path
+        for suffix in (path.suffix, *_PICTURES):
+            if (folder / (path.stem + suffix)).is_file():
+                return folder / (path.stem + suffix)
+        raise ValueError(f"{folder}: expected a mask {path.stem}.png, got none")
+
+    def _write(self, target: Path, picture: Tensor, image: Tensor, vertices: Tensor, faces: Tensor) -> None:
+        with replacing(target) as fresh:
+            save_mesh(fresh, vertices, faces)
+        if self.sheet:
+            sheet = prediction_picture(picture, image, vertices, faces)
+            with replacing(_beside(target, "sheet.png")) as fresh:
+                save_image(fresh, sheet)
+        if self.turntable:
+            upright = Mesh(vertices, faces, torch.tensor(CLAY).expand(len(faces), 2, 2, 2, 3)).normalize()
+            frames = (photograph(upright, 145 + 360 * i / self.turntable, size=256) for i in range(self.turntable))
+            with replacing(_beside(target, "turntable.gif")) as fresh:
+                save_animation(fresh, frames, fps=15)
+
+
+def _beside(target: Path, name: str) -> Path:
+    return target.with_name(f"{target.stem}_{name}")
+
+
+def _as_mask(image: Tensor) -> Tensor:
+    """[H, W]: the transparency, if there is any, else the brightness."""
+    transparent = image.shape[2] == 4 and float(image[..., 3].min()) < 1
+    return image[..., 3] if transparent else image[..., :3].mean(2)
+
+
+def _named(path: Path, error: Exception) -> str:
+    """The sentence of an error, with the picture that it is about."""
+    text = " ".join(str(error).split())
+    return text if str(path) in text or text.startswith("--") else f"{path}: {text}"

@@ -1,0 +1,241 @@
+"""`Renderer`, the class that code written for the first packages uses: a thin face over the same parts as `render`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from .. import validate
+from ..camera import look, look_at, projection
+from ..camera.lens import in_perspective, viewing_angle
+from ..raster.rasterize import Images, checked_faces, rasterize_images, vertices_to_faces, world_corners
+from ..shading.lights import Light
+from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR
+
+# What `Light` calls the attributes of `Renderer`.
+_LIGHT = {
+    "ambient": "light_intensity_ambient",
+    "directional": "light_intensity_directional",
+    "ambient_color": "light_color_ambient",
+    "directional_color": "light_color_directional",
+    "direction": "light_direction",
+}
+
+
+class Renderer(nn.Module):
+    """A renderer with settable attributes; each constructor argument is an attribute of the same name.
+
+    image_size: side, or (height, width). anti_aliasing: draw at twice the size and average.
+    background_color: [3], [B, 3] or an image. fill_back: draw both sides of every face.
+    camera_mode: "projection" (K, R, t, dist_coeffs, orig_size: an OpenCV camera), "look_at" (eye), "look" (eye,
+        camera_direction); any other string: vertices are in screen space already.
+    perspective: divide by depth ("look_at" and "look" only), with half field of view viewing_angle in degrees: a
+        number, or a tensor [] or [B].
+    near, far: only what has near < depth < far at a pixel is seen, in every mode.
+    rasterizer_eps: eps of colour renders (see `rasterize_images`); that of silhouettes is 1e-4, as it always was.
+    light_*: intensities, colours and direction (towards the light) as in `Light`.
+    gradient: the estimator through visibility.
+
+    "look_at" and "look" mirror the world, and light in "projection" mode falls on the far sides of faces, as in the
+    first packages; `render` has neither property.
+    """
+
+    def __init__(
+        self,
+        image_size: int | tuple[int, int] = 256,
+        anti_aliasing: bool = True,
+        background_color: Any = (0, 0, 0),
+        fill_back: bool = True,
+        camera_mode: str = "projection",
+        K: Any = None,
+        R: Any = None,
+        t: Any = None,
+        dist_coeffs: Any = None,
+        orig_size: int | tuple[int, int] = 1024,
+        perspective: bool = True,
+        viewing_angle: float | Tensor = 30,
+        camera_direction: Any = (0, 0, 1),
+        near: float = DEFAULT_NEAR,
+        far: float = DEFAULT_FAR,
+        light_intensity_ambient: float | Tensor = 0.5,
+        light_intensity_directional: float | Tensor = 0.5,
+        light_color_ambient: Any = (1, 1, 1),
+        light_color_directional: Any = (1, 1, 1),
+        light_direction: Any = (0, 1, 0),
+        gradient: str = "nmr",
+    ) -> None:
+        super().__init__()
+        self.image_size = image_size
+        self.anti_aliasing = anti_aliasing
+        self.background_color = _own(background_color)
+        self.fill_back = fill_back
+        self.camera_mode = _mode(camera_mode)
+        self.K, self.R, self.t, self.dist_coeffs = K, R, t, dist_coeffs
+        self.orig_size = orig_size
+        self.perspective = perspective
+        self.viewing_angle = viewing_angle
+        self.eye: Any = _default_eye(viewing_angle)
+        self.camera_direction = _own(camera_direction)
+        self.near = near
+        self.far = far
+        self.light_intensity_ambient = light_intensity_ambient
+        self.light_intensity_directional = light_intensity_directional
+        self.light_color_ambient = _own(light_color_ambient)
+        self.light_color_directional = _own(light_color_directional)
+        self.light_direction = _own(light_direction)
+        self.rasterizer_eps = 1e-3
+        self.gradient = gradient
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # A number takes the place of a parameter too, which nn.Module would refuse.
+        if name in getattr(self, "_parameters", ()) and not isinstance(value, nn.Parameter):
+            del self._parameters[name]
+        super().__setattr__(name, value)
+
+    def forward(
+        self,
+        vertices: Tensor,
+        faces: Tensor,
+        textures: Tensor | None = None,
+        mode: str | None = None,
+        K: Any = None,
+        R: Any = None,
+        t: Any = None,
+        dist_coeffs: Any = None,
+        orig_size: int | tuple[int, int] | None = None,
+    ) -> Any:
+        """What ``mode`` names: None → `render`, "rgb", "silhouettes", "depth"; ValueError for another."""
+        camera = (K, R, t, dist_coeffs, orig_size)
+        if mode is None:
+            return self.render(vertices, faces, textures, *camera)
+        if mode == "rgb":
+            return self.render_rgb(vertices, faces, textures, *camera)
+        if mode == "silhouettes":
+            return self.render_silhouettes(vertices, faces, *camera)
+        if mode == "depth":
+            return self.render_depth(vertices, faces, *camera)
+        raise ValueError(f"mode: expected None, 'rgb', 'silhouettes' or 'depth', got {mode!r}")
+
+    def render(
+        self, vertices: Tensor, faces: Tensor, textures: Tensor | None, K: Any = None, R: Any = None, t: Any = None,
+        dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
+    ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        """(rgb [B, 3, H, W], depth [B, H, W], alpha [B, H, W]) of vertices [B, V, 3], faces [B, F, 3] or [F, 3] and
+        textures [B, F, T, T, T, 3]; K, R, t, dist_coeffs, orig_size replace the attributes for this call."""
+        images = self._draw(("rgb", "alpha", "depth"), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size))
+        return images.rgb, images.depth, images.alpha  # type: ignore[return-value]
+
+    def render_rgb(
+        self, vertices: Tensor, faces: Tensor, textures: Tensor | None, K: Any = None, R: Any = None, t: Any = None,
+        dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
+    ) -> Tensor:  # fmt: skip
+        """Colour [B, 3, H, W]; arguments as in `render`."""
+        return self._draw(("rgb",), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size)).rgb  # type: ignore[return-value]
+
+    def render_silhouettes(
+        self, vertices: Tensor, faces: Tensor, K: Any = None, R: Any = None, t: Any = None,
+        dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
+    ) -> Tensor:  # fmt: skip
+        """Silhouettes [B, H, W]; arguments as in `render`."""
+        return self._draw(("alpha",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).alpha  # type: ignore[return-value]
+
+    def render_depth(
+        self, vertices: Tensor, faces: Tensor, K: Any = None, R: Any = None, t: Any = None,
+        dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
+    ) -> Tensor:  # fmt: skip
+        """Depth [B, H, W]; arguments as in `render`."""
+        return self._draw(("depth",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).depth  # type: ignore[return-value]
+
+    def _draw(
+        self,
+        outputs: tuple[str, ...],
+        vertices: Tensor,
+        faces: Tensor,
+        textures: Tensor | None,
+        camera: tuple[Any, ...],
+    ) -> Images:
+        validate.floating("vertices", vertices, ("B", "V", 3))
+        checked_faces(faces)
+        screen, perspective = self._project(vertices, *camera)
+        screen = validate.in_float32("vertices on the screen", screen)
+        light = None
+        if "rgb" in outputs:
+            lamp = Light(
+                self.light_intensity_ambient,
+                self.light_intensity_directional,
+                self.light_color_ambient,
+                self.light_color_directional,
+                self.light_direction,
+            )
+            # Light falls on the world, before the camera; on the side that the first packages lit (see the class).
+            with validate.called(**_LIGHT):
+                light = lamp.two_sided(world_corners(vertices, faces, len(screen)), mirrored=True)
+        with validate.called(background="background_color", eps="rasterizer_eps", light="light_*"):
+            return rasterize_images(
+                vertices_to_faces(screen, faces),
+                self.image_size,
+                outputs=outputs,
+                textures=textures,
+                light=light,
+                background=self.background_color,
+                near=self.near,
+                far=self.far,
+                eps=self.rasterizer_eps if "rgb" in outputs else DEFAULT_EPS,
+                anti_aliasing=self.anti_aliasing,
+                two_sided=validate.flag("fill_back", self.fill_back),
+                perspective=perspective,
+                gradient=self.gradient,
+            )
+
+    def _project(
+        self, vertices: Tensor, K: Any, R: Any, t: Any, dist_coeffs: Any, orig_size: Any
+    ) -> tuple[Tensor, bool]:
+        """Vertices in screen space, and whether depth runs in perspective between them."""
+        mode = _mode(self.camera_mode)
+        if mode == "projection":
+            K, R, t = (self._given(name, value) for name, value in (("K", K), ("R", R), ("t", t)))
+            dist_coeffs = self.dist_coeffs if dist_coeffs is None else dist_coeffs
+            size = self.orig_size if orig_size is None else orig_size
+            return projection(vertices, K, R, t, dist_coeffs, size), True
+        divided = validate.flag("perspective", self.perspective)
+        if mode == "look_at":
+            vertices = look_at(vertices, self.eye)
+        elif mode == "look":
+            vertices = look(vertices, self.eye, self.camera_direction)
+        else:
+            return validate.vertices(vertices), True
+        if divided:
+            vertices = in_perspective(vertices, self.viewing_angle, "viewing_angle")
+        return vertices, divided
+
+    def _given(self, name: str, value: Any) -> Any:
+        value = getattr(self, name) if value is None else value
+        if value is None:
+            raise ValueError(
+                f'{name}: expected a camera matrix for camera_mode "projection", got None; give K, R and t to '
+                'Renderer or to the call, or choose camera_mode="look_at"'
+            )
+        return value
+
+
+def _mode(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"camera_mode: expected a string, got {type(value).__name__}")
+    return value
+
+
+def _default_eye(angle: Any) -> Any:
+    """The place on -z from which a square of side 2 at z = -1 fills the image: [3], or [B, 3] for angles [B]."""
+    angle = viewing_angle("viewing_angle", angle, torch.get_default_dtype())
+    if isinstance(angle, Tensor):
+        z = -1 / torch.tan(torch.deg2rad(angle.detach())) - 1
+        return torch.stack((torch.zeros_like(z), torch.zeros_like(z), z), -1)
+    return [0, 0, -(1.0 / math.tan(math.radians(angle)) + 1)]
+
+
+def _own(value: Any) -> Any:
+    """Settable attributes are lists, as they were, and never shared between renderers."""
+    return value if isinstance(value, torch.Tensor) or not hasattr(value, "__iter__") else list(value)

@@ -1,0 +1,1 @@
+"""Pictures of results: photographs of meshes, sheets and curves."""

@@ -1,0 +1,205 @@
+"""Which voxels a mesh fills: those that its surface passes through, and what they enclose."""
+
+# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+import math
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from ..warp.launch import array, launch, load_kernel
+
+# Without fused multiply-adds neighbours agree about a line that passes through their common edge.
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_EMPTY = wp.constant(wp.uint8(0))
+_SURFACE = wp.constant(wp.uint8(1))
+_OUTSIDE = wp.constant(wp.uint8(2))
+
+# Of one mesh: so many points, queried at once, are worth another CPU thread.
+_MANY_POINTS = 2048
+
+
+def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) -> Tensor:
+    """The voxels [B, size, size, size] bool that meshes fill; voxel (i, j, k) is [i, i + 1] × [j, j + 1] × [k, k + 1].
+
+    vertices: [B, V, 3] float32, in voxels; what is outside of [0, size] is passed over.
+    faces: [F, 3] int32.
+    spacing: of points on the faces, in voxels.
+
+    A line along an axis through whole numbers marks, where it meets a face, the four voxels around it there; corners of
+    faces mark the voxel that they are in, and so do points all over the faces that are at most ``spacing`` apart: with
+    half a voxel, nothing that is thinner than a voxel is lost. Empty voxels that can be reached from the border of the
+    grid through sides of empty voxels are outside; all others are filled.
+    """
+    batch, device = len(vertices), vertices.device
+    state = torch.zeros((batch, size, size, size), dtype=torch.uint8, device=device)
+    # On the CPU one task marks all of a mesh; on CUDA one a face, and it does not matter which one is last.
+    groups = 1 if device.type == "cpu" else max(len(faces), 1)
+    points, corners = array(vertices, wp.vec3), array(faces)
+    launch(_mark, batch * groups, [points, corners, groups, float(spacing), array(state)], device)
+    launch(_flood, batch, [array(state)], device)
+    return state != 2
+
+
+def inside(vertices: Tensor, faces: Tensor, points: Tensor, least: float = 0.5) -> Tensor:
+    """Which points [P, 3] a mesh (vertices [V, 3] float32, faces [F, 3] int32) winds around: [P] bool, on the CPU.
+
+    Those with a winding number above ``least`` (Jacobson, Kavan and Sorkine-Hornung, "Robust inside-outside
+    segmentation using generalized winding numbers", 2013), which a hole in the mesh changes only near the hole. Faces
+    must run counter-clockwise seen from outside.
+    """
+    result = torch.zeros(len(points), dtype=torch.uint8)
+    load_kernel(_wind, "cpu")  # before Warp's first array, which would start it with a banner
+    corners = wp.array(faces.reshape(-1).numpy(), dtype=int, device="cpu")
+    mesh = wp.Mesh(wp.array(vertices.numpy(), dtype=wp.vec3, device="cpu"), corners, support_winding_number=True)
+    launch(_wind, len(points), [mesh.id, array(points, wp.vec3), least, array(result)], points.device, _MANY_POINTS)
+    return result == 1
+
+
+def distances(marked: Tensor) -> Tensor:
+    """How far each voxel's centre is from the nearest of those that are marked, [B, S, S, S] bool; float32, in voxels.
+
+    Exact: the least of squares, axis by axis (Felzenszwalb and Huttenlocher, "Distance transforms of sampled
+    functions", 2012, with the plain minimum, which is as fast for so few voxels). Infinite where none is marked.
+    """
+    least = torch.where(marked, 0.0, torch.inf)
+    for axis in (1, 2, 3):
+        lines = least.movedim(axis, -1).contiguous()
+        found = torch.empty_like(lines)
+        size = lines.shape[-1]
+        arguments = [array(lines.reshape(-1, size)), array(found.reshape(-1, size))]
+        launch(_nearest, lines.numel() // size, arguments, lines.device, _MANY_POINTS)
+        least = found.movedim(-1, axis)
+    return least.sqrt()
+
+
+@wp.func
+def whole_from(number: float) -> int:
+    return int(wp.ceil(number))
+
+
+@wp.func
+def turn(p: wp.vec3, axis: int) -> wp.vec3:
+    """The point with ``axis`` as its last coordinate."""
+    return wp.vec3(p[(axis + 1) % 3], p[(axis + 2) % 3], p[axis])
+
+
+@wp.func
+def mark(state: wp.array4d(dtype=wp.uint8), b: int, axis: int, p: int, q: int, along: int):
+    """Mark the voxel at p and q across ``axis`` and at ``along`` it, if it is in the grid."""
+    size = int(state.shape[1])
+    if p >= 0 and p < size and q >= 0 and q < size and along >= 0 and along < size:
+        if axis == 0:
+            state[b, along, p, q] = _SURFACE
+        elif axis == 1:
+            state[b, q, along, p] = _SURFACE
+        else:
+            state[b, p, q, along] = _SURFACE
+
+
+@wp.func
+def mark_lines(state: wp.array4d(dtype=wp.uint8), b: int, axis: int, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3):
+    """Mark where the lines along ``axis`` meet the face with such corners, of which the last coordinate is along it."""
+    size = float(state.shape[1])
+    low = wp.vec3(wp.min(v0[0], wp.min(v1[0], v2[0])), wp.min(v0[1], wp.min(v1[1], v2[1])), 0.0)
+    high = wp.vec3(wp.max(v0[0], wp.max(v1[0], v2[0])), wp.max(v0[1], wp.max(v1[1], v2[1])), 0.0)
+    p_last = int(wp.floor(wp.min(high[0], size)))
+    q_last = int(wp.floor(wp.min(high[1], size)))
+    for p in range(whole_from(wp.max(low[0], 0.0)), p_last + 1):
+        for q in range(whole_from(wp.max(low[1], 0.0)), q_last + 1):
+            x = float(p)
+            y = float(q)
+            e0 = (v1[0] - x) * (v2[1] - y) - (v1[1] - y) * (v2[0] - x)
+            e1 = (v2[0] - x) * (v0[1] - y) - (v2[1] - y) * (v0[0] - x)
+            e2 = (v0[0] - x) * (v1[1] - y) - (v0[1] - y) * (v1[0] - x)
+            area = e0 + e1 + e2
+            if area != 0.0 and e0 * area >= 0.0 and e1 * area >= 0.0 and e2 * area >= 0.0:
+                along = int(wp.floor((e0 * v0[2] + e1 * v1[2] + e2 * v2[2]) / area))
+                for i in range(4):
+                    mark(state, b, axis, p - i % 2, q - i // 2, along)
+
+
+@wp.func
+def mark_points(state: wp.array4d(dtype=wp.uint8), b: int, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, spacing: float):
+    """Mark the voxels of a face's corners, and of points between them so that none is far from the next."""
+    longest = wp.max(wp.length(v1 - v0), wp.max(wp.length(v2 - v1), wp.length(v0 - v2)))
+    steps = int(wp.clamp(wp.ceil(longest / spacing), 1.0, 1024.0))
+    for i in range(steps + 1):
+        for j in range(steps + 1 - i):
+            p = v0 + (float(i) * (v1 - v0) + float(j) * (v2 - v0)) / float(steps)
+            mark(state, b, 2, int(wp.floor(p[0])), int(wp.floor(p[1])), int(wp.floor(p[2])))
+
+
+@wp.kernel
+def _mark(
+    first: int,
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=int),
+    groups: int,
+    spacing: float,
+    state: wp.array4d(dtype=wp.uint8),
+):
+    task = first + wp.tid()
+    b = task // groups
+    for f in range(task % groups, faces.shape[0], groups):
+        v0 = vertices[b, faces[f, 0]]
+        v1 = vertices[b, faces[f, 1]]
+        v2 = vertices[b, faces[f, 2]]
+        mark_points(state, b, v0, v1, v2, spacing)
+        for k in range(3):
+            mark_lines(state, b, k, turn(v0, k), turn(v1, k), turn(v2, k))
+
+
+@wp.func
+def reached(state: wp.array4d(dtype=wp.uint8), b: int, i: int, j: int, k: int) -> bool:
+    """Whether an empty voxel lies at the border of the grid or beside one that was reached."""
+    last = int(state.shape[1]) - 1
+    if i == 0 or j == 0 or k == 0 or i == last or j == last or k == last:
+        return True
+    if state[b, i - 1, j, k] == _OUTSIDE or state[b, i, j - 1, k] == _OUTSIDE or state[b, i, j, k - 1] == _OUTSIDE:
+        return True
+    return state[b, i + 1, j, k] == _OUTSIDE or state[b, i, j + 1, k] == _OUTSIDE or state[b, i, j, k + 1] == _OUTSIDE
+
+
+@wp.kernel
+def _flood(first: int, state: wp.array4d(dtype=wp.uint8)):
+    """Sweep to and fro until nothing new is reached: a few times, for any but a maze."""
+    b = first + wp.tid()
+    size = int(state.shape[1])
+    count = size * size * size
+    changed = int(1)
+    backward = int(0)
+    while changed != 0:
+        changed = int(0)
+        for step in range(count):
+            at = step
+            if backward == 1:
+                at = count - 1 - step
+            i = at // (size * size)
+            j = (at // size) % size
+            k = at % size
+            if state[b, i, j, k] == _EMPTY and reached(state, b, i, j, k):
+                state[b, i, j, k] = _OUTSIDE
+                changed += 1
+        backward = 1 - backward
+
+
+@wp.kernel
+def _wind(first: int, mesh: wp.uint64, points: wp.array(dtype=wp.vec3), least: float, result: wp.array(dtype=wp.uint8)):
+    task = first + wp.tid()
+    found = wp.mesh_query_point_sign_winding_number(mesh, points[task], 1.0e6, 2.0, least)
+    result[task] = wp.where(found.result and found.sign < 0.0, _SURFACE, _EMPTY)
+
+
+@wp.kernel
+def _nearest(first: int, lines: wp.array2d(dtype=float), result: wp.array2d(dtype=float)):
+    task = first + wp.tid()
+    size = int(lines.shape[1])
+    for i in range(size):
+        best = lines[task, i]
+        for j in range(size):
+            reach = lines[task, j] + float((i - j) * (i - j))
+            if reach < best:  # wp.min looks out for NaN, one by one
+                best = reach
+        result[task, i] = best

@@ -1,0 +1,1 @@
+"""Slow float64 references in plain torch, to which the tests hold the kernels."""

@@ -1,0 +1,1 @@
+"""The estimators of the gradient through visibility: `nmr`, the paper's, and `edge`, the unbiased one."""

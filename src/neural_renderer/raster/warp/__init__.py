@@ -1,0 +1,1 @@
+"""Warp kernels on torch tensors: launching, registering operators, shared geometry."""

@@ -1,0 +1,186 @@
+"""Running Warp kernels on torch tensors: devices, streams and CPU threads.
+
+Warp runs a CPU kernel as a plain loop on the calling thread, without the GIL. Every kernel here therefore takes the
+number of its first task as its first argument, and `launch` hands pieces of the task range to several threads. A task
+writes only what no other task writes, so the result does not depend on how many threads there are.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from torch import Tensor
+
+# Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
+_PIECES = 4
+
+# Pixels to look at before another CPU thread is worth waking.
+MANY_PIXELS = 1 << 20
+
+_lock = threading.Lock()
+_ready: set[tuple[Any, str]] = set()
+_pool: ThreadPoolExecutor | None = None
+_pool_size = 0
+
+
+def _after_fork() -> None:
+    # A forked child has none of its parent's threads, and perhaps a lock that nobody will release. OpenMP does not
+    # start its threads anew, so torch would wait for them forever: the child computes on one, as torch's own data
+    # loading does.
+    global _pool, _lock
+    _pool, _lock = None, threading.Lock()
+    if _ready:
+        torch.set_num_threads(1)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    # Without a CUDA driver Warp's library writes a warning straight to the file descriptor; it says nothing that
+    # torch.cuda.is_available() does not, and a CPU user would meet it in every process.
+    if torch.cuda.is_available():
+        yield
+        return
+    with open(os.devnull, "w") as null:
+        stderr = os.dup(2)
+        try:
+            os.dup2(null.fileno(), 2)
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+
+
+def load_kernel(kernel: wp.Kernel, device: str) -> None:
+    """Compile and load the kernel's module once, before any thread needs it."""
+    key = (kernel, device)
+    if key in _ready:
+        return
+    with _lock:
+        if key not in _ready:
+            level = wp.config.log_level
+            wp.config.log_level = max(level, wp.LOG_WARNING)  # the banner and build lines belong to nobody's output
+            try:
+                with _quiet():
+                    wp.init()
+                wp.load_module(kernel.module, device=device)
+            except OSError as error:
+                raise OSError(
+                    f"{wp.config.kernel_cache_dir}: expected a folder to keep compiled kernels in, got: {error}; "
+                    "WARP_CACHE_PATH can name another"
+                ) from error
+            finally:
+                wp.config.log_level = level
+            _ready.add(key)
+
+
+def _threads(count: int) -> ThreadPoolExecutor:
+    global _pool, _pool_size
+    with _lock:
+        if _pool is None or _pool_size < count:
+            _pool, _pool_size = ThreadPoolExecutor(count, thread_name_prefix="neural_renderer"), count
+        return _pool
+
+
+def cpu_bands(batch: int) -> int:
+    """Into how many bands of rows each image is cut so that all of torch's threads have work."""
+    threads = torch.get_num_threads()
+    return 1 if batch % threads == 0 or batch >= _PIECES * threads else 2 * threads
+
+
+def face_lanes(faces: Tensor, pixels: int) -> int:
+    """How many CUDA threads share one face of ``faces`` [B, F, ...] in an image of so many pixels.
+
+    More where faces are few and large. One on the CPU, and one where torch asks for deterministic results: several add
+    their sums in whatever order they end.
+    """
+    if faces.device.type != "cuda" or torch.are_deterministic_algorithms_enabled():
+        return 1
+    return min(32, 1 << (8 * pixels // max(faces.shape[1], 1)).bit_length() // 2)
+
+
+def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
+    """A tensor of zeros, float32 or int32.
+
+    On the CPU the system's own empty pages: torch would write zeros on all its threads, which then spin for a while
+    where a kernel's threads want to run.
+    """
+    if device.type != "cpu":
+        return torch.zeros(shape, dtype=dtype, device=device)
+    return torch.from_numpy(np.zeros(tuple(shape), np.float32 if dtype == torch.float32 else np.int32))
+
+
+def copy(tensor: Tensor) -> Tensor:
+    """A contiguous copy, on the CPU by the threads that run kernels: see `zeros`."""
+    if tensor.device.type != "cpu":
+        return tensor.clone(memory_format=torch.contiguous_format)
+    source = tensor.detach().numpy()
+    result = np.empty(source.shape, source.dtype)
+    _share(lambda first, last: np.copyto(result[first:last], source[first:last]), len(source), least=1)
+    return torch.from_numpy(result)
+
+
+def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
+    """The tensor as a kernel argument; vectors take the trailing dimension(s).
+
+    Kernels may count on contiguous memory: another tensor is copied first, unless ``strided``.
+    """
+    if tensor.numel() == 0:  # strides of nothing can be anything, and Warp looks at them
+        tensor = tensor.new_empty(tensor.shape)
+    tensor = tensor.detach() if strided else tensor.detach().contiguous()
+    argument: Any = wp.from_torch(tensor, dtype=dtype, requires_grad=False, return_ctype=True)
+    argument.tensor = tensor  # the descriptor alone would not keep a copy alive
+    return argument
+
+
+def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torch.device, least: int = 1) -> None:
+    """Run ``kernel(first, *arguments)`` for ``tasks`` tasks on ``device``.
+
+    tasks: how many tasks; the kernel adds ``first`` to its thread index.
+    arguments: tensors as `array` gives them, and numbers.
+    least: how many tasks are worth another CPU thread.
+    """
+    if tasks == 0:
+        return
+    if device.type == "cuda":
+        with torch.cuda.device(device):
+            load_kernel(kernel, f"cuda:{torch.cuda.current_device()}")
+            stream = wp.stream_from_torch(torch.cuda.current_stream())
+            wp.launch(kernel, tasks, [0, *arguments], stream=stream, record_tape=False)
+        return
+    load_kernel(kernel, "cpu")
+
+    def run(first: int, last: int) -> None:
+        wp.launch(kernel, last - first, [first, *arguments], device="cpu", record_tape=False)
+
+    _share(run, tasks, least)
+
+
+def _share(run: Callable[[int, int], object], tasks: int, least: int) -> None:
+    """Call run(first, last) for pieces of the tasks on as many CPU threads as torch uses."""
+    threads = min(torch.get_num_threads(), max(1, tasks // least))
+    pieces = min(tasks, _PIECES * threads) if threads > 1 else 1
+    numbers = itertools.count()
+
+    def work() -> None:
+        # next() on a count is atomic, so each piece is taken once, by whoever is free.
+        while (piece := next(numbers)) < pieces:
+            run(tasks * piece // pieces, tasks * (piece + 1) // pieces)
+
+    others = [_threads(threads - 1).submit(work) for _ in range(threads - 1)]
+    work()
+    for other in others:
+        if not other.cancel():  # one that never started, because other callers keep the pool busy, is not missed
+            other.result()

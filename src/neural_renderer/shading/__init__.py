@@ -1,0 +1,1 @@
+"""Lights: ambient and directional, and spherical harmonics."""

@@ -1,0 +1,1 @@
+"""Data of reconstruction: rendered views and voxels of 3D models."""

@@ -1,0 +1,122 @@
+"""A folder of 3D models: a folder per category, and which split each model belongs to."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from ....io.files import existing, read_text
+from .arrays import SPLITS
+
+_SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")  # the first that is there is taken
+_NESTED = ("models/model_normalized.obj", "model_normalized.obj", "models/model.obj", "model.obj")
+_COLUMNS = {
+    "category": ("category", "class", "synsetid", "synset"),
+    "model": ("model", "modelid", "name", "id"),
+    "split": ("split", "set"),
+}
+_SYNONYMS = {"valid": "val", "validation": "val"}
+_SHARES = (("train", 0.7), ("val", 0.8), ("test", 1.0))  # as the paper divides its data
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model of a category: its name is that of its file or, in ShapeNetCore's layouts, of its folder."""
+
+    category: str
+    name: str
+    path: Path
+
+
+def find_models(folder: Path) -> tuple[list[Model], dict[str, str]]:
+    """The models of a folder, in order, and for what looks like one but is none, a sentence by "category/name".
+
+    A category's folder holds mesh files, or a folder per model with the one mesh file, `model.obj`, or
+    `models/model_normalized.obj`. Folders without anything of that kind are no categories. Raises FileNotFoundError
+    for no such folder and ValueError for one without models.
+    """
+    if not folder.is_dir():
+        found = "a file" if folder.exists() else "nothing there"
+        raise FileNotFoundError(f"{folder}: expected a folder with a folder of models per category, got {found}")
+    models: dict[tuple[str, str], Model] = {}
+    broken: dict[str, str] = {}
+    for category in sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
+        entries = sorted(path for path in category.iterdir() if not path.name.startswith("."))
+        files = [path for path in entries if path.is_file() and is_mesh(path)]
+        for path in sorted(files, key=lambda path: _SUFFIXES.index(path.suffix.lower())):
+            models.setdefault((category.name, path.stem), Model(category.name, path.stem, path))
+        for entry in (path for path in entries if path.is_dir()):
+            found_files = _in_model_folder(entry)
+            if len(found_files) == 1:
+                model = Model(category.name, entry.name, found_files[0])
+                models.setdefault((category.name, entry.name), model)
+            elif found_files:
+                names = ", ".join(path.name for path in found_files[:4])
+                broken[f"{category.name}/{entry.name}"] = f"{entry}: expected one mesh or model.obj, got {names}"
+            elif not files and any(path.is_file() for path in entry.rglob("*")):
+                broken[f"{category.name}/{entry.name}"] = f"{entry}: expected a mesh, got none"
+    if not models:
+        raise ValueError(
+            f"{folder}: expected category/model.obj or category/model/model.obj, got no mesh file in such a place"
+        )
+    return [models[key] for key in sorted(models)], broken
+
+
+def is_mesh(path: Path) -> bool:
+    """Whether a file is a mesh, by its name."""
+    return path.suffix.lower() in _SUFFIXES
+
+
+def _in_model_folder(folder: Path) -> list[Path]:
+    for name in _NESTED:
+        if (folder / name).is_file():
+            return [folder / name]
+    for place in (folder, folder / "models"):
+        files = sorted(path for path in place.glob("*") if path.is_file())
+        for suffix in _SUFFIXES:
+            found = [path for path in files if path.suffix.lower() == suffix]
+            if found:
+                return found
+    return []
+
+
+def read_splits(path: Path) -> dict[tuple[str, str], str]:
+    """The split of each (category, model) in a CSV with the columns category, model and split (or ShapeNet's names).
+
+    Raises FileNotFoundError for no such file and ValueError, with the line, for what cannot be read as such.
+    """
+    rows = list(csv.reader(read_text(existing(path)).splitlines()))
+    header = [cell.strip().lower() for cell in rows[0]] if rows else []
+    column = {}
+    for wanted, names in _COLUMNS.items():
+        column[wanted] = next((header.index(name) for name in names if name in header), -1)
+        if column[wanted] < 0:
+            raise ValueError(f"{path}: expected a column {wanted!r}, got {', '.join(header) or 'an empty file'}")
+    splits: dict[tuple[str, str], str] = {}
+    for number, row in enumerate(rows[1:], 2):
+        if not any(row):
+            continue
+        if len(row) <= max(column.values()):
+            raise ValueError(f"{path}, line {number}: expected {len(header)} columns, got {len(row)}")
+        category, name, split = (row[column[key]].strip() for key in ("category", "model", "split"))
+        split = _SYNONYMS.get(split.lower(), split.lower())
+        if split not in SPLITS:
+            raise ValueError(f"{path}, line {number}: expected a split of {', '.join(SPLITS)}, got {split!r}")
+        splits[category, name] = split
+    return splits
+
+
+def shared_out(models: list[Model]) -> dict[tuple[str, str], str]:
+    """A split for each model where nobody has chosen: 70 % train, 10 % val, 20 % test of every category.
+
+    By their names alone, so that it is the same everywhere.
+    """
+    splits = {}
+    for category in {model.category for model in models}:
+        keys = [(model.category, model.name) for model in models if model.category == category]
+        keys.sort(key=lambda key: hashlib.sha256("/".join(key).encode()).digest())
+        for index, key in enumerate(keys):
+            splits[key] = next(name for name, end in _SHARES if (index + 0.5) / len(keys) <= end)
+    return splits

@@ -1,0 +1,1 @@
+"""Predictions, their measures, baselines and pictures."""

@@ -1,0 +1,1 @@
+"""Networks of reconstruction, their configurations and checkpoints."""

@@ -1,0 +1,141 @@
+"""What happens beside the steps: checkpoints, records, pictures, the progress bar, and the end."""
+
+from __future__ import annotations
+
+import csv
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import lightning
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from ....io import save_image
+from ....io.atomic_write import replacing, writing
+from ..evaluation.predictors import network_predictor
+from ..evaluation.sheets import training_sheet
+from ..networks.checkpoint import BEST, LAST, save_model
+
+_RECORD_EVERY = 10  # steps
+
+
+class Keep(lightning.Callback):
+    """Writes the checkpoints of a folder after each round: "last.ckpt", all that is needed to go on; and "best.ckpt",
+    the network with the best silhouettes on the validation split, or the last one if there is no such split. Either is
+    whole at any time.
+
+    It also ends the training when it is done, or when ``interrupted`` has something in it, in all processes at once.
+    """
+
+    def __init__(self, folder: Path, interrupted: list[int]) -> None:
+        self._folder, self._interrupted = folder, interrupted
+        self.best = -1.0
+
+    def on_train_batch_end(self, trainer: lightning.Trainer, module: Any, *_: Any) -> None:
+        state = torch.tensor([module.progress, float(bool(self._interrupted))], dtype=torch.float64)
+        if trainer.world_size > 1:  # clocks and hands differ: what one process knows, all shall
+            state = state.to(module.device)
+            torch.distributed.all_reduce(state, torch.distributed.ReduceOp.MAX)
+        module.progress = float(state[0])
+        if module.done or state[1]:
+            trainer.should_stop = True
+
+    def on_train_epoch_end(self, trainer: lightning.Trainer, module: Any) -> None:
+        score = module.latest.get("val_iou", self.best)
+        if trainer.is_global_zero and (score > self.best or module.val_split is None):
+            self.best = score
+            facts = {"steps": module.steps_done, "seconds": module.seconds}
+            facts |= {} if module.val_split is None else {"val_iou": score}
+            save_model(self._folder / BEST, module.model, module.train_split.classes, **facts)
+        # Every process must call, one of them writes.
+        path = self._folder / LAST
+        with replacing(path) if trainer.is_global_zero else nullcontext(path) as fresh:
+            trainer.save_checkpoint(fresh, weights_only=False)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"best": self.best}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self.best = state_dict["best"]
+
+
+class Record(lightning.Callback):
+    """Numbers in "log.csv" and for TensorBoard, pictures in "pictures", progress on the screen."""
+
+    _COLUMNS = ("step", "seconds", "rate", "loss", "iou", "val_iou")
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._progress: Progress | None = None
+
+    def on_train_start(self, trainer: lightning.Trainer, module: Any) -> None:
+        if not trainer.is_global_zero:
+            return
+        path = self._folder / "log.csv"
+        rows = []
+        if module.steps_done and path.is_file():  # what came after the checkpoint is to be done again
+            with path.open(newline="", encoding="utf-8") as file:
+                rows = [row for row in csv.DictReader(file) if int(row["step"]) <= module.steps_done]
+        with replacing(path) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, self._COLUMNS, extrasaction="ignore", lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+        note = TextColumn("{task.fields[note]}")
+        self._progress = Progress(TextColumn("training"), BarColumn(), note, console=Console())
+        self._task = self._progress.add_task("training", total=1.0, note="")
+        self._progress.start()
+        self._start = module.progress, module.seconds
+
+    def on_train_batch_end(self, trainer: lightning.Trainer, module: Any, *_: Any) -> None:
+        if self._progress is None:
+            return
+        done, begun = module.progress - self._start[0], module.seconds - self._start[1]
+        left = begun / max(done, 1e-9) * max(1 - module.progress, 0)
+        note = f"step {module.steps_done}  loss {module.latest['loss']:.4f}  IoU {module.latest['iou']:.4f}"
+        if "val_iou" in module.latest:
+            note += f"  val IoU {module.latest['val_iou']:.4f}"
+        self._progress.update(self._task, completed=min(module.progress, 1.0), note=f"{note}  {_clock(left)} left")
+        if module.steps_done % _RECORD_EVERY == 0:
+            self._write(trainer, module, ("loss", "iou"))
+
+    def on_validation_end(self, trainer: lightning.Trainer, module: Any) -> None:
+        if self._progress is None or "val_iou" not in module.latest:
+            return
+        self._write(trainer, module, ("val_iou",))
+        predict = network_predictor(module.model)
+        sheet = training_sheet(lambda images: predict(images.to(module.device)), module.val_split)
+        with replacing(self._folder / "pictures" / f"{module.steps_done:08d}.png") as fresh:
+            save_image(fresh, sheet)
+        for logger in trainer.loggers:
+            with writing(self._folder / "tensorboard"):
+                logger.experiment.add_image("predictions", sheet, module.steps_done)  # type: ignore[attr-defined]
+
+    def on_train_end(self, trainer: lightning.Trainer, module: Any) -> None:
+        self._stop()
+
+    def on_exception(self, trainer: lightning.Trainer, module: Any, exception: BaseException) -> None:
+        self._stop()
+
+    def _stop(self) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+            self._progress = None
+
+    def _write(self, trainer: lightning.Trainer, module: Any, names: tuple[str, ...]) -> None:
+        rate = trainer.optimizers[0].param_groups[0]["lr"]
+        row = {"step": module.steps_done, "seconds": round(module.seconds, 2), "rate": f"{rate:.3g}"}
+        row |= {name: round(module.latest[name], 6) for name in names}
+        path = self._folder / "log.csv"
+        with writing(path), path.open("a", newline="", encoding="utf-8") as file:
+            csv.DictWriter(file, self._COLUMNS, lineterminator="\n").writerow(row)
+        values = {name: module.latest[name] for name in names} | {"rate": rate}
+        for logger in trainer.loggers:
+            with writing(self._folder / "tensorboard"):
+                logger.log_metrics(values, step=module.steps_done)
+
+
+def _clock(seconds: float) -> str:
+    hours, rest = divmod(int(seconds), 3600)
+    return f"{hours}:{rest // 60:02d}:{rest % 60:02d}"

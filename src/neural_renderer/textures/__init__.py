@@ -1,0 +1,1 @@
+"""Texture images: sampling with mipmaps, and filling the gaps between their charts."""

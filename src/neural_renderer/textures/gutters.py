@@ -1,0 +1,117 @@
+"""Texture images between their charts: what no face shows, filled so that mipmaps find no other colour there."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from .. import validate
+from ..raster.rasterize import rasterize_images
+from .sample_texture import checked_wrap
+
+# Texels: a circle of this radius has a texel's centre in it wherever it lies.
+_HOLDS_A_CENTRE = 0.7072
+_MOST_PLACES = 1 << 22  # that are looked at one by one: a second's work
+
+
+def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wrap: str = "repeat") -> Tensor:
+    """The texture with every texel that no face shows replaced by a blend of those around it.
+
+    texture: [h, w, C] floating. uv: [F, 3, 2] floating, the faces' corners on it, v up.
+    known: [h, w] bool, where the texture has a colour: others are replaced too; None: everywhere. With no texel left to
+        begin from, nothing is replaced.
+    wrap: what lies beyond [0, 1], as in `sample_texture`. If the image repeats within a face, all of it is shown.
+
+    Mipmaps average over the borders of charts: with the gaps between them black, thin dark lines follow every seam.
+    The gaps are filled from coarser and coarser means of what is shown, each over its own part alone, as in the
+    pull-push algorithm (Gortler et al., "The Lumigraph", 1996, section 3.4). A face shows the texels whose centres it
+    covers; one that may cover none, as on palettes, where a face is a point, those that are blended within it.
+
+    Returns [h, w, C] float32; gradients reach the texture. Raises TypeError or ValueError for other types or shapes.
+    """
+    validate.floating("texture", texture, ("h", "w", "C"))
+    validate.finite("uv", validate.floating("uv", uv, ("F", 3, 2)))
+    checked_wrap(wrap)
+    size = texture.shape[:2]
+    if known is not None and (not isinstance(known, Tensor) or known.shape != size or known.dtype != torch.bool):
+        got = validate.shape_of(known) if isinstance(known, Tensor) else type(known).__name__
+        raise ValueError(f"known: expected bool {list(size)} like the texture, got {got}")
+    with torch.no_grad():
+        shown = _shown(uv.float(), size[0], size[1], wrap == "repeat")
+        if known is not None:
+            shown = shown & known
+        if not shown.any():
+            return texture.float()
+    image = texture.float().permute(2, 0, 1)[None]
+    return _pull_push(image, shown[None, None].float())[0].permute(1, 2, 0).contiguous()
+
+
+def _shown(uv: Tensor, height: int, width: int, repeat: bool) -> Tensor:
+    """Which texels faces show, [height, width] bool."""
+    if not uv.numel():
+        return torch.zeros(height, width, dtype=torch.bool, device=uv.device)
+    low = uv.amin(1, keepdim=True)
+    if repeat and bool((uv.amax(1, keepdim=True) - low > 1).any()):
+        return torch.ones(height, width, dtype=torch.bool, device=uv.device)
+    uv = uv - low.floor() if repeat else uv
+    # A chart that begins in one repetition of the image may end in the next: it is drawn in all four.
+    shifts = ((0, 0), (1, 0), (0, 1), (1, 1)) if repeat else ((0, 0),)
+    corners = functional.pad(2 * torch.cat([uv - uv.new_tensor(shift) for shift in shifts]) - 1, (0, 1), value=1.0)
+    drawn = {"two_sided": True, "perspective": False, "anti_aliasing": False, "near": 0.5, "far": 2.0}
+    alpha = rasterize_images(corners[None], (height, width), outputs=("alpha",), **drawn).alpha  # type: ignore[arg-type]
+    shown = alpha[0] > 0  # type: ignore[index]
+
+    size = uv.new_tensor((width, height))
+    places = torch.stack((uv[..., 0], 1 - uv[..., 1]), 2) * size - 0.5  # whole numbers at texels' centres
+    if not repeat:
+        outside = ((uv < 0) | (uv > 1)).any()
+        shown[[0, -1]] |= outside
+        shown[:, [0, -1]] |= outside
+    texels = _blended(_small(places), height, width, repeat)
+    if texels is None:
+        return torch.ones_like(shown)
+    shown.view(-1)[texels] = True
+    return shown
+
+
+def _small(places: Tensor) -> Tensor:
+    """Those of triangles [F, 3, 2] that may lie between the centres of texels."""
+    sides = places.roll(-1, 1) - places
+    area = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).abs()
+    radius = area / sides.norm(dim=2).sum(1).clamp(min=1e-12)  # of the circle inside
+    return places[radius < _HOLDS_A_CENTRE]
+
+
+def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | None:
+    """The numbers of the texels that are blended on the sides and medians of triangles [F, 3, 2].
+
+    None if there are too many places to look at, as of a hundred thousand slivers across a whole image.
+    """
+    begin = places.repeat(1, 2, 1)
+    end = torch.cat((places.roll(-1, 1), (places.roll(-1, 1) + places.roll(-2, 1)) / 2), 1)
+    begin, way = begin.reshape(-1, 2), (end - begin).reshape(-1, 2)
+    steps = (2 * way.norm(dim=1)).ceil().long() + 1  # half a texel apart, or less
+    if float((steps + 1).double().sum()) > _MOST_PLACES:
+        return None
+    line = torch.arange(len(steps), device=places.device).repeat_interleave(steps + 1)
+    step = torch.arange(len(line), device=places.device) - (steps + 1).cumsum(0)[line] + steps[line] + 1
+    low = (begin[line] + way[line] * (step / steps[line])[:, None]).floor().long()
+    found = []
+    for right, down in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        x, y = low[:, 0] + right, low[:, 1] + down
+        x, y = (x % width, y % height) if repeat else (x.clamp(0, width - 1), y.clamp(0, height - 1))
+        found.append(y * width + x)
+    return torch.cat(found)
+
+
+def _pull_push(image: Tensor, shown: Tensor) -> Tensor:
+    """image [1, C, h, w] with what is not shown [1, 1, h, w] filled from the level above."""
+    if image.shape[2:] == (1, 1) or not bool((shown == 0).any()):
+        return image
+    half = (-(-image.shape[2] // 2), -(-image.shape[3] // 2))
+    share = functional.adaptive_avg_pool2d(shown, half)
+    coarse = functional.adaptive_avg_pool2d(image * shown, half) / share.clamp(min=1e-6)
+    coarse = _pull_push(coarse, (share > 0).float())
+    above = functional.interpolate(coarse, size=image.shape[2:], mode="bilinear", align_corners=False)
+    return torch.where(shown > 0, image, above)

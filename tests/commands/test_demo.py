@@ -1,0 +1,64 @@
+"""The demo in small: every file is written, the models are sound, and the fit gets better."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import neural_renderer as nr
+from neural_renderer import cli
+from neural_renderer.commands.demo_models import duck, knot
+from neural_renderer.meshes.isosurface import isosurface
+from neural_renderer.meshes.topology import Topology
+from neural_renderer.pictures.photograph import photograph, sheet
+
+
+def test_demo_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    small = {"frames": 2, "size": 32, "iterations": 8, "views": 3, "view-size": 24}
+    options = [text for name, value in small.items() for text in (f"--{name}", str(value))]
+    assert cli.main(["demo", "-o", str(tmp_path / "out"), *options]) == 0
+    out = capsys.readouterr().out
+    assert "Silhouette IoU over 3 views" in out
+    for name in ("turntable.gif", "fit.png", "fit.gif", "fitted.obj"):
+        assert (tmp_path / "out" / name).stat().st_size > 100
+        assert name in out
+    assert (tmp_path / "out" / "turntable.mp4").is_file()
+    assert nr.load_obj(tmp_path / "out" / "fitted.obj", load_texture=True)[2].shape[0] == 1280
+    with Image.open(tmp_path / "out" / "fit.png") as picture:
+        assert picture.size == (5 * 24, 6 * 24)
+
+
+def test_bad_number(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["demo", "--view-size", "3"]) == 1
+    assert capsys.readouterr().err.strip() == "--view-size: expected at least 16, got 3"
+
+
+@pytest.mark.parametrize(("mesh", "characteristic"), [(duck(24, 2), 2), (knot(96, 12, 2), 0)], ids=["duck", "knot"])
+def test_models_are_closed_and_face_outwards(mesh: nr.Mesh, characteristic: int) -> None:
+    faces = mesh.faces.long()
+    topology = Topology.of(faces)
+    assert len(topology.hinges) == len(topology.edges)
+    assert mesh.num_vertices - len(topology.edges) + mesh.num_faces == characteristic
+    v0, v1, v2 = mesh.vertices.detach()[faces].unbind(1)
+    assert (v0 * torch.linalg.cross(v1, v2)).sum() > 0  # six times the volume
+    assert mesh.vertices.abs().max() <= 1.00001
+    assert mesh.textures.min() >= 0 and mesh.textures.max() <= 1
+
+
+def test_isosurface_of_a_ball() -> None:
+    vertices, _ = isosurface(lambda p: np.linalg.norm(p, axis=-1) - 0.8, 32)
+    assert torch.allclose(vertices.norm(dim=1), torch.tensor(0.8), atol=0.01)
+
+
+def test_photograph() -> None:
+    picture = photograph(duck(24, 2), 145, size=(48, 64))
+    assert picture.shape == (3, 48, 64)
+    assert picture.min() >= 0 and picture.max() <= 1
+    red, _, blue = picture[:, 20, 30]  # on the head
+    assert red > blue + 0.3
+    assert picture[:, :, 0].min() > 0.7  # backdrop
+    assert sheet([[picture] * 2] * 3, ["a", "b", "c"]).shape == (3 * 48, 2 * 64, 3)

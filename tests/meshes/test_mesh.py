@@ -1,0 +1,188 @@
+"""The mesh module, in its old and its new forms."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+import torch
+
+from neural_renderer.io.obj import load_obj, save_obj
+from neural_renderer.meshes.mesh import Mesh
+from neural_renderer.meshes.primitives import cube, icosphere
+from neural_renderer.validate import check_values
+
+
+@pytest.fixture
+def file(tmp_path):
+    vertices, faces = cube(5.0)
+    textures = torch.rand(12, 1, 1, 1, 3).expand(12, 2, 2, 2, 3)
+    save_obj(tmp_path / "cube.obj", vertices + 1, faces, textures)
+    return tmp_path / "cube.obj"
+
+
+def test_given_textures_are_kept_and_copied():
+    vertices, faces = cube()
+    textures = torch.rand(12, 3, 3, 3, 3)
+    mesh = Mesh(vertices, faces.long(), textures)
+    assert mesh.texture_size == 3 and torch.equal(mesh.textures, textures)
+    assert (mesh.num_vertices, mesh.num_faces) == (8, 12)
+    assert mesh.faces.dtype == torch.int32 and mesh.vertices.dtype == torch.float32
+    assert {n for n, _ in mesh.named_parameters()} == {"vertices", "textures"}
+    assert [n for n, _ in mesh.named_buffers()] == ["faces"]
+    vertices += 1
+    textures += 1
+    assert mesh.vertices.abs().max() == 1 and mesh.textures.max() <= 1
+    assert repr(mesh) == "Mesh(8 vertices, 12 faces, textures of 3³, cpu)"
+
+
+def test_without_textures_they_are_noise():
+    mesh = Mesh(*(x.numpy() for x in icosphere(2)), texture_size=4)
+    assert mesh.textures.shape == (320, 4, 4, 4, 3) and abs(mesh.textures.std().item() - 0.05) < 0.002
+
+
+def test_old_forms(file):
+    chainer = Mesh(str(file), 5)
+    assert chainer.texture_size == 5 and chainer.vertices.abs().max() == 1 and chainer.textures.abs().max() < 0.5
+    assert Mesh(file, 2, False).vertices.max() == 3.5
+    assert Mesh(file, texture_size=2, normalization=False).vertices.max() == 3.5
+    noise = Mesh.fromobj(file, texture_size=3)
+    assert noise.texture_size == 3 and noise.textures.min() < 0
+    loaded = Mesh.fromobj(str(file), normalization=False, load_texture=True, texture_size=2)
+    assert torch.equal(loaded.textures, load_obj(file, False, 2, True)[2])
+
+
+def test_load_save_normalize(file, tmp_path, shared):
+    mesh = Mesh.load(file, texture_size=2)
+    assert mesh.vertices.max() == 3.5
+    assert torch.equal(mesh.normalize().vertices, Mesh.load(file, 2, normalize=True).vertices)
+    assert torch.allclose(mesh.normalize().vertices, load_obj(file)[0])
+    for name in ("out/m.obj", "out/m.ply", "out/m.glb"):
+        mesh.save(tmp_path / name)
+        again = Mesh.load(tmp_path / name, texture_size=2)
+        assert again.num_faces == 12
+        assert torch.allclose(again.vertices[again.faces.long()], mesh.vertices[mesh.faces.long()])
+    teapot = Mesh.load(shared / "data/references/neural_renderer/teapot.obj")
+    assert teapot.texture_size == 4 and (teapot.textures == 1).all()
+    with pytest.raises(ValueError, match="all coincide"):
+        Mesh(torch.ones(3, 3), torch.tensor([[0, 1, 2]])).normalize()
+
+
+def test_normalized_copies_keep_rates_and_what_is_frozen():
+    class Named(Mesh):
+        pass
+
+    mesh = Named(*cube(5.0), texture_size=2)
+    mesh.set_lr(0.1, 2.0)
+    mesh.textures.requires_grad_(False)
+    copied = mesh.normalize()
+    assert type(copied) is Named and copied.vertices.abs().max() == 1 and mesh.vertices.max() == 2.5
+    assert (copied.vertices.lr, copied.textures.lr) == (0.1, 2.0)
+    assert copied.vertices.requires_grad and not copied.textures.requires_grad
+    assert copied.vertices.is_leaf and copied.textures.data_ptr() != mesh.textures.data_ptr()
+    with torch.no_grad():
+        mesh.vertices[0] = torch.nan
+    with pytest.raises(ValueError, match="vertices: expected finite"):
+        mesh.normalize()
+
+
+def test_batch_is_a_view_with_sigmoid():
+    mesh = Mesh(*cube(), texture_size=2)
+    vertices, faces, textures = mesh.get_batch(5)
+    assert vertices.shape == (5, 8, 3) and faces.shape == (5, 12, 3) and textures.shape == (5, 12, 2, 2, 2, 3)
+    assert vertices.data_ptr() == mesh.vertices.data_ptr() and vertices.stride(0) == textures.stride(0) == 0
+    assert torch.equal(textures[3], torch.sigmoid(mesh.textures))
+    (vertices.sum() + textures.sum()).backward()
+    assert (mesh.vertices.grad == 5).all() and mesh.textures.grad.abs().min() > 0
+
+
+def test_module_habits():
+    mesh = Mesh.icosphere(1, 2.0, texture_size=3)
+    assert (mesh.textures == 1).all() and torch.allclose(mesh.vertices.norm(dim=1), torch.tensor(2.0))
+    mesh.set_lr(0.1, 2.0)
+    assert (mesh.vertices.lr, mesh.textures.lr) == (0.1, 2.0)
+    other = Mesh(torch.zeros(42, 3), mesh.faces.flip(1), texture_size=3)
+    other.load_state_dict(mesh.state_dict())
+    assert torch.equal(other.vertices, mesh.vertices) and torch.equal(other.faces, mesh.faces)
+    assert mesh.to("meta").faces.device.type == "meta"
+
+
+def test_copies_and_pickles_keep_the_rates(tmp_path):
+    mesh = Mesh.icosphere(0, texture_size=2)
+    mesh.set_lr(0.1, 2.0)
+    torch.save(mesh, tmp_path / "mesh.pt")
+    for other in (
+        copy.deepcopy(mesh),
+        copy.deepcopy(torch.nn.ModuleList([mesh, mesh]))[1],
+        pickle.loads(pickle.dumps(mesh)),
+        torch.load(tmp_path / "mesh.pt", weights_only=False),
+    ):
+        assert (other.vertices.lr, other.textures.lr) == (0.1, 2.0) and isinstance(other, Mesh)
+        assert torch.equal(other.vertices, mesh.vertices) and torch.equal(other.faces, mesh.faces)
+        assert other.vertices.data_ptr() != mesh.vertices.data_ptr() and other.vertices.requires_grad
+        other.set_lr(0.5, 0.5)
+    twice = copy.deepcopy([mesh, mesh])
+    assert twice[0] is twice[1] and (mesh.vertices.lr, mesh.textures.lr) == (0.1, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "sentence"),
+    [
+        (lambda m: m.get_batch(-1), ValueError, "batch_size: expected at least 0, got -1"),
+        (lambda m: m.get_batch(1.5), TypeError, "batch_size: expected a whole number, got 1.5"),
+        (lambda m: m.get_batch("a"), TypeError, "batch_size: expected a number, got str"),
+        (lambda m: m.to("meta").normalize(), ValueError, "vertices: expected a tensor with numbers"),
+        (lambda m: Mesh.icosphere(1, "a"), TypeError, "radius: expected a number, got str"),
+        (lambda m: Mesh.icosphere(1, texture_size="a"), TypeError, "texture_size: expected a number, got str"),
+    ],
+)
+def test_odd_arguments(call, error, sentence):
+    with pytest.raises(error, match=sentence):
+        call(Mesh.icosphere(0, texture_size=2))
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])
+@pytest.mark.parametrize("checked", [True, False])
+def test_a_broken_mesh_is_not_saved(tmp_path, suffix, checked):
+    vertices, faces = cube()
+    check_values(False)
+    try:
+        broken = [(Mesh(vertices, faces + 5), "faces: expected indices"), (Mesh(vertices / 0, faces), "vertices: exp")]
+        check_values(checked)
+        for mesh, sentence in broken:
+            with pytest.raises(ValueError, match=sentence):
+                mesh.save(tmp_path / f"new/mesh{suffix}")
+    finally:
+        check_values(True)
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "sentence"),
+    [
+        ({"vertices": torch.zeros(8, 2)}, ValueError, r"vertices: expected shape \[V, 3\], got \[8, 2\] float32"),
+        ({"vertices": [[0.0, 0, 0]]}, TypeError, "vertices: expected a floating-point torch tensor, got list"),
+        ({"vertices": torch.full((8, 3), torch.nan)}, ValueError, "vertices: expected finite"),
+        ({"faces": torch.zeros(12, 3)}, TypeError, "faces: expected an int32 or int64"),
+        ({"faces": torch.zeros(0, 3, dtype=torch.int32)}, ValueError, "faces: expected at least one"),
+        ({"faces": torch.full((12, 3), 8)}, ValueError, r"faces: expected indices in \[0, 8\), got 8"),
+        ({"textures": torch.zeros(11, 2, 2, 2, 3)}, ValueError, r"textures: expected shape \[12, T, T, T, 3\]"),
+        ({"textures": torch.zeros(12, 2, 2, 3, 3)}, ValueError, "textures: expected cubes"),
+        ({"textures": torch.zeros(12, 1, 1, 1, 3)}, ValueError, "T at least 2"),
+        ({"vertices": torch.ones(8, 3).to_sparse()}, TypeError, "vertices: expected a dense tensor"),
+        ({"faces": cube()[1].to_sparse()}, TypeError, "faces: expected a dense tensor"),
+        ({"texture_size": 1}, ValueError, "texture_size: expected at least 2, got 1"),
+    ],
+)
+def test_errors(change, error, sentence):
+    vertices, faces = cube()
+    with pytest.raises(error, match=sentence):
+        Mesh(**({"vertices": vertices, "faces": faces} | change))
+
+
+def test_numpy_arrays_of_other_types():
+    vertices, faces = (x.numpy() for x in cube())
+    mesh = Mesh(vertices.astype(np.float64), faces.astype(np.uint32))
+    assert mesh.vertices.dtype == torch.float32 and mesh.faces.dtype == torch.int32

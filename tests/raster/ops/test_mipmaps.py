@@ -1,0 +1,124 @@
+"""Mipmapped sampling, held to a reference in float64 torch, in value and in gradient."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch.nn import functional
+
+from neural_renderer.raster.ops.mipmaps import level_sizes, pyramid, sample_mipmaps
+
+
+def bilinear(image, uv, repeat):
+    """image [C, h, w], uv [P, 2] → [P, C], texel by texel."""
+    height, width = image.shape[1:]
+    at = torch.stack((uv[:, 0], 1 - uv[:, 1]), -1)
+    size = at.new_tensor([width, height])
+    clamped = (at * size - 0.5).clamp(min=at.new_zeros(2), max=size - 1)
+    at = (at - at.floor()) * size - 0.5 if repeat else clamped
+    low = at.detach().floor()
+    part = at - low
+    result = 0
+    for down in (0, 1):
+        for right in (0, 1):
+            x, y = low[:, 0].long() + right, low[:, 1].long() + down
+            x, y = (x % width, y % height) if repeat else (x.clamp(0, width - 1), y.clamp(0, height - 1))
+            share = (part[:, 0] if right else 1 - part[:, 0]) * (part[:, 1] if down else 1 - part[:, 1])
+            result = result + share[:, None] * image[:, y, x].T
+    return result
+
+
+def reference(texels, height, width, uv, face_index, mipmaps, repeat):
+    """`sample_mipmaps` in float64, pixel by pixel for the level."""
+    sizes = level_sizes(height, width)
+    batch, rows, columns = face_index.shape
+    result = []
+    for b in range(batch):
+        own = texels[min(b, len(texels) - 1)]
+        images = [own[s : s + h * w].T.reshape(-1, h, w) for s, h, w in sizes[: None if mipmaps else 1]]
+        for j in range(rows):
+            for i in range(columns):
+                f = int(face_index[b, j, i])
+                if f < 0:
+                    result.append(own.new_zeros(own.shape[1]))
+                    continue
+                longest = 0.0
+                for down, right in ((0, 1), (1, 0)) if mipmaps else ():
+                    for y, x, sign in ((j + down, i + right, 1), (j - down, i - right, -1)):
+                        if 0 <= y < rows and 0 <= x < columns and face_index[b, y, x] == f:
+                            step = (uv[b, y, x] - uv[b, j, i]).detach() * sign
+                            longest = max(longest, float((step * step.new_tensor([width, height])).norm()))
+                            break
+                level = min(max(0.0, torch.tensor(longest).clamp(min=1).log2().item()), len(sizes) - 1)
+                color = 0
+                for n, image in enumerate(images):
+                    share = max(0.0, 1 - abs(level - n))
+                    if share:
+                        color = color + share * bilinear(image, uv[b, j, i][None], repeat)[0]
+                result.append(color)
+    return torch.stack(result).view(batch, rows, columns, -1)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    size=st.tuples(st.integers(1, 9), st.integers(1, 9)),
+    channels=st.integers(1, 4),
+    shared=st.booleans(),
+    mipmaps=st.booleans(),
+    repeat=st.booleans(),
+)
+def test_reference(seed, size, channels, shared, mipmaps, repeat):
+    generator = torch.Generator().manual_seed(seed)
+    image = torch.rand(1 if shared else 2, channels, *size, generator=generator)
+    # Away from texels' centres, where what blending gains jumps.
+    uv = (
+        0.2 * torch.rand(2, 5, 6, 1, 1, generator=generator)
+        + torch.rand(2, 1, 1, 2, generator=generator)[:, :, :, None]
+    )
+    uv = (3 * uv - 1 + 0.1 * torch.rand(2, 5, 6, 1, 2, generator=generator))[..., 0, :]
+    face_index = torch.randint(-1, 2, (2, 5, 6), generator=generator, dtype=torch.int32)
+    weight = torch.rand(2, 5, 6, channels, generator=generator)
+    results = []
+    for dtype in (torch.float32, torch.float64):
+        texels = pyramid(image.to(dtype)) if mipmaps else image.to(dtype).flatten(2).transpose(1, 2)
+        texels, at = texels.detach().requires_grad_(), uv.detach().to(dtype).requires_grad_()
+        sample = sample_mipmaps if dtype == torch.float32 else reference
+        colors = sample(texels, *size, at, face_index, mipmaps, repeat)
+        (colors * weight).sum().backward()
+        results.append((colors.detach(), texels.grad, at.grad))
+    for got, expected in zip(*results, strict=True):
+        torch.testing.assert_close(got.double(), expected, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("size", [(8, 8), (5, 9), (1, 7), (1, 1)])
+def test_pyramid(size):
+    image = torch.rand(2, 3, *size, generator=torch.Generator().manual_seed(0))
+    texels, sizes = pyramid(image), level_sizes(*size)
+    assert sizes[-1][1:] == (1, 1) and texels.shape == (2, sizes[-1][0] + 1, 3)
+    for before, height, width in sizes:
+        level = texels[:, before : before + height * width].transpose(1, 2).reshape(2, 3, height, width)
+        above = image if before == 0 else functional.adaptive_avg_pool2d(above, (height, width))  # noqa: F821
+        torch.testing.assert_close(level, above)
+
+
+@pytest.mark.parametrize("repeat", [True, False])
+def test_coordinates_that_are_no_numbers_draw_nothing_out_of_bounds(repeat, device):
+    texels = pyramid(torch.rand(1, 3, 8, 8)).to(device)
+    uv = torch.tensor([float("nan"), float("inf"), -float("inf"), 1e30], device=device)[None, None, :, None]
+    uv = uv.expand(1, 4, 4, 2).contiguous().requires_grad_()
+    colors = sample_mipmaps(texels, 8, 8, uv, torch.zeros(1, 4, 4, dtype=torch.int32, device=device), True, repeat)
+    colors.sum().backward()
+    assert colors.shape == (1, 4, 4, 3)
+
+
+def test_compiles():
+    texels, face_index = pyramid(torch.rand(1, 3, 8, 8)), torch.zeros(1, 4, 4, dtype=torch.int32)
+    uv = torch.rand(1, 4, 4, 2)
+    torch.library.opcheck(
+        torch.ops.neural_renderer.sample_mipmaps.default,
+        (texels.requires_grad_(), 8, 8, uv.requires_grad_(), face_index, True, True),
+        test_utils=("test_schema", "test_faketensor"),
+    )

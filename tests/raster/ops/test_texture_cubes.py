@@ -1,0 +1,88 @@
+"""Colour from texture cubes, and its gradients, against the reference."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from neural_renderer.raster.ops.barycentrics import barycentrics
+from neural_renderer.raster.ops.coverage import coverage
+from neural_renderer.raster.ops.texture_cubes import sample_textures
+from neural_renderer.raster.reference.operators import sample_textures_reference
+from tests.raster.scenes import FAR, NEAR, examples, scenes
+
+
+def drawn(scene, device):
+    faces = scene.faces.to(device)
+    index = coverage(faces, scene.height, scene.width, NEAR, FAR, scene.two_sided, scene.perspective)
+    return faces, index, *barycentrics(faces, index, FAR, scene.perspective)
+
+
+@examples(50)
+@given(
+    scene=scenes(empty=False),
+    size=st.integers(2, 6),
+    shared_textures=st.booleans(),
+    shared_light=st.booleans(),
+    eps=st.sampled_from([1e-3, 1e-4]),
+)
+def test_random_scenes(device, scene, size, shared_textures, shared_light, eps):
+    faces, index, weights, _ = drawn(scene, device)
+    textures = scene.noise(1 if shared_textures else scene.batch, scene.count, size, size, size, 3)
+    light = scene.noise(1 if shared_light else scene.batch, 2, scene.count, 3)
+    # Which side of a face without area is seen, rounding decides: light both alike.
+    a, b = (faces[:, :, k, :2].cpu() - faces[:, :, 0, :2].cpu() for k in (1, 2))
+    thin = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).abs() < 1e-5
+    light[:, 1] = torch.where(thin.any(0)[:, None], light[:, 0], light[:, 1])
+    background = scene.noise(len(index), 3, *index.shape[1:])
+    inputs = [t.to(device).requires_grad_() for t in (textures, light, background, weights.clone())]
+    maps = (faces, index)
+    color = sample_textures(*inputs[:3], *maps, inputs[3], eps, scene.perspective)
+    to_color = scene.noise(*color.shape)
+    found = torch.autograd.grad(color, inputs, to_color.to(device))
+    exact = [t.double().requires_grad_() for t in (textures, light, background, weights.cpu())]
+    reference = sample_textures_reference(*exact[:3], *(m.cpu() for m in maps), exact[3], eps, scene.perspective)
+    expected = torch.autograd.grad(reference, exact, to_color.double())
+    # A cube coordinate is a few float32 roundings of a number below T off, and texels differ by some units.
+    torch.testing.assert_close(color.cpu().double(), reference, rtol=1e-5, atol=2e-5)
+    # On a texel the blend has a kink, and rounding decides which side the weight is on.
+    coordinate = weights.cpu().double() * (size - 1)
+    kink = (coordinate - coordinate.round()).abs() < 1e-5
+    found, expected = ([*g[:3], g[3].cpu() * ~kink] for g in (found, expected))
+    for ours, theirs in zip(found, expected, strict=True):
+        error = (ours.cpu() - theirs).norm()
+        assert error <= 1e-5 * theirs.norm() + 1e-6, float(error)
+    assert torch.equal(found[2].cpu(), to_color * (index.cpu() < 0)[:, None])
+
+
+@pytest.mark.parametrize("perspective", [True, False])
+def test_textures_lie_flat_in_space(device, perspective):
+    """A cube that holds the position in space as its colour gives back the position of what is seen at each pixel."""
+    screen = torch.tensor([[[[-0.9, -0.8, 1.0], [0.9, -0.7, 4.0], [0.0, 0.9, 2.0]]]], device=device)
+    divisor = screen[..., 2:] if perspective else 1
+    world = torch.cat((screen[..., :2] * divisor, screen[..., 2:]), -1)
+    shares = torch.stack(torch.meshgrid(*[torch.linspace(0, 1, 4, device=device)] * 3, indexing="ij"), -1)
+    textures = (shares @ world[0, 0])[None, None]
+    index = coverage(screen, 32, 32, NEAR, FAR, False, perspective)
+    weights, depth = barycentrics(screen, index, FAR, perspective)
+    ones = torch.ones(1, 2, 1, 3, device=device)
+    color = sample_textures(
+        textures, ones, torch.zeros(1, 3, 32, 32, device=device), screen, index, weights, 0.0, perspective
+    )
+    inside = (index >= 0) & (weights.amax(-1) < 0.9)
+    torch.testing.assert_close(color[:, 2][inside], depth[inside], rtol=1e-4, atol=1e-4)
+
+
+def test_each_side_has_its_light(device):
+    front = torch.tensor([[-1.0, -1, 1], [1, -1, 1], [0, 1, 1]])
+    faces = torch.stack((front, front.flip(0)))[:, None].to(device)
+    index = coverage(faces, 4, 4, NEAR, FAR, True, True)
+    weights, _ = barycentrics(faces, index, FAR, True)
+    light = torch.tensor([[[[1.0, 2, 3]], [[4.0, 5, 6]]]], device=device)
+    textures = torch.ones(1, 1, 2, 2, 2, 3, device=device)
+    black = torch.zeros(2, 3, 4, 4, device=device)
+    color = sample_textures(textures, light, black, faces, index, weights, 1e-3, True).cpu()
+    assert torch.allclose(color[0, :, index.cpu()[0] >= 0].T, torch.tensor([1.0, 2, 3]))
+    assert torch.allclose(color[1, :, index.cpu()[1] >= 0].T, torch.tensor([4.0, 5, 6]))

@@ -1,0 +1,110 @@
+"""Edges where colours go on have equal marks on both faces, all others different ones."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+import neural_renderer as nr
+from neural_renderer.raster.visibility.continuity import image_marks, texture_marks
+from neural_renderer.tasks.texels import Texels
+
+
+def sewn(marks, faces):
+    """Whether each edge [B, F, 3] of a closed surface has the mark of the edge on its other face."""
+    places = {}
+    for f, corners in enumerate(faces.tolist()):
+        for k in range(3):
+            places[corners[k], corners[(k + 1) % 3]] = 3 * f + k
+    other = [places[q, p] for p, q in places]
+    order = [places[edge] for edge in places]
+    there, back = marks.flatten(1, 2).unbind(2)
+    return there[:, order] == back[:, other]
+
+
+def sphere(device):
+    vertices, faces = nr.icosphere(2)
+    vertices = vertices.to(device) + torch.tensor([0.0, 0.0, 3.0], device=device)
+    return vertices, faces.to(device)
+
+
+def test_cubes_are_sewn_where_they_share_texels(device):
+    _, faces = sphere(device)
+    random = torch.Generator().manual_seed(0)
+    light = torch.ones(1, 2, len(faces), 3, device=device)
+    for size in (3, 4, 5):
+        texels = Texels.shared(faces, size)
+        shared = texels.cubes(torch.rand(texels.count, 3, generator=random).to(device))[None]
+        # But for numbers at a step's border, which rounding takes to either side.
+        assert sewn(texture_marks(shared, light), faces).float().mean() > 0.98
+        assert sewn(texture_marks(shared + 1e-7 * torch.rand_like(shared), light), faces).float().mean() > 0.9
+        assert sewn(texture_marks(shared.round(decimals=2), light), faces).all()
+        free = torch.rand(1, len(faces), size, size, size, 3, generator=random).to(device)
+        assert not sewn(texture_marks(free, light), faces).any()
+    dim = light.clone()
+    dim[:, :, ::2] = 0.5
+    assert not sewn(texture_marks(shared, dim), faces).all()
+    both = texture_marks(torch.cat((shared.round(decimals=2), free)), light)
+    assert both.shape == (2, len(faces), 3, 2) and sewn(both, faces)[0].all() and not sewn(both, faces)[1].all()
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_no_jump_is_overlooked(device, size):
+    """Colours of any scale, in any channel; texels in the other order; sides of a face that are lit otherwise."""
+    faces = torch.tensor([[0, 1, 2], [0, 2, 3], [0, 3, 1], [3, 2, 1]], device=device)
+    light = torch.ones(1, 2, 4, 3, device=device)
+    pairs = [((0.2, 0.2, 0.1), (0.2, 0.2, 2.1)), ((0, 0, -1), (0, 0, 1)), ((10, 20, 100), (10, 20, 200))]
+    pairs += [((0, 1, 0), (0, 0, 1 / 512)), ((6e5, 0, 0), (5e6, 0, 0)), ((1e-4, 0, 0), (0, 0, 0))]
+    for one, other in pairs:
+        cubes = torch.tensor([one, other, one, other], dtype=torch.float32, device=device)
+        cubes = cubes[None, :, None, None, None].expand(1, 4, size, size, size, 3)
+        marks = texture_marks(cubes, light)
+        found = sewn(marks, faces).view(1, 4, 3)
+        assert not found[0, 0, 2] and not found[0, 1, 0]  # edge 0-2, of a face of each colour
+        assert sewn(texture_marks(cubes[:, :1].expand_as(cubes), light), faces).all()
+    ramp = torch.linspace(0, 1, size, device=device)
+    cubes = torch.zeros(1, 4, size, size, size, 3, device=device)
+    cubes[0, 0, ..., 0] += ramp.view(size, 1, 1)  # towards corner 0 of the edge 0-2
+    cubes[0, 1, ..., 0] += ramp.view(1, size, 1)  # towards corner 2 of it
+    assert not sewn(texture_marks(cubes, light), faces).view(4, 3)[0, 2]
+    cubes[0, 1, ..., 0] = ramp.view(size, 1, 1)
+    assert sewn(texture_marks(cubes, light), faces).view(4, 3)[0, 2]
+
+
+def test_images_are_sewn_where_charts_go_on(device):
+    vertices, faces = sphere(device)
+    corners = vertices[faces.long()]
+    uv = corners[..., :2].contiguous()
+    one = torch.zeros(len(faces), dtype=torch.int64, device=device)
+    assert sewn(image_marks(uv, one, None), faces).all()
+    assert not sewn(image_marks(torch.rand_like(uv), one, None), faces).any()
+    assert not sewn(image_marks(uv, one - 1, None), faces).any()  # no image
+    other = sewn(image_marks(uv, one + (corners[:, :, 0].mean(1) > 0), None), faces)
+    assert 0 < (~other).sum() < 100  # along the line between two images
+    light = torch.rand(2, 2, len(faces), 3, device=device)
+    assert not sewn(image_marks(uv, one, light), faces).any()
+
+
+def test_no_seam_is_found_in_a_texture_that_goes_on(device):
+    """What `render` finds by itself is what `composite` is told."""
+    vertices, faces = sphere(device)
+    uv = vertices[faces.long()][..., :2] * 0.4 + 0.5
+    image = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(0)).to(device)
+    index, colors = (
+        torch.zeros(len(faces), dtype=torch.int64, device=device),
+        torch.zeros(len(faces), 3, 3, device=device),
+    )
+    camera = nr.Camera.look_at((0.1, 0.2, 0.2), at=(0.0, 0.0, 3.0), viewing_angle=28)
+    found = []
+    for known in (True, False):
+        moving = vertices.clone().requires_grad_()
+        mesh = nr.UVMesh(moving, faces, uv, index, (image,), colors, ("repeat",))
+        if known:
+            seen = nr.fragments(mesh, camera, 32)
+            rgb = seen.composite(mesh.shade(seen), seams=False)
+        else:
+            rgb = nr.render(mesh, camera, 32, light=None, gradient="edge").rgb
+        rgb.square().sum().backward()
+        found.append((rgb, moving.grad))
+    assert torch.equal(found[0][0], found[1][0])
+    torch.testing.assert_close(found[0][1], found[1][1], rtol=1e-4, atol=1e-4 * float(found[0][1].abs().max()))

@@ -1,0 +1,144 @@
+"""How kernels run: the same bits from run to run, whatever the threads; from many threads, after fork, under spawn."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+import torch
+
+import neural_renderer as nr
+from tests.raster.scenes import FRONT, Scene
+
+
+def everything(device="cpu", batch=1, seed=0):
+    """All images of a scene and all gradients."""
+    scene = Scene(seed, batch, 40, 48, 40, True, True, FRONT)
+    faces = scene.faces.to(device).requires_grad_()
+    cubes = scene.noise(1, 40, 3, 3, 3, 3).to(device).requires_grad_()
+    light = scene.noise(1, 2, 40, 3).to(device).requires_grad_()
+    images = nr.rasterize_images(faces, (48, 40), textures=cubes, light=light, two_sided=True)
+    loss = sum((image * scene.noise(*image.shape).to(device)).sum() for image in images)
+    return [*images, *torch.autograd.grad(loss, (faces, cubes, light))]
+
+
+def equal(one, other):
+    return all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@pytest.fixture
+def threads():
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("batch", [1, 2, 3, 16])
+def test_same_bits_whatever_the_threads(threads, batch):
+    results = []
+    for count in (1, 2, 3, 1, 8):
+        threads(count)
+        results.append(everything(batch=batch))
+    assert all(equal(results[0], other) for other in results[1:])
+    assert all(t.any() for t in results[0])
+
+
+def test_same_bits_from_run_to_run(device):
+    before = torch.are_deterministic_algorithms_enabled()
+    torch.use_deterministic_algorithms(True)
+    try:
+        first = everything(device, 2)
+        assert all(equal(first, everything(device, 2)) for _ in range(5))
+    finally:
+        torch.use_deterministic_algorithms(before)
+
+
+def test_batch_is_its_images_one_by_one(device):
+    scene = Scene(1, 3, 40, 30, 30, True, True, FRONT)
+    faces = scene.faces.to(device)
+    together = nr.rasterize_images(faces, 30, outputs=("alpha", "depth"))
+    for b in range(3):
+        alone = nr.rasterize_images(faces[b : b + 1], 30, outputs=("alpha", "depth"))
+        assert torch.equal(alone.alpha[0], together.alpha[b]) and torch.equal(alone.depth[0], together.depth[b])
+
+
+def test_several_python_threads_at_once(device):
+    expected = [everything(device, 2, seed) for seed in range(4)]
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda n: everything(device, 2, n % 4), range(48)))
+    for n, result in enumerate(found):
+        if device == "cpu":
+            assert equal(result, expected[n % 4])
+        else:  # several CUDA threads share a face's sums
+            for a, b in zip(result, expected[n % 4], strict=True):
+                torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-3)
+
+
+PRELUDE = """
+import multiprocessing, os, sys, threading, torch
+import neural_renderer as nr
+torch.set_num_threads(2)
+def total(_=0):
+    random = torch.Generator().manual_seed(0)
+    faces = (torch.rand(3, 9, 3, 3, generator=random) * 2 - 1 + torch.tensor([0, 0, 2.0])).requires_grad_()
+    nr.rasterize_silhouettes(faces, 32).square().sum().backward()
+    return float(faces.grad.abs().sum())
+"""
+
+FORK = """
+first = total()
+# While another thread renders, the pool and the locks are in use at the moment of the fork.
+stop = threading.Event()
+busy = threading.Thread(target=lambda: [total() for _ in iter(stop.is_set, True)])
+busy.start()
+torch.set_num_threads(2)
+for _ in range(10):
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if total() == first else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+stop.set()
+busy.join()
+"""
+
+# As data loaders do: workers forked before and after the first kernel has run.
+WORKERS = """
+if __name__ == "__main__":
+    method = sys.argv[1]
+    with multiprocessing.get_context(method).Pool(2) as pool:
+        early = pool.map(total, range(4))
+    first = total()
+    with multiprocessing.get_context(method).Pool(2) as pool:
+        late = pool.map(total, range(4))
+    assert early == late == [first] * 4 and first > 0
+"""
+
+
+def run(tmp_path, code: str, *arguments: str) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(PRELUDE + code)
+    command = [sys.executable, str(script), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
+def test_after_fork(tmp_path):
+    run(tmp_path, FORK)
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_in_worker_processes(tmp_path, method):
+    if method == "fork" and not hasattr(os, "fork"):
+        pytest.skip("the system has no fork")
+    run(tmp_path, WORKERS, method)
+
+
+def test_says_nothing(tmp_path):
+    """Neither the first kernel nor the later ones print."""
+    script = PRELUDE + "total(); total()"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

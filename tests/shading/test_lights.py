@@ -1,0 +1,114 @@
+"""Light: the formula, its side, what it leaves alone, gradients, small and degenerate faces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch.autograd import gradcheck
+
+from neural_renderer.compat.lighting import face_light, lighting
+from neural_renderer.meshes.normals import face_normals
+from neural_renderer.shading.lights import Light
+
+
+def corners(*shape: int, seed: int = 0) -> torch.Tensor:
+    return torch.randn(*shape, 3, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def test_formula_on_random_faces():
+    """Batch 3 and, with one face, B·F = 3: where a cross product without a named dimension goes wrong."""
+    for faces in (corners(3, 1), corners(3, 4)):
+        ambient, directional = torch.tensor([0.1, 0.2, 0.3]), 0.7
+        color, direction = (0.9, 0.5, 0.1), corners(1, seed=5)[0]
+        found = face_light(faces, ambient, directional, color, (1, 0.5, 0.25), direction)
+        for b in range(3):
+            for f in range(faces.shape[1]):
+                v0, v1, v2 = faces[b, f].numpy()
+                n = np.cross(v0 - v1, v2 - v1)
+                lit = max(n @ direction[b].numpy() / np.linalg.norm(n), 0)
+                expected = ambient[b].item() * np.array(color) + directional * lit * np.array((1, 0.5, 0.25))
+                np.testing.assert_allclose(found[b, f], expected, rtol=1e-6)
+
+
+def test_lighting_multiplies_into_new_textures():
+    """The published PyTorch port darkened the caller's textures at every call."""
+    faces, textures = corners(2, 3).float(), torch.rand(2, 3, 2, 2, 2, 3, requires_grad=True)
+    before = textures.detach().clone()
+    lit = lighting(faces, textures)
+    torch.testing.assert_close(lit, before * face_light(faces)[:, :, None, None, None, :])
+    assert torch.equal(textures, before) and lit.shape == textures.shape
+    assert torch.equal(lighting(faces, textures, 1, 0), before)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_two_sides(mirrored):
+    # Seen from above (+y) in a right-handed world the corners run counter-clockwise; the light comes from above.
+    face = torch.tensor([[[[0.0, 0, 0], [0, 0, 1.0], [1.0, 0, 0]]]])
+    light = Light(0.25, 0.5, directional_color=(1, 1, 0)).two_sided(face, mirrored)
+    assert light.shape == (1, 2, 1, 3)
+    top, bottom = [0.75, 0.75, 0.25], [0.25, 0.25, 0.25]
+    assert light[0, :, 0].tolist() == ([bottom, top] if mirrored else [top, bottom])
+
+
+def test_two_sides_are_the_old_light_of_a_face_and_of_its_reverse():
+    faces = corners(2, 5)
+    light = Light(0.3, 0.6, (1, 0, 1), (0, 1, 1), (0.6, 0.8, 0.0))
+    old = [face_light(f, 0.3, 0.6, (1, 0, 1), (0, 1, 1), (0.6, 0.8, 0.0)) for f in (faces, faces.flip(2))]
+    torch.testing.assert_close(light.two_sided(faces, mirrored=True), torch.stack(old, dim=1))
+
+
+def test_small_faces_are_as_bright_as_large_ones():
+    face = corners(1, 4)
+    torch.testing.assert_close(face_light((face * 1e-4).float()), face_light(face.float()), rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_degenerate_faces_are_finite(dtype):
+    flat = torch.zeros(1, 3, 3, 3, dtype=dtype)
+    flat[0, 1] = torch.tensor([[0, 0, 0], [1, 1, 1], [2, 2, 2]])
+    flat[0, 2] = torch.tensor([[0, 0, 0], [1e-20, 0, 0], [0, 1e-20, 0]])
+    flat.requires_grad_()
+    light = face_light(flat)
+    light.sum().backward()
+    assert light.isfinite().all() and flat.grad.isfinite().all()
+    assert (face_normals(flat).norm(dim=-1) <= 1.001).all()
+
+
+def test_gradients_are_right():
+    inputs = [
+        corners(2, 3),
+        torch.rand(2, 3, 2, 2, 2, 3, dtype=torch.float64),
+        torch.tensor(0.4, dtype=torch.float64),
+        torch.tensor([0.5, 0.6], dtype=torch.float64),
+        torch.tensor([0.5, 0.6, 0.7], dtype=torch.float64),
+        torch.rand(2, 3, dtype=torch.float64),
+        torch.tensor([0.1, 0.9, 0.2], dtype=torch.float64),
+    ]
+    assert gradcheck(lighting, [v.requires_grad_() for v in inputs])
+
+
+def test_mistakes_are_named():
+    with pytest.raises(ValueError, match="textures: expected shape"):
+        lighting(corners(2, 3), torch.rand(2, 4, 2, 2, 2, 3))
+    for size in ((1, 1, 1), (2, 3, 2)):
+        with pytest.raises(ValueError, match=r"textures: expected cubes .* T at least 2"):
+            lighting(corners(2, 3), torch.rand(2, 3, *size, 3))
+    with pytest.raises(ValueError, match="faces: expected finite numbers, got 1 "):
+        lighting(torch.tensor([1.0] * 8 + [np.nan]).view(1, 1, 3, 3), torch.rand(1, 1, 2, 2, 2, 3))
+    with pytest.raises(ValueError, match="textures: expected finite numbers"):
+        lighting(corners(2, 3), torch.full((2, 3, 2, 2, 2, 3), np.inf))
+    with pytest.raises(ValueError, match="ambient: expected a finite number, got nan"):
+        lighting(corners(2, 3), torch.rand(2, 3, 2, 2, 2, 3), np.nan)
+    with pytest.raises(ValueError, match="direction: expected a batch of 1 or 2"):
+        face_light(corners(2, 3), direction=torch.ones(3, 3))
+    with pytest.raises(ValueError, match=r"ambient_color: expected shape \[3\] or \[B, 3\]"):
+        Light(ambient_color=(1, 1)).two_sided(corners(2, 3))
+
+
+def test_it_compiles_in_one_graph():
+    def shade(faces):
+        return face_light(faces, direction=[0, 0.6, 0.8]), Light(0.2, torch.tensor([0.5, 0.6])).two_sided(faces)
+
+    compiled = torch.compile(shade, fullgraph=True, backend="aot_eager")
+    torch.testing.assert_close(compiled(corners(2, 3)), shade(corners(2, 3)))

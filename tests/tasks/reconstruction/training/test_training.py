@@ -1,0 +1,292 @@
+"""Training: it learns, goes on after a kill as if nothing had been, and several processes do what one does."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from neural_renderer.features import googlenet
+from neural_renderer.tasks.reconstruction.networks import configs
+from neural_renderer.tasks.reconstruction.networks.checkpoint import load_model, read_checkpoint, save_model
+from neural_renderer.tasks.reconstruction.networks.configs import Config
+from neural_renderer.tasks.reconstruction.networks.make_network import make_network
+from neural_renderer.tasks.reconstruction.training.train import fit
+from neural_renderer.tasks.reconstruction.training.training import Training, schedule
+from tests.features.test_features import torchvision_googlenet, torchvision_vgg
+from tests.tasks.reconstruction.fake import SMALL, fake_split, write_split
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def train(out: Path, kind: str = "mesh", config: Config = SMALL, every: int = 3, **options: Any) -> Training:
+    out.mkdir(exist_ok=True)
+    return fit(kind, config, fake_split(), fake_split(1, seed=1), out, every=every, device="cpu", **options)
+
+
+@pytest.mark.parametrize("kind", ["mesh", "voxel"])
+def test_it_learns(tmp_path: Path, kind: str) -> None:
+    training = train(tmp_path, kind, replace(SMALL, steps=20, rate=3e-3), every=20)
+    with (tmp_path / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    losses = [float(row["loss"]) for row in rows if row["loss"]]
+    assert training.done and len(losses) == 2 and losses[-1] < losses[0]
+    assert sorted(path.name for path in (tmp_path / "pictures").iterdir())[-1] == "00000020.png"
+    assert list((tmp_path / "tensorboard").glob("events*"))
+    images = torch.rand(2, 4, 64, 64)
+    network = load_model(tmp_path / "last.ckpt")
+    assert network.kind == kind and not network.training
+    torch.testing.assert_close(network(images), training.model(images))
+    assert load_model(tmp_path / "best.ckpt")(images).shape == network(images).shape
+
+
+@pytest.mark.parametrize("kind", ["mesh", "voxel"])
+def test_features_of_another_network(tmp_path: Path, kind: str) -> None:
+    """They look, are not changed, and are in the checkpoint: the file that they came from is needed no more."""
+    features = googlenet(torchvision_googlenet())
+    before = {name: value.clone() for name, value in features.state_dict().items()}
+    options: dict[str, Any] = {"config": replace(SMALL, encoder="features"), "features": features}
+    training = train(tmp_path / "whole", kind, **options)
+    for name, value in features.state_dict().items():
+        assert torch.equal(value, before[name]), name
+    images = torch.rand(2, 4, 64, 64)
+    for name in ("last", "best"):
+        network = load_model(tmp_path / "whole" / f"{name}.ckpt")
+        assert network(images).shape == training.model(images).shape
+    torch.testing.assert_close(load_model(tmp_path / "whole" / "last.ckpt")(images), training.model(images))
+    train(tmp_path / "parts", kind, interrupted=[2], **options)
+    resumed = train(tmp_path / "parts", kind, checkpoint=tmp_path / "parts" / "last.ckpt", **options)
+    for (name, one), other in zip(training.state_dict().items(), resumed.state_dict().values(), strict=True):
+        assert torch.equal(one, other), name
+
+
+def test_a_kill_costs_the_steps_since_the_checkpoint_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = train(tmp_path / "whole")
+    step = Training.training_step
+
+    def killed(self: Training, batch: Any, batch_idx: int) -> Any:
+        if self.steps_done == 5:
+            raise MemoryError
+        return step(self, batch, batch_idx)
+
+    monkeypatch.setattr(Training, "training_step", killed)
+    with pytest.raises(MemoryError):
+        train(tmp_path / "parts")
+    monkeypatch.undo()
+    assert read_checkpoint(tmp_path / "parts" / "last.ckpt")["training"]["steps"] == 3
+    resumed = train(tmp_path / "parts", checkpoint=tmp_path / "parts" / "last.ckpt")
+    assert resumed.steps_done == whole.steps_done == 6
+    for (name, one), other in zip(whole.state_dict().items(), resumed.state_dict().values(), strict=True):
+        assert torch.equal(one, other), name
+    again = train(tmp_path / "parts", checkpoint=tmp_path / "parts" / "last.ckpt")
+    assert again.done and again.steps_done == 6  # nothing is left to do
+
+
+def test_an_interruption_keeps_everything(tmp_path: Path) -> None:
+    training = train(tmp_path, interrupted=[2])
+    assert training.steps_done == 1 and not training.done
+    assert read_checkpoint(tmp_path / "last.ckpt")["training"]["steps"] == 1
+
+
+def test_minutes(tmp_path: Path) -> None:
+    training = train(tmp_path, config=replace(SMALL, steps=10_000), minutes=0.02)
+    assert training.done and training.seconds >= 1.2 and training.steps_done < 10_000
+
+
+def test_a_loss_that_is_no_number(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"loss: expected finite numbers, got .* at step 0"):
+        train(tmp_path, config=replace(SMALL, laplacian=float("nan")))
+
+
+def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "best.ckpt"
+    network = make_network("mesh", SMALL)
+    save_model(path, network, ["box"])
+    before = path.read_bytes()
+
+    def full(content: Any, file: Path) -> None:
+        Path(file).write_bytes(b"half of it")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(torch, "save", full)
+    with pytest.raises(OSError, match=r"best.ckpt: expected to write it, got: No space left on device"):
+        save_model(path, network, ["box"])
+    assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_disk_that_is_full_for_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, image: Any) -> None:
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("neural_renderer.tasks.reconstruction.training.callbacks.save_image", full)
+    with pytest.raises(OSError, match=r"00000003.png: expected to write it, got: No space left on device"):
+        train(tmp_path)
+    assert not list((tmp_path / "pictures").iterdir())
+
+
+def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:
+    path = tmp_path / "x.ckpt"
+    with pytest.raises(FileNotFoundError, match="expected a checkpoint, got nothing there"):
+        load_model(path)
+    path.write_bytes(b"PK\3\4 and then nothing")
+    with pytest.raises(ValueError, match=r"x.ckpt: expected a checkpoint, got a file that is broken or none"):
+        load_model(path)
+    torch.save({"state_dict": {}}, path)
+    with pytest.raises(
+        ValueError, match="expected a checkpoint of a reconstruction network, got one of something else"
+    ):
+        load_model(path)
+    network = make_network("voxel", SMALL)
+    save_model(path, network, ["box"], val_iou=0.5)
+    content = torch.load(path, weights_only=True)
+    torch.save(content | {"reconstruction": content["reconstruction"] | {"version": 99}}, path)
+    with pytest.raises(ValueError, match="expected a checkpoint of version 1, got version 99"):
+        load_model(path)
+    torch.save(content | {"reconstruction": content["reconstruction"] | {"kind": "mesh"}}, path)
+    with pytest.raises(ValueError, match="expected a network's weights, got others than its header says"):
+        load_model(path)
+    content["state_dict"]["decoder.0.bias"][3] = torch.nan
+    torch.save(content, path)
+    with pytest.raises(ValueError, match=r"x.ckpt: expected finite weights, got some that are NaN"):
+        load_model(path)
+
+
+def test_code_in_a_checkpoint_is_not_run(tmp_path: Path) -> None:
+    class Trap:
+        def __reduce__(self) -> Any:
+            return Path.touch, (tmp_path / "sprung",)
+
+    torch.save({"reconstruction": {"version": 1}, "state_dict": Trap()}, tmp_path / "x.ckpt")
+    with pytest.raises(ValueError, match="broken or none"):
+        load_model(tmp_path / "x.ckpt")
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from neural_renderer.cli import main
+
+    monkeypatch.setattr(configs, "_CONFIGS", {"paper": SMALL, "small": SMALL, "best": SMALL})
+    data, out = tmp_path / "data", tmp_path / "out"
+    data.mkdir()
+    command = ["reconstruct", "train", str(data), str(out), "--device", "cpu"]
+    assert main(command) == 1 and "_train_images.npz" in capsys.readouterr().err
+    for split in ("train", "val"):
+        write_split(data, split, 1)
+    assert main([*command, "--steps", "2", "--classes", "box"]) == 0
+    assert "2 steps in" in capsys.readouterr().out and load_model(out / "best.ckpt").kind == "mesh"
+    assert main(command) == 1 and "--resume goes on from there" in capsys.readouterr().err
+    assert main([*command, "--resume", "--model", "voxel"]) == 1
+    assert "expected a checkpoint with model voxel, got mesh" in " ".join(capsys.readouterr().err.split())
+    assert main([*command, "--steps", "3", "--classes", "box", "--resume"]) == 0
+    assert read_checkpoint(out / "last.ckpt")["training"]["steps"] == 3
+    assert main([*command, "--classes", "boat"]) == 1 and "boat" in capsys.readouterr().err
+    for option, value, sentence in (
+        ("--classes", "ball", "expected a checkpoint with classes ['ball'], got ['box']"),
+        ("--seed", "1", "expected a checkpoint with seed 1, got 0"),
+        ("--steps", "2", "--steps: expected at least the 3 that are taken, got 2"),
+    ):
+        assert main([*command, "--classes", "box", "--resume", option, value]) == 1
+        assert sentence in " ".join(capsys.readouterr().err.split())
+    file = out / "best.ckpt"
+    assert main([*command[:3], str(file), *command[4:], "--classes", "box"]) == 1
+    assert f"OUT: expected a folder that can be written, got {file} (File exists)" in " ".join(
+        capsys.readouterr().err.split()
+    )
+    (out / "last.ckpt").rename(tmp_path / "last.ckpt")
+    assert main([*command, "--classes", "box"]) == 1
+    assert "best.ckpt: expected a folder without a network" in " ".join(capsys.readouterr().err.split())
+    (out / "last.ckpt").write_bytes((out / "best.ckpt").read_bytes())
+    assert main([*command, "--classes", "box", "--resume"]) == 1
+    assert "expected the state of a training, got a network alone" in " ".join(capsys.readouterr().err.split())
+    assert main([*command[:3], str(tmp_path / "shared"), "--devices", "3"]) == 1  # of 4 objects
+    told = " ".join(capsys.readouterr().err.split())
+    assert "--devices: expected a divisor of the batch of 4 objects, got 3" in told
+    assert not torch.distributed.is_initialized()
+    if not torch.cuda.is_available():
+        assert main([*command[:-1], "cuda"]) == 1 and "--device: expected cpu, got cuda" in capsys.readouterr().err
+    assert main([*command, "--minutes", "-1"]) == 1 and "--minutes" in capsys.readouterr().err
+
+
+def test_command_with_features(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from neural_renderer.cli import main
+
+    monkeypatch.setattr(configs, "_CONFIGS", {"best": SMALL})
+    data, out, weights = tmp_path / "data", tmp_path / "out", tmp_path / "weights.pth"
+    data.mkdir()
+    write_split(data, "train", 1)
+    torch.save(torchvision_googlenet(), weights)
+    command = ["reconstruct", "train", str(data), str(out), "--device", "cpu", "--steps", "1"]
+    assert main([*command, "--features", str(data / "none.pth")]) == 1 and "none.pth" in capsys.readouterr().err
+    assert main([*command, "--features", str(weights)]) == 0
+    assert "ball, box: no pictures of the split val" in " ".join(capsys.readouterr().err.split())
+    assert torch.equal(*(load_model(out / f"{name}.ckpt").sphere for name in ("best", "last")))
+    torch.save(torchvision_vgg(16), tmp_path / "vgg.pth")
+    torch.save({name: value * 2 for name, value in torchvision_googlenet().items()}, tmp_path / "other.pth")
+    for other in ("vgg", "other"):
+        assert main([*command, "--resume", "--features", str(tmp_path / f"{other}.pth")]) == 1
+        told = " ".join(capsys.readouterr().err.split())
+        assert "last.ckpt: expected a checkpoint with the features of" in told and "got other ones" in told
+    assert main([*command, "--resume", "--features", str(weights)]) == 0
+    weights.unlink()
+    assert load_model(out / "last.ckpt").config.encoder == "features"
+    assert main([*command, "--resume"]) == 1
+    assert "expected a checkpoint with encoder light, got features" in " ".join(capsys.readouterr().err.split())
+    torch.save({"weight": torch.zeros(3)}, weights)
+    assert main([*command[:3], str(tmp_path / "other"), *command[4:], "--features", str(weights)]) == 1
+    assert "expected the weights of a VGG" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "other").exists()
+
+
+def test_schedules() -> None:
+    assert [schedule("step", p) for p in (0.0, 0.5, 0.949, 0.951)] == [1, 1, 1, 0.1]
+    assert schedule("cosine", 0.02) == 1 and schedule("cosine", 0.01) == 0.5 and schedule("cosine", 1.0) < 1e-9
+
+
+TWO_PROCESSES = """
+import sys
+from dataclasses import replace
+from pathlib import Path
+from neural_renderer.tasks.reconstruction.arrays import open_split
+from neural_renderer.tasks.reconstruction.run import fit
+from tests.tasks.reconstruction.fake import SMALL
+
+folder, out = Path(sys.argv[1]), Path(sys.argv[2])
+fit("mesh", replace(SMALL, steps=1), open_split(folder, "train"), None, out, devices=2, device="cpu")
+"""
+
+
+def test_two_processes_do_what_one_does(tmp_path: Path) -> None:
+    """DDP on loopback, at the same batch over all: the same gradient, to rounding.
+
+    Adam's mean after one step is that gradient. (Its first steps are as long for a gradient of rounding errors as for
+    any other, so that weights would say less.)
+    """
+    write_split(tmp_path, "train")
+    script = tmp_path / "two.py"
+    script.write_text(TWO_PROCESSES)
+    root = Path(__file__).parents[4]
+    command = [sys.executable, str(script), str(tmp_path), str(tmp_path / "two")]
+    environment = os.environ | {"PYTHONPATH": str(root)}
+    done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    fit("mesh", replace(SMALL, steps=1), fake_split(), None, tmp_path / "one", device="cpu")
+    one, two = (read_checkpoint(tmp_path / name / "last.ckpt") for name in ("one", "two"))
+    assert one["training"]["steps"] == two["training"]["steps"] == 1
+    states = [content["optimizer_states"][0]["state"] for content in (one, two)]
+    assert len(states[0]) == len(states[1]) > 20
+    for number, state in states[0].items():
+        gradient, other = state["exp_avg"], states[1][number]["exp_avg"]
+        assert gradient.norm() > 0 and (gradient - other).norm() <= 1e-4 * gradient.norm()

@@ -1,0 +1,101 @@
+"""The direction of imports: data flows one way, and no module imports from a room above its own."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import neural_renderer
+
+SOURCE = Path(neural_renderer.__file__).parent
+
+# From the bottom to the top; a module may import from its own room and from those before it.
+ROOMS = [
+    "version",
+    "validate",
+    "metrics",
+    "io",
+    "raster",
+    "textures",
+    "camera",
+    "meshes",
+    "shading",
+    "fragments",
+    "losses",
+    "render",
+    "compat",
+    "features",
+    "pictures",
+    "tasks",
+    "commands",
+    "cli",
+]
+
+RASTER = ["warp", "ops", "visibility", "reference", "settings", "rasterize"]
+RECONSTRUCTION = ["data", "networks", "evaluation", "training"]
+
+
+def imports(path: Path) -> Iterator[tuple[str, ...]]:
+    """Parts of the paths of the modules that a file imports, without imports for type checkers alone."""
+    package = path.relative_to(SOURCE).parent.parts
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    typing_only = {
+        inner
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.ImportFrom) or node in typing_only:
+            continue
+        assert not (node.module or "").startswith("neural_renderer"), (
+            f"{path}: expected relative imports in the package"
+        )
+        if node.level:
+            base = package[: len(package) - node.level + 1] + tuple(
+                (node.module or "").split(".") if node.module else ()
+            )
+            for name in node.names:
+                inner = SOURCE.joinpath(*base, name.name)
+                is_module = inner.is_dir() or inner.with_suffix(".py").is_file()
+                yield (*base, name.name) if is_module else base
+
+
+def room(parts: tuple[str, ...], prefix: tuple[str, ...]) -> str | None:
+    """The room below ``prefix`` that a module belongs to; None for the package itself and what lies elsewhere."""
+    return parts[len(prefix)] if parts[: len(prefix)] == prefix and len(parts) > len(prefix) else None
+
+
+def modules() -> Iterator[tuple[tuple[str, ...], Path]]:
+    for path in sorted(SOURCE.rglob("*.py")):
+        parts = path.relative_to(SOURCE).with_suffix("").parts
+        yield parts[:-1] if parts[-1] == "__init__" else parts, path
+
+
+def test_no_import_runs_upwards() -> None:
+    layers = [((), ROOMS), (("raster",), RASTER), (("tasks", "reconstruction"), RECONSTRUCTION)]
+    wrong = []
+    for prefix, order in layers:
+        for parts, path in modules():
+            own = room(parts, prefix)
+            if own is None:
+                continue
+            assert own in order, f"{path}: expected one of the rooms {', '.join(order)}; add {own} where it belongs"
+            for target in imports(path):
+                other = room(target, prefix)
+                if other is not None and order.index(other) > order.index(own):
+                    wrong.append(f"{path.relative_to(SOURCE)} imports {'.'.join(target)}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_no_circles() -> None:
+    graph = {parts: {target for target in imports(path) if target != parts} for parts, path in modules() if parts}
+    list(TopologicalSorter(graph).static_order())  # raises CycleError
+
+
+def test_rooms_are_small() -> None:
+    for folder in (path for path in SOURCE.rglob("*") if path.is_dir() and path.name != "__pycache__"):
+        files = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
+        assert len(files) <= 14, f"{folder}: expected at most about a dozen files, got {len(files)}"
