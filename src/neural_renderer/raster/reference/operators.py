@@ -155,7 +155,7 @@ def nmr_edges_reference(
         for f in range(faces.shape[1]):
             if not corners[b, f].isfinite().all() or not (side[b, f] > 0 or (side[b, f] < 0 and two_sided)):
                 continue
-            order = [0, 1, 2] if side[b, f] > 0 else [0, 2, 1]
+            order = [0, 1, 2] if side[b, f] > 0 else [2, 1, 0]
             for k in range(3):
                 p, q, r = (order[(k + n) % 3] for n in range(3))
                 for axis, (pulls, colors, shown) in enumerate((rows, columns)):
