@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..warp.geometry import homogeneous_weights, in_front, pixel_box, pixel_centre, to_pixels
 from ..warp.launch import array, face_lanes, launch, zeros
-from ..warp.registration import differentiable_once, operator
+from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import next_shown, seen_faces
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -85,7 +85,7 @@ def _to_corners(ctx, grad_weights, grad_depth):  # type: ignore[no-untyped-def]
     return grad, None, None, None
 
 
-torch.library.register_autograd("neural_renderer::barycentrics", _to_corners, setup_context=_save)
+differentiable(barycentrics, _to_corners, _save)
 
 
 @wp.func

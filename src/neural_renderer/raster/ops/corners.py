@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.launch import array, launch, zeros
-from ..warp.registration import differentiable_once, operator
+from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
 
@@ -61,7 +61,7 @@ def _to_vertices(ctx, grad):  # type: ignore[no-untyped-def]
     return gather_corners_backward(grad, ctx.saved_tensors[0], ctx.count), None
 
 
-torch.library.register_autograd("neural_renderer::gather_corners", _to_vertices, setup_context=_save)
+differentiable(gather_corners, _to_vertices, _save)
 
 
 @wp.kernel

@@ -4,7 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..warp.registration import operator
+from ..warp.registration import differentiable, operator
 
 
 @operator
@@ -35,4 +35,4 @@ def _(grad):
     return grad.new_empty((*grad.shape[:2], 2 * grad.shape[2], 2 * grad.shape[3]))
 
 
-torch.library.register_autograd("neural_renderer::halve", lambda ctx, grad: halve_backward(grad))
+differentiable(halve, lambda ctx, grad: halve_backward(grad))

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, face_lanes, launch, zeros
-from ..warp.registration import differentiable_once, operator
+from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import next_shown, seen_faces
 
 wp.set_module_options({"enable_backward": False})
@@ -67,7 +67,7 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
     return to_attributes, None, None, to_weights
 
 
-torch.library.register_autograd("neural_renderer::interpolate", _to_inputs, setup_context=_save)
+differentiable(interpolate, _to_inputs, _save)
 
 
 _MIX_ROW = """

@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ..warp.launch import array, launch, zeros
-from ..warp.registration import differentiable_once, operator
+from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
 
@@ -115,7 +115,7 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
     return to_texels if texels_too else None, None, None, to_uv if uv_too else None, None, None, None
 
 
-torch.library.register_autograd("neural_renderer::sample_mipmaps", _to_inputs, setup_context=_save)
+differentiable(sample_mipmaps, _to_inputs, _save)
 
 
 @wp.func

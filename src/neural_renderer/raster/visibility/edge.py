@@ -17,7 +17,7 @@ from torch import Tensor
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import facing, to_pixels
 from ..warp.launch import array, copy, face_lanes, launch, zeros
-from ..warp.registration import differentiable_once, operator
+from ..warp.registration import differentiable, differentiable_once, operator
 from .crossings import (
     LEAST_RUN,
     continued,
@@ -125,7 +125,7 @@ def _backward(ctx, grad):  # type: ignore[no-untyped-def]
     return grad, to_faces, None, None, None, None, None
 
 
-torch.library.register_autograd("neural_renderer::boundaries", _backward, setup_context=_save)
+differentiable(boundaries, _backward, _save)
 
 
 @wp.func

@@ -13,7 +13,7 @@ from torch import Tensor
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import facing, to_pixels
 from ..warp.launch import array, copy, face_lanes, launch, zeros
-from ..warp.registration import differentiable_once, operator
+from ..warp.registration import differentiable, differentiable_once, operator
 from .scanlines import WIDE, copy_lines, empty_lines, place, shrink, sweep
 
 wp.set_module_options({"enable_backward": False})
@@ -99,7 +99,7 @@ def _backward(ctx, grad):  # type: ignore[no-untyped-def]
     return grad, to_faces, None, None, None, None
 
 
-torch.library.register_autograd("neural_renderer::nmr_edges", _backward, setup_context=_save)
+differentiable(nmr_edges, _backward, _save)
 
 
 @wp.func

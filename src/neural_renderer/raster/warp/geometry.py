@@ -13,8 +13,6 @@ the homogeneous form of the same test, so nothing needs to be clipped (Olano and
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import warp as wp
 
-# Corners beyond have no products in float32.
-FARTHEST = wp.constant(1.0e12)
 Int4 = wp.types.vector(length=4, dtype=wp.int32)
 
 
@@ -29,50 +27,41 @@ def to_pixels(x: float, size: int) -> float:
     return 0.5 * (float(size) * x + float(size - 1))
 
 
-@wp.func
+# In plain C++: these are asked of every face in every step, and Warp's own loops over components are slow there.
+_FACING = """
+    const float left = (v2[1] - v0[1]) * (v1[0] - v0[0]), right = (v1[1] - v0[1]) * (v2[0] - v0[0]);
+    const int side = (left > right) - (left < right);
+    // Each corner behind the camera turns the projected triangle over.
+    const int behind = (v0[2] <= 0.0f) + (v1[2] <= 0.0f) + (v2[2] <= 0.0f);
+    return perspective == 1 && (behind & 1) ? -side : side;
+"""
+
+
+@wp.func_native(_FACING)
 def facing(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
     """1 if the corners run counter-clockwise on the screen, -1 if clockwise, 0 if they are on one line."""
-    left = (v2[1] - v0[1]) * (v1[0] - v0[0])
-    right = (v1[1] - v0[1]) * (v2[0] - v0[0])
-    side = int(0)
-    if left > right:
-        side = 1
-    if left < right:
-        side = -1
-    if perspective == 1:
-        # Each corner behind the camera turns the projected triangle over.
-        if v0[2] <= 0.0:
-            side = -side
-        if v1[2] <= 0.0:
-            side = -side
-        if v2[2] <= 0.0:
-            side = -side
-    return side
+    ...
 
 
-@wp.func
+_IN_FRONT = """
+    bool fits = true;
+    for (int k = 0; k < 3; ++k)  // which is false of NaN, too
+        fits &= (fabsf(v0[k]) <= 1.0e12f) & (fabsf(v1[k]) <= 1.0e12f) & (fabsf(v2[k]) <= 1.0e12f);
+    if (!fits) return -1;
+    const int behind = (v0[2] <= 0.0f) + (v1[2] <= 0.0f) + (v2[2] <= 0.0f);
+    if (perspective == 0 || behind == 0) return 1;
+    // On the camera's plane itself the projection has no value.
+    return behind == 3 || v0[2] == 0.0f || v1[2] == 0.0f || v2[2] == 0.0f ? -1 : 0;
+"""
+
+
+@wp.func_native(_IN_FRONT)
 def in_front(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
-    """1 if the plain formulas hold, 0 if the face crosses the camera's plane, -1 if it cannot be drawn."""
-    largest = wp.max(wp.max(wp.abs(v0)), wp.max(wp.max(wp.abs(v1)), wp.max(wp.abs(v2))))
-    if not (wp.isfinite(v0) and wp.isfinite(v1) and wp.isfinite(v2)) or largest > FARTHEST:
-        return -1
-    if perspective == 0:
-        return 1
-    behind = int(0)
-    if v0[2] <= 0.0:
-        behind += 1
-    if v1[2] <= 0.0:
-        behind += 1
-    if v2[2] <= 0.0:
-        behind += 1
-    if behind == 0:
-        return 1
-    if behind == 3:
-        return -1
-    # On the camera's plane itself the projection has no value.
-    if v0[2] == 0.0 or v1[2] == 0.0 or v2[2] == 0.0:
-        return -1
-    return 0
+    """1 if the plain formulas hold, 0 if the face crosses the camera's plane, -1 if it cannot be drawn.
+
+    Corners beyond 1e12 have no products in float32.
+    """
+    ...
 
 
 @wp.func

@@ -8,6 +8,7 @@ writes only what no other task writes, so the result does not depend on how many
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import itertools
 import os
 import threading
@@ -30,6 +31,11 @@ _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
+_entries: dict[Any, Callable[..., None]] = {}
+# What kernels take for a tensor. (Warp tells this type by an example alone.)
+_Array: Any = type(wp.from_torch(torch.zeros(1), return_ctype=True))
+# Warp's versions whose compiled kernels `_direct` knows how to call.
+_KNOWN = ("1.19.",)
 
 
 def _after_fork() -> None:
@@ -137,10 +143,11 @@ def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
 
     Kernels may count on contiguous memory: another tensor is copied first, unless ``strided``.
     """
-    if tensor.numel() == 0:  # strides of nothing can be anything, and Warp looks at them
-        tensor = tensor.new_empty(tensor.shape)
-    tensor = tensor.detach() if strided else tensor.detach().contiguous()
-    argument: Any = wp.from_torch(tensor, dtype=dtype, requires_grad=False, return_ctype=True)
+    if not strided or tensor.numel() == 0:  # strides of nothing can be anything
+        tensor = tensor.contiguous()
+    bytes_each = tensor.element_size()
+    dims = tensor.dim() - (0 if dtype is None else len(dtype._shape_))
+    argument = _Array(tensor.data_ptr(), 0, dims, tensor.shape, [bytes_each * step for step in tensor.stride()])
     argument.tensor = tensor  # the descriptor alone would not keep a copy alive
     return argument
 
@@ -160,12 +167,35 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
             stream = wp.stream_from_torch(torch.cuda.current_stream())
             wp.launch(kernel, tasks, [0, *arguments], stream=stream, record_tape=False)
         return
+    entry = _entries.get(kernel) or _enter(kernel)
+    _share(lambda first, last: entry(last - first, first, *arguments), tasks, least)
+
+
+def _enter(kernel: wp.Kernel) -> Callable[..., None]:
+    """Load a kernel for the CPU; returns a function that runs so many tasks of it with its arguments."""
     load_kernel(kernel, "cpu")
 
-    def run(first: int, last: int) -> None:
-        wp.launch(kernel, last - first, [first, *arguments], device="cpu", record_tape=False)
+    def run(tasks: int, *arguments: Any) -> None:
+        wp.launch(kernel, tasks, arguments, device="cpu", record_tape=False)
 
-    _share(run, tasks, least)
+    _entries[kernel] = _direct(kernel) if wp.__version__.startswith(_KNOWN) else run
+    return _entries[kernel]
+
+
+def _direct(kernel: wp.Kernel) -> Callable[..., None]:
+    """The same, calling what Warp compiled: its own launch looks at arguments for longer than a small scene takes."""
+    from warp._src.types import launch_bounds_t
+
+    kinds = {"int32": ctypes.c_int32, "int64": ctypes.c_int64, "float32": ctypes.c_float}
+    fields = [(arg.label, kinds.get(getattr(arg.type, "__name__", ""), _Array)) for arg in kernel.adj.args]
+    packed = type("Arguments", (ctypes.Structure,), {"_fields_": fields})
+    module = kernel.module.load(wp.get_device("cpu"), 1)
+    call = module.get_kernel_hooks(kernel).forward
+
+    def run(tasks: int, *arguments: Any, loaded: Any = module) -> None:  # which must not be unloaded
+        call(ctypes.byref(launch_bounds_t(tasks)), ctypes.byref(packed(*arguments)))
+
+    return run
 
 
 def _share(run: Callable[[int, int], object], tasks: int, least: int) -> None:

@@ -7,14 +7,16 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from torch import Tensor
-from torch.autograd.forward_ad import unpack_dual
+from torch import Tensor, nn
+from torch.autograd import forward_ad
 
 
 def operator(function: Callable[..., Any]) -> Any:
     """Make the annotated function the operator ``neural_renderer::<its name>``, opaque to torch.compile.
 
     `torch.library.custom_op` does the same, but its first call imports torch's compiler, over a second in each process.
+    Plain tensors do not take the way through torch's dispatcher, which costs more than small scenes take to draw: for
+    them `differentiable` puts the function itself into torch's graph.
     Derivatives in forward mode, which torch would take for zero, are an error (RuntimeError).
     """
     name = f"neural_renderer::{function.__name__}"
@@ -24,17 +26,35 @@ def operator(function: Callable[..., Any]) -> Any:
 
     @functools.wraps(function)
     def call(*inputs: Any) -> Any:
-        if not torch.compiler.is_compiling():
-            for value in inputs:
-                if isinstance(value, Tensor) and unpack_dual(value).tangent is not None:
-                    raise RuntimeError(
-                        f"{function.__name__}: expected tensors without tangents, got one to differentiate in forward "
-                        "mode; the rasteriser has gradients in reverse mode only (backward)"
-                    )
-        return registered(*inputs)
+        if torch.compiler.is_compiling():
+            return registered(*inputs)
+        if forward_ad._current_level >= 0:
+            _refuse_tangents(function.__name__, inputs)
+        if not _plain(inputs):
+            return registered(*inputs)
+        if call.graph is None or not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
+            with torch.no_grad():
+                return function(*inputs)
+        return call.graph.apply(*inputs)
 
     call.operator = registered  # type: ignore[attr-defined]
+    call.graph = None  # type: ignore[attr-defined]
     return call
+
+
+def differentiable(call: Any, backward: Callable[..., Any], setup_context: Callable[..., Any] | None = None) -> None:
+    """Give an `operator` its gradient, with functions as `torch.library.register_autograd` takes them."""
+    name = call.__name__
+    torch.library.register_autograd(f"neural_renderer::{name}", backward, setup_context=setup_context)
+
+    def forward(ctx: Any, *inputs: Any) -> Any:
+        output = call.__wrapped__(*inputs)
+        if setup_context is not None:
+            setup_context(ctx, inputs, output)
+        return output
+
+    methods = {"forward": staticmethod(forward), "backward": staticmethod(backward)}
+    call.graph = type(name, (torch.autograd.Function,), methods)
 
 
 def differentiable_once(function: Callable[..., Any]) -> Any:
@@ -46,5 +66,29 @@ def differentiable_once(function: Callable[..., Any]) -> Any:
             f"{function.__name__}: the rasteriser has first derivatives only, got a second one to compute"
         )
 
-    torch.library.register_autograd(f"neural_renderer::{function.__name__}", refuse)
+    differentiable(backward, refuse)
     return backward
+
+
+def _plain(inputs: tuple[Any, ...]) -> bool:
+    """Whether the tensors are torch's own, with memory, and nothing traces or transforms what is done with them."""
+    if torch._C._len_torch_dispatch_stack() or torch._C._are_functorch_transforms_active():
+        return False
+    return all(
+        value.device.type != "meta" and type(value) in (Tensor, nn.Parameter)
+        for value in inputs
+        if isinstance(value, Tensor)
+    )
+
+
+def _requires_grad(value: Any) -> bool:
+    return isinstance(value, Tensor) and value.requires_grad
+
+
+def _refuse_tangents(name: str, inputs: tuple[Any, ...]) -> None:
+    for value in inputs:
+        if isinstance(value, Tensor) and forward_ad.unpack_dual(value).tangent is not None:
+            raise RuntimeError(
+                f"{name}: expected tensors without tangents, got one to differentiate in forward mode; the rasteriser "
+                "has gradients in reverse mode only (backward)"
+            )
