@@ -110,7 +110,7 @@ def rasterize_images(
     whole = gradient == "edge"  # the derivative inside of faces, too
     if "rgb" in outputs or "depth" in outputs:
         from_corners = corners if whole or "depth" in outputs else still
-        weights, depth = barycentrics(from_corners, face_index, settings.far, perspective)
+        weights, depth = barycentrics(from_corners, face_index, settings.near, settings.far, perspective)
         if "rgb" in outputs:
             cubes = _checked_textures(textures, batch, count, device)
             factors = _checked_light(light, batch, count, device)
