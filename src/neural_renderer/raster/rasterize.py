@@ -83,7 +83,7 @@ def rasterize_images(
         in float32.
     size: the images' side, or (height, width), in pixels.
     outputs: which of "rgb", "alpha", "depth"; what is not asked for costs nothing.
-    textures: [B or 1, F, T, T, T, 3] floating, T >= 2; needed for "rgb".
+    textures: [B or 1, F, T, T, T, 3] floating (T = 1: one colour a face); needed for "rgb".
     light: [B or 1, 2, F, 3] factors for the colour of each face's two sides; none: 1.
     background: colour where no face is seen: [3], [B, 3], or an image [B, 3, H, W] or [3, H, W] (H and W of
         the output).

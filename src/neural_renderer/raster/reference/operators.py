@@ -120,7 +120,7 @@ def sample_textures_reference(
     batch, size, seen = len(faces), textures.shape[2], (face_index >= 0)[..., None]
     if not faces.shape[1]:
         return background.double()
-    c = (weights.double() * (size - 1)).clamp(0, size - 1 - eps)
+    c = (weights.double() * (size - 1)).clamp(0, max(size - 1 - eps, 0))
     # A tent of width 1 around the coordinate along each axis: the trilinear blend as a sum over the whole cube.
     tents = (1 - (c[..., None] - torch.arange(size, dtype=torch.float64, device=c.device)).abs()).clamp(min=0)
     cubes = _own(textures.double().expand(batch, *textures.shape[1:]), face_index)
