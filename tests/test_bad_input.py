@@ -59,7 +59,6 @@ BAD = {
     "textures with 4 channels": ("textures", torch.ones(1, 20, 2, 2, 2, 4), ValueError),
     "textures that are no cubes": ("textures", torch.ones(1, 20, 2, 3, 2, 3), ValueError),
     "textures of size 0": ("textures", torch.ones(1, 20, 0, 0, 0, 3), ValueError),
-    "textures of size 0": ("textures", torch.ones(1, 20, 0, 0, 0, 3), ValueError),
     "textures of 8 bits": ("textures", torch.ones(1, 20, 2, 2, 2, 3).to(torch.float8_e4m3fn), TypeError),
     "textures of integers": ("textures", torch.ones(1, 20, 2, 2, 2, 3, dtype=torch.uint8), TypeError),
     "no textures at all": ("textures", None, ValueError),

@@ -86,8 +86,8 @@ def _(grad, image, faces, face_index, eps, two_sided, binary):  # type: ignore[n
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    _, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary = inputs
-    ctx.save_for_backward(output, faces, face_index)
+    image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary = inputs
+    ctx.save_for_backward(image, faces, face_index)  # not the output, which callers may change in place
 
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
