@@ -88,7 +88,7 @@ def rasterize_images(
     outputs: which of "rgb", "alpha", "depth"; what is not asked for costs nothing.
     textures: [B or 1, F, T, T, T, 3] floating (T = 1: one colour a face); needed for "rgb".
     light: [B or 1, 2, F, 3] factors for the colour of each face's two sides; none: 1.
-    background: colour where no face is seen: [3], [B, 3], or an image [B, 3, H, W] or [3, H, W] (H and W of
+    background: colour where no face is seen: a number, [3], [B, 3], or an image [B, 3, H, W] or [3, H, W] (H and W of
         the output).
     near, far: 0 <= near < far; only what has near < depth < far at a pixel is seen.
     eps: added to the distances in the gradient's denominators (screen units); cube coordinates end at T - 1 - eps.
@@ -218,7 +218,8 @@ def behind_image(background: Any, batch: int, channels: int, settings: Settings,
             background = torch.as_tensor(background, dtype=torch.float32, device=device)
         except (TypeError, ValueError, RuntimeError):
             raise TypeError(
-                f"background: expected a colour [{channels}] or [B, {channels}] or an image, got {background!r}"
+                f"background: expected a number, a colour [{channels}] or [B, {channels}], or an image, "
+                f"got {background!r}"
             ) from None
     elif background.dtype == torch.uint8:  # an image as it comes from a file, most likely
         raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")
@@ -227,6 +228,7 @@ def behind_image(background: Any, batch: int, channels: int, settings: Settings,
         validate.has_numbers("background", background)
     color = background.to(device=device, dtype=torch.float32)
     validate.finite("background", color)
+    color = color.expand(channels) if color.dim() == 0 else color
     shape = tuple(color.shape)
     image = (channels, height, width)
     if shape == (channels,) or (len(shape) == 2 and shape[0] in (1, batch) and shape[1] == channels):
@@ -235,6 +237,6 @@ def behind_image(background: Any, batch: int, channels: int, settings: Settings,
         color = color.reshape(-1, *image)
         return color.repeat_interleave(2, 2).repeat_interleave(2, 3) if settings.anti_aliasing else color
     raise ValueError(
-        f"background: expected [{channels}], [{batch}, {channels}], {list(image)} or {[batch, *image]}, "
+        f"background: expected a number, [{channels}], [{batch}, {channels}], {list(image)} or {[batch, *image]}, "
         f"got {list(shape)}"
     )
