@@ -13,6 +13,10 @@ the homogeneous form of the same test, so nothing needs to be clipped (Olano and
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import warp as wp
 
+# Screen units: four roundings of a coordinate near 1. What changes within less is not known.
+NARROWEST = wp.constant(2.0**-22)
+# Pixels: of an edge that crosses less of them no slope is computed. Float32 tells so little only in one pixel's line.
+SHORTEST = wp.constant(1.0e-9)
 Int4 = wp.types.vector(length=4, dtype=wp.int32)
 
 
@@ -41,6 +45,17 @@ _FACING = """
 def facing(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
     """1 if the corners run counter-clockwise on the screen, -1 if clockwise, 0 if they are on one line."""
     ...
+
+
+@wp.func
+def degenerate(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> bool:
+    """Whether a weight changes by 1 over less than NARROWEST, along x or along y."""
+    a = wp.abs(v2 - v1)
+    b = wp.abs(v0 - v2)
+    c = wp.abs(v1 - v0)
+    longest = wp.max(wp.max(wp.max(a[0], a[1]), wp.max(b[0], b[1])), wp.max(c[0], c[1]))
+    area = (v1[0] - v0[0]) * (v2[1] - v0[1]) - (v1[1] - v0[1]) * (v2[0] - v0[0])
+    return wp.abs(area) <= NARROWEST * longest
 
 
 _IN_FRONT = """
