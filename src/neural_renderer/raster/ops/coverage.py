@@ -44,7 +44,7 @@ def coverage(
         return face_index
     # One task per image, or band of rows of it, which runs through all faces from first to last.
     bands = min(height, cpu_bands(batch))
-    nearest = torch.empty((batch, height, width), dtype=torch.float32)
+    nearest = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
     maps = [array(nearest), array(face_index)]
     launch(_draw_band, batch * bands, [array(faces, wp.vec3), *maps, bands, *options], faces.device)
     return face_index

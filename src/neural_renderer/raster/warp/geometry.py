@@ -58,7 +58,7 @@ def degenerate(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> bool:
     return wp.abs(area) <= NARROWEST * longest
 
 
-_IN_FRONT = """
+IN_FRONT = """
     bool fits = true;
     for (int k = 0; k < 3; ++k)  // which is false of NaN, too
         fits &= (fabsf(v0[k]) <= 1.0e12f) & (fabsf(v1[k]) <= 1.0e12f) & (fabsf(v2[k]) <= 1.0e12f);
@@ -70,7 +70,7 @@ _IN_FRONT = """
 """
 
 
-@wp.func_native(_IN_FRONT)
+@wp.func_native(IN_FRONT)
 def in_front(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
     """1 if the plain formulas hold, 0 if the face crosses the camera's plane, -1 if it cannot be drawn.
 
@@ -97,20 +97,20 @@ def pixel_box(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, front: int, height: int, wi
     return Int4(x[0], x[1], y[0], y[1])
 
 
-@wp.func
-def edge_double(a: wp.vec3, b: wp.vec3, x: float, y: float) -> wp.float64:
-    px = wp.float64(x)
-    py = wp.float64(y)
-    return (wp.float64(a[0]) - px) * (wp.float64(b[1]) - py) - (wp.float64(a[1]) - py) * (wp.float64(b[0]) - px)
+HOMOGENEOUS = """
+    const wp::vec_t<3, float> v[3] = {v0, v1, v2};
+    double e[3];
+    for (int k = 0; k < 3; ++k) {
+        const wp::vec_t<3, float> &a = v[(k + 1) % 3], &b = v[(k + 2) % 3];
+        e[k] = ((double)a[0] - x) * ((double)b[1] - y) - ((double)a[1] - y) * ((double)b[0] - x);
+    }
+    const double area = e[0] + e[1] + e[2];
+    if (area == 0.0) return wp::vec_t<3, double>(-1.0, -1.0, -1.0);
+    return wp::vec_t<3, double>(e[0] / (area * v0[2]), e[1] / (area * v1[2]), e[2] / (area * v2[2]));
+"""
 
 
-@wp.func
+@wp.func_native(HOMOGENEOUS)
 def homogeneous_weights(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float) -> wp.vec3d:
     """``a_k = w_k / z_k`` at a screen position; in double, because a corner near the camera's plane is far away."""
-    e0 = edge_double(v1, v2, x, y)
-    e1 = edge_double(v2, v0, x, y)
-    e2 = edge_double(v0, v1, x, y)
-    area = e0 + e1 + e2
-    if area == wp.float64(0.0):
-        return wp.vec3d(wp.float64(-1.0), wp.float64(-1.0), wp.float64(-1.0))
-    return wp.vec3d(e0 / (area * wp.float64(v0[2])), e1 / (area * wp.float64(v1[2])), e2 / (area * wp.float64(v2[2])))
+    ...
