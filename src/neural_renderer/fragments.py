@@ -14,6 +14,8 @@ from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ops.barycentrics import barycentrics
+from .raster.ops.composite import composite
+from .raster.ops.corners import gather_corners
 from .raster.ops.downsample import halve
 from .raster.ops.interpolate import interpolate
 from .raster.rasterize import behind_image, checked_faces, vertices_to_faces
@@ -28,17 +30,35 @@ class Fragments:
         corners: [B, F, 3, 3] float32, the faces' corners on the screen.
         triangles: [F, 3] or [B, F, 3], the faces' vertices.
         face_index: [B, H, W] int32, the face that is seen; -1 for none. Row 0 is at the top.
-        weights: [B, H, W, 3], the shares of its corners in the point that is seen, perspective-correct, of sum 1.
-        depth: [B, H, W], along the viewing axis in world units, ``far`` where no face is seen.
         settings: how it was drawn.
     """
 
     corners: Tensor
     triangles: Tensor
     face_index: Tensor
-    weights: Tensor
-    depth: Tensor
     settings: Settings
+
+    @property
+    def weights(self) -> Tensor:
+        """[B, H, W, 3], the shares of the face's corners in the point that is seen, perspective-correct, of sum 1."""
+        return self._points[0]
+
+    @property
+    def depth(self) -> Tensor:
+        """[B, H, W], along the viewing axis in world units, ``far`` where no face is seen."""
+        return self._points[1]
+
+    @property
+    def _points(self) -> tuple[Tensor, Tensor]:
+        # Made when they are first asked for, and kept, but not without a gradient for those who ask for it later.
+        points = self.__dict__.get("_kept")
+        if points is None:
+            points = barycentrics(
+                self.corners, self.face_index, self.settings.near, self.settings.far, self.settings.perspective
+            )
+            if torch.is_grad_enabled() or not self.corners.requires_grad:
+                self.__dict__["_kept"] = points
+        return points
 
     @property
     def mask(self) -> Tensor:
@@ -69,10 +89,8 @@ class Fragments:
         if triangles.shape[1] != count:
             raise ValueError(f"triangles: expected {count} like the mesh's faces, got {triangles.shape[1]}")
         validate.in_range("triangles", triangles, attributes.shape[1])
-        images = max(len(attributes), len(triangles))
-        image = torch.arange(images, device=attributes.device)[:, None, None]
-        own = attributes.float().expand(images, -1, -1)[image, triangles.long().expand(images, -1, -1)]
-        return interpolate(own, self.corners.detach(), self.face_index, self.weights)
+        own = gather_corners(attributes.float().expand(max(len(attributes), len(triangles)), -1, -1), triangles.int())
+        return interpolate(own, self.corners, self.face_index, self.settings.perspective)
 
     def composite(self, colors: Tensor, background: Any = 0.0, *, seams: bool = False) -> Tensor:
         """The images [B, C, height, width] float32 of colours, with the gradient through visibility.
@@ -91,7 +109,7 @@ class Fragments:
         validate.same_device(colors=colors, faces=self.corners)
         channels = colors.shape[3]
         behind = behind_image(background, batch, channels, self.settings, colors.device)
-        image = torch.where(self.mask[:, None], colors.float().permute(0, 3, 1, 2), behind)
+        image = composite(colors.float(), behind, self.face_index)
         image = self.settings.through_visibility(image, self.corners, self.face_index, validate.flag("seams", seams))
         return halve(image) if self.settings.anti_aliasing else image.contiguous()
 
@@ -135,5 +153,4 @@ def seen_on(screen: Tensor, faces: Tensor, settings: Settings) -> Fragments:
     """`fragments` of vertices [B, V, 3] that are on the screen already."""
     corners = settings.corners(vertices_to_faces(screen, checked_faces(faces)), 8)
     face_index = settings.face_index(corners)
-    weights, depth = barycentrics(corners, face_index, settings.near, settings.far, settings.perspective)
-    return Fragments(corners, faces, face_index, weights, depth, settings)
+    return Fragments(corners, faces, face_index, settings)

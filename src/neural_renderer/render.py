@@ -117,20 +117,19 @@ def _sampled(
 ) -> Images:
     """Images of a mesh whose colours are images; factors: of the light, as `rasterize_images` takes them."""
     settings, corners, face_index = seen.settings, seen.corners, seen.face_index
-    if settings.gradient == "nmr":  # which knows nothing of what moves inside of faces
-        seen = replace(seen, weights=seen.weights.detach())
+    still = replace(seen, corners=corners.detach())
     behind = behind_image(background, len(face_index), 3, settings, face_index.device)
-    color = mesh.shade(seen).movedim(3, 1)
+    # "nmr" knows nothing of what moves inside of faces.
+    color = mesh.shade(still if settings.gradient == "nmr" else seen).movedim(3, 1)
     if factors is not None:
         white = torch.ones((1, len(mesh.faces), 1, 1, 1, 3), device=face_index.device)
-        still = corners.detach(), face_index, seen.weights.detach()
         color = color * sample_textures(
-            white, factors, torch.zeros_like(color), *still, settings.eps, settings.perspective
+            white, factors, torch.zeros_like(color), still.corners, face_index, settings.eps, settings.perspective
         )
     layers = {"rgb": torch.where(seen.mask[:, None], color, behind)}
     return finish_images(
         layers,
-        seen.depth,
+        seen.depth if "depth" in outputs else None,
         corners,
         face_index,
         settings,

@@ -48,8 +48,7 @@ def test_case(shared, device, case):
         textures = get("textures").requires_grad_()
         light = torch.ones(1, 2, faces.shape[1], 3, device=device)
         background = get("background").reshape(-1, 3, 1, 1).expand(len(index), 3, side, side)
-        maps = (faces.detach(), index, weights.detach())
-        rgb = sample_textures(textures, light, background, *maps, eps, True)
+        rgb = sample_textures(textures, light, background, faces.detach(), index, eps, True)
         torch.testing.assert_close(rgb.permute(0, 2, 3, 1)[same], get("rgb")[same], rtol=0, atol=1e-4)
         images, grads = [*images, rgb], [*grads, get("grad_rgb").permute(0, 3, 1, 2)]
     if images:

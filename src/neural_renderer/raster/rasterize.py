@@ -104,24 +104,19 @@ def rasterize_images(
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, perspective, gradient)
     outputs = checked_outputs(outputs)
     corners = settings.corners(faces, 1 + 3 * ("rgb" in outputs))
-    still = corners.detach()
     batch, count = faces.shape[:2]
     device = faces.device
     face_index = settings.face_index(corners)
     depth = None
     layers = {}
-    whole = gradient == "edge"  # the derivative inside of faces, too
-    if "rgb" in outputs or "depth" in outputs:
-        from_corners = corners if whole or "depth" in outputs else still
-        weights, depth = barycentrics(from_corners, face_index, settings.near, settings.far, perspective)
-        if "rgb" in outputs:
-            cubes = _checked_textures(textures, batch, count, device)
-            factors = _checked_light(light, batch, count, device)
-            behind = behind_image(background, batch, 3, settings, device).expand(batch, 3, *face_index.shape[1:])
-            weights = weights if whole else weights.detach()
-            layers["rgb"] = sample_textures(
-                cubes, factors, behind, still, face_index, weights, settings.eps, perspective
-            )
+    if "depth" in outputs:
+        depth = barycentrics(corners, face_index, settings.near, settings.far, perspective)[1]
+    if "rgb" in outputs:
+        cubes = _checked_textures(textures, batch, count, device)
+        factors = _checked_light(light, batch, count, device)
+        behind = behind_image(background, batch, 3, settings, device).expand(batch, 3, *face_index.shape[1:])
+        inside = corners if gradient == "edge" else corners.detach()  # the derivative inside of faces, too
+        layers["rgb"] = sample_textures(cubes, factors, behind, inside, face_index, settings.eps, perspective)
     marks = (lambda: texture_marks(cubes, factors)) if "rgb" in outputs else None
     return finish_images(layers, depth, corners, face_index, settings, outputs, marks)
 

@@ -15,25 +15,26 @@ from tests.raster.scenes import FAR, NEAR, examples, scenes
 @examples(30)
 @given(scene=scenes(empty=False), channels=st.integers(1, 9), shared=st.booleans())
 def test_random_scenes(device, scene, channels, shared):
-    faces = scene.faces.to(device)
-    index = coverage(faces, scene.height, scene.width, NEAR, FAR, scene.two_sided, scene.perspective)
-    weights = barycentrics(faces, index, NEAR, FAR, scene.perspective)[0].requires_grad_()
+    faces = scene.faces.to(device).requires_grad_()
+    index = coverage(faces.detach(), scene.height, scene.width, NEAR, FAR, scene.two_sided, scene.perspective)
     attributes = scene.noise(1 if shared else scene.batch, scene.count, 3, channels).to(device).requires_grad_()
-    found = interpolate(attributes, faces, index, weights)
+    found = interpolate(attributes, faces, index, scene.perspective)
+    weights = barycentrics(faces, index, NEAR, FAR, scene.perspective)[0]
     image = torch.arange(scene.batch, device=device)[:, None, None]
     own = attributes.double().expand(scene.batch, -1, -1, -1)[image, index.clamp(min=0).long()]
     expected = (own * weights.double()[..., None]).sum(-2) * (index >= 0)[..., None]
     torch.testing.assert_close(found.double(), expected, rtol=1e-5, atol=1e-5)
     grad = scene.noise(*found.shape).to(device)
-    ours = torch.autograd.grad(found, (attributes, weights), grad)
-    theirs = torch.autograd.grad(expected, (attributes, weights), grad.double())
-    for a, b in zip(ours, theirs, strict=True):
-        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4)
+    ours = torch.autograd.grad(found, (attributes, faces), grad)
+    theirs = torch.autograd.grad(expected, (attributes, faces), grad.double())
+    torch.testing.assert_close(ours[0], theirs[0], rtol=1e-4, atol=1e-4)
+    # The weights' gradient is a sum over the channels, rounded once more on its way through an image.
+    scale = theirs[1].nan_to_num().abs().amax(-1, keepdim=True)
+    assert ((ours[1] - theirs[1]).nan_to_num().abs() <= 1e-4 * scale + 1e-4).all()
 
 
 def test_operator_is_well_formed(device):
     faces = (torch.rand(2, 7, 3, 3) * torch.tensor([2.0, 2, 3]) + torch.tensor([-1.0, -1, 1])).to(device)
     index = coverage(faces, 10, 12, NEAR, FAR, True, True)
-    weights = barycentrics(faces, index, NEAR, FAR, True)[0].requires_grad_()
     attributes = torch.randn(2, 7, 3, 4, device=device, requires_grad=True)
-    torch.library.opcheck(interpolate.operator, (attributes, faces, index, weights))
+    torch.library.opcheck(interpolate.operator, (attributes, faces.requires_grad_(), index, True))

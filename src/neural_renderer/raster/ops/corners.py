@@ -1,4 +1,4 @@
-"""Gathering the corners of faces from shared vertices."""
+"""Gathering what belongs to the corners of faces from shared vertices."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -13,42 +13,43 @@ wp.set_module_options({"enable_backward": False})
 
 @operator
 def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
-    """The corners [B, F, 3, 3] of ``faces`` [1 or B, F, 3] int32 among ``vertices`` [B, V, 3] float32; differentiable.
+    """The corners [B, F, 3, C] of ``faces`` [1 or B, F, 3] int32 among ``vertices`` [B, V, C] float32; differentiable.
 
     An index outside [0, V) gives a corner that is not a number, and no memory beyond the vertices is read.
     """
-    corners = torch.empty((vertices.shape[0], *faces.shape[1:], 3), dtype=torch.float32, device=vertices.device)
-    arguments = [array(vertices, wp.vec3), array(faces), array(corners, wp.vec3)]
+    shape = (vertices.shape[0], *faces.shape[1:], vertices.shape[2])
+    corners = torch.empty(shape, dtype=torch.float32, device=vertices.device)
+    arguments = [array(vertices), array(faces), array(corners)]
     launch(_forward, corners.shape[0] * corners.shape[1], arguments, vertices.device)
     return corners
 
 
 @torch.library.register_fake("neural_renderer::gather_corners")
 def _(vertices, faces):  # type: ignore[no-untyped-def]
-    return vertices.new_empty((vertices.shape[0], *faces.shape[1:], 3))
+    return vertices.new_empty((vertices.shape[0], *faces.shape[1:], vertices.shape[2]))
 
 
 @differentiable_once
 def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
-    """The gradient [B, V, 3] of `gather_corners` to its ``count`` vertices: the sum over the corners at each."""
+    """The gradient [B, V, C] of `gather_corners` to its ``count`` vertices: the sum over the corners at each."""
     batch = grad.shape[0]
-    result = zeros((batch, count, 3), grad.device)
+    result = zeros((batch, count, grad.shape[3]), grad.device)
     if grad.device.type == "cuda" and torch.are_deterministic_algorithms_enabled():
         image = torch.arange(batch, device=grad.device)[:, None] * count
         valid = (faces >= 0) & (faces < count)
         index = (torch.where(valid, faces, 0).flatten(1) + image).flatten()
         part = torch.where(valid[..., None], grad, 0.0)
-        return result.view(-1, 3).index_add_(0, index, part.reshape(-1, 3)).view_as(result)
+        return result.flatten(0, 1).index_add_(0, index, part.flatten(0, 2)).view_as(result)
     # On the CPU one task takes all faces of an image, since its additions would collide with another task's.
     groups = grad.shape[1] if grad.device.type == "cuda" else 1
-    arguments = [array(grad, wp.vec3), array(faces), groups, array(result, wp.vec3)]
+    arguments = [array(grad), array(faces), groups, array(result)]
     launch(_backward, batch * groups, arguments, grad.device)
     return result
 
 
 @torch.library.register_fake("neural_renderer::gather_corners_backward")
 def _(grad, faces, count):  # type: ignore[no-untyped-def]
-    return grad.new_empty((grad.shape[0], count, 3))
+    return grad.new_empty((grad.shape[0], count, grad.shape[3]))
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
@@ -64,38 +65,77 @@ def _to_vertices(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(gather_corners, _to_vertices, _save)
 
 
+_EACH = """
+    const int count = vertices.shape[1], channels = vertices.shape[2];
+    const wp::int64 own = b < faces.shape[0] ? b : faces.shape[0] - 1, all = faces.shape[1];
+    for (wp::int64 f = begin; f < end; ++f)
+        for (int k = 0; k < 3; ++k) {
+            const int v = faces.data[(own * all + f) * 3 + k];
+            const bool valid = v >= 0 && v < count;
+            float* vertex = vertices.data + ((wp::int64)b * count + (valid ? v : 0)) * channels;
+            float* corner = corners.data + ((b * all + f) * 3 + k) * channels;
+            DO
+        }
+"""
+
+
+@wp.func_native(_EACH.replace("DO", "for (int c = 0; c < channels; ++c) corner[c] = valid ? vertex[c] : NAN;"))
+def copy_out(
+    vertices: wp.array3d(dtype=float),
+    faces: wp.array3d(dtype=int),
+    corners: wp.array4d(dtype=float),
+    b: int,
+    begin: int,
+    end: int,
+):
+    """The corners of some faces of an image."""
+    ...
+
+
+_ADD = """
+            for (int c = 0; valid && c < channels; ++c)
+            #if defined(__CUDA_ARCH__)
+                wp::atomic_add(vertex + c, corner[c]);
+            #else
+                vertex[c] += corner[c];
+            #endif
+"""
+
+
+@wp.func_native(_EACH.replace("DO", _ADD))
+def add_in(
+    vertices: wp.array3d(dtype=float),
+    faces: wp.array3d(dtype=int),
+    corners: wp.array4d(dtype=float),
+    b: int,
+    begin: int,
+    end: int,
+):
+    """Its transpose: add to the vertices."""
+    ...
+
+
 @wp.kernel
 def _forward(
-    first: int, vertices: wp.array2d(dtype=wp.vec3), faces: wp.array3d(dtype=int), corners: wp.array3d(dtype=wp.vec3)
+    first: int, vertices: wp.array3d(dtype=float), faces: wp.array3d(dtype=int), corners: wp.array4d(dtype=float)
 ):
     task = first + wp.tid()
-    b = task // corners.shape[1]
     f = task % corners.shape[1]
-    for k in range(3):
-        v = faces[wp.min(b, faces.shape[0] - 1), f, k]
-        if v >= 0 and v < vertices.shape[1]:
-            corners[b, f, k] = vertices[b, v]
-        else:
-            corners[b, f, k] = wp.vec3(wp.nan, wp.nan, wp.nan)
+    copy_out(vertices, faces, corners, task // corners.shape[1], f, f + 1)
 
 
 @wp.kernel
 def _backward(
     first: int,
-    grad: wp.array3d(dtype=wp.vec3),
+    grad: wp.array4d(dtype=float),
     faces: wp.array3d(dtype=int),
     groups: int,
-    result: wp.array2d(dtype=wp.vec3),
+    result: wp.array3d(dtype=float),
 ):
     task = first + wp.tid()
-    b = task // groups
     begin = task % groups
     end = begin + 1
     if groups == 1:
         begin = 0
         end = grad.shape[1]
-    for f in range(begin, end):
-        for k in range(3):
-            v = faces[wp.min(b, faces.shape[0] - 1), f, k]
-            if v >= 0 and v < result.shape[1]:
-                wp.atomic_add(result, b, v, grad[b, f, k])
+    add_in(result, faces, grad, task // groups, begin, end)

@@ -7,93 +7,112 @@ from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, face_lanes, launch, zeros
+from ..warp.point import FACE
 from ..warp.registration import differentiable, differentiable_once, operator
-from .visible_faces import next_shown, seen_faces
+from .visible_faces import seen_faces
 
-wp.set_module_options({"enable_backward": False})
+# As in `barycentrics`, whose weights these are, to the bit.
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @operator
-def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, weights: Tensor) -> Tensor:
-    """The attributes of the corners mixed by the weights of each pixel; differentiable in attributes and weights.
+def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
+    """The attributes of the corners mixed by the weights of each pixel; differentiable in attributes and faces.
 
     attributes: [B or 1, F, 3, C] float32, any number of channels.
-    faces, face_index, weights: as `coverage` and `barycentrics` take and give them.
+    faces, face_index, perspective: as `barycentrics` takes them, which says what the weights are. They are made anew,
+        here and in backward, which is quicker than to keep images of them.
 
     Returns [B, H, W, C] float32, 0 where no face is seen.
     """
     batch, height, width = face_index.shape
     result = torch.empty((batch, height, width, attributes.shape[3]), dtype=torch.float32, device=faces.device)
-    arguments = [array(attributes), array(face_index), array(weights, wp.vec3), array(result)]
+    arguments = [array(attributes), array(faces, wp.vec3), array(face_index), int(perspective), array(result)]
     launch(_forward, batch * height, arguments, faces.device)
     return result
 
 
 @torch.library.register_fake("neural_renderer::interpolate")
-def _(attributes, faces, face_index, weights):  # type: ignore[no-untyped-def]
+def _(attributes, faces, face_index, perspective):  # type: ignore[no-untyped-def]
     return faces.new_empty((*face_index.shape, attributes.shape[3]))
 
 
 @differentiable_once
 def interpolate_backward(
-    grad: Tensor, attributes: Tensor, faces: Tensor, face_index: Tensor, weights: Tensor
+    grad: Tensor, attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, faces_too: bool
 ) -> tuple[Tensor, Tensor]:
-    """The gradients of `interpolate` to attributes [B or 1, F, 3, C] and weights [B, H, W, 3]."""
+    """The gradients of `interpolate` to attributes and faces [B, F, 3, 3] (empty if not ``faces_too``)."""
     batch, height, width = face_index.shape
     count = faces.shape[1]
     to_attributes = zeros(attributes.shape, faces.device)
-    to_weights = zeros(weights.shape, faces.device)
+    to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     lanes = face_lanes(faces, height * width)
     # Attributes that images share belong to one task, which takes the images in turn.
     images = 1 if attributes.shape[0] < batch else batch
-    maps = [array(face_index), array(weights, wp.vec3), array(seen_faces(face_index, count)), array(grad)]
-    results = [array(to_attributes), array(to_weights, wp.vec3)]
-    arguments = [array(attributes), array(faces, wp.vec3), *maps, images, lanes, *results]
+    maps = [array(face_index), array(seen_faces(face_index, count)), array(grad)]
+    options = [int(perspective), int(faces_too), images, lanes]
+    results = [array(to_attributes), array(to_faces, wp.vec3)]
+    arguments = [array(attributes), array(faces, wp.vec3), *maps, *options, *results]
     launch(_backward, images * count * lanes, arguments, faces.device)
-    return to_attributes, to_weights
+    return to_attributes, to_faces
 
 
 @torch.library.register_fake("neural_renderer::interpolate_backward")
-def _(grad, attributes, faces, face_index, weights):  # type: ignore[no-untyped-def]
-    return attributes.new_empty(attributes.shape), weights.new_empty(weights.shape)
+def _(grad, attributes, faces, face_index, perspective, faces_too):  # type: ignore[no-untyped-def]
+    return attributes.new_empty(attributes.shape), faces.new_empty(faces.shape if faces_too else (0, 0, 3, 3))
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    ctx.save_for_backward(*inputs)
+    *tensors, ctx.perspective = inputs
+    ctx.save_for_backward(*tensors)
 
 
 def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
-    to_attributes, to_weights = interpolate_backward(grad, *ctx.saved_tensors)
-    return to_attributes, None, None, to_weights
+    faces_too = ctx.needs_input_grad[1]
+    to_attributes, to_faces = interpolate_backward(grad, *ctx.saved_tensors, ctx.perspective, faces_too)
+    return to_attributes, to_faces if faces_too else None, None, None
 
 
 differentiable(interpolate, _to_inputs, _save)
 
 
-_MIX_ROW = """
-    const int channels = attributes.shape[3], width = face_index.shape[2];
-    const wp::int64 images = attributes.shape[0], count = attributes.shape[1];
-    const wp::int64 b = row / face_index.shape[1];
-    const float* own = attributes.data + (b < images ? b : images - 1) * count * 3 * channels;
+_MIX_ROW = (
+    FACE
+    + """
+    const int channels = attributes.shape[3], height = face_index.shape[1], width = face_index.shape[2];
+    const int b = row / height, j = height - 1 - row % height;
+    const wp::int64 images = attributes.shape[0], count = faces.shape[1];
+    Face face;
+    int last = -1;
     for (int i = 0; i < width; ++i) {
-        const wp::int64 pixel = row * width + i;
+        const wp::int64 pixel = (wp::int64)row * width + i;
         const int f = face_index.data[pixel];
         float* to = result.data + pixel * channels;
-        const float* from = own + (wp::int64)(f < 0 ? 0 : f) * 3 * channels;
-        const wp::vec_t<3, float> w = weights.data[pixel];
+        if (f < 0) {
+            for (int c = 0; c < channels; ++c) to[c] = 0.0f;
+            continue;
+        }
+        if (f != last) face.set(faces.data + (b * count + f) * 3, perspective, height, width);
+        last = f;  // neighbours mostly show the same face
+        wp::vec_t<3, float> w, on_screen;
+        float whole;
+        face.at(i, j, w, on_screen, whole);
+        const float* from = attributes.data + ((b < images ? b : images - 1) * count + f) * 3 * channels;
         for (int c = 0; c < channels; ++c)
-            to[c] = f < 0 ? 0.0f : w[0] * from[c] + w[1] * from[channels + c] + w[2] * from[2 * channels + c];
+            to[c] = w[0] * from[c] + w[1] * from[channels + c] + w[2] * from[2 * channels + c];
     }
 """
+)
 
 
 @wp.func_native(_MIX_ROW)
 def mix_row(
     attributes: wp.array4d(dtype=float),
+    faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
-    weights: wp.array3d(dtype=wp.vec3),
+    perspective: int,
     result: wp.array4d(dtype=float),
-    row: wp.int64,
+    row: int,
 ):
     """Of all rows of all images, this one. In plain C++, which keeps the loop over channels tight."""
     ...
@@ -103,39 +122,67 @@ def mix_row(
 def _forward(
     first: int,
     attributes: wp.array4d(dtype=float),
+    faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
-    weights: wp.array3d(dtype=wp.vec3),
+    perspective: int,
     result: wp.array4d(dtype=float),
 ):
-    mix_row(attributes, face_index, weights, result, wp.int64(first + wp.tid()))
+    mix_row(attributes, faces, face_index, perspective, result, first + wp.tid())
 
 
-_UNMIX = """
-    const int channels = attributes.shape[3];
-    const float *pull = grad.data + pixel * channels, *from = attributes.data + corner * channels;
-    float* to = to_attributes.data + corner * channels;
-    wp::vec_t<3, float> sums(0.0f);
-    for (int k = 0; k < 3; ++k)
-        for (int c = 0; c < channels; ++c) {
-            sums[k] += from[k * channels + c] * pull[c];
-            if (alone) to[k * channels + c] += w[k] * pull[c];
-            else wp::atomic_add(&to[k * channels + c], w[k] * pull[c]);
+_UNMIX = (
+    FACE
+    + """
+    const int channels = attributes.shape[3], height = face_index.shape[1], width = face_index.shape[2];
+    const wp::int64 count = faces.shape[1];
+    const float* from = attributes.data + (own * count + f) * 3 * channels;
+    float* to = to_attributes.data + (own * count + f) * 3 * channels;
+    Face face;
+    face.set(faces.data + (b * count + f) * 3, perspective, height, width);
+    if (faces_too) face.gather();
+    for (int j = bottom + lane; j <= top; j += lanes) {
+        const wp::int64 row = ((wp::int64)b * height + height - 1 - j) * width;
+        for (int i = left; i <= right; ++i) {
+            if (face_index.data[row + i] != f) continue;
+            wp::vec_t<3, float> w, on_screen, to_w(0.0f);
+            float whole;
+            const float z = face.at(i, j, w, on_screen, whole);
+            const float* pull = grad.data + (row + i) * channels;
+            for (int k = 0; k < 3; ++k)
+                for (int c = 0; c < channels; ++c) {
+                    to_w[k] += from[k * channels + c] * pull[c];
+                    if (lanes == 1) to[k * channels + c] += w[k] * pull[c];
+                    else wp::atomic_add(&to[k * channels + c], w[k] * pull[c]);
+                }
+            if (faces_too) face.pull(to_w, 0.0f, w, on_screen, whole, z);
         }
-    return sums;
+    }
+    if (faces_too) face.give(to_faces.data + (b * count + f) * 3, lanes == 1);
 """
+)
 
 
 @wp.func_native(_UNMIX)
-def unmix(
+def unmix_face(
     attributes: wp.array4d(dtype=float),
-    corner: wp.int64,
+    own: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
     grad: wp.array4d(dtype=float),
-    pixel: wp.int64,
-    w: wp.vec3,
-    alone: bool,
+    perspective: int,
+    faces_too: int,
+    b: int,
+    f: int,
+    left: int,
+    right: int,
+    bottom: int,
+    top: int,
+    lane: int,
+    lanes: int,
     to_attributes: wp.array4d(dtype=float),
-) -> wp.vec3:
-    """Add a pixel's gradient to its face's attributes, from ``corner`` on; returns that to the pixel's weights."""
+    to_faces: wp.array3d(dtype=wp.vec3),
+):
+    """A face's pixels in its box, every n-th row; ``own``: whose attributes."""
     ...
 
 
@@ -145,22 +192,20 @@ def _backward(
     attributes: wp.array4d(dtype=float),
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
-    weights: wp.array3d(dtype=wp.vec3),
     seen: wp.array2d(dtype=int),
     grad: wp.array4d(dtype=float),
+    perspective: int,
+    faces_too: int,
     images: int,
     lanes: int,
     to_attributes: wp.array4d(dtype=float),
-    to_weights: wp.array3d(dtype=wp.vec3),
+    to_faces: wp.array3d(dtype=wp.vec3),
 ):
     """One face, of one image or of all, over the pixels that show it; with several lanes, each takes some rows."""
     task = first + wp.tid()
     lane = task % lanes
     f = (task // lanes) % faces.shape[1]
     own = (task // lanes) // faces.shape[1]
-    height = face_index.shape[1]
-    width = face_index.shape[2]
-    corner = (wp.int64(own) * wp.int64(faces.shape[1]) + wp.int64(f)) * wp.int64(3)
     from_image = own
     to_image = own + 1
     if images == 1:
@@ -172,14 +217,10 @@ def _backward(
         v0 = faces[b, f, 0]
         v1 = faces[b, f, 1]
         v2 = faces[b, f, 2]
-        box = pixel_box(v0, v1, v2, in_front(v0, v1, v2, 1), height, width)
-        for j in range(box[2] + lane, box[3] + 1, lanes):
-            row = height - 1 - j
-            line = wp.int64(b) * wp.int64(height) + wp.int64(row)
-            i = next_shown(face_index, line, width, box[0], box[1] + 1, f)
-            while i <= box[1]:
-                pixel = line * wp.int64(width) + wp.int64(i)
-                to_weights[b, row, i] = unmix(
-                    attributes, corner, grad, pixel, weights[b, row, i], lanes == 1, to_attributes
-                )
-                i = next_shown(face_index, line, width, i + 1, box[1] + 1, f)
+        front = in_front(v0, v1, v2, perspective)
+        if front >= 0:
+            box = pixel_box(v0, v1, v2, front, face_index.shape[1], face_index.shape[2])
+            unmix_face(
+                attributes, own, faces, face_index, grad, perspective, faces_too, b, f, box[0], box[1], box[2], box[3],
+                lane, lanes, to_attributes, to_faces,
+            )  # fmt: skip

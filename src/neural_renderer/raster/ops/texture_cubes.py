@@ -5,12 +5,14 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.geometry import facing, in_front, pixel_box
+from ..warp.geometry import FACING, in_front, pixel_box
 from ..warp.launch import array, face_lanes, launch, zeros
+from ..warp.point import FACE
 from ..warp.registration import differentiable, differentiable_once, operator
-from .visible_faces import next_shown, seen_faces
+from .visible_faces import seen_faces
 
-wp.set_module_options({"enable_backward": False})
+# As in `barycentrics`, whose weights these are, to the bit.
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @operator
@@ -20,30 +22,29 @@ def sample_textures(
     background: Tensor,
     faces: Tensor,
     face_index: Tensor,
-    weights: Tensor,
     eps: float,
     perspective: bool,
 ) -> Tensor:
-    """The colour [B, 3, H, W] of each pixel; differentiable in textures, light, background and weights.
+    """The colour [B, 3, H, W] of each pixel; differentiable in textures, light, background and faces.
 
     textures: [B or 1, F, T, T, T, 3] float32; texel [a][b][c] belongs to corner weights (0, 1, 2) in that order.
     light: [B or 1, 2, F, 3] factors on the side that is seen when the corners run counter-clockwise, and on the other.
     background: [B, 3, H, W], seen where no face is.
-    faces, face_index, weights: as `coverage` and `barycentrics` take and give them.
+    faces, face_index, perspective: as `barycentrics` takes them, which says what the weights are.
     eps: cube coordinates end at T - 1 - eps.
 
     The coordinate along corner k's axis is T - 1 times its weight, and the 8 texels around it are blended. With T = 1
-    the face has one colour.
+    the face has one colour. The faces' gradient is what the colours inside of them gain by other weights.
     """
     batch, height, width = face_index.shape
     color = torch.empty((batch, 3, height, width), dtype=torch.float32, device=faces.device)
-    arguments = _arguments(textures, light, faces, face_index, weights, eps, perspective)
+    arguments = _arguments(textures, light, faces, face_index, eps, perspective)
     launch(_forward, batch * height, [*arguments, array(background, strided=True), array(color)], faces.device)
     return color
 
 
 @torch.library.register_fake("neural_renderer::sample_textures")
-def _(textures, light, background, faces, face_index, weights, eps, perspective):  # type: ignore[no-untyped-def]
+def _(textures, light, background, faces, face_index, eps, perspective):  # type: ignore[no-untyped-def]
     batch, height, width = face_index.shape
     return faces.new_empty((batch, 3, height, width))
 
@@ -55,13 +56,12 @@ def sample_textures_backward(
     light: Tensor,
     faces: Tensor,
     face_index: Tensor,
-    weights: Tensor,
     eps: float,
     perspective: bool,
     light_too: bool,
-    weights_too: bool,
+    faces_too: bool,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The gradients of `sample_textures` to textures, light (zero if not ``light_too``) and weights (likewise)."""
+    """The gradients of `sample_textures` to textures, light (zero if not ``light_too``) and faces (likewise)."""
     batch, height, width = face_index.shape
     lanes = face_lanes(faces, height * width)
     # A face's only task clears its cubes itself, which spares the memory one pass.
@@ -69,124 +69,181 @@ def sample_textures_backward(
     if lanes > 1:
         to_textures.zero_()
     to_light = zeros((batch, *light.shape[1:]), faces.device)
-    arguments = _arguments(textures, light, faces, face_index, weights, eps, perspective)
-    to_weights = zeros(weights.shape if weights_too else (0, 0, 0, 3), faces.device)
+    to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
+    arguments = _arguments(textures, light, faces, face_index, eps, perspective)
     results = [
         array(to_textures.view(*textures.shape[:2], textures.shape[2] ** 3, 3), wp.vec3),
         array(to_light, wp.vec3),
-        array(to_weights, wp.vec3),
+        array(to_faces, wp.vec3),
     ]
     # Textures that images share belong to one task, which takes the images in turn.
     images = 1 if textures.shape[0] < batch else batch
     tasks = images * faces.shape[1] * lanes
     seen = array(seen_faces(face_index, faces.shape[1]))
-    launch(
-        _backward,
-        tasks,
-        [*arguments, array(grad), seen, int(light_too), int(weights_too), images, lanes, *results],
-        faces.device,
-    )
-    return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_weights
+    options = [int(light_too), int(faces_too), images, lanes]
+    launch(_backward, tasks, [*arguments, array(grad), seen, *options, *results], faces.device)
+    return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_faces
 
 
 @torch.library.register_fake("neural_renderer::sample_textures_backward")
-def _(grad, textures, light, faces, face_index, weights, eps, perspective, light_too, weights_too):  # type: ignore[no-untyped-def]
-    to_weights = weights.new_empty(weights.shape if weights_too else (0, 0, 0, 3))
-    return textures.new_empty(textures.shape), light.new_empty(light.shape), to_weights
+def _(grad, textures, light, faces, face_index, eps, perspective, light_too, faces_too):  # type: ignore[no-untyped-def]
+    to_faces = faces.new_empty(faces.shape if faces_too else (0, 0, 3, 3))
+    return textures.new_empty(textures.shape), light.new_empty(light.shape), to_faces
 
 
-def _arguments(textures, light, faces, face_index, weights, eps, perspective):  # type: ignore[no-untyped-def]
+def _arguments(textures, light, faces, face_index, eps, perspective):  # type: ignore[no-untyped-def]
     cubes = array(textures.reshape(*textures.shape[:2], textures.shape[2] ** 3, 3), wp.vec3)
-    maps = [array(face_index), array(weights, wp.vec3)]
-    return [
-        cubes,
-        array(light, wp.vec3),
-        array(faces, wp.vec3),
-        *maps,
-        textures.shape[2],
-        eps,
-        int(perspective),
-    ]
+    maps = [array(light, wp.vec3), array(faces, wp.vec3), array(face_index)]
+    return [cubes, *maps, textures.shape[2], eps, int(perspective)]
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    textures, light, _, faces, face_index, weights, ctx.eps, ctx.perspective = inputs
-    ctx.save_for_backward(textures, light, faces, face_index, weights)
+    textures, light, _, faces, face_index, ctx.eps, ctx.perspective = inputs
+    ctx.save_for_backward(textures, light, faces, face_index)
 
 
 def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
-    to_textures = to_light = to_background = to_weights = None
-    textures_too, light_too, weights_too = (ctx.needs_input_grad[k] for k in (0, 1, 5))
-    if textures_too or light_too or weights_too:
-        to_textures, to_light, to_weights = sample_textures_backward(
-            grad, *ctx.saved_tensors, ctx.eps, ctx.perspective, light_too, weights_too
+    to_textures = to_light = to_background = to_faces = None
+    textures_too, light_too, faces_too = (ctx.needs_input_grad[k] for k in (0, 1, 3))
+    if textures_too or light_too or faces_too:
+        to_textures, to_light, to_faces = sample_textures_backward(
+            grad, *ctx.saved_tensors, ctx.eps, ctx.perspective, light_too, faces_too
         )
     if ctx.needs_input_grad[2]:
         to_background = grad * (ctx.saved_tensors[3] < 0)[:, None]
-    weights_gradient = to_weights if weights_too else None
-    return to_textures, to_light, to_background, None, None, weights_gradient, None, None
+    return to_textures, to_light, to_background, to_faces if faces_too else None, None, None, None
 
 
 differentiable(sample_textures, _to_inputs, _save)
 
 
-@wp.func
-def cube_coordinate(w: wp.vec3, size: int, eps: float) -> wp.vec3:
-    top = float(size - 1)
-    c = top * w
-    for k in range(3):
-        c[k] = wp.clamp(c[k], 0.0, top - eps)
-    return c
+# A cube, and the 8 texels around a coordinate in it with their shares. One of a single texel has nothing to blend.
+_CUBE = """
+struct Cube {
+    typedef wp::vec_t<3, float> vec3;
+    int size, low[3];
+    float up[3];
+    bool free[3];  // the coordinate was not clamped
 
+    CUDA_CALLABLE Cube(const vec3& weights, int texels, float eps) : size(texels) {
+        for (int k = 0; k < 3; ++k) {
+            const float top = (float)(size - 1), raw = top * weights[k], most = top - eps;
+            float at = raw < most ? raw : most;
+            at = at > 0.0f ? at : 0.0f;
+            free[k] = raw == at, low[k] = (int)at, up[k] = at - (float)low[k];
+        }
+    }
+    CUDA_CALLABLE float part(int axis, int above) const { return above ? up[axis] : 1.0f - up[axis]; }
+    CUDA_CALLABLE int texel(int i, int j, int k) const {
+        return ((low[0] + i) * size + low[1] + j) * size + low[2] + k;
+    }
+    CUDA_CALLABLE vec3 blend(const vec3* texels) const {
+        if (size == 1) return texels[0];
+        vec3 sum(0.0f);
+        for (int n = 0; n < 8; ++n) {
+            const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
+            sum += part(0, i) * part(1, j) * part(2, k) * texels[texel(i, j, k)];
+        }
+        return sum;
+    }
+    CUDA_CALLABLE void scatter(vec3* texels, const vec3& color, bool alone) const {
+        for (int n = 0; n < (size == 1 ? 1 : 8); ++n) {
+            const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
+            const vec3 add = size == 1 ? color : part(0, i) * part(1, j) * part(2, k) * color;
+            vec3* to = texels + (size == 1 ? 0 : texel(i, j, k));
+            if (alone) *to += add;
+            else wp::atomic_add(to, add);
+        }
+    }
+    // What the colour, weighted with `color`, gains by the weights.
+    CUDA_CALLABLE vec3 slope(const vec3* texels, const vec3& color) const {
+        vec3 sum(0.0f);
+        for (int n = 0; n < (size == 1 ? 0 : 8); ++n) {
+            const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
+            const float gain = wp::dot(texels[texel(i, j, k)], color);
+            sum[0] += (i ? gain : -gain) * part(1, j) * part(2, k);
+            sum[1] += (j ? gain : -gain) * part(0, i) * part(2, k);
+            sum[2] += (k ? gain : -gain) * part(0, i) * part(1, j);
+        }
+        for (int k = 0; k < 3; ++k) sum[k] = free[k] ? sum[k] * (float)(size - 1) : 0.0f;
+        return sum;
+    }
+};
+struct Side {
+    typedef wp::vec_t<3, float> vec3;
+    static CUDA_CALLABLE int facing(vec3 v0, vec3 v1, vec3 v2, int perspective) { FACING }
+    // 1 if the back of a face is seen.
+    static CUDA_CALLABLE int of(const vec3* v, int perspective) { return facing(v[0], v[1], v[2], perspective) < 0; }
+};
+""".replace("FACING", FACING)
 
-# The 8 texels around a cube coordinate and their shares, in plain C++: compilers keep this loop in registers. A cube of
-# one texel has no neighbours to blend.
-_TEXELS = """
-    if (size == 1) { ONE }
-    const int low[3] = {(int)c[0], (int)c[1], (int)c[2]};
-    const float up[3] = {c[0] - (float)low[0], c[1] - (float)low[1], c[2] - (float)low[2]};
-    const wp::int64 first = ((cube * size + low[0]) * size + low[1]) * size + low[2];
-    wp::vec_t<3, float> sum(0.0f);
-    for (int corner = 0; corner < 8; ++corner) {
-        const int i = corner >> 2, j = (corner >> 1) & 1, k = corner & 1;
-        const float share = (i ? up[0] : 1.0f - up[0]) * (j ? up[1] : 1.0f - up[1]) * (k ? up[2] : 1.0f - up[2]);
-        const wp::int64 texel = first + (i * size + j) * size + k;
-        DO
+_ROW = (
+    FACE
+    + _CUBE
+    + """
+    const int height = face_index.shape[1], width = face_index.shape[2], b = row / height, j = height - 1 - row % height;
+    const wp::int64 count = faces.shape[1], texels = (wp::int64)size * size * size;
+    const wp::int64 area = (wp::int64)height * width, own = b < textures.shape[0] ? b : textures.shape[0] - 1;
+    const wp::int64 lamp = b < light.shape[0] ? b : light.shape[0] - 1;
+    const char* behind = (const char*)background.data + b * (wp::int64)background.strides[0]
+        + (row % height) * (wp::int64)background.strides[2];
+    Face face;
+    int last = -1;
+    wp::vec_t<3, float> factor, w, on_screen;
+    for (int i = 0; i < width; ++i) {
+        const int f = face_index.data[(wp::int64)row * width + i];
+        float* to = color.data + 3 * b * area + (row % height) * (wp::int64)width + i;
+        if (f < 0) {
+            for (int c = 0; c < 3; ++c)
+                to[c * area] = *(const float*)(behind + c * (wp::int64)background.strides[1]
+                    + i * (wp::int64)background.strides[3]);
+            continue;
+        }
+        if (f != last) {  // neighbours mostly show the same face
+            face.set(faces.data + (b * count + f) * 3, perspective, height, width);
+            factor = light.data[(2 * lamp + Side::of(face.v, perspective)) * count + f];
+            last = f;
+        }
+        float whole;
+        face.at(i, j, w, on_screen, whole);
+        const wp::vec_t<3, float> mixed = Cube(w, size, eps).blend(textures.data + (own * count + f) * texels);
+        for (int c = 0; c < 3; ++c) to[c * area] = mixed[c] * factor[c];
     }
 """
-
-
-@wp.func_native(
-    _TEXELS.replace("ONE", "return textures.data[cube];").replace("DO", "sum += share * textures.data[texel];")
-    + "    return sum;"
 )
-def blend(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int, c: wp.vec3) -> wp.vec3:
-    """The colour at a coordinate of the cube of that number."""
+
+
+@wp.func_native(_ROW)
+def color_row(
+    textures: wp.array3d(dtype=wp.vec3),
+    light: wp.array3d(dtype=wp.vec3),
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    size: int,
+    eps: float,
+    perspective: int,
+    background: wp.array4d(dtype=float),
+    color: wp.array4d(dtype=float),
+    row: int,
+):
+    """Of all rows of all images, this one."""
     ...
 
 
-_SLOPE = """
-        const float gain = wp::dot(textures.data[texel], part);
-        sum[0] += (i ? gain : -gain) * (j ? up[1] : 1.0f - up[1]) * (k ? up[2] : 1.0f - up[2]);
-        sum[1] += (j ? gain : -gain) * (i ? up[0] : 1.0f - up[0]) * (k ? up[2] : 1.0f - up[2]);
-        sum[2] += (k ? gain : -gain) * (i ? up[0] : 1.0f - up[0]) * (j ? up[1] : 1.0f - up[1]);
-"""
-
-
-@wp.func_native(_TEXELS.replace("ONE", "return wp::vec_t<3, float>(0.0f);").replace("DO", _SLOPE) + "    return sum;")
-def slope(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int, c: wp.vec3, part: wp.vec3) -> wp.vec3:
-    """What the colour there, weighted with ``part``, gains along each axis of the cube."""
-    ...
-
-
-@wp.func_native(
-    _TEXELS.replace("ONE", "wp::atomic_add(&textures.data[cube], part); return;").replace(
-        "DO", "wp::atomic_add(&textures.data[texel], share * part);"
-    )
-)
-def scatter(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int, c: wp.vec3, part: wp.vec3):
-    """Its transpose: add ``part`` to the texels, each its share."""
-    ...
+@wp.kernel
+def _forward(
+    first: int,
+    textures: wp.array3d(dtype=wp.vec3),
+    light: wp.array3d(dtype=wp.vec3),
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    size: int,
+    eps: float,
+    perspective: int,
+    background: wp.array4d(dtype=float),
+    color: wp.array4d(dtype=float),
+):
+    color_row(textures, light, faces, face_index, size, eps, perspective, background, color, first + wp.tid())
 
 
 @wp.func_native("""
@@ -198,50 +255,69 @@ def clear(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int):
     ...
 
 
-@wp.func
-def side_seen(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
-    if facing(v0, v1, v2, perspective) < 0:
-        return 1
-    return 0
+_FACE = (
+    FACE
+    + _CUBE
+    + """
+    const int height = face_index.shape[1], width = face_index.shape[2];
+    const wp::int64 count = faces.shape[1], texels = (wp::int64)size * size * size, area = (wp::int64)height * width;
+    const auto* cube = textures.data + (own * count + f) * texels;
+    auto* to_cube = to_textures.data + (own * count + f) * texels;
+    Face face;
+    face.set(faces.data + (b * count + f) * 3, perspective, height, width);
+    if (faces_too) face.gather();
+    const int side = Side::of(face.v, perspective);
+    const wp::int64 lamp = b < light.shape[0] ? b : light.shape[0] - 1;
+    const wp::vec_t<3, float> factor = light.data[(2 * lamp + side) * count + f];
+    wp::vec_t<3, float> lit(0.0f), w, on_screen, g;
+    for (int j = bottom + lane; j <= top; j += lanes) {
+        const wp::int64 row = ((wp::int64)b * height + height - 1 - j) * width;
+        const float* pull = grad.data + 3 * b * area + (height - 1 - j) * (wp::int64)width;
+        for (int i = left; i <= right; ++i) {
+            if (face_index.data[row + i] != f) continue;
+            float whole;
+            const float z = face.at(i, j, w, on_screen, whole);
+            const Cube at(w, size, eps);
+            for (int c = 0; c < 3; ++c) g[c] = pull[c * area + i];
+            if (light_too) lit += wp::cw_mul(at.blend(cube), g);
+            g = wp::cw_mul(g, factor);
+            at.scatter(to_cube, g, lanes == 1);
+            if (faces_too) face.pull(at.slope(cube, g), 0.0f, w, on_screen, whole, z);
+        }
+    }
+    if (faces_too) face.give(to_faces.data + (b * count + f) * 3, lanes == 1);
+    if (light_too) wp::atomic_add(to_light.data + (2 * b + side) * count + f, lit);
+"""
+)
 
 
-@wp.kernel
-def _forward(
-    first: int,
+@wp.func_native(_FACE)
+def uncolor_face(
     textures: wp.array3d(dtype=wp.vec3),
+    own: int,
     light: wp.array3d(dtype=wp.vec3),
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
-    weights: wp.array3d(dtype=wp.vec3),
     size: int,
     eps: float,
     perspective: int,
-    background: wp.array4d(dtype=float),
-    color: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    light_too: int,
+    faces_too: int,
+    b: int,
+    f: int,
+    left: int,
+    right: int,
+    bottom: int,
+    top: int,
+    lane: int,
+    lanes: int,
+    to_textures: wp.array3d(dtype=wp.vec3),
+    to_light: wp.array3d(dtype=wp.vec3),
+    to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    task = first + wp.tid()
-    height = face_index.shape[1]
-    b = task // height
-    row = task % height
-    last = int(-1)
-    factor = wp.vec3(0.0, 0.0, 0.0)
-    cubes = wp.int64(wp.min(b, textures.shape[0] - 1)) * wp.int64(textures.shape[1])
-    for i in range(face_index.shape[2]):
-        f = face_index[b, row, i]
-        if f < 0:
-            for c in range(3):
-                color[b, c, row, i] = background[b, c, row, i]
-        else:
-            if f != last:  # neighbours mostly show the same face
-                last = f
-                v0 = faces[b, f, 0]
-                v1 = faces[b, f, 1]
-                v2 = faces[b, f, 2]
-                factor = light[wp.min(b, light.shape[0] - 1), side_seen(v0, v1, v2, perspective), f]
-            at = cube_coordinate(weights[b, row, i], size, eps)
-            lit = wp.cw_mul(blend(textures, cubes + wp.int64(f), size, at), factor)
-            for c in range(3):
-                color[b, c, row, i] = lit[c]
+    """A face's pixels in its box, every n-th row; ``own``: whose cubes."""
+    ...
 
 
 @wp.kernel
@@ -251,32 +327,28 @@ def _backward(
     light: wp.array3d(dtype=wp.vec3),
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
-    weights: wp.array3d(dtype=wp.vec3),
     size: int,
     eps: float,
     perspective: int,
     grad: wp.array4d(dtype=float),
     seen: wp.array2d(dtype=int),
     light_too: int,
-    weights_too: int,
+    faces_too: int,
     images: int,
     lanes: int,
     to_textures: wp.array3d(dtype=wp.vec3),
     to_light: wp.array3d(dtype=wp.vec3),
-    to_weights: wp.array3d(dtype=wp.vec3),
+    to_faces: wp.array3d(dtype=wp.vec3),
 ):
     """One face, of one image or of all, over the pixels that show it; with several lanes, each takes some rows."""
     task = first + wp.tid()
     lane = task % lanes
     f = (task // lanes) % faces.shape[1]
     own = (task // lanes) // faces.shape[1]
-    height = face_index.shape[1]
-    width = face_index.shape[2]
-    cube = wp.int64(own) * wp.int64(faces.shape[1]) + wp.int64(f)
     from_image = own
     to_image = own + 1
     if lanes == 1:
-        clear(to_textures, cube, size)
+        clear(to_textures, wp.int64(own) * wp.int64(faces.shape[1]) + wp.int64(f), size)
     if images == 1:
         from_image = 0
         to_image = faces.shape[0]
@@ -287,26 +359,9 @@ def _backward(
         v1 = faces[b, f, 1]
         v2 = faces[b, f, 2]
         front = in_front(v0, v1, v2, perspective)
-        if front < 0:
-            continue
-        side = side_seen(v0, v1, v2, perspective)
-        factor = light[wp.min(b, light.shape[0] - 1), side, f]
-        lit = wp.vec3(0.0, 0.0, 0.0)
-        box = pixel_box(v0, v1, v2, front, height, width)
-        for j in range(box[2] + lane, box[3] + 1, lanes):
-            row = height - 1 - j
-            line = wp.int64(b) * wp.int64(height) + wp.int64(row)
-            i = next_shown(face_index, line, width, box[0], box[1] + 1, f)
-            while i <= box[1]:
-                g = wp.vec3(grad[b, 0, row, i], grad[b, 1, row, i], grad[b, 2, row, i])
-                c = cube_coordinate(weights[b, row, i], size, eps)
-                scatter(to_textures, cube, size, c, wp.cw_mul(g, factor))
-                if light_too == 1:
-                    lit += wp.cw_mul(blend(textures, cube, size, c), g)
-                if weights_too == 1:
-                    to_weight = float(size - 1) * slope(textures, cube, size, c, wp.cw_mul(g, factor))
-                    raw = float(size - 1) * weights[b, row, i]
-                    for k in range(3):
-                        to_weights[b, row, i][k] = wp.where(raw[k] == c[k], to_weight[k], 0.0)
-                i = next_shown(face_index, line, width, i + 1, box[1] + 1, f)
-        wp.atomic_add(to_light, b, side, f, lit)
+        if front >= 0:
+            box = pixel_box(v0, v1, v2, front, face_index.shape[1], face_index.shape[2])
+            uncolor_face(
+                textures, own, light, faces, face_index, size, eps, perspective, grad, light_too, faces_too, b, f,
+                box[0], box[1], box[2], box[3], lane, lanes, to_textures, to_light, to_faces,
+            )  # fmt: skip

@@ -32,7 +32,7 @@ def to_pixels(x: float, size: int) -> float:
 
 
 # In plain C++: these are asked of every face in every step, and Warp's own loops over components are slow there.
-_FACING = """
+FACING = """
     const float left = (v2[1] - v0[1]) * (v1[0] - v0[0]), right = (v1[1] - v0[1]) * (v2[0] - v0[0]);
     const int side = (left > right) - (left < right);
     // Each corner behind the camera turns the projected triangle over.
@@ -41,7 +41,7 @@ _FACING = """
 """
 
 
-@wp.func_native(_FACING)
+@wp.func_native(FACING)
 def facing(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
     """1 if the corners run counter-clockwise on the screen, -1 if clockwise, 0 if they are on one line."""
     ...

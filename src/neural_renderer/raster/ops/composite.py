@@ -1,0 +1,122 @@
+"""Colours of pixels that show a face, before a background."""
+
+# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+import torch
+import warp as wp
+from torch import Tensor
+
+from ..warp.launch import array, launch
+from ..warp.registration import differentiable, differentiable_once, operator
+
+wp.set_module_options({"enable_backward": False})
+
+
+@operator
+def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
+    """The image [B, C, H, W] of ``colors`` [B, H, W, C] where a face is seen; differentiable in both.
+
+    background: [1 or B, C, 1 or H, 1 or W], seen where no face is. face_index: as `coverage` gives it.
+    """
+    batch, height, width = face_index.shape
+    image = torch.empty((batch, colors.shape[3], height, width), dtype=torch.float32, device=colors.device)
+    behind = array(background.expand(image.shape), strided=True)
+    launch(_forward, batch * height, [array(colors), behind, array(face_index), array(image)], colors.device)
+    return image
+
+
+@torch.library.register_fake("neural_renderer::composite")
+def _(colors, background, face_index):  # type: ignore[no-untyped-def]
+    batch, height, width = face_index.shape
+    return colors.new_empty((batch, colors.shape[3], height, width))
+
+
+@differentiable_once
+def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
+    """The gradient [B, H, W, C] of `composite` to colors."""
+    batch, channels, height, width = grad.shape
+    to_colors = torch.empty((batch, height, width, channels), dtype=torch.float32, device=grad.device)
+    launch(_backward, batch * height, [array(grad), array(face_index), array(to_colors)], grad.device)
+    return to_colors
+
+
+@torch.library.register_fake("neural_renderer::composite_backward")
+def _(grad, face_index):  # type: ignore[no-untyped-def]
+    batch, channels, height, width = grad.shape
+    return grad.new_empty((batch, height, width, channels))
+
+
+def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+    _, background, face_index = inputs
+    ctx.behind = background.shape
+    ctx.save_for_backward(face_index)
+
+
+def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
+    face_index = ctx.saved_tensors[0]
+    to_colors = composite_backward(grad, face_index) if ctx.needs_input_grad[0] else None
+    to_background = None
+    if ctx.needs_input_grad[1]:
+        to_background = (grad * (face_index < 0)[:, None]).sum_to_size(ctx.behind)
+    return to_colors, to_background, None
+
+
+differentiable(composite, _to_inputs, _save)
+
+
+_ROW = """
+    const int channels = image.shape[1], height = image.shape[2], width = image.shape[3];
+    const wp::int64 area = (wp::int64)height * width, first = (wp::int64)row * width;
+    const int b = row / height, j = row % height;
+    const int* shown = face_index.data + first;
+    for (int c = 0; c < channels; ++c) {
+        float* plane = image.data + (b * (wp::int64)channels + c) * area + (wp::int64)j * width;
+        auto* color = colors.data + first * channels + c;
+        DO
+    }
+"""
+_FORWARD = """
+        const float* behind = background.data
+            + ((wp::int64)b * background.strides[0] + c * (wp::int64)background.strides[1]
+            + j * (wp::int64)background.strides[2]) / (wp::int64)sizeof(float);
+        const wp::int64 step = background.strides[3] / (int)sizeof(float);
+        for (int i = 0; i < width; ++i) plane[i] = shown[i] < 0 ? behind[i * step] : color[(wp::int64)i * channels];
+"""
+_BACKWARD = "for (int i = 0; i < width; ++i) color[(wp::int64)i * channels] = shown[i] < 0 ? 0.0f : plane[i];"
+
+
+@wp.func_native(_ROW.replace("DO", _FORWARD))
+def compose_row(
+    colors: wp.array4d(dtype=float),
+    background: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    image: wp.array4d(dtype=float),
+    row: int,
+):
+    """Of all rows of all images, this one."""
+    ...
+
+
+@wp.func_native(_ROW.replace("DO", _BACKWARD))
+def part_row(
+    image: wp.array4d(dtype=float), face_index: wp.array3d(dtype=int), colors: wp.array4d(dtype=float), row: int
+):
+    """Its transpose."""
+    ...
+
+
+@wp.kernel
+def _forward(
+    first: int,
+    colors: wp.array4d(dtype=float),
+    background: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    image: wp.array4d(dtype=float),
+):
+    compose_row(colors, background, face_index, image, first + wp.tid())
+
+
+@wp.kernel
+def _backward(
+    first: int, grad: wp.array4d(dtype=float), face_index: wp.array3d(dtype=int), to_colors: wp.array4d(dtype=float)
+):
+    part_row(grad, face_index, to_colors, first + wp.tid())
