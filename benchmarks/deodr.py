@@ -1,6 +1,6 @@
 """Coloured images beside DEODR, a differentiable rasteriser in C++: ``python -m benchmarks.deodr``.
 
-Both draw the same spheres with colours at the vertices, one side, from an orthographic camera (DEODR's backward knows no
+Both draw the same spheres with colours at the vertices, one side, from an orthographic camera (DEODR's backward has no
 perspective), and send a gradient to vertices and colours. DEODR is given vertices on the screen and the edges of the
 silhouette; ours starts from vertices in space and finds visibility's edges itself. The images are compared first.
 
@@ -99,6 +99,7 @@ class Scene:
             screen = self.camera(self.vertices.detach())
         self.adjacencies = TriMeshAdjacencies(faces.numpy().astype(np.uint32), clockwise=False)
         self.scenes = [self._deodr(points, colors) for points, colors in zip(screen, self.colors, strict=True)]
+        self.buffers = np.zeros((side, side, 3)), np.zeros((side, side))
         self.image_grads = np.ascontiguousarray(self.grad.permute(0, 2, 3, 1).double().numpy())
 
     def _deodr(self, screen: Tensor, colors: Tensor):  # type: ignore[no-untyped-def]
@@ -115,14 +116,16 @@ class Scene:
             np.zeros((0, 0, 3)), background_color=np.zeros(3), clockwise=False, backface_culling=True,
         )  # fmt: skip
 
-    def theirs(self, backward: bool) -> list[np.ndarray]:
-        images = []
+    def theirs(self, backward: bool) -> None:
+        """Into one image again and again, which spares it memory that ours has to touch."""
+        from deodr.differentiable_renderer import renderScene, renderSceneB
+
+        image, depth = self.buffers
         for scene, grad in zip(self.scenes, self.image_grads, strict=True):
-            images.append(scene.render(1.0)[0])
+            renderScene(scene, 1.0, image, depth, check_valid=False)
             if backward:
                 scene.clear_gradients()
-                scene.render_backward(grad, make_copies=False)
-        return images
+                renderSceneB(scene, 1.0, image, depth, grad, check_valid=False)
 
     def ours(self, backward: bool) -> Tensor:
         self.vertices.grad = self.colors.grad = None

@@ -72,9 +72,7 @@ def test_textures_lie_flat_in_space(device, perspective):
     index = coverage(screen, 32, 32, NEAR, FAR, False, perspective)
     weights, depth = barycentrics(screen, index, NEAR, FAR, perspective)
     ones = torch.ones(1, 2, 1, 3, device=device)
-    color = sample_textures(
-        textures, ones, torch.zeros(1, 3, 32, 32, device=device), screen, index, 0.0, perspective
-    )
+    color = sample_textures(textures, ones, torch.zeros(1, 3, 32, 32, device=device), screen, index, 0.0, perspective)
     inside = (index >= 0) & (weights.amax(-1) < 0.9)
     torch.testing.assert_close(color[:, 2][inside], depth[inside], rtol=1e-4, atol=1e-4)
 

@@ -76,10 +76,16 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(interpolate, _to_inputs, _save)
 
 
-_MIX_ROW = (
-    FACE
-    + """
-    const int channels = attributes.shape[3], height = face_index.shape[1], width = face_index.shape[2];
+def _for_channels(body: str) -> str:
+    """The usual three channels are spelled out, so that compilers unroll the loops over them."""
+    branch = (
+        "if (attributes.shape[3] == 3) { const int channels = 3; BODY } else { const int channels = CHANNELS; BODY }"
+    )
+    return FACE + branch.replace("CHANNELS", "attributes.shape[3]").replace("BODY", body)
+
+
+_MIX_ROW = _for_channels("""
+    const int height = face_index.shape[1], width = face_index.shape[2];
     const int b = row / height, j = height - 1 - row % height;
     const wp::int64 images = attributes.shape[0], count = faces.shape[1];
     Face face;
@@ -101,8 +107,7 @@ _MIX_ROW = (
         for (int c = 0; c < channels; ++c)
             to[c] = w[0] * from[c] + w[1] * from[channels + c] + w[2] * from[2 * channels + c];
     }
-"""
-)
+""")
 
 
 @wp.func_native(_MIX_ROW)
@@ -130,10 +135,8 @@ def _forward(
     mix_row(attributes, faces, face_index, perspective, result, first + wp.tid())
 
 
-_UNMIX = (
-    FACE
-    + """
-    const int channels = attributes.shape[3], height = face_index.shape[1], width = face_index.shape[2];
+_UNMIX = _for_channels("""
+    const int height = face_index.shape[1], width = face_index.shape[2];
     const wp::int64 count = faces.shape[1];
     const float* from = attributes.data + (own * count + f) * 3 * channels;
     float* to = to_attributes.data + (own * count + f) * 3 * channels;
@@ -158,8 +161,7 @@ _UNMIX = (
         }
     }
     if (faces_too) face.give(to_faces.data + (b * count + f) * 3, lanes == 1);
-"""
-)
+""")
 
 
 @wp.func_native(_UNMIX)

@@ -25,9 +25,10 @@ def add_intersections(
     """
     batch, count = faces.shape[:2]
     height, width = face_index.shape[1:]
-    # Few faces stand beside one that is not their neighbour; the others have no second look.
+    # Few faces stand beside one that they can meet; the others have no second look.
     marks = zeros((batch, count), faces.device, torch.int32)
-    launch(_mark, batch * height, [array(face_index), array(image), array(beyond), array(marks)], faces.device)
+    looked_at = [array(faces, wp.vec3), array(face_index), array(image), array(beyond)]
+    launch(_mark, batch * height, [*looked_at, int(perspective), array(marks)], faces.device)
     lanes = face_lanes(faces, height * width)
     maps = [array(image), array(grad), array(face_index), array(marks)]
     arguments = [array(faces, wp.vec3), *maps, int(perspective), lanes, array(result, wp.vec3)]
@@ -56,52 +57,94 @@ def total(part: wp.vec3) -> float:
     return part[0] + part[1] + part[2]
 
 
-_MARK_ROW = """
+# Whether two faces may both cover a place between two pixels, of which the first shows the one and the second the other:
+# each covers a part of the way from its pixel on, up to the first of its edges, and rounding.
+_MAY_MEET = """
+    struct Way {
+        typedef wp::vec_t<3, float> vec3;
+        static CUDA_CALLABLE float covered(const vec3* v, float x, float y, float x2, float y2) {
+            const float area = (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
+            float end = 1.0f;
+            for (int k = 0; k < 3; ++k) {
+                const vec3 &p = v[k], &q = v[k == 2 ? 0 : k + 1];
+                const float s = area < 0.0f ? -1.0f : 1.0f, dx = s * (q[0] - p[0]), dy = s * (q[1] - p[1]);
+                const float here = dx * (y - p[1]) - dy * (x - p[0]), there = dx * (y2 - p[1]) - dy * (x2 - p[0]);
+                const float doubt = 1.0e-6f * (fabsf(dx) + fabsf(dy));
+                if (there < -doubt && here > there) {
+                    const float at = (here + doubt) / (here - there);
+                    end = at < end ? at : end;
+                }
+            }
+            return end;
+        }
+    };
+"""
+
+_MARK_ROW = (
+    _MAY_MEET
+    + """
     const int height = face_index.shape[1], width = face_index.shape[2], channels = image.shape[1];
     const wp::int64 area = (wp::int64)height * width;
-    const wp::int64 first = (wp::int64)row * width, faces = b * (wp::int64)beyond.shape[1];
+    const wp::int64 first = (wp::int64)row * width, own = b * (wp::int64)beyond.shape[1];
     const int* shown = face_index.data + b * area + first;
     const float* colors = image.data + b * channels * area + first;
     const int steps[2] = {1, width};
-    for (int i = 0; i < width; ++i)
+    const float across = 2.0f / (float)width, down = 2.0f / (float)height;
+    for (int i = 0; i < width; ++i) {
+        const int f = shown[i];
+        if (f < 0) continue;
         for (int k = 0; k < 2; ++k) {
             if (k == 0 ? i + 1 == width : row + 1 == height) continue;
-            const int f = shown[i], other = shown[i + steps[k]];
-            if (f == other || f < 0 || other < 0) continue;
+            const int other = shown[i + steps[k]];
+            if (f == other || other < 0) continue;
+            const int* next = beyond.data + (own + f) * 3;
+            if (other == next[0] || other == next[1] || other == next[2]) continue;
+            const wp::vec_t<3, float> *v = faces.data + (own + f) * 3, *u = faces.data + (own + other) * 3;
+            if (perspective == 0 || ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f)
+                                     & (u[0][2] > 0.0f) & (u[1][2] > 0.0f) & (u[2][2] > 0.0f))) {
+                const float x = (float)(2 * i + 1 - width) / (float)width;
+                const float y = (float)(height - 1 - 2 * row) / (float)height;
+                const float x2 = k == 0 ? x + across : x, y2 = k == 0 ? y : y - down;
+                if (Way::covered(v, x, y, x2, y2) + Way::covered(u, x2, y2, x, y) < 0.999f) continue;
+            }
             bool differs = false;
             for (int c = 0; c < channels; ++c) differs |= colors[c * area + i] != colors[c * area + i + steps[k]];
-            const int* next = beyond.data + (faces + f) * 3;
-            if (differs && other != next[0] && other != next[1] && other != next[2])
-                marks.data[faces + f] = marks.data[faces + other] = 1;
+            if (differs) marks.data[own + f] = marks.data[own + other] = 1;
         }
+    }
 """
+)
 
 
 @wp.func_native(_MARK_ROW)
 def mark_row(
+    faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
     image: wp.array4d(dtype=float),
     beyond: wp.array3d(dtype=int),
+    perspective: int,
     b: int,
     row: int,
     marks: wp.array2d(dtype=int),
 ):
-    """Mark the faces of a row that stand beside another one, in another colour, which is not the next of the same
-    surface; below it, too."""
+    """Mark the faces of a row that stand beside one, in another colour, which is not the next of the same surface and
+    may meet them there; below it, too."""
     ...
 
 
 @wp.kernel
 def _mark(
     first: int,
+    faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
     image: wp.array4d(dtype=float),
     beyond: wp.array3d(dtype=int),
+    perspective: int,
     marks: wp.array2d(dtype=int),
 ):
     task = first + wp.tid()
     height = int(face_index.shape[1])
-    mark_row(face_index, image, beyond, task // height, task % height, marks)
+    mark_row(faces, face_index, image, beyond, perspective, task // height, task % height, marks)
 
 
 @wp.func

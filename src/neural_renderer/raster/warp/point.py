@@ -4,7 +4,7 @@
 and weights; ``gather``, ``pull`` and ``give`` send the gradients of weights and depths to the corners.
 """
 
-from .geometry import HOMOGENEOUS, IN_FRONT, NARROWEST
+from .geometry import HOMOGENEOUS, NARROWEST
 
 # Of the square of a face's largest coordinate c, in pixels: in less area nothing is known of the weights by the inverse
 # matrix. They are made of products of up to 2 c^2, and all roundings together come to some 82 * 2^-24 c^2.
@@ -15,11 +15,21 @@ struct Face {{
     typedef wp::vec_t<3, float> vec3;
     vec3 v[3];
     float matrix[9], inverse[3], dx[3], dy[3], to[9];
-    int front, perspective, height, width;
+    bool front;
+    int perspective, height, width;
 
+    static CUDA_CALLABLE float centre(int i, int size) {{ return (float)(2 * i + 1 - size) / (float)size; }}
     static CUDA_CALLABLE float larger(float a, float b) {{ return a > b ? a : b; }}
-    static CUDA_CALLABLE int in_front(vec3 v0, vec3 v1, vec3 v2, int perspective) {{ {IN_FRONT} }}
-    static CUDA_CALLABLE wp::vec_t<3, double> homogeneous(vec3 v0, vec3 v1, vec3 v2, float x, float y) {{ {HOMOGENEOUS} }}
+    // Rare, and kept out of the loops, whose registers they would take.
+    static CUDA_CALLABLE __attribute__((noinline)) wp::vec_t<3, double> homogeneous(
+        vec3 v0, vec3 v1, vec3 v2, float x, float y) {{ {HOMOGENEOUS} }}
+    // The weights by the edge functions of `coverage`: where it drew the face, they have one sign and are not all 0.
+    static CUDA_CALLABLE __attribute__((noinline)) vec3 by_edges(vec3 v0, vec3 v1, vec3 v2, float x, float y) {{
+        const vec3 w((v1[0] - x) * (v2[1] - y) - (v1[1] - y) * (v2[0] - x),
+                     (v2[0] - x) * (v0[1] - y) - (v2[1] - y) * (v0[0] - x),
+                     (v0[0] - x) * (v1[1] - y) - (v0[1] - y) * (v1[0] - x));
+        return w[0] + w[1] + w[2] == 0.0f ? vec3(1.0f, 1.0f, 1.0f) : w;
+    }}
 
     // The matrix takes a pixel (column, row from the bottom, 1) to its weights; 0 where the edge functions must do.
     // Weights by this inverse are how the first packages computed them: for faces far smaller than a pixel its rounding
@@ -34,23 +44,23 @@ struct Face {{
             far = larger(far, larger(fabsf(x[k]), fabsf(y[k])));
             inverse[k] = perspective ? 1.0f / v[k][2] : 1.0f;
         }}
-        front = in_front(v[0], v[1], v[2], perspective);
+        // A face that is seen lies before the camera or crosses its plane.
+        front = !perspective | ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f));
         const float area = x[2] * (y[0] - y[1]) + x[0] * (y[1] - y[2]) + x[1] * (y[2] - y[0]);
-        const bool known = fabsf(area) > {LEAST_AREA!r}f * far * far;
+        const float part = fabsf(area) > {LEAST_AREA!r}f * far * far ? 1.0f / area : 0.0f;
         for (int k = 0; k < 3; ++k) {{
             const int m = (k + 1) % 3, n = (k + 2) % 3;
-            matrix[3 * k] = known ? (y[m] - y[n]) / area : 0.0f;
-            matrix[3 * k + 1] = known ? (x[n] - x[m]) / area : 0.0f;
-            matrix[3 * k + 2] = known ? (x[m] * y[n] - x[n] * y[m]) / area : 0.0f;
+            matrix[3 * k] = (y[m] - y[n]) * part;
+            matrix[3 * k + 1] = (x[n] - x[m]) * part;
+            matrix[3 * k + 2] = (x[m] * y[n] - x[n] * y[m]) * part;
         }}
     }}
 
     // Depth and weights in space of the pixel i of the row j from the bottom; those on the screen are w / whole.
     CUDA_CALLABLE float at(int i, int j, vec3& weights, vec3& w, float& whole) const {{
         const float px = (float)i, py = (float)j;
-        if (front == 0) {{
-            const wp::vec_t<3, double> a = homogeneous(
-                v[0], v[1], v[2], (float)(2 * i + 1 - width) / (float)width, (float)(2 * j + 1 - height) / (float)height);
+        if (!front) {{
+            const wp::vec_t<3, double> a = homogeneous(v[0], v[1], v[2], centre(i, width), centre(j, height));
             const double sum = a[0] + a[1] + a[2];
             for (int k = 0; k < 3; ++k) weights[k] = (float)(a[k] / sum), w[k] = (float)(a[k] * (double)v[k][2]);
             whole = 1.0f;
@@ -61,7 +71,10 @@ struct Face {{
             w[k] = share < 0.0f ? 0.0f : share > 1.0f ? 1.0f : share;
         }}
         whole = w[0] + w[1] + w[2];
-        if (whole == 0.0f) edge_weights(i, j, w, whole);
+        if (whole == 0.0f) {{
+            w = by_edges(v[0], v[1], v[2], centre(i, width), centre(j, height));
+            whole = w[0] + w[1] + w[2];
+        }}
         if (perspective) {{
             for (int k = 0; k < 3; ++k) weights[k] = w[k] * inverse[k];
             const float near = 1.0f / (weights[0] + weights[1] + weights[2]);
@@ -71,17 +84,6 @@ struct Face {{
         const float part = 1.0f / whole;
         for (int k = 0; k < 3; ++k) weights[k] = w[k] * part;
         return weights[0] * v[0][2] + weights[1] * v[1][2] + weights[2] * v[2][2];
-    }}
-
-    // By the edge functions of `coverage`: where it drew the face, they have one sign and are not all 0.
-    CUDA_CALLABLE void edge_weights(int i, int j, vec3& w, float& whole) const {{
-        const float x = (float)(2 * i + 1 - width) / (float)width, y = (float)(2 * j + 1 - height) / (float)height;
-        for (int k = 0; k < 3; ++k) {{
-            const vec3 &a = v[(k + 1) % 3], &b = v[(k + 2) % 3];
-            w[k] = (a[0] - x) * (b[1] - y) - (a[1] - y) * (b[0] - x);
-        }}
-        whole = w[0] + w[1] + w[2];
-        if (whole == 0.0f) w = vec3(1.0f, 1.0f, 1.0f), whole = 3.0f;
     }}
 
     // Begin to gather, with what the weights on the screen gain per step to the right and up. Where one would change by 1
@@ -94,8 +96,8 @@ struct Face {{
             dx[k] = a[1] - b[1], dy[k] = b[0] - a[0];
             longest = larger(longest, larger(fabsf(dx[k]), fabsf(dy[k])));
         }}
-        const bool known = fabsf(area) > {NARROWEST!r}f * longest;
-        for (int k = 0; k < 3; ++k) dx[k] = known ? dx[k] / area : 0.0f, dy[k] = known ? dy[k] / area : 0.0f;
+        const float part = fabsf(area) > {NARROWEST!r}f * longest ? 1.0f / area : 0.0f;
+        for (int k = 0; k < 3; ++k) dx[k] *= part, dy[k] *= part;
         for (int k = 0; k < 9; ++k) to[k] = 0.0f;
     }}
 
