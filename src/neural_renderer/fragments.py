@@ -110,7 +110,8 @@ class Fragments:
         channels = colors.shape[3]
         behind = behind_image(background, batch, channels, self.settings, colors.device)
         image = composite(colors.float(), behind, self.face_index)
-        image = self.settings.through_visibility(image, self.corners, self.face_index, validate.flag("seams", seams))
+        seams = validate.flag("seams", seams)
+        image = self.settings.through_visibility(image, self.corners, self.face_index, seams, triangles=self.triangles)
         return halve(image) if self.settings.anti_aliasing else image.contiguous()
 
 

@@ -109,6 +109,7 @@ def render(
         two_sided=two_sided,
         perspective=camera.perspective,
         gradient=gradient,
+        triangles=faces,
     )
 
 
@@ -135,6 +136,7 @@ def _sampled(
         settings,
         outputs,
         lambda: image_marks(mesh.uv, mesh.image_index, factors),
+        mesh.faces,
     )
 
 

@@ -78,6 +78,7 @@ def rasterize_images(
     two_sided: bool = False,
     perspective: bool = True,
     gradient: str = "nmr",
+    triangles: Tensor | None = None,
 ) -> Images:
     """Draw faces given by their corners in screen space.
 
@@ -98,6 +99,8 @@ def rasterize_images(
     gradient: the estimator through visibility: "nmr", the paper's (section 3.2), which pulls from afar and whose size
         is not a derivative's; or "edge", the derivative of the image averaged over sub-pixel shifts (see `boundaries`),
         with that of texture coordinates and depth, depth through visibility included.
+    triangles: [F, 3] or [B or 1, F, 3] integer, the indices that `vertices_to_faces` made ``faces`` of. With them
+        ``"edge"`` finds the neighbours of each face once for a mesh; without, by their corners in each backward.
 
     Returns Images. An empty batch or mesh gives the background. Raises TypeError or ValueError for anything else.
     """
@@ -118,7 +121,9 @@ def rasterize_images(
         inside = corners if gradient == "edge" else corners.detach()  # the derivative inside of faces, too
         layers["rgb"] = sample_textures(cubes, factors, behind, inside, face_index, settings.eps, perspective)
     marks = (lambda: texture_marks(cubes, factors)) if "rgb" in outputs else None
-    return finish_images(layers, depth, corners, face_index, settings, outputs, marks)
+    if triangles is not None:
+        _check_triangles(triangles, batch, count)
+    return finish_images(layers, depth, corners, face_index, settings, outputs, marks, triangles)
 
 
 def finish_images(
@@ -129,11 +134,13 @@ def finish_images(
     settings: Settings,
     outputs: Collection[str],
     marks: Callable[[], Tensor] | None = None,
+    triangles: Tensor | None = None,
 ) -> Images:
     """Images of the ``outputs`` from what is drawn: through visibility, and averaged if they are anti-aliased.
 
     layers: "rgb", [B, 3, H, W] with the background, if it is among the outputs. depth: [B, H, W], likewise. corners,
-        face_index: [B, F, 3, 3] and [B, H, W], which faces were drawn and which of them is seen. marks: see `Settings`.
+        face_index: [B, F, 3, 3] and [B, H, W], which faces were drawn and which of them is seen. marks, triangles:
+        see `Settings.through_visibility`.
     """
     whole = settings.gradient == "edge"
     if "alpha" in outputs:
@@ -144,7 +151,7 @@ def finish_images(
     if layers:
         image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
         colored = "rgb" in outputs
-        image = settings.through_visibility(image, corners, face_index, colored, not colored, marks)
+        image = settings.through_visibility(image, corners, face_index, colored, not colored, marks, triangles)
         if settings.anti_aliasing:
             image = halve(image)
         # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied. Copies where
@@ -180,6 +187,16 @@ def checked_outputs(outputs: Collection[str]) -> Collection[str]:
     if not names or any(name not in OUTPUTS for name in names):
         raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)}, got {', '.join(map(str, names)) or 'none'}")
     return names
+
+
+def _check_triangles(triangles: Any, batch: int, count: int) -> None:
+    checked_faces(triangles)
+    shape = triangles.shape if triangles.dim() == 3 else (1, *triangles.shape)
+    if shape[0] not in (1, batch) or shape[1] != count:
+        raise ValueError(
+            f"triangles: expected [{count}, 3] or [{batch} or 1, {count}, 3] like faces, "
+            f"got {validate.shape_of(triangles)}"
+        )
 
 
 def _checked_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:

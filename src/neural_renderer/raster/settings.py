@@ -14,6 +14,7 @@ from .. import validate
 from .ops.coverage import coverage
 from .visibility.edge import boundaries
 from .visibility.nmr import nmr_edges
+from .visibility.rings import edge_rings
 
 GRADIENTS = ("nmr", "edge")
 
@@ -84,16 +85,19 @@ class Settings:
         seams: bool = False,
         binary: bool = False,
         marks: Callable[[], Tensor] | None = None,
+        triangles: Tensor | None = None,
     ) -> Tensor:
         """The image [B, C, H, W] unchanged, with the gradient to the corners of `nmr_edges` or `boundaries`.
 
-        marks: gives those of `boundaries`, if they are needed.
+        marks: gives those of `boundaries`, if they are needed. triangles: [F, 3] or [B or 1, F, 3], the indices of the
+            vertices that the corners were gathered from, if there are any.
         """
         if not (corners.requires_grad and torch.is_grad_enabled()):
             return image
         if self.gradient == "edge":
             own = marks() if marks and seams else None
-            return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams, own)
+            rings = None if triangles is None else edge_rings(triangles if triangles.dim() == 3 else triangles[None])
+            return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams, own, rings)
         if not self.perspective:  # depth has no part in it: a corner behind an orthographic camera is like any other
             corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
         return nmr_edges(image, corners, face_index, self.eps, self.two_sided, binary)

@@ -46,6 +46,7 @@ def boundaries(
     perspective: bool,
     seams: bool,
     marks: Optional[Tensor] = None,  # noqa: UP045 (schemas are inferred from it)
+    rings: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
     """The image unchanged; its gradient also flows to the faces, by the motion of the boundaries that are seen.
 
@@ -56,6 +57,7 @@ def boundaries(
         such edges are left out, which is right, and quieter, where colours are interpolated.
     marks: [1 or B, F, 3, 2] int64: an edge of two faces that name it in opposite orders is left out too if the first
         mark of the one is the second of the other, and not 0 (see `texture_marks`); None: no edge.
+    rings: as `edge_rings` gives them, of the indices that the faces are made of, so that neighbours need no search.
 
     Where the edge of a face crosses a row between the centres of two pixels, of which the inner shows the face and the
     outer something behind it, x of the edge moves the crossing; the gradient of the pixel that contains the crossing,
@@ -74,7 +76,7 @@ def boundaries(
 
 
 @torch.library.register_fake("neural_renderer::boundaries")
-def _(image, faces, face_index, two_sided, perspective, seams, marks=None):  # type: ignore[no-untyped-def]
+def _(image, faces, face_index, two_sided, perspective, seams, marks=None, rings=None):  # type: ignore[no-untyped-def]
     return torch.empty_like(image, memory_format=torch.contiguous_format)
 
 
@@ -88,6 +90,7 @@ def boundaries_backward(
     perspective: bool,
     seams: bool,
     marks: Optional[Tensor] = None,  # noqa: UP045
+    rings: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
     """The gradient [B, F, 3, 3] that `boundaries` sends to its faces."""
     grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
@@ -97,7 +100,7 @@ def boundaries_backward(
     batch, _, height, width = image.shape
     count = faces.shape[1]
     seen = seen_faces(face_index, count)
-    beyond = neighbors(faces, two_sided, perspective)
+    beyond = neighbors(faces, two_sided, perspective, seen, rings)
     lanes = face_lanes(faces, height * width)
     arguments = [array(faces, wp.vec3), array(image), array(grad), array(face_index), array(seen), array(beyond)]
     none = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=faces.device)
@@ -108,21 +111,23 @@ def boundaries_backward(
 
 
 @torch.library.register_fake("neural_renderer::boundaries_backward")
-def _(grad, image, faces, face_index, two_sided, perspective, seams, marks=None):  # type: ignore[no-untyped-def]
+def _(grad, image, faces, face_index, two_sided, perspective, seams, marks=None, rings=None):  # type: ignore[no-untyped-def]
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, marks = inputs
-    ctx.save_for_backward(image, faces, face_index, marks)  # not the output, which callers may change in place
+    image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, marks, rings = inputs
+    ctx.save_for_backward(image, faces, face_index, marks, rings)  # not the output, which callers may change in place
 
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
-    image, faces, face_index, marks = ctx.saved_tensors
+    image, faces, face_index, *found = ctx.saved_tensors
     to_faces = None
     if ctx.needs_input_grad[1]:
-        to_faces = boundaries_backward(grad, image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, marks)
-    return grad, to_faces, None, None, None, None, None
+        to_faces = boundaries_backward(
+            grad, image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, *found
+        )
+    return grad, to_faces, *[None] * 6
 
 
 differentiable(boundaries, _backward, _save)
@@ -253,6 +258,23 @@ def move_edge(
     return 0.5 * float(d * length) * wp.vec2(to_p, to_q)
 
 
+_HAS_MOVING_EDGE = """
+    const int* next = beyond.data + ((wp::int64)b * beyond.shape[1] + f) * 3;
+    // Most faces end here: the surface goes on beyond all three edges.
+    if (!seams && next[0] >= 0 && next[1] >= 0 && next[2] >= 0) return false;
+    // A face that is missed by all centres still has its edges, if a neighbour can stand in for it.
+    const int* visible = seen.data + (wp::int64)b * seen.shape[1];
+    return visible[f] || (next[0] >= 0 && visible[next[0]]) || (next[1] >= 0 && visible[next[1]])
+        || (next[2] >= 0 && visible[next[2]]);
+"""
+
+
+@wp.func_native(_HAS_MOVING_EDGE)
+def has_moving_edge(seen: wp.array2d(dtype=int), beyond: wp.array3d(dtype=int), b: int, f: int, seams: int) -> bool:
+    """Whether an edge of the face can show between two pixels."""
+    ...
+
+
 @wp.kernel
 def _move(
     first: int,
@@ -273,12 +295,7 @@ def _move(
     lane = task % lanes
     b = (task // lanes) // faces.shape[1]
     f = (task // lanes) % faces.shape[1]
-    # A face that is missed by all centres still has its edges, if a neighbour can stand in for it.
-    near = seen[b, f]
-    for k in range(3):
-        if beyond[b, f, k] >= 0:
-            near += seen[b, beyond[b, f, k]]
-    if near == 0:
+    if not has_moving_edge(seen, beyond, b, f, seams):
         return
     v0 = faces[b, f, 0]
     v1 = faces[b, f, 1]

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..ops.visible_faces import next_shown
-from ..warp.geometry import degenerate, homogeneous_weights, in_front, pixel_box, pixel_centre
+from ..warp.geometry import HOMOGENEOUS, degenerate, homogeneous_weights, in_front, pixel_box, pixel_centre
 from ..warp.launch import array, face_lanes, launch, zeros
 from .neighbors import same
 
@@ -77,8 +77,16 @@ _MAY_MEET = """
             }
             return end;
         }
+        static CUDA_CALLABLE wp::vec_t<3, double> homogeneous(vec3 v0, vec3 v1, vec3 v2, float x, float y) { WEIGHTS }
+        // As `shares` and `total` have it.
+        static CUDA_CALLABLE float nearness(const vec3* v, float x, float y, int perspective) {
+            const wp::vec_t<3, double> a = homogeneous(v[0], v[1], v[2], x, y);
+            float part[3];
+            for (int k = 0; k < 3; ++k) part[k] = perspective ? (float)a[k] : -((float)a[k] * v[k][2] * v[k][2]);
+            return part[0] + part[1] + part[2];
+        }
     };
-"""
+""".replace("WEIGHTS", HOMOGENEOUS)
 
 _MARK_ROW = (
     _MAY_MEET
@@ -106,6 +114,10 @@ _MARK_ROW = (
                 const float y = (float)(height - 1 - 2 * row) / (float)height;
                 const float x2 = k == 0 ? x + across : x, y2 = k == 0 ? y : y - down;
                 if (Way::covered(v, x, y, x2, y2) + Way::covered(u, x2, y2, x, y) < 0.999f) continue;
+                const float own_here = Way::nearness(v, x, y, perspective);
+                const float ahead = own_here - Way::nearness(u, x, y, perspective);
+                const float short_of = Way::nearness(u, x2, y2, perspective) - Way::nearness(v, x2, y2, perspective);
+                if (!(ahead > 0.0f && short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here))) continue;
             }
             bool differs = false;
             for (int c = 0; c < channels; ++c) differs |= colors[c * area + i] != colors[c * area + i + steps[k]];

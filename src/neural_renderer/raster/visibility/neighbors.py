@@ -5,7 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.geometry import facing, in_front
+from ..warp.geometry import FACING, IN_FRONT, facing, in_front
 from ..warp.launch import array, launch, zeros
 
 wp.set_module_options({"enable_backward": False})
@@ -14,27 +14,41 @@ wp.set_module_options({"enable_backward": False})
 MOST_EQUALS = wp.constant(8)
 
 
-def neighbors(faces: Tensor, two_sided: bool, perspective: bool) -> Tensor:
+def neighbors(
+    faces: Tensor, two_sided: bool, perspective: bool, seen: Tensor | None = None, rings: Tensor | None = None
+) -> Tensor:
     """The face with which the surface goes on beyond an edge on the screen; -1 at a border of the surface or a fold.
 
     faces: [B, F, 3, 3] float32 screen-space corners.
     two_sided, perspective: as in `coverage`.
+    seen: as `visible_faces` gives it, and rings: as `edge_rings` gives it, of the indices that the faces are made of.
 
     Returns [B, F, 3] int32, edge k from corner k to the next; -1 for faces that would not be drawn. The surface goes on
     with a face that would, has the same two corners, to the last bit, and lies on the edge's other side; with
     the one of lowest index if there are several. No topology is asked for, so it works for any faces: the edges are
-    found through a hash table for each image.
+    found through a hash table for each image. With rings, the table is only for edges that stand alone in them, and
+    faces that are neither seen nor beside one that is get -1.
     """
     batch, count = faces.shape[:2]
-    size = 1 << (6 * max(count, 1) - 1).bit_length()
-    table = zeros((batch, size), faces.device, torch.int32)
     result = torch.empty((batch, count, 3), dtype=torch.int32, device=faces.device)
     corners = array(faces, wp.vec3)
+    options = [int(two_sided), int(perspective)]
+    most = 3 * count
+    if rings is not None and seen is not None:
+        launch(_walk, batch * count, [corners, array(seen), array(rings), *options, array(result)], faces.device)
+        if faces.device.type == "cpu":  # on CUDA to look is to wait
+            most = int(rings[0, -1, 0])
+    else:
+        rings = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
+    if most == 0:
+        return result
+    size = 1 << (2 * most - 1).bit_length()
+    table = zeros((batch, size), faces.device, torch.int32)
     # The CPU's atomics are none: there one task fills an image's table alone.
     lanes = 1 if faces.device.type == "cpu" else max(count, 1)
-    launch(_insert, batch * lanes, [corners, array(table), int(two_sided), int(perspective), lanes], faces.device)
-    arguments = [corners, array(table), int(two_sided), int(perspective), array(result)]
-    launch(_find, batch * count, arguments, faces.device)
+    alone = array(rings)
+    launch(_insert, batch * lanes, [corners, array(table), alone, *options, lanes], faces.device)
+    launch(_find, batch * count, [corners, array(table), alone, *options, array(result)], faces.device)
     return result
 
 
@@ -60,6 +74,83 @@ _HASH = """
 def edge_hash(p: wp.vec3, q: wp.vec3, size: int) -> int:
     """Where to begin to look for an edge in a table of ``size``, a power of two."""
     ...
+
+
+_WALK = """
+    struct Drawn {
+        typedef wp::vec_t<3, float> vec3;
+        static CUDA_CALLABLE int facing(vec3 v0, vec3 v1, vec3 v2, int perspective) { FACING }
+        static CUDA_CALLABLE int in_front(vec3 v0, vec3 v1, vec3 v2, int perspective) { IN_FRONT }
+        static CUDA_CALLABLE bool is(const vec3* v, int two_sided, int perspective) {
+            const int side = facing(v[0], v[1], v[2], perspective);
+            return (side > 0 || (side < 0 && two_sided)) && in_front(v[0], v[1], v[2], perspective) >= 0;
+        }
+        static CUDA_CALLABLE float beside(const vec3& p, const vec3& q, const vec3& r, int perspective) {
+            const float side = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+            return perspective && r[2] <= 0.0f ? -side : side;
+        }
+    };
+    const wp::int64 count = faces.shape[1], own = b < rings.shape[0] ? b : rings.shape[0] - 1;
+    const int* next = rings.data + own * (count + 1) * 3;
+    const int* visible = seen.data + (wp::int64)b * seen.shape[1];
+    const wp::vec_t<3, float>* corners = faces.data + b * count * 3;
+    int* to = result.data + (b * count + f) * 3;
+    to[0] = to[1] = to[2] = -1;
+    int near = visible[f];
+    for (int k = 0; k < 3; ++k) near |= visible[next[3 * f + k] / 3];
+    const auto* v = corners + 3 * (wp::int64)f;
+    if (!near || !Drawn::is(v, two_sided, perspective)) return;
+    for (int k = 0; k < 3; ++k) {
+        const auto &p = v[k], &q = v[k == 2 ? 0 : k + 1];
+        const float side = Drawn::beside(p, q, v[k == 0 ? 2 : k - 1], perspective);
+        int entry = next[3 * f + k];
+        for (int n = 0; n < MOST && entry != 3 * f + k; ++n, entry = next[entry]) {
+            const int g = entry / 3, m = entry % 3;
+            const auto* u = corners + 3 * (wp::int64)g;
+            const float across = side * Drawn::beside(p, q, u[m == 0 ? 2 : m - 1], perspective);
+            if (g != f && across < 0.0f && (to[k] < 0 || g < to[k]) && Drawn::is(u, two_sided, perspective)) to[k] = g;
+        }
+    }
+"""
+
+
+@wp.func_native(_WALK.replace("FACING", FACING).replace("IN_FRONT", IN_FRONT).replace("MOST", str(MOST_EQUALS)))
+def walk_rings(
+    faces: wp.array3d(dtype=wp.vec3),
+    seen: wp.array2d(dtype=int),
+    rings: wp.array3d(dtype=int),
+    two_sided: int,
+    perspective: int,
+    b: int,
+    f: int,
+    result: wp.array3d(dtype=int),
+):
+    """Look for the faces beyond the edges of one face among those that share the edges' vertices."""
+    ...
+
+
+@wp.kernel
+def _walk(
+    first: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    seen: wp.array2d(dtype=int),
+    rings: wp.array3d(dtype=int),
+    two_sided: int,
+    perspective: int,
+    result: wp.array3d(dtype=int),
+):
+    task = first + wp.tid()
+    walk_rings(
+        faces, seen, rings, two_sided, perspective, task // int(faces.shape[1]), task % int(faces.shape[1]), result
+    )
+
+
+@wp.func
+def stands_alone(rings: wp.array3d(dtype=int), b: int, f: int, k: int) -> bool:
+    """Whether an edge has to be looked for in the table."""
+    if rings.shape[0] == 0:
+        return True
+    return rings[wp.min(b, rings.shape[0] - 1), f, k] == 3 * f + k
 
 
 @wp.func
@@ -96,6 +187,7 @@ def _insert(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
     table: wp.array2d(dtype=int),
+    rings: wp.array3d(dtype=int),
     two_sided: int,
     perspective: int,
     lanes: int,
@@ -107,6 +199,8 @@ def _insert(
     for f in range(task % lanes, faces.shape[1], lanes):
         if is_drawn(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], two_sided, perspective):
             for k in range(3):
+                if not stands_alone(rings, b, f, k):
+                    continue
                 p = faces[b, f, k]
                 q = faces[b, f, (k + 1) % 3]
                 at = edge_hash(p, q, size)
@@ -125,6 +219,7 @@ def _find(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
     table: wp.array2d(dtype=int),
+    rings: wp.array3d(dtype=int),
     two_sided: int,
     perspective: int,
     result: wp.array3d(dtype=int),
@@ -138,6 +233,8 @@ def _find(
         return
     size = int(table.shape[1])
     for k in range(3):
+        if not stands_alone(rings, b, f, k):
+            continue
         p = faces[b, f, k]
         q = faces[b, f, (k + 1) % 3]
         side = beside(p, q, faces[b, f, (k + 2) % 3], perspective)

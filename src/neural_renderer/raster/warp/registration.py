@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -24,14 +25,15 @@ def operator(function: Callable[..., Any]) -> Any:
     torch.library.impl(name, "default", function)
     registered = getattr(torch.ops.neural_renderer, function.__name__).default
 
+    defaults = tuple(parameter.default for parameter in inspect.signature(function).parameters.values())
+
     @functools.wraps(function)
     def call(*inputs: Any) -> Any:
-        if torch.compiler.is_compiling():
-            return registered(*inputs)
-        if forward_ad._current_level >= 0:
+        if not torch.compiler.is_compiling() and forward_ad._current_level >= 0:
             _refuse_tangents(function.__name__, inputs)
-        if not _plain(inputs):
+        if not is_plain(inputs):
             return registered(*inputs)
+        inputs += defaults[len(inputs) :]
         if call.graph is None or not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
             with torch.no_grad():
                 return function(*inputs)
@@ -70,9 +72,13 @@ def differentiable_once(function: Callable[..., Any]) -> Any:
     return backward
 
 
-def _plain(inputs: tuple[Any, ...]) -> bool:
+def is_plain(inputs: tuple[Any, ...]) -> bool:
     """Whether the tensors are torch's own, with memory, and nothing traces or transforms what is done with them."""
-    if torch._C._len_torch_dispatch_stack() or torch._C._are_functorch_transforms_active():
+    if (
+        torch.compiler.is_compiling()
+        or torch._C._len_torch_dispatch_stack()
+        or torch._C._are_functorch_transforms_active()
+    ):
         return False
     return all(
         value.device.type != "meta" and type(value) in (Tensor, nn.Parameter)

@@ -1,0 +1,86 @@
+"""Which faces share an edge, by the indices of their vertices: found once for a mesh, and kept."""
+
+from __future__ import annotations
+
+import collections
+import threading
+import weakref
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ..warp.registration import is_plain, operator
+
+
+class _Kept(NamedTuple):
+    faces: Tensor  # a copy, on the CPU
+    source: weakref.ref[Tensor]
+    version: int
+    rings: Tensor
+
+
+_kept: collections.deque[_Kept] = collections.deque(maxlen=8)
+_lock = threading.Lock()
+
+
+def edge_rings(faces: Tensor) -> Tensor:
+    """The rings of the edges that ``faces`` [1 or B, F, 3] (int32 or int64) share, [1 or B, F + 1, 3] int32.
+
+    Edge k of face f, from corner k to the next, is number 3 f + k. Its entry is the next edge with the same two
+    vertices, around in a ring; itself where no other face has it. The last row holds how many those are, three times.
+
+    The rings of the last few meshes are kept. On the CPU a mesh is known by its numbers; on CUDA, where to compare is to
+    wait, by its tensor, unless that has been changed in place.
+    """
+    return _known_rings(faces) if is_plain((faces,)) else _edge_rings(faces)
+
+
+@operator
+def _edge_rings(faces: Tensor) -> Tensor:
+    return _known_rings(faces).clone()  # compiled programs may overwrite what they were given
+
+
+@torch.library.register_fake("neural_renderer::_edge_rings")
+def _(faces):  # type: ignore[no-untyped-def]
+    return faces.new_empty((faces.shape[0], faces.shape[1] + 1, 3), dtype=torch.int32)
+
+
+def _known_rings(faces: Tensor) -> Tensor:
+    with _lock:
+        kept = list(_kept)
+    on_cpu = faces.device.type == "cpu"
+    version = -1 if faces.is_inference() else faces._version
+    for one in reversed(kept):
+        if one.rings.device != faces.device or one.rings.shape[1] != faces.shape[1] + 1:
+            continue
+        same = torch.equal(one.faces, faces) if on_cpu else one.source() is faces and one.version == version >= 0
+        if same:
+            return one.rings
+    rings = _find_rings(faces)
+    copy = faces.clone() if on_cpu else faces[:0]
+    with _lock:
+        _kept.append(_Kept(copy, weakref.ref(faces), version, rings))
+    return rings
+
+
+@torch.no_grad()
+def _find_rings(faces: Tensor) -> Tensor:
+    batch, count = faces.shape[:2]
+    start = faces.long()
+    end = start.roll(-1, 2)
+    low, high = torch.minimum(start, end), torch.maximum(start, end)
+    vertices = int(high.max()) + 2 if high.numel() else 1
+    image = torch.arange(batch, device=faces.device)[:, None, None]
+    own = torch.arange(batch * count * 3, device=faces.device)
+    # An edge from a vertex to itself is nobody else's, nor are those of (-1, -1, -1), which stands for no face.
+    name = torch.where(low == high, -1 - own.view(batch, count, 3), (image * vertices + low + 1) * vertices + high)
+    name, order = name.flatten().sort(stable=True)
+    last = torch.cat((name[1:] != name[:-1], name.new_ones(min(1, len(name)), dtype=torch.bool)))
+    first = torch.where(torch.cat((last[-1:], last[:-1])), torch.arange(len(name), device=faces.device), 0)
+    following = torch.where(last, order[first.cummax(0).values], order.roll(-1))
+    rings = torch.empty_like(order)
+    rings[order] = following
+    alone = (rings == own).sum()
+    rings = (rings.view(batch, count * 3) - image[:, 0] * count * 3).view(batch, count, 3)
+    return torch.cat((rings, alone.expand(batch, 1, 3)), 1).int()
