@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, face_lanes, launch, zeros
-from ..warp.point import FACE
+from ..warp.point import FACE, over_rows, row_tasks
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
 
@@ -34,8 +34,9 @@ def barycentrics(
     batch, height, width = face_index.shape
     weights = torch.empty((batch, height, width, 3), dtype=torch.float32, device=faces.device)
     depth = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
-    arguments = [array(faces, wp.vec3), array(face_index), near, far, int(perspective)]
-    launch(_forward, batch * height, [*arguments, array(weights, wp.vec3), array(depth)], faces.device)
+    tasks, each = row_tasks(batch * height, faces.device)
+    arguments = [array(faces, wp.vec3), array(face_index), near, far, int(perspective), each]
+    launch(_forward, tasks, [*arguments, array(weights, wp.vec3), array(depth)], faces.device)
     return weights, depth
 
 
@@ -90,42 +91,28 @@ def _to_corners(ctx, grad_weights, grad_depth):  # type: ignore[no-untyped-def]
 differentiable(barycentrics, _to_corners, _save)
 
 
-_ROW = (
-    FACE
-    + """
-    const int height = face_index.shape[1], width = face_index.shape[2], b = row / height, j = height - 1 - row % height;
-    Face face;
-    int last = -1;
-    for (int i = 0; i < width; ++i) {
-        const wp::int64 pixel = (wp::int64)row * width + i;
-        const int f = face_index.data[pixel];
-        wp::vec_t<3, float> shares(0.0f), w;
-        float z = far, whole;
-        if (f >= 0) {
-            if (f != last) face.set(faces.data + ((wp::int64)b * faces.shape[1] + f) * 3, perspective, height, width);
-            last = f;  // neighbours mostly show the same face
-            z = face.at(i, j, shares, w, whole);
-            z = z < near ? near : z > far ? far : z;  // where it was drawn, but for the rounding of the weights
-        }
-        weights.data[pixel] = shares;
-        depth.data[pixel] = z;
-    }
-"""
+_ROWS = over_rows(
+    """
+            weights_at.data[pixel] = weights;
+            depth.data[pixel] = z < near ? near : z > far ? far : z;  // where it was drawn, but for rounding
+    """,
+    "weights_at.data[pixel] = wp::vec_t<3, float>(0.0f), depth.data[pixel] = far;",
 )
 
 
-@wp.func_native(_ROW)
-def weigh_row(
+@wp.func_native(_ROWS)
+def weigh_rows(
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
     near: float,
     far: float,
     perspective: int,
-    weights: wp.array3d(dtype=wp.vec3),
+    weights_at: wp.array3d(dtype=wp.vec3),
     depth: wp.array3d(dtype=float),
-    row: int,
+    first: int,
+    last: int,
 ):
-    """Of all rows of all images, this one."""
+    """Some of the rows of all images."""
     ...
 
 
@@ -137,10 +124,13 @@ def _forward(
     near: float,
     far: float,
     perspective: int,
+    each: int,
     weights: wp.array3d(dtype=wp.vec3),
     depth: wp.array3d(dtype=float),
 ):
-    weigh_row(faces, face_index, near, far, perspective, weights, depth, first + wp.tid())
+    row = (first + wp.tid()) * each
+    last = wp.min(row + each, face_index.shape[0] * face_index.shape[1])
+    weigh_rows(faces, face_index, near, far, perspective, weights, depth, row, last)
 
 
 _PULL = (

@@ -1,13 +1,15 @@
 """Anything given at the corners of faces, at every pixel."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+import re
+
 import torch
 import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, face_lanes, launch, zeros
-from ..warp.point import FACE
+from ..warp.point import FACE, over_rows, row_tasks
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
 
@@ -27,8 +29,9 @@ def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspecti
     """
     batch, height, width = face_index.shape
     result = torch.empty((batch, height, width, attributes.shape[3]), dtype=torch.float32, device=faces.device)
-    arguments = [array(attributes), array(faces, wp.vec3), array(face_index), int(perspective), array(result)]
-    launch(_forward, batch * height, arguments, faces.device)
+    tasks, each = row_tasks(batch * height, faces.device)
+    arguments = [array(attributes), array(faces, wp.vec3), array(face_index), int(perspective), each, array(result)]
+    launch(_forward, tasks, arguments, faces.device)
     return result
 
 
@@ -76,50 +79,36 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(interpolate, _to_inputs, _save)
 
 
-def _for_channels(body: str) -> str:
-    """The usual three channels are spelled out, so that compilers unroll the loops over them."""
-    branch = (
-        "if (attributes.shape[3] == 3) { const int channels = 3; BODY } else { const int channels = CHANNELS; BODY }"
+# The usual three channels are spelled out, so that compilers unroll the loop over them.
+_MIX = """
+            const wp::int64 images = attributes.shape[0];
+            const float* from = attributes.data + ((b < images ? b : images - 1) * count + f) * 3 * channels;
+            float* to = result.data + pixel * channels;
+            const auto mixed = [&](int c, int stride) {
+                to[c] = weights[0] * from[c] + weights[1] * from[stride + c] + weights[2] * from[2 * stride + c];
+            };
+            if (channels == 3) for (int c = 0; c < 3; ++c) mixed(c, 3);
+            else for (int c = 0; c < channels; ++c) mixed(c, channels);
+"""
+
+
+@wp.func_native(
+    over_rows(
+        _MIX,
+        "for (int c = 0; c < channels; ++c) result.data[pixel * channels + c] = 0.0f;",
+        "const int channels = attributes.shape[3];",
     )
-    return FACE + branch.replace("CHANNELS", "attributes.shape[3]").replace("BODY", body)
-
-
-_MIX_ROW = _for_channels("""
-    const int height = face_index.shape[1], width = face_index.shape[2];
-    const int b = row / height, j = height - 1 - row % height;
-    const wp::int64 images = attributes.shape[0], count = faces.shape[1];
-    Face face;
-    int last = -1;
-    for (int i = 0; i < width; ++i) {
-        const wp::int64 pixel = (wp::int64)row * width + i;
-        const int f = face_index.data[pixel];
-        float* to = result.data + pixel * channels;
-        if (f < 0) {
-            for (int c = 0; c < channels; ++c) to[c] = 0.0f;
-            continue;
-        }
-        if (f != last) face.set(faces.data + (b * count + f) * 3, perspective, height, width);
-        last = f;  // neighbours mostly show the same face
-        wp::vec_t<3, float> w, on_screen;
-        float whole;
-        face.at(i, j, w, on_screen, whole);
-        const float* from = attributes.data + ((b < images ? b : images - 1) * count + f) * 3 * channels;
-        for (int c = 0; c < channels; ++c)
-            to[c] = w[0] * from[c] + w[1] * from[channels + c] + w[2] * from[2 * channels + c];
-    }
-""")
-
-
-@wp.func_native(_MIX_ROW)
-def mix_row(
+)
+def mix_rows(
     attributes: wp.array4d(dtype=float),
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
     perspective: int,
     result: wp.array4d(dtype=float),
-    row: int,
+    first: int,
+    last: int,
 ):
-    """Of all rows of all images, this one. In plain C++, which keeps the loop over channels tight."""
+    """Some of the rows of all images."""
     ...
 
 
@@ -130,19 +119,25 @@ def _forward(
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
     perspective: int,
+    each: int,
     result: wp.array4d(dtype=float),
 ):
-    mix_row(attributes, faces, face_index, perspective, result, first + wp.tid())
+    row = (first + wp.tid()) * each
+    last = wp.min(row + each, face_index.shape[0] * face_index.shape[1])
+    mix_rows(attributes, faces, face_index, perspective, result, row, last)
 
 
-_UNMIX = _for_channels("""
-    const int height = face_index.shape[1], width = face_index.shape[2];
+_UNMIX = (
+    FACE
+    + """
+    const int channels = attributes.shape[3], height = face_index.shape[1], width = face_index.shape[2];
     const wp::int64 count = faces.shape[1];
     const float* from = attributes.data + (own * count + f) * 3 * channels;
     float* to = to_attributes.data + (own * count + f) * 3 * channels;
     Face face;
     face.set(faces.data + (b * count + f) * 3, perspective, height, width);
     if (faces_too) face.gather();
+    EIGHT
     for (int j = bottom + lane; j <= top; j += lanes) {
         const wp::int64 row = ((wp::int64)b * height + height - 1 - j) * width;
         for (int i = left; i <= right; ++i) {
@@ -161,10 +156,85 @@ _UNMIX = _for_channels("""
         }
     }
     if (faces_too) face.give(to_faces.data + (b * count + f) * 3, lanes == 1);
-""")
+"""
+)
+# The same on the CPU, for eight pixels at once: the sums of all lanes come together at the end of the face.
+_EIGHT = """
+    #if !defined(__CUDA_ARCH__)
+    typedef float floats __attribute__((ext_vector_type(8)));
+    typedef int ints __attribute__((ext_vector_type(8)));
+    const ints ahead = {0, 1, 2, 3, 4, 5, 6, 7};
+    const floats none = 0.0f;
+    const int most = 8;
+    bool plain = face.front && face.known && width >= 8 && channels <= most;
+    floats sums[3 * most], corner[9];
+    for (int k = 0; k < 3 * channels && plain; ++k) sums[k] = none;
+    for (int k = 0; k < 9; ++k) corner[k] = none;
+    for (int j = bottom; j <= top && plain; ++j) {
+        const wp::int64 row = ((wp::int64)b * height + height - 1 - j) * width;
+        for (int i = left; i <= right && plain; i += 8) {
+            const int at = i < width - 8 ? i : width - 8;
+            ints shown;
+            memcpy(&shown, face_index.data + row + at, sizeof(shown));
+            const ints here = (shown == f) & (ahead >= i - at);
+            if (__builtin_reduce_or(here) == 0) continue;
+            const floats x = __builtin_convertvector(ahead + at, floats);
+            floats w[3], shares[3], to_w[3] = {none, none, none};
+            for (int k = 0; k < 3; ++k) {
+                const floats share = x * face.matrix[3 * k] + face.matrix[3 * k + 1] * (float)j + face.matrix[3 * k + 2];
+                w[k] = share < 0.0f ? none : share > 1.0f ? none + 1.0f : share;
+            }
+            const floats whole = w[0] + w[1] + w[2];
+            if (__builtin_reduce_or(here & (whole == 0.0f))) {
+                plain = false;  // the pixels of this face one by one
+                break;
+            }
+            const floats part = 1.0f / whole;
+            floats z = part;
+            for (int k = 0; k < 3; ++k) shares[k] = w[k] * (perspective ? face.inverse[k] * none + face.inverse[k] : part);
+            if (perspective) {
+                const floats near = 1.0f / (shares[0] + shares[1] + shares[2]);
+                for (int k = 0; k < 3; ++k) shares[k] *= near;
+                z = whole * near;
+            }
+            for (int c = 0; c < channels; ++c) {
+                const float* g = grad.data + (row + at) * channels + c;
+                floats pull = {g[0], g[channels], g[2 * channels], g[3 * channels], g[4 * channels], g[5 * channels],
+                               g[6 * channels], g[7 * channels]};
+                pull = here ? pull : none;
+                for (int k = 0; k < 3; ++k) {
+                    sums[3 * c + k] += shares[k] * pull;
+                    to_w[k] += from[k * channels + c] * pull;
+                }
+            }
+            if (!faces_too) continue;
+            const floats same = to_w[0] * shares[0] + to_w[1] * shares[1] + to_w[2] * shares[2];
+            floats right = none, up = none, g[3];
+            for (int k = 0; k < 3; ++k) {
+                g[k] = perspective ? z * (to_w[k] - same) * face.inverse[k] : to_w[k];
+                right += g[k] * face.dx[k], up += g[k] * face.dy[k];
+            }
+            for (int k = 0; k < 3; ++k) {
+                const floats share = here ? w[k] * part : none;
+                corner[3 * k] -= right * share;
+                corner[3 * k + 1] -= up * share;
+                if (perspective) corner[3 * k + 2] -= share * g[k] * face.inverse[k];
+            }
+        }
+    }
+    if (plain) {
+        for (int c = 0; c < channels; ++c)
+            for (int k = 0; k < 3; ++k) to[k * channels + c] += SUM(sums[3 * c + k]);
+        for (int k = 0; k < 9; ++k) face.to[k] = SUM(corner[k]);
+        if (faces_too) face.give(to_faces.data + (b * count + f) * 3, true);
+        return;
+    }
+    #endif
+"""
+_EIGHT = re.sub(r"SUM\(([^;]*)\);", r"\1[0] + \1[1] + \1[2] + \1[3] + (\1[4] + \1[5] + \1[6] + \1[7]);", _EIGHT)
 
 
-@wp.func_native(_UNMIX)
+@wp.func_native(_UNMIX.replace("EIGHT", _EIGHT))
 def unmix_face(
     attributes: wp.array4d(dtype=float),
     own: int,

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..warp.geometry import FACING, in_front, pixel_box
 from ..warp.launch import array, face_lanes, launch, zeros
-from ..warp.point import FACE
+from ..warp.point import FACE, over_rows, row_tasks
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
 
@@ -39,7 +39,8 @@ def sample_textures(
     batch, height, width = face_index.shape
     color = torch.empty((batch, 3, height, width), dtype=torch.float32, device=faces.device)
     arguments = _arguments(textures, light, faces, face_index, eps, perspective)
-    launch(_forward, batch * height, [*arguments, array(background, strided=True), array(color)], faces.device)
+    tasks, each = row_tasks(batch * height, faces.device)
+    launch(_forward, tasks, [*arguments, array(background, strided=True), each, array(color)], faces.device)
     return color
 
 
@@ -177,44 +178,31 @@ struct Side {
 };
 """.replace("FACING", FACING)
 
-_ROW = (
-    FACE
-    + _CUBE
-    + """
-    const int height = face_index.shape[1], width = face_index.shape[2], b = row / height, j = height - 1 - row % height;
-    const wp::int64 count = faces.shape[1], texels = (wp::int64)size * size * size;
-    const wp::int64 area = (wp::int64)height * width, own = b < textures.shape[0] ? b : textures.shape[0] - 1;
-    const wp::int64 lamp = b < light.shape[0] ? b : light.shape[0] - 1;
-    const char* behind = (const char*)background.data + b * (wp::int64)background.strides[0]
-        + (row % height) * (wp::int64)background.strides[2];
-    Face face;
-    int last = -1;
-    wp::vec_t<3, float> factor, w, on_screen;
-    for (int i = 0; i < width; ++i) {
-        const int f = face_index.data[(wp::int64)row * width + i];
-        float* to = color.data + 3 * b * area + (row % height) * (wp::int64)width + i;
-        if (f < 0) {
-            for (int c = 0; c < 3; ++c)
-                to[c * area] = *(const float*)(behind + c * (wp::int64)background.strides[1]
-                    + i * (wp::int64)background.strides[3]);
-            continue;
-        }
-        if (f != last) {  // neighbours mostly show the same face
-            face.set(faces.data + (b * count + f) * 3, perspective, height, width);
-            factor = light.data[(2 * lamp + Side::of(face.v, perspective)) * count + f];
-            last = f;
-        }
-        float whole;
-        face.at(i, j, w, on_screen, whole);
-        const wp::vec_t<3, float> mixed = Cube(w, size, eps).blend(textures.data + (own * count + f) * texels);
-        for (int c = 0; c < 3; ++c) to[c * area] = mixed[c] * factor[c];
-    }
+_BEGIN = """
+    const wp::int64 texels = (wp::int64)size * size * size, area = (wp::int64)height * width;
+    const wp::int64 cubes = textures.shape[0], lamps = light.shape[0];
+    wp::vec_t<3, float> factors[KEPT];
 """
-)
+_FRESH = """
+                const wp::int64 lamp = b < lamps ? b : lamps - 1;
+                factors[slot] = light.data[(2 * lamp + Side::of(face.v, perspective)) * count + f];
+"""
+_SHOWN = """
+            const auto* cube = textures.data + ((b < cubes ? b : cubes - 1) * count + f) * texels;
+            const wp::vec_t<3, float> mixed = Cube(weights, size, eps).blend(cube);
+            float* to = color.data + pixel + 2 * b * area;
+            for (int c = 0; c < 3; ++c) to[c * area] = mixed[c] * factors[slot][c];
+"""
+_EMPTY = """
+                const char* behind = (const char*)background.data + b * (wp::int64)background.strides[0]
+                    + (row % height) * (wp::int64)background.strides[2] + i * (wp::int64)background.strides[3];
+                for (int c = 0; c < 3; ++c)
+                    color.data[pixel + (2 * b + c) * area] = *(const float*)(behind + c * (wp::int64)background.strides[1]);
+"""
 
 
-@wp.func_native(_ROW)
-def color_row(
+@wp.func_native(_CUBE + over_rows(_SHOWN, _EMPTY, _BEGIN, _FRESH))
+def color_rows(
     textures: wp.array3d(dtype=wp.vec3),
     light: wp.array3d(dtype=wp.vec3),
     faces: wp.array3d(dtype=wp.vec3),
@@ -224,9 +212,10 @@ def color_row(
     perspective: int,
     background: wp.array4d(dtype=float),
     color: wp.array4d(dtype=float),
-    row: int,
+    first: int,
+    last: int,
 ):
-    """Of all rows of all images, this one."""
+    """Some of the rows of all images."""
     ...
 
 
@@ -241,9 +230,12 @@ def _forward(
     eps: float,
     perspective: int,
     background: wp.array4d(dtype=float),
+    each: int,
     color: wp.array4d(dtype=float),
 ):
-    color_row(textures, light, faces, face_index, size, eps, perspective, background, color, first + wp.tid())
+    row = (first + wp.tid()) * each
+    last = wp.min(row + each, face_index.shape[0] * face_index.shape[1])
+    color_rows(textures, light, faces, face_index, size, eps, perspective, background, color, row, last)
 
 
 @wp.func_native("""

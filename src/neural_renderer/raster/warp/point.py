@@ -2,7 +2,10 @@
 
 ``FACE`` declares a struct inside of a native function. ``set`` takes the corners of a face; ``at`` gives a pixel's depth
 and weights; ``gather``, ``pull`` and ``give`` send the gradients of weights and depths to the corners.
+``over_rows`` makes loops over rows of pixels of them.
 """
+
+import torch
 
 from .geometry import HOMOGENEOUS, NARROWEST
 
@@ -15,7 +18,7 @@ struct Face {{
     typedef wp::vec_t<3, float> vec3;
     vec3 v[3];
     float matrix[9], inverse[3], dx[3], dy[3], to[9];
-    bool front;
+    bool front, known;  // by the matrix
     int perspective, height, width;
 
     static CUDA_CALLABLE float centre(int i, int size) {{ return (float)(2 * i + 1 - size) / (float)size; }}
@@ -47,7 +50,8 @@ struct Face {{
         // A face that is seen lies before the camera or crosses its plane.
         front = !perspective | ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f));
         const float area = x[2] * (y[0] - y[1]) + x[0] * (y[1] - y[2]) + x[1] * (y[2] - y[0]);
-        const float part = fabsf(area) > {LEAST_AREA!r}f * far * far ? 1.0f / area : 0.0f;
+        known = fabsf(area) > {LEAST_AREA!r}f * far * far;
+        const float part = known ? 1.0f / area : 0.0f;
         for (int k = 0; k < 3; ++k) {{
             const int m = (k + 1) % 3, n = (k + 2) % 3;
             matrix[3 * k] = (y[m] - y[n]) * part;
@@ -129,3 +133,58 @@ struct Face {{
     }}
 }};
 """
+
+_ROWS = """
+    #if defined(__CUDA_ARCH__)
+    enum { KEPT = 1 };
+    #else
+    enum { KEPT = 64 };  // the rows before show the same faces
+    #endif
+    const int height = face_index.shape[1], width = face_index.shape[2];
+    const wp::int64 count = faces.shape[1];
+    Face kept[KEPT];
+    wp::int64 held[KEPT];
+    for (int k = 0; k < KEPT; ++k) held[k] = -1;
+    BEGIN
+    for (int row = first; row < last; ++row) {
+        const int b = row / height, j = height - 1 - row % height;
+        for (int i = 0; i < width; ++i) {
+            const wp::int64 pixel = (wp::int64)row * width + i;
+            const int f = face_index.data[pixel];
+            if (f < 0) {
+                EMPTY
+                continue;
+            }
+            const wp::int64 own = b * count + f;
+            const int slot = f % KEPT;
+            Face& face = kept[slot];
+            if (held[slot] != own) {
+                face.set(faces.data + own * 3, perspective, height, width);
+                held[slot] = own;
+                FRESH
+            }
+            wp::vec_t<3, float> weights, on_screen;
+            float whole;
+            const float z = face.at(i, j, weights, on_screen, whole);
+            SHOWN
+        }
+    }
+"""
+
+
+def over_rows(shown: str, empty: str, begin: str = "", fresh: str = "") -> str:
+    """A native function's body for the rows [first, last) of all images.
+
+    shown: what to do at a pixel that shows a face; there are row, pixel, i, b, f, own (f among all images' faces), face,
+        weights and z. empty: at others. begin: before; fresh: for a face that comes, with its ``slot`` of KEPT.
+    """
+    body = FACE + _ROWS
+    for name, part in {"BEGIN": begin, "EMPTY": empty, "FRESH": fresh, "SHOWN": shown}.items():
+        body = body.replace(name, part)
+    return body
+
+
+def row_tasks(rows: int, device: torch.device) -> tuple[int, int]:
+    """How many tasks share so many rows, and how many each takes: one on CUDA."""
+    each = 1 if device.type == "cuda" else 16
+    return -(-rows // each), each
