@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # torch comes first and alone: with the version of constraints.txt there, nothing later replaces it.
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 
-.PHONY: demo test lint format benchmark clean
+.PHONY: demo test lint format benchmark docs clean
 
 demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
@@ -25,6 +25,11 @@ format: $(VENV)/installed
 benchmark: $(VENV)/installed
 	$(BIN)/python -m benchmarks
 
+# The site, in build/docs/html. Notebooks run again only when their own cells change: `make clean` runs all of them.
+docs: $(VENV)/docs
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs build/docs/html
+	@echo "Open build/docs/html/index.html"
+
 # The package alone, and what working on it needs besides.
 $(VENV)/package: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -34,6 +39,10 @@ $(VENV)/package: pyproject.toml constraints.txt
 
 $(VENV)/installed: $(VENV)/package
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	touch $@
+
+$(VENV)/docs: $(VENV)/package
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[docs]"
 	touch $@
 
 clean:
