@@ -25,10 +25,10 @@ format: $(VENV)/installed
 benchmark: $(VENV)/installed
 	$(BIN)/python -m benchmarks
 
-# The site, in build/docs/html. Notebooks run again only when their own cells change: `make clean` runs all of them.
+# The site, in out/docs/html. Notebooks run again only when their own cells change: `make clean` runs all of them.
 docs: $(VENV)/docs
-	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs build/docs/html
-	@echo "Open build/docs/html/index.html"
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs out/docs/html
+	@echo "Open out/docs/html/index.html"
 
 # The package alone, and what working on it needs besides.
 $(VENV)/package: pyproject.toml constraints.txt

@@ -21,7 +21,8 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
     >>> mesh = Mesh.icosphere()
     >>> seen = fragments(mesh, Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30), 64)
-    >>> normals = functional.normalize(seen.interpolate(vertex_normals(mesh.vertices, mesh.faces)), dim=-1)
+    >>> normals = seen.interpolate(vertex_normals(mesh.vertices, mesh.faces))
+    >>> normals = torch.nn.functional.normalize(normals, dim=-1)
     """
     points = validate.vertices(vertices)
     corners = vertices_to_faces(points if points.dim() == 3 else points[None], checked_faces(faces))
