@@ -48,8 +48,8 @@ class Style:
 
     With ``relative`` all losses are means, which no network's scale, mesh or image size changes: for each layer
     ``|G − G*|² / |G*|²``, averaged over layers and views; the mean over the vertices of their squared movement; the
-    mean of the squared differences over the object's pixels. Without it they are the sums of the published code, for which its
-    weights are made; they belong to features of the original VGG-16.
+    mean of the squared differences over the object's pixels. Without it they are the sums of the published code, for
+    which its weights are made; they belong to features of the original VGG-16.
 
     Args:
         network: with the layers.
