@@ -54,6 +54,27 @@ def test_wrong_usage_is_2(arguments: list[str]) -> None:
     assert cli.main(arguments) == 2
 
 
+QUICK = """
+import sys
+from neural_renderer import cli
+from neural_renderer.commands.reconstruct import COMMANDS as reconstruct
+asked = [[], ["nonsense"], ["reconstruct"], ["reconstruct", "nonsense"]]
+for command in [[name] for name in cli.COMMANDS] + [["reconstruct", name] for name in reconstruct]:
+    asked += [[*command, "--help"], [*command, "--nonsense"]]
+for arguments in asked:
+    code = cli.main(arguments)
+    assert code == (2 if any("nonsense" in argument for argument in arguments) else 0), (arguments, code)
+    slow = {"torch", "warp", "numpy", "PIL"} & set(sys.modules)
+    assert not slow, f"{arguments}: imported {slow}"
+"""
+
+
+def test_help_and_wrong_usage_wait_for_nothing() -> None:
+    """They answer before torch, which takes seconds, is imported."""
+    done = subprocess.run([sys.executable, "-c", QUICK], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 def test_rgb_is_lit_from_the_front(ball: str, tmp_path: Path) -> None:
     picture = render(ball, tmp_path / "a.png", "--size", "48", "64")
     assert picture.shape == (48, 64, 3)
