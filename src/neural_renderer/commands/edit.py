@@ -64,7 +64,7 @@ class Edit(EditOptions):
 
     def checked(self) -> None:
         """Raises ValueError for options out of range, before anything is read or fetched."""
-        limits = {"batch": 1, "size": 32, "texture_size": 2, "preview": 1, "turntable": 0, "seed": 0}
+        limits = {"batch": 1, "size": 32, "texture_size": 1, "preview": 1, "turntable": 0, "seed": 0}
         for name, least in limits.items():
             checked_count(name, getattr(self, name), least)
         for name, least in {"iterations": 1, "uv": 16}.items():

@@ -58,7 +58,7 @@ class Render(RenderOptions):
             return UVMesh.load(self.mesh, _GREY)
         vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
         if textures is None:
-            textures = torch.full((len(faces), 2, 2, 2, 3), _GREY)
+            textures = torch.full((len(faces), 1, 1, 1, 3), _GREY)
         return Mesh(vertices, faces, textures)
 
     def _check(self) -> None:
@@ -72,7 +72,7 @@ class Render(RenderOptions):
                 raise ValueError(f"--output: expected a .gif or .mp4 for a turntable, got {self.output.name!r}")
         image_size("size", self.size)
         if self.texture_size is not None:
-            checked_count("texture_size", self.texture_size, 2)
+            checked_count("texture_size", self.texture_size, 1)
         self._between("fps", self.fps, 0, math.inf)
         self._between("viewing-angle", self.viewing_angle, 0, 90)
         self._between("elevation", self.elevation, -90, 90)

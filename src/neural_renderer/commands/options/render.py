@@ -50,7 +50,7 @@ class RenderOptions:
     normalize: bool = True
     """Move the model to the origin and scale its longest side to 2 units."""
     texture_size: int | None = None
-    """Bake the colours into textures of so many texels along the side of a face (at least 2), as `Mesh.load` does. By
+    """Bake the colours into textures of so many texels along the side of a face (at least 1), as `Mesh.load` does. By
     default the file's images are shown as they are."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute; auto is CUDA where there is one."""
