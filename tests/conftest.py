@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import torch
 
 
 @pytest.fixture(scope="session")
@@ -16,9 +17,12 @@ def shared() -> Path:
     return folder
 
 
+def pytest_runtest_setup() -> None:
+    """Numbers without a seed of their own are the same in any order of the tests."""
+    torch.manual_seed(0)
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Every test that takes ``device`` runs on the CPU, and on CUDA where there is one."""
     if "device" in metafunc.fixturenames:
-        import torch
-
         metafunc.parametrize("device", ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"])
