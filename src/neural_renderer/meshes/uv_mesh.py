@@ -19,7 +19,7 @@ from ..textures.sample_texture import checked_wrap, sample_texture
 from .mesh import centred
 
 if TYPE_CHECKING:
-    from ..fragments import Fragments
+    from ..deferred import Fragments
 
 
 @dataclass(frozen=True, eq=False)

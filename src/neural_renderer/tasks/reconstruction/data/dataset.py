@@ -26,7 +26,7 @@ from torch import Tensor
 
 from ....io import load_mesh
 from ....io.atomic_write import replacing
-from ....render import render
+from ....rendering import render
 from ....version import __version__
 from .arrays import DESCRIPTION, SPLITS
 from .drawing import shoulder_light
