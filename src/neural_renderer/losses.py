@@ -82,7 +82,8 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] int32 or int64, or a `Topology` made of them once; the latter only under torch.compile.
+        faces: [F, 3], whole numbers of any real dtype, or a `Topology` made of them once; the latter only under
+            torch.compile.
 
     Returns:
         The mean over the batch; a vertex without edges counts as 0. O(E).

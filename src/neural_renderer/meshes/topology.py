@@ -30,7 +30,7 @@ class Topology:
 
     @classmethod
     def of(cls, faces: Tensor) -> Topology:
-        """From faces [F, 3], int32 or int64, in O(F log F).
+        """From faces [F, 3], whole numbers of any real dtype, in O(F log F).
 
         Raises TypeError or ValueError for another dtype or shape, ValueError for a negative index.
         """
