@@ -136,5 +136,5 @@ def seen_on(screen: Tensor, faces: Tensor, settings: Settings) -> Fragments:
     faces = checked_faces(faces)
     corners = settings.corners(vertices_to_faces(screen, faces), 8)
     face_index = settings.face_index(corners)
-    weights, depth = barycentrics(corners, face_index, settings.far, settings.perspective)
+    weights, depth = barycentrics(corners, face_index, settings.near, settings.far, settings.perspective)
     return Fragments(corners, faces, face_index, weights, depth, settings)
