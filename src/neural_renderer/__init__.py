@@ -22,6 +22,8 @@ from . import losses, metrics
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
 from .compat.adam import Adam
 from .compat.lighting import lighting
+from .compat.old_modules import cross
+from .compat.old_modules import register as _register_old_modules
 from .compat.rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
 from .compat.renderer import Renderer
 from .fragments import Fragments, fragments
@@ -55,6 +57,7 @@ __all__ = [
     "__version__",
     "batch",
     "check_values",
+    "cross",
     "cube",
     "fill_gutters",
     "fragments",
@@ -87,5 +90,7 @@ __all__ = [
     "vertex_normals",
     "vertices_to_faces",
 ]
+
+_register_old_modules()
 
 _show_in_notebooks()

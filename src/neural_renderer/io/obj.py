@@ -79,15 +79,17 @@ def _normalized(obj: ObjFile) -> np.ndarray:
     return vertices - vertices.max(axis=0) / 2
 
 
-def obj_skin(obj: ObjFile, wrapping: str = "REPEAT") -> Skin | None:
+def obj_skin(obj: ObjFile, wrapping: str = "REPEAT", materials: dict[str, Material] | None = None) -> Skin | None:
     """The colours of a file read with ``with_uv=True``, or None if it names none at all; of what is missing, grey.
+
+    materials: in place of those in the material files that it names.
 
     Warns (UserWarning) about missing material files, materials, images and texture coordinates, naming the file.
     """
     if wrapping not in WRAPPINGS:
         raise ValueError(f"texture_wrapping: expected one of {', '.join(WRAPPINGS)}, got {wrapping!r}")
     skin = Skin.plain(len(obj.faces), 0.5)
-    materials = _materials(obj)
+    materials = _materials(obj) if materials is None else materials
     coloured = False
     if np.isfinite(obj.colours).any():
         skin.colors[:] = np.nan_to_num(obj.colours, nan=0.5)[obj.faces]
