@@ -22,22 +22,27 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+from .compat.old_modules import OLD_MODULES, register_old_modules
 from .version import __version__ as __version__
+
+register_old_modules()
 
 if TYPE_CHECKING:
     from .interface import *
 else:
 
     def __getattr__(name: str) -> Any:
-        """Modules and public names, when they are first used: `neural-renderer --help` answers without torch."""
-        if not name.startswith("_") and find_spec(f"{__name__}.{name}"):
+        """Load modules and public names at first use, so that `neural-renderer --help` answers without torch."""
+        if not name.startswith("_") and name not in OLD_MODULES and find_spec(f"{__name__}.{name}"):
             return import_module(f"{__name__}.{name}")
         if not name.startswith("_") or name == "__all__":
             public = vars(import_module(f"{__name__}.interface"))
             globals().update({key: public[key] for key in public if key == "__all__" or not key.startswith("_")})
-        if name not in globals():
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return globals()[name]
+        if name in globals():
+            return globals()[name]
+        if name in OLD_MODULES:
+            return import_module(f"{__name__}.{name}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
     def __dir__() -> list[str]:
         return [*globals(), *__getattr__("__all__")]

@@ -4,6 +4,7 @@ from . import losses, metrics
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
 from .compat.adam import Adam
 from .compat.lighting import lighting
+from .compat.old_functions import cross
 from .compat.rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
 from .compat.renderer import Renderer
 from .deferred import Fragments, fragments
@@ -37,6 +38,7 @@ __all__ = [
     "__version__",
     "batch",
     "check_values",
+    "cross",
     "cube",
     "fill_gutters",
     "fragments",

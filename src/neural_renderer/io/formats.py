@@ -178,7 +178,7 @@ def save_mesh(path: str | os.PathLike[str], vertices: Any, faces: Any, textures:
     Args:
         path: Ends in ``.obj``, ``.ply`` or ``.glb``.
         vertices: [V, 3] float tensor or array, on any device.
-        faces: [F, 3] int32 or int64.
+        faces: [F, 3], whole numbers of any real dtype.
         textures: [F, T, T, T, 3] in [0, 1] (clamped), or None.
 
     Raises:

@@ -79,15 +79,17 @@ def _normalized(obj: ObjFile) -> np.ndarray:
     return vertices - vertices.max(axis=0) / 2
 
 
-def obj_skin(obj: ObjFile, wrapping: str = "REPEAT") -> Skin | None:
+def obj_skin(obj: ObjFile, wrapping: str = "REPEAT", materials: dict[str, Material] | None = None) -> Skin | None:
     """The colours of a file read with ``with_uv=True``, or None if it names none at all; of what is missing, grey.
+
+    materials: in place of those in the material files that it names.
 
     Warns (UserWarning) about missing material files, materials, images and texture coordinates, naming the file.
     """
     if wrapping not in WRAPPINGS:
         raise ValueError(f"texture_wrapping: expected one of {', '.join(WRAPPINGS)}, got {wrapping!r}")
     skin = Skin.plain(len(obj.faces), 0.5)
-    materials = _materials(obj)
+    materials = _materials(obj) if materials is None else materials
     coloured = False
     if np.isfinite(obj.colours).any():
         skin.colors[:] = np.nan_to_num(obj.colours, nan=0.5)[obj.faces]
@@ -146,7 +148,7 @@ def save_obj(filename: str | os.PathLike[str], vertices: Any, faces: Any, textur
     Args:
         filename: Ends in ``.obj``; missing folders are made.
         vertices: [V, 3] float tensor or array, on any device; written so that float32 is read back exactly.
-        faces: [F, 3] int32 or int64.
+        faces: [F, 3], whole numbers of any real dtype.
         textures: [F, T, T, T, 3] in [0, 1] (clamped), or None. Each face gets a tile of 15 × 15 to
             50 × 50 pixels (fewer above 290,000 faces) in the PNG, which holds what the renderer shows of its cube.
 

@@ -58,7 +58,7 @@ class Mesh(nn.Module):
             textures = None
         vertices, faces = _as_tensor(vertices), _as_tensor(faces)
         validate.floating("vertices", vertices, ["V", 3])
-        validate.indices("faces", faces, ["F", 3])
+        faces = validate.indices("faces", faces, ["F", 3])
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
         if textures is None:

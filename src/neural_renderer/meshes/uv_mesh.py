@@ -87,7 +87,7 @@ class UVMesh:
         self._check(always=True)
         skin = Skin(
             self.colors.detach().float().cpu().numpy(),
-            self.image_index.cpu().numpy(),
+            self.image_index.long().cpu().numpy(),
             self.uv.detach().double().cpu().numpy(),
             [image.detach().float().cpu().numpy() for image in self.images],
             ["REPEAT" if wrap == "repeat" else "CLAMP_TO_EDGE" for wrap in self.wraps],
