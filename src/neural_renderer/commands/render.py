@@ -75,6 +75,8 @@ class Render:
     texture_size: int | None = None
     """Bake the colours into textures of so many texels along the side of a face (at least 2), as `Mesh.load` does. By
     default the file's images are shown as they are."""
+    allow_outside: bool = False
+    """Read materials and images outside the mesh's folder too, if its file names such; for files that you trust."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute; auto is CUDA where there is one."""
 
@@ -99,8 +101,8 @@ class Render:
 
     def _loaded(self) -> Mesh | UVMesh:
         if self.texture_size is None:
-            return UVMesh.load(self.mesh, _GREY)
-        vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
+            return UVMesh.load(self.mesh, _GREY, self.allow_outside)
+        vertices, faces, textures = load_mesh(self.mesh, self.texture_size, self.allow_outside)
         if textures is None:
             textures = torch.full((len(faces), 2, 2, 2, 3), _GREY)
         return Mesh(vertices, faces, textures)
