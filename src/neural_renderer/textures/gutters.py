@@ -39,8 +39,8 @@ def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wr
         TypeError, ValueError: A type or shape does not fit.
 
     Example:
-        >>> texture = torch.zeros(4, 4, 3)
-        >>> texture[2:, :2] = 1  # one white chart in the lower left corner
+        >>> texture = torch.zeros(16, 16, 3)
+        >>> texture[8:, :8] = 1  # one white chart in the lower left corner
         >>> uv = torch.tensor([[[0.0, 0.0], [0.5, 0.0], [0.5, 0.5]], [[0.0, 0.0], [0.5, 0.5], [0.0, 0.5]]])
         >>> fill_gutters(texture, uv, wrap="clamp").min().item()
         1.0
