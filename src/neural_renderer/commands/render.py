@@ -24,7 +24,7 @@ from ..pictures.photograph import corner_cubes
 from ..raster.settings import image_size
 from ..render import render
 from ..shading.lights import Light
-from .common import checked_count, chosen_device
+from .common import check_outputs, checked_count, chosen_device
 
 _LAMP = (-0.4, 0.6, 0.7)  # towards the light: to the viewer's right, up, and from the scene to the viewer
 _COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": (0.0, 0.0, 0.0)}
@@ -44,7 +44,7 @@ class Render:
     mesh: tyro.conf.Positional[Path]
     """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Picture to write: .png or .jpg; .gif or .mp4 for a turntable."""
+    """Picture to write: .png or .jpg; .gif or .mp4 for a turntable. It may not be an image of the mesh."""
     size: int | tuple[int, int] = 512
     """Side of the picture, or height and width, in pixels (1 to 32768)."""
     azimuth: float = 150.0
@@ -81,6 +81,7 @@ class Render:
     def run(self) -> int:
         """Draw; returns the exit code 0. Raises ValueError, TypeError or OSError with a sentence."""
         self._check()
+        check_outputs([self.output], [self.mesh])
         device = chosen_device(self.device)
         mesh = self._loaded().to(device)
         mesh = mesh.normalize() if self.normalize else mesh

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import codecs
 import os
+import re
 import sys
 import warnings
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import torch
@@ -15,6 +17,7 @@ from torch import Tensor
 
 from .. import validate
 
+_NAMING = (".obj", ".mtl", ".ply", ".gltf", ".glb", ".json", ".csv")  # files that name others
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
 
@@ -74,6 +77,35 @@ def _walk(folder: Path, parts: list[str]) -> Path | None:
             step = alike
         folder = step
     return folder if folder.is_file() else None
+
+
+def names_file(path: Path, other: Path, *folders: Path) -> bool:
+    """Whether a mesh, its material files, or a file of cameras, name the file ``other``.
+
+    Names are relative to the folder of the file and to ``folders``, as written or by their last part alone, with or
+    without a suffix, whatever their case.
+    """
+    suffix, folders = path.suffix.lower(), (path.parent, *folders)
+    if suffix not in _NAMING:
+        return False
+    wanted = {str(known).lower() for known in (other.resolve(), other.parent.resolve() / other.name)}
+    roots = [str(folder.resolve()).lower() for folder in folders]
+    for line in read_text(path).split("\n"):
+        keyword, _, rest = line.strip().partition(" ")
+        if suffix == ".obj" and keyword.lower() == "mtllib":
+            libraries = {find_file(name.strip('"'), *folders) for name in (rest, *rest.split())}
+            if any(names_file(library, other, *folders) for library in libraries if library):
+                return True
+        line = (unquote(line) if suffix in (".gltf", ".glb") else line).lower().replace("\\", "/")
+        if other.stem.lower() in line:
+            words = line.split()
+            names = [" ".join(words[start:]).strip('"') for start in range(len(words))]
+            names += [*re.findall(r'"([^"]*)"', line), *line.split(",")]
+            for name in (name for name in names if len(name) < 4096):
+                guesses = (os.path.join(root, part) for root in roots for part in (name, os.path.basename(name)))
+                if any(os.path.normpath(guess) + end in wanted for guess in guesses for end in ("", other.suffix)):
+                    return True
+    return False
 
 
 def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
