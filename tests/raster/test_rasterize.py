@@ -19,7 +19,7 @@ def scene_inputs(device, batch=2, count=9, height=14, width=18):
     scene = Scene(3, batch, count, height, width, True, True, FRONT)
     faces = scene.faces.to(device)
     index = coverage.coverage(faces, height, width, NEAR, FAR, True, True)
-    weights, depth = barycentrics.barycentrics(faces, index, FAR, True)
+    weights, depth = barycentrics.barycentrics(faces, index, NEAR, FAR, True)
     return scene, faces, index, weights, depth
 
 
@@ -206,6 +206,21 @@ def test_anti_aliasing_is_the_mean_of_four(device):
     torch.testing.assert_close(
         draw(faces, cubes, background=(0.2, 0.4, 0.6)), torch.nn.functional.avg_pool2d(fine, 2), rtol=1e-6, atol=1e-6
     )
+
+
+@pytest.mark.parametrize("gradient", ["nmr", "edge"])
+def test_one_texel_is_eight_equal_ones(device, gradient):
+    """The same images, and the gradient of the one is the sum of the eight's; equal texels blend up to rounding."""
+    _, faces, *_ = scene_inputs(device)
+    found = []
+    for size in (1, 2):
+        leaf = faces.clone().requires_grad_()
+        cubes = torch.rand(2, 9, 1, 1, 1, 3, generator=torch.Generator().manual_seed(0)).to(device).requires_grad_()
+        image = draw(leaf, cubes.expand(2, 9, size, size, size, 3), gradient=gradient)
+        (image * torch.randn(image.shape, generator=torch.Generator().manual_seed(1)).to(device)).sum().backward()
+        found.append((image.detach(), leaf.grad, cubes.grad))
+    for one, eight in zip(*found, strict=True):
+        assert one.any() and (one - eight).norm() <= 1e-5 * eight.norm()
 
 
 def test_what_is_asked_for_does_not_change_it(device):

@@ -31,7 +31,7 @@ def load_mesh(path: str | os.PathLike[str], texture_size: int = 4) -> tuple[Tens
 
     Args:
         path: The file.
-        texture_size: T, texels along a cube's edge, at least 2.
+        texture_size: T, texels along a cube's edge, at least 1 (the colour at the face's centre).
 
     Returns:
         On the CPU: vertices, float32 [V, 3]; faces, int32 [F, 3]; textures, float32 [F, T, T, T, 3] in [0, 1], or None

@@ -33,7 +33,7 @@ def load_obj(
     Args:
         filename_obj: The file.
         normalization: Move the bounding box to the origin and scale its longest side to [-1, 1].
-        texture_size: T, texels along a cube's edge, at least 2.
+        texture_size: T, texels along a cube's edge, at least 1 (the colour at the face's centre).
         load_texture: Return colours too.
         texture_wrapping: Texture coordinates outside [0, 1]: ``"REPEAT"``, ``"MIRRORED_REPEAT"``,
             ``"CLAMP_TO_EDGE"`` or ``"CLAMP_TO_BORDER"`` (black).
