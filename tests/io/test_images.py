@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import warnings
 
 import imageio_ffmpeg
@@ -115,3 +116,13 @@ def test_mp4_of_odd_size(tmp_path):
     video = np.stack([np.frombuffer(frame, np.uint8).reshape(64, 50, 3) for frame in reader]) / 255
     assert len(video) == 6
     assert np.abs(video[:, :63, :49] - frames.movedim(1, 3).numpy()).mean() < 0.03
+
+
+@pytest.mark.parametrize("encoder", ["false", "true"])
+def test_an_encoder_that_fails_or_writes_nothing(tmp_path, monkeypatch, encoder):
+    save_animation(tmp_path / "a.mp4", moving_square((16, 16)))
+    before = (tmp_path / "a.mp4").read_bytes()
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", shutil.which(encoder))
+    with pytest.raises(OSError, match=r"a\.mp4: expected to write it, got: "):
+        save_animation(tmp_path / "a.mp4", moving_square((16, 16)))
+    assert (tmp_path / "a.mp4").read_bytes() == before and len(list(tmp_path.iterdir())) == 1

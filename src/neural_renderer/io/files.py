@@ -88,7 +88,8 @@ def names_file(path: Path, other: Path, *folders: Path) -> bool:
     suffix, folders = path.suffix.lower(), (path.parent, *folders)
     if suffix not in _NAMING:
         return False
-    wanted = {str(known).lower() for known in (other.resolve(), other.parent.resolve() / other.name)}
+    known = other.resolve(), other.parent.resolve() / other.name  # the same unless it is a link
+    wanted, stems = {str(file).lower() for file in known}, {file.stem.lower() for file in known}
     roots = [str(folder.resolve()).lower() for folder in folders]
     for line in read_text(path).split("\n"):
         keyword, _, rest = line.strip().partition(" ")
@@ -97,7 +98,7 @@ def names_file(path: Path, other: Path, *folders: Path) -> bool:
             if any(names_file(library, other, *folders) for library in libraries if library):
                 return True
         line = (unquote(line) if suffix in (".gltf", ".glb") else line).lower().replace("\\", "/")
-        if other.stem.lower() in line:
+        if any(stem in line for stem in stems):
             words = line.split()
             names = [" ".join(words[start:]).strip('"') for start in range(len(words))]
             names += [*re.findall(r'"([^"]*)"', line), *line.split(",")]
