@@ -21,14 +21,19 @@ OUTPUTS = ("rgb", "alpha", "depth")
 
 
 class Images(NamedTuple):
-    """What a renderer returns; None for what was not asked for. Row 0 is at the top.
+    """The images of a renderer; None for an output that was not asked for. Row 0 is at the top.
 
-    The images may be changed in place before `backward`, as any result of torch's operations that does not need it.
+    They may be changed in place before ``backward``.
+
+    Attributes:
+        rgb: [B, 3, H, W] float32, the colours.
+        alpha: [B, H, W] float32: 1 where a face is seen, 0 elsewhere, in between at anti-aliased outlines.
+        depth: [B, H, W] float32, along the viewing axis in world units; ``far`` where no face is seen.
     """
 
-    rgb: Tensor | None = None  # [B, 3, H, W] float32
-    alpha: Tensor | None = None  # [B, H, W] float32, 1 where a face is seen, 0 elsewhere, in between if anti-aliased
-    depth: Tensor | None = None  # [B, H, W] float32, along the viewing axis in world units, far where no face is seen
+    rgb: Tensor | None = None
+    alpha: Tensor | None = None
+    depth: Tensor | None = None
 
 
 def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
