@@ -65,6 +65,11 @@ def test_errors(tmp_path):
         save_animation(tmp_path / "a.gif", [])
     with pytest.raises(ValueError, match=r"frames\[1\]: expected 8 x 6 pixels like the first frame, got 8 x 5"):
         save_animation(tmp_path / "a.gif", [torch.zeros(6, 8), torch.zeros(5, 8, 3)])
+    wide = np.zeros((1, 65536, 3), np.uint8)
+    with pytest.raises(ValueError, match=r"image: expected at most 65500 pixels a side for 'a\.jpg', got 65536"):
+        save_image(tmp_path / "a.jpg", wide)
+    with pytest.raises(ValueError, match=r"frames: expected at most 65535 pixels a side for 'a\.gif', got 65536"):
+        save_animation(tmp_path / "a.gif", [wide])
     with pytest.raises(ValueError, match="fps: expected a finite number above 0, got 0"):
         save_animation(tmp_path / "a.gif", torch.zeros(2, 3, 8, 8), fps=0)
     with pytest.raises(TypeError, match="fps: expected a number, got str"):

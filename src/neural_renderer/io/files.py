@@ -7,6 +7,7 @@ import os
 import re
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -83,13 +84,14 @@ def names_file(path: Path, other: Path, *folders: Path) -> bool:
     """Whether a mesh, its material files, or a file of cameras, name the file ``other``.
 
     Names are relative to the folder of the file and to ``folders``, as written or by their last part alone, with or
-    without a suffix, whatever their case.
+    without a suffix, whatever their case. What may be a name counts as one.
     """
     suffix, folders = path.suffix.lower(), (path.parent, *folders)
     if suffix not in _NAMING:
         return False
     known = other.resolve(), other.parent.resolve() / other.name  # the same unless it is a link
     wanted, stems = {str(file).lower() for file in known}, {file.stem.lower() for file in known}
+    wanted |= {name.removesuffix(other.suffix.lower()) for name in wanted}
     roots = [str(folder.resolve()).lower() for folder in folders]
     for line in read_text(path).split("\n"):
         keyword, _, rest = line.strip().partition(" ")
@@ -99,14 +101,19 @@ def names_file(path: Path, other: Path, *folders: Path) -> bool:
                 return True
         line = (unquote(line) if suffix in (".gltf", ".glb") else line).lower().replace("\\", "/")
         if any(stem in line for stem in stems):
-            words = line.split()
-            names = [" ".join(words[start:]).strip('"') for start in range(len(words))]
-            names += [*re.findall(r'"([^"]*)"', line), *line.split(",")]
-            for name in (name for name in names if len(name) < 4096):
-                guesses = (os.path.join(root, part) for root in roots for part in (name, os.path.basename(name)))
-                if any(os.path.normpath(guess) + end in wanted for guess in guesses for end in ("", other.suffix)):
-                    return True
+            paths = (os.path.normpath(os.path.join(root, name)) for root in roots for name in _names(line))
+            if any(named in wanted for named in paths):
+                return True
     return False
+
+
+def _names(line: str) -> Iterator[str]:
+    """What may be the name of a file in a line: its last words, parts in quotes and between commas."""
+    words = line.split()
+    names = [" ".join(words[start:]).strip('"') for start in range(len(words))]
+    for name in (*names, *re.findall(r'"([^"]*)"', line), *line.split(",")):
+        if len(name) < 4096:  # longer ones are data
+            yield from (name, os.path.basename(name))
 
 
 def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:

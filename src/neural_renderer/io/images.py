@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import os
 import subprocess
+import tempfile
 from collections.abc import Iterable
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,7 @@ from .files import existing
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
+_MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535}  # along a side
 
 
 def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor:
@@ -54,13 +57,14 @@ def save_image(path: str | os.PathLike[str], image: Tensor | np.ndarray) -> None
 
     ``image`` is a tensor or array, [H, W], [H, W, 1 | 3 | 4] or, as the renderer returns it, [1 | 3 | 4, H, W]; floats
     in [0, 1] are clamped, uint8 is taken as it is. JPEG shows a transparent picture on white. Raises ValueError for
-    another suffix or shape and for NaN, TypeError for no array, OSError where the file cannot be written; then a file
+    another suffix or shape, for NaN and for more pixels than JPEG can hold (65,500 a side), TypeError for no array, OSError where the file cannot be written; then a file
     that was there before stays.
     """
     path = Path(path)
     if path.suffix.lower() not in _IMAGE_SUFFIXES:
         raise ValueError(f"path: expected a name that ends in {', '.join(_IMAGE_SUFFIXES)}, got {path.name!r}")
     pixels = _pixels("image", image)
+    _check_side("image", path, pixels)
     file = io.BytesIO()
     if path.suffix.lower() == ".png":
         Image.fromarray(pixels).save(file, "PNG")
@@ -98,11 +102,18 @@ def save_animation(
         pictures.append(picture)
     if not pictures:
         raise ValueError("frames: expected at least one, got none")
+    _check_side("frames", path, pictures[0])
     if suffix == ".gif":
         write_file(path, _gif(pictures, fps))
     else:
         with replacing(path) as fresh:
             _save_mp4(fresh, pictures, fps)
+
+
+def _check_side(name: str, path: Path, pixels: np.ndarray) -> None:
+    side, most = max(pixels.shape[:2]), _MOST_PIXELS.get(path.suffix.lower())
+    if most is not None and side > most:
+        raise ValueError(f"{name}: expected at most {most} pixels a side for {path.name!r}, got {side}")
 
 
 def _gif(pictures: list[np.ndarray], fps: float) -> bytes:
@@ -121,10 +132,15 @@ def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
     coding = ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "10"]
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", *form, "-i", "-", *coding, str(path)]
     pads = [(0, height - len(pictures[0])), (0, width - pictures[0].shape[1]), (0, 0)]
-    raw = b"".join(np.pad(picture, pads, mode="edge").tobytes() for picture in pictures)
-    encoder = subprocess.run(command, input=raw, capture_output=True)
+    with tempfile.TemporaryFile() as told:  # a pipe could fill up
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=told) as encoder:
+            with suppress(BrokenPipeError):  # it has ended, and says why
+                for picture in pictures:
+                    encoder.stdin.write(np.pad(picture, pads, mode="edge").tobytes())  # type: ignore[union-attr]
+            encoder.communicate()
+        told.seek(0)
+        said = told.read().decode(errors="replace").strip().rpartition("\n")[2].rpartition("] ")[2]
     if encoder.returncode:
-        said = encoder.stderr.decode(errors="replace").strip().rpartition("\n")[2].rpartition("] ")[2]
         raise OSError(f"the encoder failed ({said or f'exit status {encoder.returncode}'})")
     if imageio_ffmpeg.count_frames_and_secs(str(path))[0] != len(pictures):
         raise OSError("the encoder wrote a file that cannot be played")
