@@ -56,9 +56,9 @@ def save_image(path: str | os.PathLike[str], image: Tensor | np.ndarray) -> None
     """Write a picture as PNG or JPEG, chosen by the suffix; missing folders are made.
 
     ``image`` is a tensor or array, [H, W], [H, W, 1 | 3 | 4] or, as the renderer returns it, [1 | 3 | 4, H, W]; floats
-    in [0, 1] are clamped, uint8 is taken as it is. JPEG shows a transparent picture on white. Raises ValueError for
-    another suffix or shape, for NaN and for more pixels than JPEG can hold (65,500 a side), TypeError for no array, OSError where the file cannot be written; then a file
-    that was there before stays.
+    in [0, 1] are clamped, uint8 is taken as it is. JPEG shows a transparent picture on white, and has at most 65,500
+    pixels a side. Raises ValueError for another suffix or shape and for NaN, TypeError for no array, OSError where the
+    file cannot be written; then a file that was there before stays.
     """
     path = Path(path)
     if path.suffix.lower() not in _IMAGE_SUFFIXES:
