@@ -12,7 +12,7 @@ import torch
 import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.commands.common import check_outputs
-from neural_renderer.io.files import names_file
+from neural_renderer.io.named_files import names_file
 from tests.faults import contents, full_disk
 
 

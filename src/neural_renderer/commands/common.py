@@ -11,7 +11,7 @@ from types import FrameType
 
 import torch
 
-from ..io.files import names_file
+from ..io.named_files import names_file
 
 
 def chosen_device(name: str) -> torch.device:

@@ -35,7 +35,7 @@ def save_mesh(
     Args:
         path: Ends in ``.obj``, ``.ply`` or ``.glb``. A file of that name is replaced.
         vertices: [V, 3] float tensor or array, on any device.
-        faces: [F, 3] int32 or int64.
+        faces: [F, 3], whole numbers of any real dtype.
         textures: [F, T, T, T, 3] in [0, 1] (clamped), or None.
         overwrite: Replace the files beside an OBJ whoever made them; otherwise only those that were written with an
             OBJ of this name before.

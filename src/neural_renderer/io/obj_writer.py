@@ -49,7 +49,7 @@ def save_obj(
     Args:
         filename: Ends in ``.obj``; missing folders are made.
         vertices: [V, 3] float tensor or array, on any device; written so that float32 is read back exactly.
-        faces: [F, 3] int32 or int64.
+        faces: [F, 3], whole numbers of any real dtype.
         textures: [F, T, T, T, 3] in [0, 1] (clamped), or None. Each face gets a tile of 15 × 15 to
             50 × 50 pixels (fewer above 290,000 faces) in the PNG, which holds what the renderer shows of its cube.
         overwrite: Replace an MTL and a PNG of these names whoever made them; otherwise only those that were written
