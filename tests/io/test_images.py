@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import warnings
 
-import imageio.v2 as imageio
+import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
@@ -64,6 +65,11 @@ def test_errors(tmp_path):
         save_animation(tmp_path / "a.gif", [])
     with pytest.raises(ValueError, match=r"frames\[1\]: expected 8 x 6 pixels like the first frame, got 8 x 5"):
         save_animation(tmp_path / "a.gif", [torch.zeros(6, 8), torch.zeros(5, 8, 3)])
+    wide = np.zeros((1, 65536, 3), np.uint8)
+    with pytest.raises(ValueError, match=r"image: expected at most 65500 pixels a side for 'a\.jpg', got 65536"):
+        save_image(tmp_path / "a.jpg", wide)
+    with pytest.raises(ValueError, match=r"frames: expected at most 65535 pixels a side for 'a\.gif', got 65536"):
+        save_animation(tmp_path / "a.gif", [wide])
     with pytest.raises(ValueError, match="fps: expected a finite number above 0, got 0"):
         save_animation(tmp_path / "a.gif", torch.zeros(2, 3, 8, 8), fps=0)
     with pytest.raises(TypeError, match="fps: expected a number, got str"):
@@ -109,8 +115,19 @@ def test_mp4_of_odd_size(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         save_animation(tmp_path / "new/a.mp4", (frame for frame in frames), fps=12)
-    with imageio.get_reader(tmp_path / "new/a.mp4") as reader:
-        assert reader.get_meta_data()["fps"] == 12 and reader.get_meta_data()["pix_fmt"].startswith("yuv420p")
-        video = np.stack(list(reader.iter_data())) / 255
-    assert video.shape == (6, 64, 50, 3)
+    reader = imageio_ffmpeg.read_frames(tmp_path / "new/a.mp4")
+    facts = next(reader)
+    assert facts["fps"] == 12 and facts["pix_fmt"].startswith("yuv420p") and facts["size"] == (50, 64)
+    video = np.stack([np.frombuffer(frame, np.uint8).reshape(64, 50, 3) for frame in reader]) / 255
+    assert len(video) == 6
     assert np.abs(video[:, :63, :49] - frames.movedim(1, 3).numpy()).mean() < 0.03
+
+
+@pytest.mark.parametrize("encoder", ["false", "true"])
+def test_an_encoder_that_fails_or_writes_nothing(tmp_path, monkeypatch, encoder):
+    save_animation(tmp_path / "a.mp4", moving_square((16, 16)))
+    before = (tmp_path / "a.mp4").read_bytes()
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", shutil.which(encoder))
+    with pytest.raises(OSError, match=r"a\.mp4: expected to write it, got: "):
+        save_animation(tmp_path / "a.mp4", moving_square((16, 16)))
+    assert (tmp_path / "a.mp4").read_bytes() == before and len(list(tmp_path.iterdir())) == 1

@@ -10,9 +10,9 @@ import pytest
 import torch
 from PIL import Image
 
+from neural_renderer.io import load_obj, save_obj
 from neural_renderer.io.atlas import build_atlas
 from neural_renderer.io.cubes import bake_corners, barycentric_grid
-from neural_renderer.io.obj import load_obj, save_obj
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import icosphere
 

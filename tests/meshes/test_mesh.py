@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from neural_renderer.io.obj import load_obj, save_obj
+from neural_renderer.io import load_obj, save_obj
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import cube, icosphere
 from neural_renderer.validate import check_values

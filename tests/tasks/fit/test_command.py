@@ -98,7 +98,8 @@ def test_fit_writes_its_results(folder: Path, tmp_path: Path, capsys: pytest.Cap
     out = tmp_path / "out"
     assert cli.main(["fit", str(folder), "-o", str(out), "--held-out", "3", *SMALL]) == 0
     assert "held-out views: iou" in capsys.readouterr().out
-    for name in ("mesh.obj", "mesh.glb", "mesh.png", "preview.png", "comparison.png", "loss.png", "turntable.gif"):
+    pictures = ("mesh_texture.png", "preview.png", "comparison.png", "loss.png", "turntable.gif")
+    for name in ("mesh.obj", "mesh.glb", *pictures):
         assert (out / name).stat().st_size > 100
     report = json.loads((out / "report.json").read_text())
     assert report["finished"] and report["views"] == 4 and len(report["history"]) == 8
