@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import torch
 
 
 @pytest.fixture(scope="session")
@@ -46,9 +47,12 @@ def emulated_cuda(request: pytest.FixtureRequest) -> Iterator[None]:
     assert not races, f"unordered accesses to memory: {races}"
 
 
+def pytest_runtest_setup() -> None:
+    """Numbers without a seed of their own are the same in any order of the tests."""
+    torch.manual_seed(0)
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Every test that takes ``device`` runs on the CPU, and on CUDA where there is one."""
     if "device" in metafunc.fixturenames:
-        import torch
-
         metafunc.parametrize("device", ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"])

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
 import torch
 
 import neural_renderer as nr
+from tests.programs import run_python
 
 VERTICES, FACES = nr.icosphere(0)
 NAN, INF = float("nan"), float("inf")
@@ -272,8 +270,7 @@ print("done")
 
 def test_unchecked_abuse_crashes_nothing(device):
     """In its own process: indices far out of range, NaN, infinity, huge and denormal numbers, forward and backward."""
-    command = [sys.executable, "-c", ABUSE, device]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = run_python("-c", ABUSE, device)
     assert (done.returncode, done.stdout.strip()) == (0, "done"), done.stderr
 
 
@@ -296,5 +293,5 @@ print("done")
 
 def test_huge_but_finite_corners():
     """Numbers that pass all checks, and whose products float32 cannot hold."""
-    done = subprocess.run([sys.executable, "-c", HUGE], capture_output=True, text=True, timeout=60, check=False)
+    done = run_python("-c", HUGE)
     assert (done.returncode, done.stdout.strip()) == (0, "done"), done.stderr

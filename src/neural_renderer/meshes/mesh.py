@@ -81,16 +81,23 @@ class Mesh(nn.Module):
         normalization: bool = True,
         load_texture: bool = False,
         texture_size: int = 4,
+        allow_outside: bool = False,
     ) -> Mesh:
         """Read an OBJ file (see `load_obj`), with its colours or, by default, with noise for a texture."""
-        loaded = load_obj(filename_obj, normalization, texture_size, load_texture)
+        loaded = load_obj(filename_obj, normalization, texture_size, load_texture, allow_outside=allow_outside)
         textures = loaded[2] if len(loaded) == 3 else None
         return cls(loaded[0], loaded[1], textures, texture_size)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], texture_size: int = 4, normalize: bool = False) -> Mesh:
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        texture_size: int = 4,
+        normalize: bool = False,
+        allow_outside: bool = False,
+    ) -> Mesh:
         """Read a mesh of any format (see `load_mesh`) with its colours, or white if it has none."""
-        vertices, faces, textures = load_mesh(path, texture_size)
+        vertices, faces, textures = load_mesh(path, texture_size, allow_outside)
         mesh = cls(vertices, faces, _white(faces, texture_size) if textures is None else textures)
         return mesh.normalize() if normalize else mesh
 

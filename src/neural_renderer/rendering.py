@@ -11,7 +11,7 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .fragments import Fragments, seen_on
+from .deferred import Fragments, seen_on
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
