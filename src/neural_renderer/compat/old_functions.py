@@ -44,7 +44,9 @@ def load_textures(
     """Bake the materials of an MTL file into textures [F, T, T, T, 3] of an OBJ file; see `load_obj`."""
     obj = read_obj(existing(filename_obj), with_uv=True)
     check_size(len(obj.faces), texture_size)
-    skin = obj_skin(obj, texture_wrapping, materials=read_mtl(existing(filename_mtl))) or Skin.plain(len(obj.faces), 0.5)
+    skin = obj_skin(obj, texture_wrapping, materials=read_mtl(existing(filename_mtl))) or Skin.plain(
+        len(obj.faces), 0.5
+    )
     return torch.from_numpy(skin.bake(texture_size, use_bilinear))
 
 
