@@ -108,7 +108,8 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] int32 or int64, or a `Topology` built from them once. torch.compile needs a `Topology`.
+        faces: [F, 3] whole numbers of any real dtype, or a `Topology` built from them once. torch.compile needs a
+            `Topology`.
 
     Returns:
         Scalar tensor: the mean over vertices and batch. A vertex without edges adds 0. Cost O(E).

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import pytest
@@ -12,6 +11,7 @@ import neural_renderer as nr
 from neural_renderer.raster.ops import barycentrics, corners, coverage
 from neural_renderer.raster.ops import texture_cubes as textures
 from neural_renderer.raster.visibility import nmr as edges
+from tests.programs import run_python
 from tests.raster.scenes import FAR, FRONT, NEAR, Scene
 
 
@@ -317,29 +317,27 @@ def test_non_contiguous_inputs(device):
 
 
 MEMORY = """
-import resource, sys, time, torch
+import resource, sys, torch
 import neural_renderer as nr
 vertices, faces = nr.icosphere(8)  # 1.3 million faces, the largest; and some of them again
 faces = torch.cat((faces, faces[: 1_600_000 - len(faces)]))
 vertices = (vertices * torch.tensor([0.9, 0.9, 0.9]) + torch.tensor([0, 0, 3.0]))[None].requires_grad_()
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-start = time.time()
 alpha, = [i for i in nr.rasterize_images(nr.vertices_to_faces(vertices, faces), 1024, outputs="alpha", two_sided=True,
                                          anti_aliasing=False, perspective=False) if i is not None]
 (alpha * torch.linspace(-1, 1, 1024)).sum().backward()
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
 covered = float(alpha.mean())
 assert len(faces) == 1_600_000 and vertices.grad.isfinite().all() and vertices.grad.any()
-print(covered, time.time() - start, peak / 1024)
+print(covered, peak / 1024)
 """
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="measures memory with the resource module")
+@pytest.mark.skipif(sys.platform != "linux", reason="measures memory with the resource module, in Linux's units")
 def test_a_mesh_of_1600000_faces():
     """Memory grows with pixels and faces, not with their product: some 60 bytes a pixel and 150 a face, 0.3 GiB."""
-    done = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, timeout=120, check=False)
+    done = run_python("-c", MEMORY)
     assert done.returncode == 0, done.stderr
-    covered, seconds, mebibytes = map(float, done.stdout.split())
+    covered, mebibytes = map(float, done.stdout.split())
     assert abs(covered - 3.14159 / 4 * 0.81) < 1e-3
-    assert seconds < 20
     assert mebibytes < 1024

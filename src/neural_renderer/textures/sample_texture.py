@@ -30,7 +30,7 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
     validate.floating("texture", texture, ("h", "w", "C") if getattr(texture, "ndim", 4) == 3 else ("B", "h", "w", "C"))
     validate.floating("uv", uv, ("B", "H", "W", 2))
     if face_index is not None:
-        validate.indices("face_index", face_index, tuple(uv.shape[:3]))
+        face_index = validate.indices("face_index", face_index, tuple(uv.shape[:3]))
     validate.same_device(texture=texture, uv=uv, face_index=face_index)
     checked_wrap(wrap)
     image, uv = (texture if texture.dim() == 4 else texture[None]).float(), uv.float()

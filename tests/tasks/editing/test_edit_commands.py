@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 from functools import partial
 from pathlib import Path
@@ -134,7 +133,7 @@ def test_interrupted_and_resumed(
 
     def interrupted(edit: MeshEdit) -> dict[str, float]:
         if edit.step == 1:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         return advance(edit)
 
     monkeypatch.setattr(MeshEdit, "advance", interrupted)

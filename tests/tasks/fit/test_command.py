@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import signal
 from pathlib import Path
 from typing import Any
@@ -118,7 +117,7 @@ def test_interrupted_and_resumed(
 
     def interrupted(fit: MeshFit) -> dict[str, float]:
         if fit.step == 2:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         return advance(fit)
 
     monkeypatch.setattr(MeshFit, "advance", interrupted)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import time
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from neural_renderer.features import FeatureNetwork
 from neural_renderer.tasks.reconstruction.data.arrays import Split, open_split
 from neural_renderer.tasks.reconstruction.data.dataset import Settings, render_views
 from neural_renderer.tasks.reconstruction.data.framing import unit
-from neural_renderer.tasks.reconstruction.data.voxels import chamfer, solid, voxel_iou, voxelize
+from neural_renderer.tasks.reconstruction.data.voxels import chamfer, solid, voxelize
 from neural_renderer.tasks.reconstruction.evaluation.evaluate import Scores, evaluate
 from neural_renderer.tasks.reconstruction.evaluation.predictors import Meshes, Solids, network_predictor
 from neural_renderer.tasks.reconstruction.evaluation.retrieval import Retrieval, feature_layer, image_features
@@ -115,17 +114,6 @@ def test_chamfer_of_shifted_plates() -> None:
     both = chamfer(plates, plates[:1])
     assert both.tolist() == pytest.approx([0, 6 / 31, math.sqrt(3)])
     assert torch.allclose(chamfer(plates[:1], plates), both)
-
-
-def test_a_thousand_predictions_in_a_minute() -> None:
-    """To voxels, and their IoU, on two cores; here a quarter of them, in a quarter of half of the processors' time."""
-    vertices, faces = nr.icosphere(3)
-    batch = vertices * (0.2 + 0.3 * torch.rand(250, len(vertices), 1))
-    voxelize(batch[:2], faces)
-    begun = time.process_time()
-    voxels = voxelize(batch, faces)
-    voxel_iou(voxels, voxels.flip(0))
-    assert time.process_time() - begun < 15
 
 
 def test_tables() -> None:
