@@ -30,8 +30,8 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
         [B, H, W, C] float32, differentiable in ``texture`` and ``uv``. Level selection is not differentiated.
 
     Raises:
-        TypeError, ValueError: A type, shape, device or name does not fit; while values are checked, also a number that is not
-            finite, except in uv where ``face_index`` is negative.
+        TypeError, ValueError: A type, shape, device or name does not fit; while values are checked, also a number that
+            is not finite, except in uv where ``face_index`` is negative.
 
     Example:
         >>> texture = torch.rand(256, 256, 3, requires_grad=True)
