@@ -1,29 +1,48 @@
-"""A differentiable mesh renderer for PyTorch, on the CPU and on CUDA (Kato, Ushiku and Harada, CVPR 2018).
+"""Draw meshes in PyTorch, and send gradients from the images back to the scene. CPU and CUDA.
 
-New code: `Mesh`, `Camera`, `Light`, `render`, `fragments`, `losses`. Code written for the first packages: `Renderer`
-and the rest.
+    mesh = nr.Mesh.load("bunny.obj")                                    # vertices, faces, textures
+    camera = nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30)      # one camera, or a batch of them
+    images = nr.render(mesh, camera, 256)                               # images.rgb, images.alpha, images.depth
+    nr.losses.silhouette_iou_loss(images.alpha, target).backward()           # fills mesh.vertices.grad
+
+Where to look; `help(nr.render)` and so on explain each name:
+
+    a scene      Mesh, UVMesh, Camera, Light, SphericalHarmonicLight; icosphere, cube, torus, batch, join
+    its images   render, which returns Images
+    your shader  fragments, which returns Fragments; sample_texture, vertex_normals, fill_gutters
+    losses       the modules losses and metrics
+    files        load_mesh, save_mesh, load_image, save_image, save_animation
+    old code     Renderer, rasterize, look_at, load_obj, Adam, …: the names of the first `neural_renderer` packages
+
+`neural_renderer.tasks` holds what the command line does: fit, editing and reconstruction. The method is that of
+"Neural 3D Mesh Renderer" (Kato, Ushiku and Harada, CVPR 2018).
 """
 
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+from .compat.old_modules import OLD_MODULES, register_old_modules
 from .version import __version__ as __version__
+
+register_old_modules()
 
 if TYPE_CHECKING:
     from .interface import *
 else:
 
     def __getattr__(name: str) -> Any:
-        """Modules and public names, when they are first used: `neural-renderer --help` answers without torch."""
-        if not name.startswith("_") and find_spec(f"{__name__}.{name}"):
+        """Load modules and public names at first use, so that `neural-renderer --help` answers without torch."""
+        if not name.startswith("_") and name not in OLD_MODULES and find_spec(f"{__name__}.{name}"):
             return import_module(f"{__name__}.{name}")
         if not name.startswith("_") or name == "__all__":
             public = vars(import_module(f"{__name__}.interface"))
             globals().update({key: public[key] for key in public if key == "__all__" or not key.startswith("_")})
-        if name not in globals():
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return globals()[name]
+        if name in globals():
+            return globals()[name]
+        if name in OLD_MODULES:
+            return import_module(f"{__name__}.{name}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
     def __dir__() -> list[str]:
         return [*globals(), *__getattr__("__all__")]

@@ -133,7 +133,8 @@ def fragments(
 
 def seen_on(screen: Tensor, faces: Tensor, settings: Settings) -> Fragments:
     """`fragments` of vertices [B, V, 3] that are on the screen already."""
-    corners = settings.corners(vertices_to_faces(screen, checked_faces(faces)), 8)
+    faces = checked_faces(faces)
+    corners = settings.corners(vertices_to_faces(screen, faces), 8)
     face_index = settings.face_index(corners)
     weights, depth = barycentrics(corners, face_index, settings.near, settings.far, settings.perspective)
     return Fragments(corners, faces, face_index, weights, depth, settings)

@@ -4,6 +4,7 @@ from . import losses, metrics
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
 from .compat.adam import Adam
 from .compat.lighting import lighting
+from .compat.old_functions import cross
 from .compat.rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
 from .compat.renderer import Renderer
 from .deferred import Fragments, fragments
@@ -13,6 +14,7 @@ from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals
 from .meshes.primitives import cube, icosphere, torus
 from .meshes.uv_mesh import UVMesh
+from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
 from .rendering import render
 from .shading.lights import Light
@@ -36,6 +38,7 @@ __all__ = [
     "__version__",
     "batch",
     "check_values",
+    "cross",
     "cube",
     "fill_gutters",
     "fragments",
@@ -68,3 +71,5 @@ __all__ = [
     "vertex_normals",
     "vertices_to_faces",
 ]
+
+_show_in_notebooks()

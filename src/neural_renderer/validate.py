@@ -13,6 +13,7 @@ from torch import Tensor
 
 FLOATING = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 """The floating dtypes that torch computes in; those of 8 bits and fewer only store."""
+_SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torch.uint64)
 
 _check_values = True
 
@@ -80,14 +81,25 @@ def real(name: str, value: Tensor) -> Tensor:
     return value
 
 
-def indices(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
-    """``value`` if it is an int32 or int64 tensor whose shape fits (see `floating`)."""
+def indices(name: str, value: Any, shape: Sequence[int | str], always: bool = False) -> Tensor:
+    """``value`` as an int32 or int64 tensor, if it holds whole numbers of any real dtype and its shape fits.
+
+    int32 and int64 come back as they are, others as int64 (see `floating` for the shape). Raises TypeError for anything
+    else than a tensor of real numbers, ValueError for another shape, and for other numbers if values are checked, or
+    ``always``.
+    """
     if not isinstance(value, Tensor):
-        raise TypeError(f"{name}: expected an int32 or int64 torch tensor, got {type(value).__name__}")
-    if value.dtype not in (torch.int32, torch.int64):
-        raise TypeError(f"{name}: expected an int32 or int64 tensor, got {shape_of(value)}")
+        raise TypeError(f"{name}: expected a torch tensor of whole numbers, got {type(value).__name__}")
+    if value.dtype not in (torch.int32, torch.int64, *_SMALL, *FLOATING):
+        raise TypeError(f"{name}: expected a tensor of whole numbers, got {shape_of(value)}")
     _match(name, value, shape)
-    return value
+    if value.dtype in (torch.int32, torch.int64):
+        return value
+    result = value.detach().to(torch.int64)
+    checked = value.dtype in FLOATING and (always or values_are_checked(value))
+    if checked and not bool((result == value).all()):
+        raise ValueError(f"{name}: expected whole numbers, got {shape_of(value)} with others")
+    return result
 
 
 def vertices(value: Any) -> Tensor:

@@ -43,7 +43,7 @@ def test_operators_are_well_formed(device, name):
     calls = {
         "coverage": [(coverage.coverage, (faces, 14, 18, NEAR, FAR, True, True))],
         "barycentrics": [
-            (barycentrics.barycentrics, (leaf, index, FAR, True)),
+            (barycentrics.barycentrics, (leaf, index, NEAR, FAR, True)),
             (barycentrics.barycentrics_backward, (weights, depth, faces, index, weights, depth, True)),
         ],
         "textures": [

@@ -25,7 +25,7 @@ from .options.edit import EditOptions
 from .task_runner import Run, fingerprint
 
 # What may change when an edit goes on.
-_FREE = ("output", "iterations", "preview", "turntable", "resume", "device")
+_FREE = ("output", "iterations", "preview", "turntable", "allow_outside", "resume", "device")
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
 
@@ -74,14 +74,14 @@ class Edit(EditOptions):
     def loaded(self) -> tuple[Mesh | UVMesh, bool]:
         """The mesh and whether it has colours of its own."""
         if self.uv is not None:
-            painted = UVMesh.load(self.mesh)
+            painted = UVMesh.load(self.mesh, allow_outside=self.allow_outside)
             if not painted.images:
                 raise ValueError(
                     f"--uv: expected a mesh with texture coordinates and an image, got {self.mesh}, which has none"
                 )
             check_images(len(painted.images), self.uv)
             return painted.to(chosen_device(self.device)), True
-        vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
+        vertices, faces, textures = load_mesh(self.mesh, self.texture_size, self.allow_outside)
         check_cubes(len(faces), self.texture_size)
         white = torch.ones(len(faces), *(self.texture_size,) * 3, 3)
         mesh = Mesh(vertices, faces, white if textures is None else textures)

@@ -22,7 +22,7 @@ from .options.fit import FitOptions
 from .task_runner import Run, fingerprint
 
 # What may change when a fit goes on; of the images only what is in them counts.
-_FREE = ("images", "output", "steps", "texture_steps", "turntable", "resume", "device")
+_FREE = ("images", "output", "steps", "texture_steps", "turntable", "allow_outside", "resume", "device")
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,17 @@ class Fit(FitOptions):
 
     def _mesh(self) -> int:
         device = chosen_device(self.device)
-        views = load_views(self.images, size=self.size, photos=self.photos, background=self.background).to(device)
+        views = load_views(
+            self.images,
+            size=self.size,
+            photos=self.photos,
+            background=self.background,
+            allow_outside=self.allow_outside,
+        ).to(device)
         seen, unseen = self._split(views)
         fit = MeshFit(
             seen,
-            self.start if self.mesh is None else Mesh.load(self.mesh, texture_size=2),
+            self.start if self.mesh is None else Mesh.load(self.mesh, texture_size=2, allow_outside=self.allow_outside),
             recover="texture" if self.recover == "texture" else "shape",
             steps=self.steps,
             texture_steps=self.texture_steps,
@@ -79,7 +85,11 @@ class Fit(FitOptions):
     def _camera(self) -> int:
         device = chosen_device(self.device)
         mask, photo = load_photo(self.images, size=self.size, photos=self.photos, background=self.background)
-        mesh = Mesh.load(self.mesh, texture_size=self.texture_size).to(device)  # type: ignore[arg-type]
+        mesh = Mesh.load(
+            self.mesh,  # type: ignore[arg-type]
+            texture_size=self.texture_size,
+            allow_outside=self.allow_outside,
+        ).to(device)
         shape: tuple[Tensor, ...] = mesh.vertices.detach(), mesh.faces, mesh.textures.detach()
         mask, photo = mask.to(device), None if photo is None else photo.to(device)
         fit = CameraFit(

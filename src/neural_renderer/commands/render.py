@@ -55,8 +55,8 @@ class Render(RenderOptions):
 
     def _loaded(self) -> Mesh | UVMesh:
         if self.texture_size is None:
-            return UVMesh.load(self.mesh, _GREY)
-        vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
+            return UVMesh.load(self.mesh, _GREY, self.allow_outside)
+        vertices, faces, textures = load_mesh(self.mesh, self.texture_size, self.allow_outside)
         if textures is None:
             textures = torch.full((len(faces), 1, 1, 1, 3), _GREY)
         return Mesh(vertices, faces, textures)

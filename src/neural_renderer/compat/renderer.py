@@ -209,7 +209,7 @@ class Renderer(nn.Module):
         camera: tuple[Any, ...],
     ) -> Images:
         validate.floating("vertices", vertices, ("B", "V", 3))
-        checked_faces(faces)
+        faces = checked_faces(faces)
         screen, perspective = self._project(vertices, *camera)
         screen = validate.in_float32("vertices on the screen", screen)
         light = None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from PIL import Image, ImageOps
 from torch import Tensor
 
 from .. import validate
-from .files import existing
+from .files import existing, reason
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
@@ -24,25 +25,51 @@ def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor
     """Read a picture: float32 [H, W, 3], or [H, W, 4] if it has transparency, in [0, 1], first row on top, on the CPU.
 
     Grey, palette, CMYK and 16-bit grey pictures are converted. ``upright`` turns a photo the way its camera noted to
-    have been held (EXIF); calibrated cameras and texture coordinates belong to the pixels as they are stored. Raises
-    FileNotFoundError if there is no such file and ValueError if it is no picture.
+    have been held (EXIF); calibrated cameras and texture coordinates belong to the pixels as they are stored.
+
+    Raises FileNotFoundError if there is no such file, and ValueError if it is no picture or has more pixels than
+    ``PIL.Image.MAX_IMAGE_PIXELS`` (89 million, unless a program sets another number). The size is read before the
+    pixels are unpacked, so that a small file cannot fill the memory.
     """
+    if not existing(path).stat().st_size:  # as of files in /proc, which may never end
+        raise ValueError(f"{path}: expected a picture, got an empty file")
+    with _reading(str(path)):
+        file = Image.open(path)
+    with file:
+        return torch.from_numpy(unpack(str(path), file, upright=upright))
+
+
+def unpack(where: str, file: Image.Image, *, upright: bool = False, transparency: bool = True) -> np.ndarray:
+    """The pixels of a picture that is open, as `load_image` gives them; without transparency if it is not wanted.
+
+    ``where`` is what the errors call it. Raises ValueError for a picture that is broken or too large.
+    """
+    limit = Image.MAX_IMAGE_PIXELS
+    if limit is not None and file.width * file.height > limit:
+        raise ValueError(
+            f"{where}: expected a picture of at most {limit:,} pixels, got {file.width} x {file.height}; "
+            "a program may raise PIL.Image.MAX_IMAGE_PIXELS"
+        )
+    with _reading(where):
+        image = ImageOps.exif_transpose(file) if upright else file
+        if image.mode.startswith(("I", "F")):  # 16-bit grey, which a conversion to RGB would cut off at 255
+            full = 1 if image.mode.startswith("F") else 65535
+            grey = np.asarray(image, dtype=np.float32).clip(0, full) / np.float32(full)
+            return np.repeat(grey[..., None], 3, axis=2)
+        mode = "RGBA" if transparency and image.has_transparency_data else "RGB"
+        pixels = np.array(image if image.mode == mode else image.convert(mode), dtype=np.float32)
+        pixels /= 255  # in place: a copy of a large picture is much memory
+        return pixels
+
+
+@contextmanager
+def _reading(where: str) -> Iterator[None]:
     try:
-        with Image.open(existing(path)) as file:
-            image = ImageOps.exif_transpose(file) if upright else file
-            pixels: np.ndarray
-            if image.mode.startswith(("I", "F")):  # 16-bit grey, which a conversion to RGB would cut off at 255
-                full = 1 if image.mode.startswith("F") else 65535
-                grey = np.asarray(image, dtype=np.float32).clip(0, full) / np.float32(full)
-                pixels = np.repeat(grey[..., None], 3, axis=2)
-            else:
-                mode = "RGBA" if image.has_transparency_data else "RGB"
-                pixels = np.asarray(image.convert(mode), dtype=np.float32) / np.float32(255)
-    except FileNotFoundError:
-        raise
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{path}: expected a picture, got a file that cannot be read as one ({error})") from error
-    return torch.from_numpy(pixels)
+        yield
+    except Exception as error:  # Pillow's errors for broken files are of many kinds
+        raise ValueError(
+            f"{where}: expected a picture, got a file that cannot be read as one ({reason(error)})"
+        ) from error
 
 
 def save_image(path: str | os.PathLike[str], image: Tensor | np.ndarray) -> None:

@@ -19,6 +19,9 @@ from . import primitives
 class Mesh(nn.Module):
     """Vertices, faces and a texture, as a module whose parameters are the vertices and the texture.
 
+    `load`, `fromobj` and `icosphere` make one; `save` writes it; `normalize` centres and scales it; `get_batch` and
+    `set_lr` are those of the first packages. All other methods are `torch.nn.Module`'s: `to`, `parameters`, ….
+
     Attributes:
         vertices: Parameter, float32 [V, 3].
         faces: Buffer, int32 [F, 3], indices into the vertices.
@@ -55,7 +58,7 @@ class Mesh(nn.Module):
             textures = None
         vertices, faces = _as_tensor(vertices), _as_tensor(faces)
         validate.floating("vertices", vertices, ["V", 3])
-        validate.indices("faces", faces, ["F", 3])
+        faces = validate.indices("faces", faces, ["F", 3])
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
         if textures is None:
@@ -78,16 +81,23 @@ class Mesh(nn.Module):
         normalization: bool = True,
         load_texture: bool = False,
         texture_size: int = 4,
+        allow_outside: bool = False,
     ) -> Mesh:
         """Read an OBJ file (see `load_obj`), with its colours or, by default, with noise for a texture."""
-        loaded = load_obj(filename_obj, normalization, texture_size, load_texture)
+        loaded = load_obj(filename_obj, normalization, texture_size, load_texture, allow_outside=allow_outside)
         textures = loaded[2] if len(loaded) == 3 else None
         return cls(loaded[0], loaded[1], textures, texture_size)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], texture_size: int = 4, normalize: bool = False) -> Mesh:
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        texture_size: int = 4,
+        normalize: bool = False,
+        allow_outside: bool = False,
+    ) -> Mesh:
         """Read a mesh of any format (see `load_mesh`) with its colours, or white if it has none."""
-        vertices, faces, textures = load_mesh(path, texture_size)
+        vertices, faces, textures = load_mesh(path, texture_size, allow_outside)
         mesh = cls(vertices, faces, _white(faces, texture_size) if textures is None else textures)
         return mesh.normalize() if normalize else mesh
 

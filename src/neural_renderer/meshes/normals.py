@@ -33,7 +33,8 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
         >>> normals = torch.nn.functional.normalize(normals, dim=-1)
     """
     points = validate.vertices(vertices)
-    corners = vertices_to_faces(points if points.dim() == 3 else points[None], checked_faces(faces))
+    faces = checked_faces(faces)
+    corners = vertices_to_faces(points if points.dim() == 3 else points[None], faces)
     batch, count = len(corners), vertices.shape[-2]
     v0, v1, v2 = corners.unbind(2)
     normals = torch.linalg.cross(v1 - v0, v2 - v0)  # of length twice the area

@@ -51,14 +51,15 @@ class UVMesh:
     wraps: tuple[str, ...]
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], grey: float = 0.5) -> UVMesh:
+    def load(cls, path: str | os.PathLike[str], grey: float = 0.5, allow_outside: bool = False) -> UVMesh:
         """Read an OBJ, PLY, STL, OFF, GLB or glTF file with its materials, unbaked, to the CPU.
 
         What lies between an image's charts, which mipmaps would mix into their borders, is filled with the colours
         around it (`fill_gutters`). A file without colour is ``grey``. Images of GLB and glTF repeat beyond [0, 1],
-        whatever the file's samplers say. Raises what `load_mesh` raises.
+        whatever the file's samplers say. An image that several materials share is one of ``images``. ``allow_outside``
+        and what is raised are those of `load_mesh`.
         """
-        vertices, faces, skin, _ = read_mesh(path)
+        vertices, faces, skin, _ = read_mesh(path, allow_outside)
         skin = skin or Skin.plain(len(faces), validate.number("grey", grey))
         uv = torch.from_numpy(skin.uv).float()
         index = torch.from_numpy(skin.image).long()
@@ -87,7 +88,7 @@ class UVMesh:
         self._check(always=True)
         skin = Skin(
             self.colors.detach().float().cpu().numpy(),
-            self.image_index.cpu().numpy(),
+            self.image_index.long().cpu().numpy(),
             self.uv.detach().double().cpu().numpy(),
             [image.detach().float().cpu().numpy() for image in self.images],
             ["REPEAT" if wrap == "repeat" else "CLAMP_TO_EDGE" for wrap in self.wraps],

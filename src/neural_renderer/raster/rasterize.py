@@ -21,25 +21,30 @@ OUTPUTS = ("rgb", "alpha", "depth")
 
 
 class Images(NamedTuple):
-    """What a renderer returns; None for what was not asked for. Row 0 is at the top.
+    """The images of a renderer; None for an output that was not asked for. Row 0 is at the top.
 
-    The images may be changed in place before `backward`, as any result of torch's operations that does not need it.
+    They may be changed in place before ``backward``.
+
+    Attributes:
+        rgb: [B, 3, H, W] float32, the colours.
+        alpha: [B, H, W] float32: 1 where a face is seen, 0 elsewhere, in between at anti-aliased outlines.
+        depth: [B, H, W] float32, along the viewing axis in world units; ``far`` where no face is seen.
     """
 
-    rgb: Tensor | None = None  # [B, 3, H, W] float32
-    alpha: Tensor | None = None  # [B, H, W] float32, 1 where a face is seen, 0 elsewhere, in between if anti-aliased
-    depth: Tensor | None = None  # [B, H, W] float32, along the viewing axis in world units, far where no face is seen
+    rgb: Tensor | None = None
+    alpha: Tensor | None = None
+    depth: Tensor | None = None
 
 
 def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     """The corners of each face.
 
-    vertices: [B, V, 3] floating. faces: [F, 3] shared by the batch, or [B or 1, F, 3]; int32 or int64, in [0, V), or
-        (-1, -1, -1) for no face, with which meshes of different size fill up one batch.
+    vertices: [B, V, 3] floating. faces: [F, 3] shared by the batch, or [B or 1, F, 3]; whole numbers of any real dtype,
+        in [0, V), or (-1, -1, -1) for no face, with which meshes of different size fill up one batch.
     Returns [B, F, 3, 3] float32. Raises TypeError or ValueError for other dtypes, shapes, devices or indices.
     """
     validate.floating("vertices", vertices, ("B", "V", 3))
-    checked_faces(faces)
+    faces = checked_faces(faces)
     validate.same_device(vertices=vertices, faces=faces)
     faces = faces[None] if faces.dim() == 2 else faces
     if faces.shape[0] not in (1, vertices.shape[0]):
@@ -174,7 +179,7 @@ def finish_images(
 
 
 def checked_faces(faces: Any) -> Tensor:
-    """``faces`` if it is an int32 or int64 tensor [F, 3] or [B, F, 3]; TypeError or ValueError otherwise."""
+    """``faces`` [F, 3] or [B, F, 3] as int32 or int64 (see `validate.indices`); TypeError or ValueError otherwise."""
     return validate.indices("faces", faces, ("F", 3) if getattr(faces, "ndim", 3) == 2 else ("B", "F", 3))
 
 

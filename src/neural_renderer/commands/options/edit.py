@@ -63,6 +63,8 @@ class EditOptions:
     """Pictures of the turntable (0: none)."""
     seed: int = 0
     """Seed of the views and of random colours."""
+    allow_outside: bool = False
+    """Read materials and images outside the mesh's folder too, if its file names such; for files that you trust."""
     resume: bool = False
     """Go on from the checkpoint in the output folder, if there is one, which must be of the same files and settings."""
     device: Literal["auto", "cpu", "cuda"] = "auto"

@@ -70,6 +70,8 @@ class FitOptions:
     """Pictures of the turntable (0: none)."""
     seed: int = 0
     """Seed of the order in which the views are used, and of the cameras to begin with."""
+    allow_outside: bool = False
+    """Read images and materials outside the folder of the file that names them, too; for files that you trust."""
     resume: bool = False
     """Go on from the checkpoint in the output folder, if there is one. It must be of the same images and options, but
     for the numbers of steps."""

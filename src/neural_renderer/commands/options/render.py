@@ -52,5 +52,7 @@ class RenderOptions:
     texture_size: int | None = None
     """Bake the colours into textures of so many texels along the side of a face (at least 1), as `Mesh.load` does. By
     default the file's images are shown as they are."""
+    allow_outside: bool = False
+    """Read materials and images outside the mesh's folder too, if its file names such; for files that you trust."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute; auto is CUDA where there is one."""

@@ -83,7 +83,9 @@ class Dataset(DatasetOptions):
         with Progress(*columns, TimeRemainingColumn(), console=console) as progress:
             task = progress.add_task("objects", total=len(models))
             try:
-                for model, problem, notes in make_objects(models, self.out, settings, self.processes):
+                for model, problem, notes in make_objects(
+                    models, self.out, settings, self.processes, self.allow_outside
+                ):
                     for text in notes:
                         progress.console.print(text, style="yellow", markup=False, soft_wrap=True)
                     if problem is not None:

@@ -21,7 +21,7 @@ class ShapeFit:
     Args:
         views: `moved` so that the object lies in about [-1, 1].
         vertices: [V, 3] float32, where it begins.
-        faces: [F, 3] int32 or int64.
+        faces: [F, 3], whole numbers of any real dtype.
         steps: how many steps there are.
         subdivisions: how often, evenly over the steps, each face is cut in four: coarse to fine. 0 for a start that is
             fine already.

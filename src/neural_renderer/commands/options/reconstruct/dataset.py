@@ -41,5 +41,8 @@ class DatasetOptions:
     """Width and height of the views in pixels (at least 8); train and evaluate take 64."""
     samples: int = 6
     """Each pixel is the mean of so many times so many (at least 4)."""
+    allow_outside: bool = False
+    """Read materials and images outside a mesh file's folder too, if it names such, as those of ShapeNetCore.v2 do; for
+    models that you trust."""
     processes: Annotated[int, tyro.conf.arg(aliases=["-j"])] = field(default_factory=lambda: os.cpu_count() or 1)
     """Models that are worked on at once, each in a process of its own (0: one after the other, in this process)."""
