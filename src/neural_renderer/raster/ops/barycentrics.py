@@ -6,8 +6,8 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
-from ..warp.launch import array, face_lanes, launch, zeros
-from ..warp.point import FACE, over_rows, row_tasks
+from ..warp.launch import array, face_lanes, launch, row_tasks, zeros
+from ..warp.point import FACE, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
 

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import facing, homogeneous_weights, in_front, pixel_box, pixel_centre
-from ..warp.launch import MANY_PIXELS, array, cpu_bands, launch
+from ..warp.launch import MANY_PIXELS, array, concurrent, cpu_bands, launch
 from ..warp.registration import operator
 from .draw_face import clear_rows, draw_into_keys, draw_into_rows, turn_rows
 
@@ -34,7 +34,7 @@ def coverage(
     batch, count = faces.shape[:2]
     face_index = torch.empty((batch, height, width), dtype=torch.int32, device=faces.device)
     options = [near, far, int(two_sided), int(perspective)]
-    if faces.device.type == "cuda":
+    if concurrent(faces.device):
         # One task per face, its rows shared by a few threads, more of them where faces are few and large.
         key = torch.full((batch, height, width), EMPTY, dtype=torch.int64, device=faces.device)
         pixels = 8 * height * width // max(count, 1)

@@ -72,8 +72,8 @@ _EIGHT = """
             const int at = i < width - 8 ? i : width - 8;
             const floats x = ((float)(2 * at + 1 - width) + ahead) / w;
             TEST
-            // Positive floats order as their bits do. A minimum is stored at once, a choice would be under a mask, which
-            // takes far longer.
+            // Positive floats order as their bits do. A minimum is stored at once; a choice would be stored under a
+            // mask, which takes far longer.
             ints depth, shown;
             memcpy(&depth, nearest.data + row + at, sizeof(depth));
             memcpy(&shown, face_index.data + row + at, sizeof(shown));

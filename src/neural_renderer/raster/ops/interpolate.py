@@ -8,8 +8,8 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
-from ..warp.launch import array, face_lanes, launch, zeros
-from ..warp.point import FACE, over_rows, row_tasks
+from ..warp.launch import array, face_lanes, launch, row_tasks, zeros
+from ..warp.point import FACE, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
 
@@ -181,7 +181,8 @@ _EIGHT = """
             const floats x = __builtin_convertvector(ahead + at, floats);
             floats w[3], shares[3], to_w[3] = {none, none, none};
             for (int k = 0; k < 3; ++k) {
-                const floats share = x * face.matrix[3 * k] + face.matrix[3 * k + 1] * (float)j + face.matrix[3 * k + 2];
+                const float along = face.matrix[3 * k + 1] * (float)j;
+                const floats share = x * face.matrix[3 * k] + along + face.matrix[3 * k + 2];
                 w[k] = share < 0.0f ? none : share > 1.0f ? none + 1.0f : share;
             }
             const floats whole = w[0] + w[1] + w[2];
@@ -191,7 +192,7 @@ _EIGHT = """
             }
             const floats part = 1.0f / whole;
             floats z = part;
-            for (int k = 0; k < 3; ++k) shares[k] = w[k] * (perspective ? face.inverse[k] * none + face.inverse[k] : part);
+            for (int k = 0; k < 3; ++k) shares[k] = perspective ? w[k] * face.inverse[k] : w[k] * part;
             if (perspective) {
                 const floats near = 1.0f / (shares[0] + shares[1] + shares[2]);
                 for (int k = 0; k < 3; ++k) shares[k] *= near;

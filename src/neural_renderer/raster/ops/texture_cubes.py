@@ -6,8 +6,8 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import FACING, in_front, pixel_box
-from ..warp.launch import array, face_lanes, launch, zeros
-from ..warp.point import FACE, over_rows, row_tasks
+from ..warp.launch import array, face_lanes, launch, row_tasks, zeros
+from ..warp.point import FACE, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
 
@@ -194,10 +194,11 @@ _SHOWN = """
             for (int c = 0; c < 3; ++c) to[c * area] = mixed[c] * factors[slot][c];
 """
 _EMPTY = """
-                const char* behind = (const char*)background.data + b * (wp::int64)background.strides[0]
-                    + (row % height) * (wp::int64)background.strides[2] + i * (wp::int64)background.strides[3];
+                const int* step = background.strides;
+                const char* behind = (const char*)background.data + b * (wp::int64)step[0]
+                    + (row % height) * (wp::int64)step[2] + i * (wp::int64)step[3];
                 for (int c = 0; c < 3; ++c)
-                    color.data[pixel + (2 * b + c) * area] = *(const float*)(behind + c * (wp::int64)background.strides[1]);
+                    color.data[pixel + (2 * b + c) * area] = *(const float*)(behind + c * (wp::int64)step[1]);
 """
 
 

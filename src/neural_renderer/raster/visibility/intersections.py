@@ -57,8 +57,8 @@ def total(part: wp.vec3) -> float:
     return part[0] + part[1] + part[2]
 
 
-# Whether two faces may both cover a place between two pixels, of which the first shows the one and the second the other:
-# each covers a part of the way from its pixel on, up to the first of its edges, and rounding.
+# Whether two faces can meet between two pixels, of which the first shows the one and the second the other: each covers
+# the way from its pixel on, up to the first of its edges, and both have to cover one place.
 _MAY_MEET = """
     struct Way {
         typedef wp::vec_t<3, float> vec3;

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import FACING, IN_FRONT, facing, in_front
-from ..warp.launch import array, launch, zeros
+from ..warp.launch import array, concurrent, launch, zeros
 
 wp.set_module_options({"enable_backward": False})
 
@@ -45,7 +45,7 @@ def neighbors(
     size = 1 << (2 * most - 1).bit_length()
     table = zeros((batch, size), faces.device, torch.int32)
     # The CPU's atomics are none: there one task fills an image's table alone.
-    lanes = 1 if faces.device.type == "cpu" else max(count, 1)
+    lanes = max(count, 1) if concurrent(faces.device) else 1
     alone = array(rings)
     launch(_insert, batch * lanes, [corners, array(table), alone, *options, lanes], faces.device)
     launch(_find, batch * count, [corners, array(table), alone, *options, array(result)], faces.device)

@@ -30,8 +30,8 @@ def edge_rings(faces: Tensor) -> Tensor:
     Edge k of face f, from corner k to the next, is number 3 f + k. Its entry is the next edge with the same two
     vertices, around in a ring; itself where no other face has it. The last row holds how many those are, three times.
 
-    The rings of the last few meshes are kept. On the CPU a mesh is known by its numbers; on CUDA, where to compare is to
-    wait, by its tensor, unless that has been changed in place.
+    The rings of the last few meshes are kept. On the CPU a mesh is known by its numbers; on CUDA, where a comparison
+    would wait for the device, by its tensor, unless that has been changed in place.
     """
     return _known_rings(faces) if is_plain((faces,)) else _edge_rings(faces)
 

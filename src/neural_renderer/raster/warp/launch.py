@@ -21,11 +21,17 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from .kernel_cache import load_module
+
 # Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
 _PIECES = 4
 
 # Pixels to look at before another CPU thread is worth waking.
 MANY_PIXELS = 1 << 20
+
+# Tests set it: called with a kernel, the number of tasks and the arguments of each launch, it runs CUDA's code of the
+# kernel on a processor and returns True, or False to have the launch run as usual.
+emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
 
 _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
@@ -33,7 +39,7 @@ _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
 # What kernels take for a tensor. (Warp tells this type by an example alone.)
-_Array: Any = type(wp.from_torch(torch.zeros(1), return_ctype=True))
+_Array: Any = type(wp.from_torch(torch.zeros(1, device="cpu"), return_ctype=True))
 # Warp's versions whose compiled kernels `_direct` knows how to call.
 _KNOWN = ("1.19.",)
 
@@ -81,7 +87,7 @@ def load_kernel(kernel: wp.Kernel, device: str) -> None:
             try:
                 with _quiet():
                     wp.init()
-                wp.load_module(kernel.module, device=device)
+                load_module(kernel, device)
             except OSError as error:
                 raise OSError(
                     f"{wp.config.kernel_cache_dir}: expected a folder to keep compiled kernels in, got: {error}; "
@@ -100,10 +106,24 @@ def _threads(count: int) -> ThreadPoolExecutor:
         return _pool
 
 
+def concurrent(device: torch.device) -> bool:
+    """Whether the tasks of a launch run all at once, as on CUDA, so that they share sums by atomics.
+
+    This is the one question that decides between the layouts of a kernel's work; tests ask for CUDA's on the CPU.
+    """
+    return device.type == "cuda" or emulator is not None
+
+
 def cpu_bands(batch: int) -> int:
     """Into how many bands of rows each image is cut so that all of torch's threads have work."""
     threads = torch.get_num_threads()
     return 1 if batch % threads == 0 or batch >= _PIECES * threads else 2 * threads
+
+
+def row_tasks(rows: int, device: torch.device) -> tuple[int, int]:
+    """How many tasks share so many rows of pixels, and how many rows each of them takes: one on CUDA."""
+    each = 1 if concurrent(device) else 16
+    return -(-rows // each), each
 
 
 def face_lanes(faces: Tensor, pixels: int) -> int:
@@ -112,7 +132,7 @@ def face_lanes(faces: Tensor, pixels: int) -> int:
     More where faces are few and large. One on the CPU, and one where torch asks for deterministic results: several add
     their sums in whatever order they end.
     """
-    if faces.device.type != "cuda" or torch.are_deterministic_algorithms_enabled():
+    if not concurrent(faces.device) or torch.are_deterministic_algorithms_enabled():
         return 1
     return min(32, 1 << (8 * pixels // max(faces.shape[1], 1)).bit_length() // 2)
 
@@ -159,7 +179,7 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
     arguments: tensors as `array` gives them, and numbers.
     least: how many tasks are worth another CPU thread.
     """
-    if tasks == 0:
+    if tasks == 0 or (emulator is not None and emulator(kernel, tasks, [0, *arguments])):
         return
     if device.type == "cuda":
         with torch.cuda.device(device):
@@ -189,7 +209,7 @@ def _direct(kernel: wp.Kernel) -> Callable[..., None]:
     kinds = {"int32": ctypes.c_int32, "int64": ctypes.c_int64, "float32": ctypes.c_float}
     fields = [(arg.label, kinds.get(getattr(arg.type, "__name__", ""), _Array)) for arg in kernel.adj.args]
     packed = type("Arguments", (ctypes.Structure,), {"_fields_": fields})
-    module = kernel.module.load(wp.get_device("cpu"), 1)
+    module: Any = kernel.module.load(wp.get_device("cpu"), 1)
     call = module.get_kernel_hooks(kernel).forward
 
     def run(tasks: int, *arguments: Any, loaded: Any = module) -> None:  # which must not be unloaded

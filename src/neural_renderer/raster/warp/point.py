@@ -1,11 +1,9 @@
 """The point of a face that a pixel shows, in plain C++: one source for every kernel that needs its weights.
 
-``FACE`` declares a struct inside of a native function. ``set`` takes the corners of a face; ``at`` gives a pixel's depth
-and weights; ``gather``, ``pull`` and ``give`` send the gradients of weights and depths to the corners.
-``over_rows`` makes loops over rows of pixels of them.
+``FACE`` declares a struct inside of a native function. ``set`` takes the corners of a face; ``at`` gives depth and
+weights at a pixel; ``gather``, ``pull`` and ``give`` send the gradients of weights and depths to the corners.
+`over_rows` makes a loop over pixels of it.
 """
-
-import torch
 
 from .geometry import HOMOGENEOUS, NARROWEST
 
@@ -90,8 +88,8 @@ struct Face {{
         return weights[0] * v[0][2] + weights[1] * v[1][2] + weights[2] * v[2][2];
     }}
 
-    // Begin to gather, with what the weights on the screen gain per step to the right and up. Where one would change by 1
-    // over less than four roundings of a coordinate near 1, nothing is known of that.
+    // Begin to gather. dx and dy are the slopes of the weights on the screen; they are unknown, and 0, where a weight
+    // would change by 1 over less than four roundings of a coordinate near 1.
     CUDA_CALLABLE void gather() {{
         const float area = (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
         float longest = 0.0f;
@@ -175,16 +173,11 @@ _ROWS = """
 def over_rows(shown: str, empty: str, begin: str = "", fresh: str = "") -> str:
     """A native function's body for the rows [first, last) of all images.
 
-    shown: what to do at a pixel that shows a face; there are row, pixel, i, b, f, own (f among all images' faces), face,
-        weights and z. empty: at others. begin: before; fresh: for a face that comes, with its ``slot`` of KEPT.
+    shown: statements for a pixel that shows a face, with row, pixel, i, b, f, own (f among the faces of all images),
+        face, weights and z. empty: for other pixels. begin: before the loop. fresh: for a face that was not among the
+        KEPT ones, with its ``slot``.
     """
     body = FACE + _ROWS
     for name, part in {"BEGIN": begin, "EMPTY": empty, "FRESH": fresh, "SHOWN": shown}.items():
         body = body.replace(name, part)
     return body
-
-
-def row_tasks(rows: int, device: torch.device) -> tuple[int, int]:
-    """How many tasks share so many rows, and how many each takes: one on CUDA."""
-    each = 1 if device.type == "cuda" else 16
-    return -(-rows // each), each

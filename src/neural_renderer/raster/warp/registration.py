@@ -25,6 +25,7 @@ def operator(function: Callable[..., Any]) -> Any:
     torch.library.impl(name, "default", function)
     registered = getattr(torch.ops.neural_renderer, function.__name__).default
 
+    graph: list[Any] = []  # the `torch.autograd.Function`, once there is one
     defaults = tuple(parameter.default for parameter in inspect.signature(function).parameters.values())
 
     @functools.wraps(function)
@@ -34,13 +35,13 @@ def operator(function: Callable[..., Any]) -> Any:
         if not is_plain(inputs):
             return registered(*inputs)
         inputs += defaults[len(inputs) :]
-        if call.graph is None or not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
+        if not graph or not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
             with torch.no_grad():
                 return function(*inputs)
-        return call.graph.apply(*inputs)
+        return graph[0].apply(*inputs)
 
     call.operator = registered  # type: ignore[attr-defined]
-    call.graph = None  # type: ignore[attr-defined]
+    call.graph = graph  # type: ignore[attr-defined]
     return call
 
 
@@ -56,7 +57,7 @@ def differentiable(call: Any, backward: Callable[..., Any], setup_context: Calla
         return output
 
     methods = {"forward": staticmethod(forward), "backward": staticmethod(backward)}
-    call.graph = type(name, (torch.autograd.Function,), methods)
+    call.graph[:] = [type(name, (torch.autograd.Function,), methods)]
 
 
 def differentiable_once(function: Callable[..., Any]) -> Any:

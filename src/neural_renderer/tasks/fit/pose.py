@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ... import losses, validate
 from ...camera import Camera
-from ...render import render
+from ...rendering import render
 from .fit_views import agreement, smaller
 
 _COARSE, _FINE = 64, 128  # pixels of the longer side

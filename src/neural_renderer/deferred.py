@@ -79,6 +79,7 @@ class Fragments:
         validate.floating("attributes", attributes, shape)
         triangles = self.triangles if triangles is None else checked_faces(triangles)
         validate.same_device(attributes=attributes, triangles=triangles, faces=self.corners)
+        validate.finite("attributes", attributes)
         attributes = attributes if attributes.dim() == 3 else attributes[None]
         triangles = triangles if triangles.dim() == 3 else triangles[None]
         batch, count = self.corners.shape[:2]
@@ -110,6 +111,7 @@ class Fragments:
         channels = colors.shape[3]
         behind = behind_image(background, batch, channels, self.settings, colors.device)
         image = composite(colors.float(), behind, self.face_index)
+        validate.finite("colors", image)
         seams = validate.flag("seams", seams)
         image = self.settings.through_visibility(image, self.corners, self.face_index, seams, triangles=self.triangles)
         return halve(image) if self.settings.anti_aliasing else image.contiguous()
@@ -152,6 +154,7 @@ def fragments(
 
 def seen_on(screen: Tensor, faces: Tensor, settings: Settings) -> Fragments:
     """`fragments` of vertices [B, V, 3] that are on the screen already."""
-    corners = settings.corners(vertices_to_faces(screen, checked_faces(faces)), 8)
+    faces = checked_faces(faces)
+    corners = settings.corners(vertices_to_faces(screen, faces), 8)
     face_index = settings.face_index(corners)
     return Fragments(corners, faces, face_index, settings)
