@@ -175,10 +175,15 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
         )
 
 
-def in_range(name: str, value: Tensor, size: int, always: bool = False) -> None:
-    """ValueError if an index is outside ``[0, size)`` and values are checked (see `check_values`), or ``always``."""
+def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: bool = False) -> None:
+    """ValueError if an index is outside ``[0, size)`` and values are checked (see `check_values`), or ``always``.
+
+    padded: rows of -1 alone are allowed, unless ``size`` is 0.
+    """
     if (always or values_are_checked(value)) and value.numel():
         low, high = (int(v) for v in torch.aminmax(value))
+        if padded and low == -1 and size:
+            low = int(torch.where((value == -1).all(-1, keepdim=True), 0, value).min())
         if low < 0 or high >= size:
             raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
 

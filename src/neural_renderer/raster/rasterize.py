@@ -50,9 +50,7 @@ def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     faces = faces[None] if faces.dim() == 2 else faces
     if faces.shape[0] not in (1, vertices.shape[0]):
         raise ValueError(f"faces: expected a batch of {vertices.shape[0]} like vertices, got {faces.shape[0]}")
-    if vertices.shape[1]:  # no face is one without area
-        faces = torch.where((faces == -1).all(-1, keepdim=True), 0, faces)
-    validate.in_range("faces", faces, vertices.shape[1])
+    validate.in_range("faces", faces, vertices.shape[1], padded=True)
     if faces.dtype == torch.int64:  # an index that is out of range stays so in 32 bits
         faces = faces.clamp(-1, 2**31 - 1)
     return gather_corners(vertices.float(), faces.int())

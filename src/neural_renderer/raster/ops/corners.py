@@ -15,12 +15,15 @@ wp.set_module_options({"enable_backward": False})
 def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
     """The corners [B, F, 3, C] of ``faces`` [1 or B, F, 3] int32 among ``vertices`` [B, V, C] float32; differentiable.
 
-    An index outside [0, V) gives a corner that is not a number, and no memory beyond the vertices is read.
+    An index outside [0, V) gives a corner that is not a number, and no memory beyond the vertices is read; but
+    (-1, -1, -1), which stands for no face, is (0, 0, 0), a face without area.
     """
     shape = (vertices.shape[0], *faces.shape[1:], vertices.shape[2])
     corners = torch.empty(shape, dtype=torch.float32, device=vertices.device)
-    arguments = [array(vertices), array(faces), array(corners)]
-    launch(_forward, corners.shape[0] * corners.shape[1], arguments, vertices.device)
+    each = 1 if concurrent(vertices.device) else 256
+    groups = -(-corners.shape[1] // each)
+    arguments = [array(vertices), array(faces), array(corners), groups, each]
+    launch(_forward, corners.shape[0] * groups, arguments, vertices.device)
     return corners
 
 
@@ -36,6 +39,7 @@ def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
     result = zeros((batch, count, grad.shape[3]), grad.device)
     if concurrent(grad.device) and torch.are_deterministic_algorithms_enabled():
         image = torch.arange(batch, device=grad.device)[:, None] * count
+        faces = torch.where((faces == -1).all(-1, keepdim=True), 0, faces)
         valid = (faces >= 0) & (faces < count)
         index = (torch.where(valid, faces, 0).flatten(1) + image).flatten()
         part = torch.where(valid[..., None], grad, 0.0)
@@ -68,14 +72,18 @@ differentiable(gather_corners, _to_vertices, _save)
 _EACH = """
     const int count = vertices.shape[1], channels = vertices.shape[2];
     const wp::int64 own = b < faces.shape[0] ? b : faces.shape[0] - 1, all = faces.shape[1];
-    for (wp::int64 f = begin; f < end; ++f)
+    for (wp::int64 f = begin; f < end; ++f) {
+        const int* face = faces.data + (own * all + f) * 3;
+        const bool none = (face[0] & face[1] & face[2]) == -1;
         for (int k = 0; k < 3; ++k) {
-            const int v = faces.data[(own * all + f) * 3 + k];
+            const int v = none ? 0 : face[k];
             const bool valid = v >= 0 && v < count;
             float* vertex = vertices.data + ((wp::int64)b * count + (valid ? v : 0)) * channels;
             float* corner = corners.data + ((b * all + f) * 3 + k) * channels;
-            DO
+            if (channels == 3) { const int channels = 3; DO }
+            else { DO }
         }
+    }
 """
 
 
@@ -93,16 +101,18 @@ def copy_out(
 
 
 _ADD = """
-            for (int c = 0; valid && c < channels; ++c)
-            #if defined(__CUDA_ARCH__)
-                wp::atomic_add(vertex + c, corner[c]);
-            #else
-                vertex[c] += corner[c];
-            #endif
+            for (int c = 0; valid && c < channels; ++c) ADD;
 """
 
 
-@wp.func_native(_EACH.replace("DO", _ADD))
+# Warp's CPU atomics are calls.
+@wp.func_native(
+    "#if defined(__CUDA_ARCH__)"
+    + _EACH.replace("DO", _ADD).replace("ADD", "wp::atomic_add(vertex + c, corner[c])")
+    + "#else"
+    + _EACH.replace("DO", _ADD).replace("ADD", "vertex[c] += corner[c]")
+    + "#endif\n"
+)
 def add_in(
     vertices: wp.array3d(dtype=float),
     faces: wp.array3d(dtype=int),
@@ -117,11 +127,16 @@ def add_in(
 
 @wp.kernel
 def _forward(
-    first: int, vertices: wp.array3d(dtype=float), faces: wp.array3d(dtype=int), corners: wp.array4d(dtype=float)
+    first: int,
+    vertices: wp.array3d(dtype=float),
+    faces: wp.array3d(dtype=int),
+    corners: wp.array4d(dtype=float),
+    groups: int,
+    each: int,
 ):
     task = first + wp.tid()
-    f = task % corners.shape[1]
-    copy_out(vertices, faces, corners, task // corners.shape[1], f, f + 1)
+    begin = (task % groups) * each
+    copy_out(vertices, faces, corners, task // groups, begin, wp.min(begin + each, corners.shape[1]))
 
 
 @wp.kernel
