@@ -44,21 +44,20 @@ def test_operators_are_well_formed(device, name):
         "coverage": [(coverage.coverage, (faces, 14, 18, NEAR, FAR, True, True))],
         "barycentrics": [
             (barycentrics.barycentrics, (leaf, index, NEAR, FAR, True)),
-            (barycentrics.barycentrics_backward, (weights, depth, faces, index, weights, depth, True)),
+            (barycentrics.barycentrics_backward, (weights, depth, faces, index, True)),
         ],
         "textures": [
             (
                 textures.sample_textures,
                 (
                     *(t.clone().requires_grad_() for t in (cubes, light, behind)),
-                    faces,
+                    leaf,
                     index,
-                    weights.clone().requires_grad_(),
                     1e-3,
                     True,
                 ),
             ),
-            (textures.sample_textures_backward, (image, cubes, light, faces, index, weights, 1e-3, True, True, True)),
+            (textures.sample_textures_backward, (image, cubes, light, faces, index, 1e-3, True, True, True)),
         ],
         "edges": [
             (edges.nmr_edges, (image.clone().requires_grad_(), leaf, index, 1e-3, True, False)),
