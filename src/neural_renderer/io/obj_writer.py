@@ -143,12 +143,14 @@ def check_own(path: Path, files: Iterable[Path] | None, advice: str) -> None:
     for file in files:
         if file.exists() and not _is_own(path, file):
             raise FileExistsError(
-                f"{file}: expected no such file, or one that was written with {path.name}, got another; {advice}"
+                f"{file}: expected nothing there, or a file that was written with {path.name}, got another; {advice}"
             )
 
 
 def _is_own(path: Path, file: Path) -> bool:
     """Whether a library or picture was written with the OBJ at ``path``, by us or by the first packages."""
+    if not file.is_file():
+        return False
     library = path.with_suffix(".mtl")
     text = library.read_text(encoding="utf-8", errors="replace") if library.is_file() else ""
     if text == f"newmtl material_1\nmap_Kd {path.stem}.png\n":  # theirs has no note
@@ -158,5 +160,5 @@ def _is_own(path: Path, file: Path) -> bool:
     try:
         with Image.open(file) as picture:
             return picture.info.get("Comment") == _note(path)
-    except (OSError, SyntaxError, ValueError):
+    except Exception:  # Pillow's errors for broken files are of many kinds
         return False

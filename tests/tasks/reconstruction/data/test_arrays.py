@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
+from tests.faults import contents, full_disk
 
 
 def write(folder: Path, name: str = "chair", split: str = "test", count: int = 2, **other: Any) -> np.ndarray:
@@ -156,16 +157,13 @@ def test_names(tmp_path: Path) -> None:
     assert open_split(tmp_path, "test").names["chair"] == ("a", "b")
 
 
-def test_a_full_disk_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_a_sentence(tmp_path: Path) -> None:
     write(tmp_path)
-
-    def full(*_: Any) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("shutil.copyfileobj", full)
-    with pytest.raises(OSError, match=r"chair_test_images\.npy: expected room to unpack .* No space left on device"):
+    before = contents(tmp_path)
+    full = pytest.raises(OSError, match=r"chair_test_images\.npy: expected to write it, got: File too large")
+    with full, full_disk(10_000):
         open_split(tmp_path, "test")
-    assert not [path for path in tmp_path.iterdir() if path.suffix == ".npy"]
+    assert contents(tmp_path) == before
 
 
 def test_images_without_objects(tmp_path: Path) -> None:
