@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ..io.atomic_write import write_file
-from ..io.files import why_not_loaded
+from ..io.files import load_tensors, why_not_loaded
 from .common import interruption
 
 _SECONDS = 4.0  # from one preview and checkpoint to the next
@@ -100,7 +100,7 @@ class Run:
 
     def _restore(self) -> None:
         try:
-            state = torch.load(self._checkpoint, map_location=self._device, weights_only=True)
+            state = load_tensors(self._checkpoint, self._device)
             inputs, task = state["inputs"], state["task"]
             self.history, self.seconds = state["history"], state["seconds"]
         except Exception as error:  # whatever torch says of a file that is none of ours

@@ -87,7 +87,7 @@ def write_obj(
     ``points`` [V, 3], ``corners`` [F, 3]; without parts there is neither MTL nor PNG. Errors as `save_obj`.
     """
     numbers = [""] if len(parts) == 1 else [f"_{number}" for number in range(1, len(parts) + 1)]
-    pictures = [f"{texture}{number}.png" for number in numbers[: len(parts)]]
+    pictures = [f"{texture}{number}.png" for number in numbers]
     library = f"{path.stem}.mtl"
     if parts and not overwrite:
         check_own(path, [path.with_name(name) for name in (library, *pictures)], "overwrite=True replaces it")
@@ -106,7 +106,7 @@ def write_obj(
     with replacing(path) as fresh:
         fresh.write_text("".join(text), encoding="utf-8")
         if parts:
-            materials = [_material(*row) for row in zip(range(1, len(parts) + 1), pictures, parts, strict=True)]
+            materials = [_material(number, *shown) for number, shown in enumerate(zip(pictures, parts, strict=True), 1)]
             fresh.with_name(library).write_text("\n".join([f"# {_note(path)}", *materials]), encoding="utf-8")
         for name, part in zip(pictures, parts, strict=True):
             fresh.with_name(name).write_bytes(_png(part.picture, _note(path)))
@@ -139,7 +139,8 @@ def check_own(path: Path, files: Iterable[Path] | None, advice: str) -> None:
     ``files`` may exist or not; None means all that `save_mesh` or `UVMesh.save` could write beside ``path``.
     """
     if files is None:
-        files = [path.with_suffix(".mtl"), *path.parent.glob(f"{glob.escape(path.stem)}_texture*.png")]
+        names = (f"{glob.escape(path.stem)}_texture{number}.png" for number in ("", "_[0-9]*"))
+        files = [path.with_suffix(".mtl"), *(file for name in names for file in path.parent.glob(name))]
     for file in files:
         if file.exists() and not _is_own(path, file):
             raise FileExistsError(

@@ -15,7 +15,7 @@ from ..io.formats import read_mesh
 from ..io.mesh_writer import save_painted
 from ..io.surface_colors import Skin
 from ..textures.gutters import fill_gutters
-from ..textures.sample_texture import checked_wrap, sample_texture
+from ..textures.sample_texture import checked_wrap, sampled
 from .mesh import centred
 
 if TYPE_CHECKING:
@@ -120,10 +120,13 @@ class UVMesh:
             parts.append(seen.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
         if self.images:
             uv = seen.interpolate(self.uv.reshape(-1, 2), corners)
-            shown = self.image_index[seen.face_index.clamp(min=0).long()] if len(self.images) > 1 or parts else None
+            shown = None
+            if len(self.images) > 1 or parts:
+                # One more than there are faces: -1, which is no face, finds the last.
+                shown = torch.cat((self.image_index, self.image_index.new_tensor([-1])))[seen.face_index.long()]
             for number, (image, wrap) in enumerate(zip(self.images, self.wraps, strict=True)):
                 own = seen.face_index if shown is None else torch.where(shown == number, seen.face_index, -1)
-                parts.append(sample_texture(image, uv, own, wrap=wrap))
+                parts.append(sampled(image[None].float(), uv, own, wrap))
         return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
 
     def _check(self, always: bool = False) -> None:

@@ -9,6 +9,7 @@ import tracemalloc
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -157,11 +158,14 @@ def test_names(tmp_path: Path) -> None:
     assert open_split(tmp_path, "test").names["chair"] == ("a", "b")
 
 
-def test_a_full_disk_is_a_sentence(tmp_path: Path) -> None:
+def test_a_full_disk_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path)
     before = contents(tmp_path)
-    full = pytest.raises(OSError, match=r"chair_test_images\.npy: expected to write it, got: File too large")
-    with full, full_disk(10_000):
+    full = r"chair_test_images\.npy: expected to write it, got: "
+    with full_disk(10_000), pytest.raises(OSError, match=full + "File too large"):
+        open_split(tmp_path, "test")
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1000))
+    with pytest.raises(OSError, match=full + "No space left on device"):
         open_split(tmp_path, "test")
     assert contents(tmp_path) == before
 

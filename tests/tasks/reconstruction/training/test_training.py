@@ -300,4 +300,5 @@ def test_two_processes_do_what_one_does(tmp_path: Path) -> None:
     assert len(states[0]) == len(states[1]) > 20
     for number, state in states[0].items():
         gradient, other = state["exp_avg"], states[1][number]["exp_avg"]
+        # Sums over the batch, its images' pixels and the mesh, in another order, through layers of 512 terms.
         assert gradient.norm() > 0 and (gradient - other).norm() <= 1e-4 * gradient.norm()
