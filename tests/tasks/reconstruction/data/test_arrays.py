@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
+from tests.faults import contents, full_disk
 
 
 def write(folder: Path, name: str = "chair", split: str = "test", count: int = 2, **other: Any) -> np.ndarray:
@@ -159,10 +160,14 @@ def test_names(tmp_path: Path) -> None:
 
 def test_a_full_disk_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path)
-    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1000))
-    with pytest.raises(OSError, match=r"chair_test_images\.npy: expected room to unpack .* No space left on device"):
+    before = contents(tmp_path)
+    full = r"chair_test_images\.npy: expected to write it, got: "
+    with full_disk(10_000), pytest.raises(OSError, match=full + "File too large"):
         open_split(tmp_path, "test")
-    assert not [path for path in tmp_path.iterdir() if path.suffix == ".npy"]
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1000))
+    with pytest.raises(OSError, match=full + "No space left on device"):
+        open_split(tmp_path, "test")
+    assert contents(tmp_path) == before
 
 
 def test_images_without_objects(tmp_path: Path) -> None:

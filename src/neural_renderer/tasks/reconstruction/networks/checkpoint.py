@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from torch import Tensor
 
 from ....features import features_like
 from ....features.network import Plan
-from ....io.atomic_write import replacing
+from ....io.atomic_write import write_file
 from ....io.files import load_tensors, reason, short
 from ....version import __version__
 from .configs import Config
@@ -48,8 +49,9 @@ def header(model: Model, classes: Sequence[str], weights: str) -> dict[str, Any]
 def save_model(path: str | os.PathLike[str], model: Model, classes: Sequence[str], **facts: float) -> None:
     """Write a network, without the state of its training, and ``facts`` about it; OSError where that fails."""
     content = {HEADER: header(model, classes, "") | {"facts": facts}, "state_dict": model.state_dict()}
-    with replacing(path) as fresh:
-        torch.save(content, fresh)
+    file = io.BytesIO()  # since torch.save does not say why it cannot write
+    torch.save(content, file)
+    write_file(path, file.getbuffer())
 
 
 def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu") -> Model:
