@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,6 +27,9 @@ from .textured_writer import with_picture
 
 if TYPE_CHECKING:
     import trimesh
+
+# trimesh logs the traceback of an image that is missing, and tells of it here: what nobody asks for is not printed.
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 _READABLE = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 _WRITABLE = (".obj", ".ply", ".glb")
