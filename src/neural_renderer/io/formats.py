@@ -103,7 +103,8 @@ def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarr
     offset = 0
     for part, matrix in parts:
         corners = np.asarray(part.faces, dtype=np.int64)
-        points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        with np.errstate(over="ignore", invalid="ignore"):
+            points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         good = fits_float32(points)
         if not good.all():
             raise ValueError(
