@@ -42,7 +42,7 @@ class Run:
         folder: where ``preview.png`` and ``checkpoint.pt`` go.
         task: what takes the steps.
         inputs: plain values that tell what the task works on; a checkpoint is used if they are the same.
-        preview: the picture to show meanwhile, written to the path that it is given.
+        preview: writes the picture to show meanwhile to the path that it is given, by `save_image`.
         every: steps from one preview and checkpoint to the next; None: a few seconds.
         device: where the task computes; a checkpoint may come from another.
     """
@@ -91,8 +91,7 @@ class Run:
 
     def _save(self) -> None:
         """A preview and a checkpoint; whoever looks at the files meanwhile never finds half of one."""
-        with replacing(self._folder / "preview.png") as fresh:
-            self._preview(fresh)
+        self._preview(self._folder / "preview.png")
         state = {"task": self._task.state_dict(), "history": self.history, "seconds": self.seconds}
         with replacing(self._checkpoint) as fresh:
             torch.save({**state, "inputs": self._inputs}, fresh)

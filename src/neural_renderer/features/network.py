@@ -19,8 +19,8 @@ Plan = Mapping[str, Sequence[int]]
 class FeatureNetwork(nn.Module):
     """A convolutional network that returns what its named layers see in images.
 
-    >>> network = load_features("googlenet_bvlc.safetensors")
-    >>> network(images, ["inception_4c"])["inception_4c"].shape
+    >>> network = load_features("googlenet_bvlc.safetensors")  # doctest: +SKIP
+    >>> network(images, ["inception_4c"])["inception_4c"].shape  # doctest: +SKIP
     torch.Size([4, 512, 14, 14])
 
     Its weights are fixed: gradients flow to the images only. Layers are taken after their ReLU, except the last one of

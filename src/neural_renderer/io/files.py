@@ -82,7 +82,7 @@ def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.n
     """
     vertices, faces = _on_host("vertices", vertices), _on_host("faces", faces)
     validate.floating("vertices", vertices, ["V", 3])
-    validate.indices("faces", faces, ["F", 3])
+    faces = validate.indices("faces", faces, ["F", 3], always=True)
     if not len(faces):
         raise ValueError("faces: expected at least one, got none")
     validate.finite("vertices", vertices, always=True)

@@ -1,4 +1,4 @@
-"""Wavefront OBJ with its materials: `load_obj` and `save_obj`."""
+"""Wavefront OBJ files with their materials, read by `load_obj`."""
 
 from __future__ import annotations
 
@@ -6,16 +6,13 @@ import functools
 import os
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
-from .atlas import build_atlas
 from .cubes import WRAPPINGS
-from .files import existing, fits_float32, mesh_to_write, short, warn
+from .files import existing, fits_float32, short, warn
 from .images import load_image
 from .mtl import Material, read_mtl
 from .named_files import find_file
@@ -40,7 +37,7 @@ def load_obj(
     Args:
         filename_obj: The file.
         normalization: Move the bounding box to the origin and scale its longest side to [-1, 1].
-        texture_size: T, texels along a cube's edge, at least 2.
+        texture_size: T, texels along a cube's edge, at least 1 (the colour at the face's centre).
         load_texture: Return colours too.
         texture_wrapping: Texture coordinates outside [0, 1]: ``"REPEAT"``, ``"MIRRORED_REPEAT"``,
             ``"CLAMP_TO_EDGE"`` or ``"CLAMP_TO_BORDER"`` (black).
@@ -86,8 +83,19 @@ def _normalized(obj: ObjFile) -> np.ndarray:
     return vertices - vertices.max(axis=0) / 2
 
 
-def obj_skin(obj: ObjFile, wrapping: str = "REPEAT", allow_outside: bool = False) -> Skin | None:
-    """The colours of a file read with ``with_uv=True``, or None if it names none at all; of what is missing, grey.
+def obj_skin(
+    obj: ObjFile,
+    wrapping: str = "REPEAT",
+    allow_outside: bool = False,
+    materials: dict[str, Material] | None = None,
+) -> Skin | None:
+    """Resolve the colours of a file read with ``with_uv=True``; None if it has no colours. Missing ones are grey.
+
+    Args:
+        obj: The file.
+        wrapping: How texture coordinates beyond [0, 1] are wrapped.
+        allow_outside: Read materials and images outside the file's folder, too.
+        materials: Used in place of those in the material files that the file names.
 
     Raises ValueError as `load_obj` does. Warns (UserWarning) about missing material files, materials, images and
     texture coordinates, naming the file.
@@ -95,7 +103,7 @@ def obj_skin(obj: ObjFile, wrapping: str = "REPEAT", allow_outside: bool = False
     if wrapping not in WRAPPINGS:
         raise ValueError(f"texture_wrapping: expected one of {', '.join(WRAPPINGS)}, got {wrapping!r}")
     skin = Skin.plain(len(obj.faces), 0.5)
-    materials = _materials(obj, allow_outside)
+    materials = _materials(obj, allow_outside) if materials is None else materials
     load = functools.cache(_pixels)  # materials often share an image
     coloured = False
     if np.isfinite(obj.colours).any():
@@ -159,51 +167,3 @@ def _warn_missing(obj: ObjFile, what: str, name: str, allow_outside: bool) -> No
     unseen = Path(name).is_absolute() and not allow_outside
     hint = " in its folder; allow_outside=True (--allow-outside) looks where its path leads, too" if unseen else ""
     warn(f"{obj.path}: its {what} {short(name)} is missing{hint}")
-
-
-def save_obj(filename: str | os.PathLike[str], vertices: Any, faces: Any, textures: Any = None) -> None:
-    """Write a mesh as OBJ, with its colours as MTL and PNG beside it under the same name.
-
-    Args:
-        filename: Ends in ``.obj``; missing folders are made.
-        vertices: [V, 3] float tensor or array, on any device; written so that float32 is read back exactly.
-        faces: [F, 3] int32 or int64.
-        textures: [F, T, T, T, 3] in [0, 1] (clamped), T at least 2, or None. Each face gets a tile of 15 × 15 to
-            50 × 50 pixels (fewer above 290,000 faces) in the PNG, which holds what the renderer shows of its cube.
-
-    Raises:
-        TypeError, ValueError: As told for each argument; another suffix; too many faces for one picture.
-    """
-    path = Path(filename)
-    if path.suffix.lower() != ".obj":
-        raise ValueError(f"filename: expected a name that ends in .obj, got {path.name!r}")
-    points, corners, cubes = mesh_to_write(vertices, faces, textures)
-    text = [f"# {path.name}\n#\n\n"]
-    if cubes is not None:
-        picture, pixels = build_atlas(cubes)
-        height, width = picture.shape[:2]
-        uv = pixels / [width - 1, height - 1] * [1, -1] + [0, 1]
-        text.append(f"mtllib {path.stem}.mtl\n\n")
-    text.append(format_lines("v %.9g %.9g %.9g\n", points))
-    if cubes is None:
-        text.append("\n" + format_lines("f %d %d %d\n", corners + 1))
-    else:
-        text.append("\n" + format_lines("vt %.8f %.8f\n", uv.reshape(-1, 2)))
-        order = np.arange(3 * len(corners)).reshape(-1, 3)
-        text.append("\nusemtl material_1\n")
-        text.append(format_lines("f %d/%d %d/%d %d/%d\n", np.stack([corners, order], axis=2).reshape(-1, 6) + 1))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if cubes is not None:
-        Image.fromarray(picture).save(path.with_suffix(".png"))
-        path.with_suffix(".mtl").write_text(format_material(1, f"{path.stem}.png"), encoding="utf-8")
-    path.write_text("".join(text), encoding="utf-8")
-
-
-def format_material(number: int, picture: str, clamp: bool = False) -> str:
-    """The material ``material_<number>`` of an MTL file, which shows a picture as it is."""
-    option = "-clamp on " if clamp else ""
-    return f"newmtl material_{number}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {option}{picture}\n"
-
-
-def format_lines(form: str, rows: np.ndarray) -> str:
-    return (form * len(rows)) % tuple(rows.reshape(-1).tolist())

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
-from ..io.formats import load_mesh, save_mesh
+from ..io.formats import load_mesh
+from ..io.mesh_writer import save_mesh
 from ..io.obj import load_obj
 from . import primitives
 
@@ -19,11 +20,14 @@ from . import primitives
 class Mesh(nn.Module):
     """Vertices, faces and a texture, as a module whose parameters are the vertices and the texture.
 
+    `load`, `fromobj` and `icosphere` make one; `save` writes it; `normalize` centres and scales it; `get_batch` and
+    `set_lr` are those of the first packages. All other methods are `torch.nn.Module`'s: `to`, `parameters`, ….
+
     Attributes:
         vertices: Parameter, float32 [V, 3].
         faces: Buffer, int32 [F, 3], indices into the vertices.
         textures: Parameter, float32 [F, T, T, T, 3]. Texel (i, j, k) of a face's cube belongs to barycentric weights
-            (i, j, k) / (T - 1) of its corners 0, 1, 2.
+            (i, j, k) / (T - 1) of its corners 0, 1, 2; with T = 1 the face has one colour.
 
     ``Mesh(vertices, faces, textures)`` copies what it is given (tensors on one device, or numpy arrays). Without
     textures they are 0.05 times normal noise of size ``texture_size``, to be optimised through the sigmoid of
@@ -31,7 +35,7 @@ class Mesh(nn.Module):
 
     Raises:
         TypeError, ValueError: Other types or shapes, tensors on different devices, NaN or infinity, indices out of
-            range, no faces, T below 2.
+            range, no faces, T below 1.
     """
 
     vertices: nn.Parameter
@@ -55,11 +59,11 @@ class Mesh(nn.Module):
             textures = None
         vertices, faces = _as_tensor(vertices), _as_tensor(faces)
         validate.floating("vertices", vertices, ["V", 3])
-        validate.indices("faces", faces, ["F", 3])
+        faces = validate.indices("faces", faces, ["F", 3])
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
         if textures is None:
-            texture_size = validate.whole("texture_size", texture_size, 2)
+            texture_size = validate.whole("texture_size", texture_size, 1)
             textures = 0.05 * torch.randn(len(faces), *[texture_size] * 3, 3, device=vertices.device)
         textures = _as_tensor(textures)
         validate.cubes("textures", textures, len(faces))
@@ -119,9 +123,9 @@ class Mesh(nn.Module):
         """T, texels along a cube's edge."""
         return self.textures.shape[1]
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the mesh as OBJ, PLY or GLB (see `save_mesh`), its textures taken as colours and clamped to [0, 1]."""
-        save_mesh(path, self.vertices, self.faces, self.textures)
+        save_mesh(path, self.vertices, self.faces, self.textures, overwrite=overwrite)
 
     def normalize(self) -> Mesh:
         """A copy of the mesh with its bounding box centred at the origin and the box's longest side from -1 to 1.
@@ -180,5 +184,5 @@ def _as_tensor(value: Any) -> Any:
 
 
 def _white(faces: Tensor, texture_size: int) -> Tensor:
-    size = validate.whole("texture_size", texture_size, 2)
+    size = validate.whole("texture_size", texture_size, 1)
     return torch.ones(len(faces), size, size, size, 3, device=faces.device)

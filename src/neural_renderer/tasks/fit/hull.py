@@ -44,8 +44,8 @@ def frame(views: Views) -> tuple[Tensor, float]:
 def carve(views: Views, cells: int = 64) -> tuple[Tensor, Tensor]:
     """The visual hull of views that were `moved` to the frame: vertices float32 [V, 3], faces int64 [F, 3].
 
-    The silhouettes, blurred by about one cell, are looked up at each point of a grid of ``cells``³ over [-1, 1]; the
-    least of them, less a half, is 0 at the hull (Laurentini, "The Visual Hull Concept", 1994; Martin and Aggarwal's
+    The silhouettes, blurred by about one cell, are looked up at each of the ``cells³`` points of a grid over [-1, 1];
+    the least of them, less a half, is 0 at the hull (Laurentini, "The Visual Hull Concept", 1994; Martin and Aggarwal's
     volumes of 1983). Crumbs are left out: pieces of less than a hundredth of the largest one's faces.
     """
     pixels = max(1, round(min(views.size) / cells / 2))

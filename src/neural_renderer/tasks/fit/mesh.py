@@ -21,10 +21,10 @@ CLAY = (0.55, 0.68, 0.84)
 class MeshFit:
     """The shape and then the texture of what views show, step by step: call `advance` until ``done``.
 
-    >>> fit = MeshFit(load_views("photos"))
-    >>> while not fit.done:
+    >>> fit = MeshFit(load_views("photos"))  # doctest: +SKIP
+    >>> while not fit.done:  # doctest: +SKIP
     ...     fit.advance()
-    >>> fit.mesh().save("object.glb")
+    >>> fit.mesh().save("object.glb")  # doctest: +SKIP
 
     Args:
         views: with or without photos; without them there is no texture to be found.

@@ -25,8 +25,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....io import load_mesh
-from ....io.atomic_write import replacing
-from ....render import render
+from ....io.atomic_write import replacing, write_file
+from ....rendering import render
 from ....version import __version__
 from .arrays import DESCRIPTION, SPLITS
 from .drawing import shoulder_light
@@ -249,8 +249,7 @@ def assemble(
         "versions": {"neural_renderer": __version__, "torch": torch.__version__, "numpy": np.__version__},
         "broken": broken,
     }
-    with replacing(folder / DESCRIPTION) as fresh:
-        fresh.write_text(json.dumps(description, indent=1) + "\n", encoding="utf-8")
+    write_file(folder / DESCRIPTION, json.dumps(description, indent=1) + "\n")
 
 
 def names_before(folder: Path) -> dict[str, dict[str, list[str]]]:
