@@ -44,10 +44,10 @@ def test_every_nasty_file_loads_or_is_refused(shared):
             assert torch.isfinite(vertices).all() and faces.max() < len(vertices) and len(faces)
 
 
-def test_obj_without_colours_has_no_textures_and_no_warning(shared):
+def test_obj_without_colours_has_no_textures_and_no_warning(teapot_file):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        vertices, faces, textures = load_mesh(shared / "data/references/neural_renderer/teapot.obj")
+        vertices, faces, textures = load_mesh(teapot_file)
     assert vertices.shape == (1292, 3) and faces.shape == (2464, 3) and textures is None
     assert faces.dtype == torch.int32 and vertices.dtype == torch.float32
 

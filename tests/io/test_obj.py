@@ -66,8 +66,8 @@ def textured(folder: Path, uv: str = UV, mtl: str = "map_Kd image.png", size: in
     return load_obj(path, texture_size=size, load_texture=True, **options)[2][0]
 
 
-def test_tetrahedron(shared):
-    path = shared / "data/references/neural_renderer/tetrahedron.obj"
+def test_tetrahedron(references):
+    path = references / "tetrahedron.obj"
     vertices, faces = load_obj(path, False)
     normalized, faces2 = load_obj(path, True)
     assert vertices.dtype == torch.float32 and faces.dtype == torch.int32
@@ -77,8 +77,8 @@ def test_tetrahedron(shared):
     assert torch.equal(faces, faces2) and torch.equal(normalized, vertices * 2 - 1)
 
 
-def test_teapot(shared):
-    path = shared / "data/references/neural_renderer/teapot.obj"
+def test_teapot(teapot_file):
+    path = teapot_file
     vertices, faces = load_obj(path)
     assert vertices.shape == (1292, 3) and faces.shape == (2464, 3)
     raw = load_obj(path, False)[0]
@@ -420,8 +420,8 @@ def test_save_keeps_the_texels_of_the_face(tmp_path):
         assert difference[:, in_face].max() < 0.0025
 
 
-def test_save_without_textures_and_errors(tmp_path, shared):
-    path = shared / "data/references/neural_renderer/teapot.obj"
+def test_save_without_textures_and_errors(tmp_path, teapot_file):
+    path = teapot_file
     vertices, faces = load_obj(path)
     save_obj(str(tmp_path / "teapot.obj"), vertices.numpy(), faces.numpy())
     assert [p.name for p in tmp_path.iterdir()] == ["teapot.obj"]
