@@ -4,10 +4,11 @@ import ast
 from pathlib import Path
 from typing import Any
 
-import neural_renderer
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+
+import neural_renderer
 
 SOURCE = Path(neural_renderer.__file__).parent
 

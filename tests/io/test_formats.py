@@ -10,8 +10,8 @@ import torch
 import trimesh
 from PIL import Image
 
+from neural_renderer.io import load_mesh, save_mesh
 from neural_renderer.io.cubes import bake_corners
-from neural_renderer.io.formats import load_mesh, save_mesh
 from neural_renderer.meshes.primitives import cube, icosphere
 
 REFUSED = {
@@ -61,6 +61,19 @@ def test_save_and_load(tmp_path, suffix, size):
     assert torch.equal(vertices[faces.long()], vertices2[faces2.long()])
     if suffix.lower() != ".glb":
         assert torch.equal(vertices, vertices2) and torch.equal(faces, faces2)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])
+def test_one_colour_a_face(tmp_path, suffix):
+    """Two triangles apart, so that a vertex has the colour of its only face; files hold 255 levels."""
+    vertices, faces = (
+        torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [3, 0, 0], [2, 1, 0]]),
+        torch.arange(6),
+    )
+    textures = torch.tensor([[0.1, 0.5, 0.9], [0.8, 0.3, 0.2]]).view(2, 1, 1, 1, 3)
+    save_mesh(tmp_path / f"two{suffix}", vertices, faces.view(2, 3), textures)
+    found = load_mesh(tmp_path / f"two{suffix}", 1)[2]
+    assert found is not None and found.shape == textures.shape and (found - textures).abs().max() < 0.5 / 255 + 1e-6
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from neural_renderer.io.obj import load_obj, save_obj
+from neural_renderer.io import load_obj, save_obj
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import cube, icosphere
 from neural_renderer.validate import check_values
@@ -165,15 +165,15 @@ def test_a_broken_mesh_is_not_saved(tmp_path, suffix, checked):
         ({"vertices": torch.zeros(8, 2)}, ValueError, r"vertices: expected shape \[V, 3\], got \[8, 2\] float32"),
         ({"vertices": [[0.0, 0, 0]]}, TypeError, "vertices: expected a floating-point torch tensor, got list"),
         ({"vertices": torch.full((8, 3), torch.nan)}, ValueError, "vertices: expected finite"),
-        ({"faces": torch.zeros(12, 3)}, TypeError, "faces: expected an int32 or int64"),
+        ({"faces": torch.full((12, 3), 0.5)}, ValueError, "faces: expected whole numbers"),
         ({"faces": torch.zeros(0, 3, dtype=torch.int32)}, ValueError, "faces: expected at least one"),
         ({"faces": torch.full((12, 3), 8)}, ValueError, r"faces: expected indices in \[0, 8\), got 8"),
         ({"textures": torch.zeros(11, 2, 2, 2, 3)}, ValueError, r"textures: expected shape \[12, T, T, T, 3\]"),
         ({"textures": torch.zeros(12, 2, 2, 3, 3)}, ValueError, "textures: expected cubes"),
-        ({"textures": torch.zeros(12, 1, 1, 1, 3)}, ValueError, "T at least 2"),
+        ({"textures": torch.zeros(12, 0, 0, 0, 3)}, ValueError, "T at least 1"),
         ({"vertices": torch.ones(8, 3).to_sparse()}, TypeError, "vertices: expected a dense tensor"),
         ({"faces": cube()[1].to_sparse()}, TypeError, "faces: expected a dense tensor"),
-        ({"texture_size": 1}, ValueError, "texture_size: expected at least 2, got 1"),
+        ({"texture_size": 0}, ValueError, "texture_size: expected at least 1, got 0"),
     ],
 )
 def test_errors(change, error, sentence):

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
-from ..io.formats import load_mesh, save_mesh
+from ..io.formats import load_mesh
+from ..io.mesh_writer import save_mesh
 from ..io.obj import load_obj
 from . import primitives
 
@@ -26,7 +27,7 @@ class Mesh(nn.Module):
         vertices: Parameter, float32 [V, 3].
         faces: Buffer, int32 [F, 3], indices into the vertices.
         textures: Parameter, float32 [F, T, T, T, 3]. Texel (i, j, k) of a face's cube belongs to barycentric weights
-            (i, j, k) / (T - 1) of its corners 0, 1, 2.
+            (i, j, k) / (T - 1) of its corners 0, 1, 2; with T = 1 the face has one colour.
 
     ``Mesh(vertices, faces, textures)`` copies what it is given (tensors on one device, or numpy arrays). Without
     textures they are 0.05 times normal noise of size ``texture_size``, to be optimised through the sigmoid of
@@ -34,7 +35,7 @@ class Mesh(nn.Module):
 
     Raises:
         TypeError, ValueError: Other types or shapes, tensors on different devices, NaN or infinity, indices out of
-            range, no faces, T below 2.
+            range, no faces, T below 1.
     """
 
     vertices: nn.Parameter
@@ -58,11 +59,11 @@ class Mesh(nn.Module):
             textures = None
         vertices, faces = _as_tensor(vertices), _as_tensor(faces)
         validate.floating("vertices", vertices, ["V", 3])
-        validate.indices("faces", faces, ["F", 3])
+        faces = validate.indices("faces", faces, ["F", 3])
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
         if textures is None:
-            texture_size = validate.whole("texture_size", texture_size, 2)
+            texture_size = validate.whole("texture_size", texture_size, 1)
             textures = 0.05 * torch.randn(len(faces), *[texture_size] * 3, 3, device=vertices.device)
         textures = _as_tensor(textures)
         validate.cubes("textures", textures, len(faces))
@@ -81,16 +82,23 @@ class Mesh(nn.Module):
         normalization: bool = True,
         load_texture: bool = False,
         texture_size: int = 4,
+        allow_outside: bool = False,
     ) -> Mesh:
         """Read an OBJ file (see `load_obj`), with its colours or, by default, with noise for a texture."""
-        loaded = load_obj(filename_obj, normalization, texture_size, load_texture)
+        loaded = load_obj(filename_obj, normalization, texture_size, load_texture, allow_outside=allow_outside)
         textures = loaded[2] if len(loaded) == 3 else None
         return cls(loaded[0], loaded[1], textures, texture_size)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], texture_size: int = 4, normalize: bool = False) -> Mesh:
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        texture_size: int = 4,
+        normalize: bool = False,
+        allow_outside: bool = False,
+    ) -> Mesh:
         """Read a mesh of any format (see `load_mesh`) with its colours, or white if it has none."""
-        vertices, faces, textures = load_mesh(path, texture_size)
+        vertices, faces, textures = load_mesh(path, texture_size, allow_outside)
         mesh = cls(vertices, faces, _white(faces, texture_size) if textures is None else textures)
         return mesh.normalize() if normalize else mesh
 
@@ -115,9 +123,9 @@ class Mesh(nn.Module):
         """T, texels along a cube's edge."""
         return self.textures.shape[1]
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the mesh as OBJ, PLY or GLB (see `save_mesh`), its textures taken as colours and clamped to [0, 1]."""
-        save_mesh(path, self.vertices, self.faces, self.textures)
+        save_mesh(path, self.vertices, self.faces, self.textures, overwrite=overwrite)
 
     def normalize(self) -> Mesh:
         """A copy of the mesh with its bounding box centred at the origin and the box's longest side from -1 to 1.
@@ -176,5 +184,5 @@ def _as_tensor(value: Any) -> Any:
 
 
 def _white(faces: Tensor, texture_size: int) -> Tensor:
-    size = validate.whole("texture_size", texture_size, 2)
+    size = validate.whole("texture_size", texture_size, 1)
     return torch.ones(len(faces), size, size, size, 3, device=faces.device)

@@ -18,7 +18,7 @@ from ..camera import Camera, get_points_from_angles
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
-from ..render import render
+from ..rendering import render
 
 _BACKDROP = (0.94, 0.945, 0.955), (0.80, 0.82, 0.85)  # at the top and at the bottom
 _FADE = 0.12  # of a picture's sides, in which shadows end

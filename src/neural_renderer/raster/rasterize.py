@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
@@ -23,6 +24,8 @@ OUTPUTS = ("rgb", "alpha", "depth")
 class Images(NamedTuple):
     """The images of a renderer; None for an output that was not asked for. Row 0 is at the top.
 
+    They may be changed in place before ``backward``.
+
     Attributes:
         rgb: [B, 3, H, W] float32, the colours.
         alpha: [B, H, W] float32: 1 where a face is seen, 0 elsewhere, in between at anti-aliased outlines.
@@ -37,12 +40,12 @@ class Images(NamedTuple):
 def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     """The corners of each face.
 
-    vertices: [B, V, 3] floating. faces: [F, 3] shared by the batch, or [B or 1, F, 3]; int32 or int64, in [0, V), or
-        (-1, -1, -1) for no face, with which meshes of different size fill up one batch.
+    vertices: [B, V, 3] floating. faces: [F, 3] shared by the batch, or [B or 1, F, 3]; whole numbers of any real dtype,
+        in [0, V), or (-1, -1, -1) for no face, with which meshes of different size fill up one batch.
     Returns [B, F, 3, 3] float32. Raises TypeError or ValueError for other dtypes, shapes, devices or indices.
     """
     validate.floating("vertices", vertices, ("B", "V", 3))
-    checked_faces(faces)
+    faces = checked_faces(faces)
     validate.same_device(vertices=vertices, faces=faces)
     faces = faces[None] if faces.dim() == 2 else faces
     if faces.shape[0] not in (1, vertices.shape[0]):
@@ -89,9 +92,9 @@ def rasterize_images(
         in float32.
     size: the images' side, or (height, width), in pixels.
     outputs: which of "rgb", "alpha", "depth"; what is not asked for costs nothing.
-    textures: [B or 1, F, T, T, T, 3] floating, T >= 2; needed for "rgb".
+    textures: [B or 1, F, T, T, T, 3] floating (T = 1: one colour a face); needed for "rgb".
     light: [B or 1, 2, F, 3] factors for the colour of each face's two sides; none: 1.
-    background: colour where no face is seen: [3], [B, 3], or an image [B, 3, H, W] or [3, H, W] (H and W of
+    background: colour where no face is seen: a number, [3], [B, 3], or an image [B, 3, H, W] or [3, H, W] (H and W of
         the output).
     near, far: 0 <= near < far; only what has near < depth < far at a pixel is seen.
     eps: added to the distances in the gradient's denominators (screen units); cube coordinates end at T - 1 - eps.
@@ -116,7 +119,7 @@ def rasterize_images(
     whole = gradient == "edge"  # the derivative inside of faces, too
     if "rgb" in outputs or "depth" in outputs:
         from_corners = corners if whole or "depth" in outputs else still
-        weights, depth = barycentrics(from_corners, face_index, settings.far, perspective)
+        weights, depth = barycentrics(from_corners, face_index, settings.near, settings.far, perspective)
         if "rgb" in outputs:
             cubes = _checked_textures(textures, batch, count, device)
             factors = _checked_light(light, batch, count, device)
@@ -155,10 +158,12 @@ def finish_images(
         image = settings.through_visibility(image, corners, face_index, colored, not colored, marks)
         if settings.anti_aliasing:
             image = halve(image)
-        # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied.
+        # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied. Copies where
+        # there are several, for autograd lets nobody change one of several views in place.
         if len(layers) > 1:
             parts = image.split([layer.shape[1] for layer in layers.values()], 1)
-            layers = {name: part.contiguous() for name, part in zip(layers, parts, strict=True)}
+            copies = (part.clone(memory_format=torch.contiguous_format) for part in parts)
+            layers = dict(zip(layers, copies, strict=True))
         else:
             layers = dict.fromkeys(layers, image)
         rgb = layers.get("rgb")
@@ -169,19 +174,21 @@ def finish_images(
         depth = None
     elif settings.anti_aliasing and depth is not None:
         depth = halve(depth[:, None])[:, 0]
+    elif depth is not None and depth.requires_grad:
+        depth = depth.clone()  # its gradient needs the values as they are, and callers may change theirs in place
     return Images(rgb, alpha, depth)
 
 
 def checked_faces(faces: Any) -> Tensor:
-    """``faces`` if it is an int32 or int64 tensor [F, 3] or [B, F, 3]; TypeError or ValueError otherwise."""
+    """``faces`` [F, 3] or [B, F, 3] as int32 or int64 (see `validate.indices`); TypeError or ValueError otherwise."""
     return validate.indices("faces", faces, ("F", 3) if getattr(faces, "ndim", 3) == 2 else ("B", "F", 3))
 
 
 def checked_outputs(outputs: Collection[str]) -> Collection[str]:
-    if not isinstance(outputs, Collection):
+    if not isinstance(outputs, Collection) or getattr(outputs, "ndim", 1) != 1:
         raise TypeError(f"outputs: expected some of {', '.join(OUTPUTS)}, got {type(outputs).__name__}")
     names = (outputs,) if isinstance(outputs, str) else tuple(outputs)
-    if not names or any(name not in OUTPUTS for name in names):
+    if not names or any(not isinstance(name, str) or name not in OUTPUTS for name in names):
         raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)}, got {', '.join(map(str, names)) or 'none'}")
     return names
 
@@ -206,6 +213,7 @@ def _checked_light(light: Tensor | None, batch: int, count: int, device: torch.d
     validate.same_device(faces=torch.empty(0, device=device), light=light)
     if light.shape[0] not in (1, batch):
         raise ValueError(f"light: expected parameters for {batch} images or for all, got {light.shape[0]}")
+    validate.finite("light", light)
     return light.float()
 
 
@@ -215,9 +223,10 @@ def behind_image(background: Any, batch: int, channels: int, settings: Settings,
     if not isinstance(background, Tensor):
         try:
             background = torch.as_tensor(background, dtype=torch.float32, device=device)
-        except (TypeError, ValueError, RuntimeError):
+        except (TypeError, ValueError, RuntimeError, OverflowError):
             raise TypeError(
-                f"background: expected a colour [{channels}] or [B, {channels}] or an image, got {background!r}"
+                f"background: expected a number, a colour [{channels}] or [B, {channels}], or an image, "
+                f"got {reprlib.repr(background)}"
             ) from None
     elif background.dtype == torch.uint8:  # an image as it comes from a file, most likely
         raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")
@@ -226,6 +235,7 @@ def behind_image(background: Any, batch: int, channels: int, settings: Settings,
         validate.has_numbers("background", background)
     color = background.to(device=device, dtype=torch.float32)
     validate.finite("background", color)
+    color = color.expand(channels) if color.dim() == 0 else color
     shape = tuple(color.shape)
     image = (channels, height, width)
     if shape == (channels,) or (len(shape) == 2 and shape[0] in (1, batch) and shape[1] == channels):
@@ -234,6 +244,6 @@ def behind_image(background: Any, batch: int, channels: int, settings: Settings,
         color = color.reshape(-1, *image)
         return color.repeat_interleave(2, 2).repeat_interleave(2, 3) if settings.anti_aliasing else color
     raise ValueError(
-        f"background: expected [{channels}], [{batch}, {channels}], {list(image)} or {[batch, *image]}, "
+        f"background: expected a number, [{channels}], [{batch}, {channels}], {list(image)} or {[batch, *image]}, "
         f"got {list(shape)}"
     )

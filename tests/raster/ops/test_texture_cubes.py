@@ -12,18 +12,19 @@ from neural_renderer.raster.ops.coverage import coverage
 from neural_renderer.raster.ops.texture_cubes import sample_textures
 from neural_renderer.raster.reference.operators import sample_textures_reference
 from tests.raster.scenes import FAR, NEAR, examples, scenes
+from tests.rounding import relative, rounding
 
 
 def drawn(scene, device):
     faces = scene.faces.to(device)
     index = coverage(faces, scene.height, scene.width, NEAR, FAR, scene.two_sided, scene.perspective)
-    return faces, index, *barycentrics(faces, index, FAR, scene.perspective)
+    return faces, index, *barycentrics(faces, index, NEAR, FAR, scene.perspective)
 
 
 @examples(50)
 @given(
     scene=scenes(empty=False),
-    size=st.integers(2, 6),
+    size=st.integers(1, 6),
     shared_textures=st.booleans(),
     shared_light=st.booleans(),
     eps=st.sampled_from([1e-3, 1e-4]),
@@ -49,7 +50,7 @@ def test_random_scenes(device, scene, size, shared_textures, shared_light, eps):
     torch.testing.assert_close(color.cpu().double(), reference, rtol=1e-5, atol=2e-5)
     # On a texel the blend has a kink, and rounding decides which side the weight is on.
     coordinate = weights.cpu().double() * (size - 1)
-    kink = (coordinate - coordinate.round()).abs() < 1e-5
+    kink = ((coordinate - coordinate.round()).abs() < 1e-5) & (size > 1)
     found, expected = ([*g[:3], g[3].cpu() * ~kink] for g in (found, expected))
     for ours, theirs in zip(found, expected, strict=True):
         error = (ours.cpu() - theirs).norm()
@@ -66,23 +67,24 @@ def test_textures_lie_flat_in_space(device, perspective):
     shares = torch.stack(torch.meshgrid(*[torch.linspace(0, 1, 4, device=device)] * 3, indexing="ij"), -1)
     textures = (shares @ world[0, 0])[None, None]
     index = coverage(screen, 32, 32, NEAR, FAR, False, perspective)
-    weights, depth = barycentrics(screen, index, FAR, perspective)
+    weights, depth = barycentrics(screen, index, NEAR, FAR, perspective)
     ones = torch.ones(1, 2, 1, 3, device=device)
     color = sample_textures(
         textures, ones, torch.zeros(1, 3, 32, 32, device=device), screen, index, weights, 0.0, perspective
     )
     inside = (index >= 0) & (weights.amax(-1) < 0.9)
-    torch.testing.assert_close(color[:, 2][inside], depth[inside], rtol=1e-4, atol=1e-4)
+    # Weights of a face of 30 pixels, then a place among 4 texels, of depths up to 4.
+    torch.testing.assert_close(color[:, 2][inside], depth[inside], **rounding(64, 4 * 4))
 
 
 def test_each_side_has_its_light(device):
     front = torch.tensor([[-1.0, -1, 1], [1, -1, 1], [0, 1, 1]])
     faces = torch.stack((front, front.flip(0)))[:, None].to(device)
     index = coverage(faces, 4, 4, NEAR, FAR, True, True)
-    weights, _ = barycentrics(faces, index, FAR, True)
+    weights, _ = barycentrics(faces, index, NEAR, FAR, True)
     light = torch.tensor([[[[1.0, 2, 3]], [[4.0, 5, 6]]]], device=device)
     textures = torch.ones(1, 1, 2, 2, 2, 3, device=device)
     black = torch.zeros(2, 3, 4, 4, device=device)
     color = sample_textures(textures, light, black, faces, index, weights, 1e-3, True).cpu()
-    assert torch.allclose(color[0, :, index.cpu()[0] >= 0].T, torch.tensor([1.0, 2, 3]))
-    assert torch.allclose(color[1, :, index.cpu()[1] >= 0].T, torch.tensor([4.0, 5, 6]))
+    assert torch.allclose(color[0, :, index.cpu()[0] >= 0].T, torch.tensor([1.0, 2, 3]), **relative(32))
+    assert torch.allclose(color[1, :, index.cpu()[1] >= 0].T, torch.tensor([4.0, 5, 6]), **relative(32))

@@ -8,6 +8,7 @@ import torch
 import neural_renderer as nr
 from neural_renderer.raster.visibility.continuity import image_marks, texture_marks
 from neural_renderer.tasks.texels import Texels
+from tests.rounding import rounding
 
 
 def sewn(marks, faces):
@@ -71,6 +72,17 @@ def test_no_jump_is_overlooked(device, size):
     assert sewn(texture_marks(cubes, light), faces).view(4, 3)[0, 2]
 
 
+def test_one_colour_a_face(device):
+    """Among faces of one colour and light a single one of another has its three edges, seen from both sides."""
+    _, faces = sphere(device)
+    light = torch.ones(1, 2, len(faces), 3, device=device)
+    cubes = torch.full((1, len(faces), 1, 1, 1, 3), 0.4, device=device)
+    assert sewn(texture_marks(cubes, light), faces).all()
+    cubes[0, 7, ..., 2] = 0.5
+    found = sewn(texture_marks(cubes, light), faces).view(-1, 3)
+    assert (~found).sum() == 6 and not found[7].any()
+
+
 def test_images_are_sewn_where_charts_go_on(device):
     vertices, faces = sphere(device)
     corners = vertices[faces.long()]
@@ -107,4 +119,5 @@ def test_no_seam_is_found_in_a_texture_that_goes_on(device):
         rgb.square().sum().backward()
         found.append((rgb, moving.grad))
     assert torch.equal(found[0][0], found[1][0])
-    torch.testing.assert_close(found[0][1], found[1][1], rtol=1e-4, atol=1e-4 * float(found[0][1].abs().max()))
+    # A vertex gathers the pulls of some hundred pixels, in the one and in the other order.
+    torch.testing.assert_close(found[0][1], found[1][1], **rounding(64**2, float(found[0][1].abs().max())))

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import facing, homogeneous_weights, in_front, pixel_box, pixel_centre
-from ..warp.launch import MANY_PIXELS, array, cpu_bands, launch
+from ..warp.launch import MANY_PIXELS, array, concurrent, cpu_bands, launch
 from ..warp.registration import operator
 
 # Without fused multiply-adds an edge a -> b and its twin b -> a have exactly opposite signs at every pixel, so
@@ -33,8 +33,8 @@ def coverage(
     batch, count = faces.shape[:2]
     face_index = torch.empty((batch, height, width), dtype=torch.int32, device=faces.device)
     key = torch.empty((batch, height, width), dtype=torch.int64, device=faces.device)
-    on_cuda = faces.device.type == "cuda"
-    if on_cuda:
+    all_at_once = concurrent(faces.device)
+    if all_at_once:
         # One task per face, its rows shared by a few threads, more of them where faces are few and large.
         key.fill_(torch.iinfo(torch.int64).max)
         pixels = 8 * height * width // max(count, 1)
@@ -43,10 +43,10 @@ def coverage(
     else:
         # One task per image, or band of rows of it, which runs through all faces from first to last.
         lanes, groups, bands = 1, 1, min(height, cpu_bands(batch))
-    options = [groups, bands, lanes, near, far, int(two_sided), int(perspective), int(not on_cuda)]
+    options = [groups, bands, lanes, near, far, int(two_sided), int(perspective), int(not all_at_once)]
     maps = [array(key), array(face_index)]
     launch(_draw, batch * groups * bands * lanes, [array(faces, wp.vec3), *maps, *options], faces.device)
-    if on_cuda:
+    if all_at_once:
         launch(_decode, batch * height, [*maps, count], faces.device)
     return face_index
 
@@ -257,9 +257,10 @@ def _draw(
             continue
         index = f
         if side < 0:
-            # The first packages append the reversed copies after all faces; ties go to the lower index there.
+            # As the first packages do it, who append copies in reversed order after all faces: a face that a file holds
+            # twice, once turned over, has the depth of its copy to the last bit, and ties go to the lower index.
             index = f + count
-            v1, v2 = v2, v1
+            v0, v2 = v2, v0
         # The depth is (e . n) / (e . d) for the pixel's edge functions e.
         n = wp.vec3(v0[2], v1[2], v2[2])
         d = wp.vec3(1.0, 1.0, 1.0)

@@ -11,17 +11,17 @@ import warp as wp
 from torch import Tensor
 
 from ..ops.visible_faces import seen_faces
-from ..warp.geometry import facing, to_pixels
-from ..warp.launch import array, copy, face_lanes, launch, zeros
+from ..warp.geometry import SHORTEST, facing, to_pixels
+from ..warp.launch import array, concurrent, copy, face_lanes, launch, zeros
 from ..warp.registration import differentiable_once, operator
 from .scanlines import WIDE, copy_lines, empty_lines, place, shrink, sweep
 
 wp.set_module_options({"enable_backward": False})
 
 # Keeps a quotient finite where a pixel lies on the edge and the corner has no share in it.
-TINY = wp.constant(1.0e-20)
+TINY = wp.constant(1.0e-15)
 # Bytes of scan lines that are stored at once: on the CPU no more than its caches hold, or so.
-_ROOM = {"cpu": 2**23, "cuda": 2**28}
+_ROOM, _ROOM_CONCURRENT = 2**23, 2**28
 
 
 @operator
@@ -56,15 +56,16 @@ def nmr_edges_backward(
     device = faces.device
 
     # The last channels, such as an alpha that no loss looks at, may have no gradient. (To ask on a GPU is to wait.)
-    while not (binary or grad.is_cuda or channels == 1 or bool(grad[:, channels - 1].any())):
+    while not (binary or concurrent(device) or channels == 1 or bool(grad[:, channels - 1].any())):
         channels -= 1
     planes = 1 if binary else 1 + channels
-    abreast = 1 if faces.is_cuda else WIDE
+    abreast = 1 if concurrent(device) else WIDE
     lanes = face_lanes(faces, height * width)
     # Zero would divide by zero where a pixel touches the edge.
     options = [int(binary), max(eps, 1e-12), int(two_sided), lanes]
     seen = seen_faces(face_index, faces.shape[1])
-    at_once = max(1, min(batch, _ROOM[device.type] // (8 * planes * height * width)))
+    room = _ROOM_CONCURRENT if concurrent(device) else _ROOM
+    at_once = max(1, min(batch, room // (8 * planes * height * width)))
     rows = empty_lines(at_once, height, width, planes, device)
     columns = empty_lines(at_once, width, height, planes, device)
     spans = torch.empty((at_once, height + width, 2), dtype=torch.int32, device=device)
@@ -86,8 +87,8 @@ def _(grad, image, faces, face_index, eps, two_sided, binary):  # type: ignore[n
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    _, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary = inputs
-    ctx.save_for_backward(output, faces, face_index)
+    image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary = inputs
+    ctx.save_for_backward(image, faces, face_index)  # not the output, which callers may change in place
 
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
@@ -142,7 +143,7 @@ def pull_edge(
     qv = to_pixels(q[axis], length)
     rv = to_pixels(r[axis], length)
     # An edge that ends behind the camera has no place on the screen for its end: it gets no gradient.
-    if pu == qu or p[2] <= 0.0 or q[2] <= 0.0:
+    if wp.abs(pu - qu) < SHORTEST or p[2] <= 0.0 or q[2] <= 0.0:
         return wp.vec2(0.0, 0.0)
     outward = int(1)
     if (pu < qu) == (axis == 1):
@@ -274,7 +275,7 @@ def _pull(
     side = facing(v0, v1, v2, 1)
     turned = side < 0
     if turned:
-        v1, v2 = v2, v1
+        v0, v2 = v2, v0
     x = wp.vec3(0.0, 0.0, 0.0)
     y = wp.vec3(0.0, 0.0, 0.0)
     corners = int(3)  # a variable, or Warp would unroll the loop sixfold
@@ -292,8 +293,8 @@ def _pull(
         y[(k + 1) % 3] += to_y[1]
     for k in range(3):
         corner = k
-        if turned and k > 0:
-            corner = 3 - k
+        if turned:
+            corner = 2 - k
         part = wp.vec3(x[k], y[k], 0.0)
         if lanes == 1:
             result[b, f, corner] = part

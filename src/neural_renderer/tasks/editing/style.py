@@ -12,11 +12,10 @@ from torch import Tensor
 
 from ... import losses, validate
 from ...features import FeatureNetwork
+from ..settings import STYLE_LAYERS
 from .deformation import Deformation
 from .palette import Palette
 
-STYLE_LAYERS = ("conv1_2", "conv2_2", "conv3_3", "conv4_3")
-"""The paper's, whose conv2_3 does not exist: the published code takes conv2_2."""
 _LARGEST = 2048  # pixels along the side of a square painting, which take a network some gigabytes
 _MARGIN = 16  # pixels around the objects that the network sees too
 

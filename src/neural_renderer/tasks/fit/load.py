@@ -26,10 +26,12 @@ from torch import Tensor
 from ... import validate
 from ...camera import Camera, get_points_from_angles
 from ...io import load_image
-from ...io.files import existing, read_text
+from ...io.files import existing, read_text, reason, short
+from ...io.named_files import is_file, is_outside, outside
 from .fit_views import Views, smaller
 
 _CAMERA_FILES = ("transforms.json", "transforms_train.json", "cameras.json", "cameras.csv")
+_LARGEST = torch.finfo(torch.float32).max
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG")
 
 
@@ -50,6 +52,7 @@ def load_views(
     photos: bool = True,
     background: tuple[float, float, float] | None = None,
     tolerance: float = 0.05,
+    allow_outside: bool = False,
 ) -> Views:
     """Read images and their cameras.
 
@@ -64,16 +67,18 @@ def load_views(
             mask: white on black.
         background: red, green and blue in [0, 1] of what is behind the object in images without transparency.
         tolerance: the largest difference from the background, in any channel, that is still background.
+        allow_outside: read images outside the camera file's folder too, if it names such.
 
     Raises:
         FileNotFoundError: no such folder, camera file or image.
-        ValueError: files that are not what they should be, keys that are missing, images of different sizes, masks
-            without an object, images without anything that tells the object from what is behind it.
+        ValueError: files that are not what they should be, keys that are missing, images of different sizes or larger
+            than `load_image` takes, or outside the folder without ``allow_outside``, masks without an object, images
+            without anything that tells the object from what is behind it.
     """
     size = validate.whole("size", size, 16)
     _check_background(background)
-    camera_file = _camera_file(Path(path))
-    common, frames = _frames(camera_file)
+    source = camera_file(Path(path))
+    common, frames = _frames(source, allow_outside)
     images: list[Tensor] = []
     masks: list[Tensor] = []
     full = (0, 0)
@@ -85,7 +90,7 @@ def load_views(
         images.append(colours)
         masks.append(mask)
     make = _nerf_camera if "frames" in common else _angles_camera
-    camera = make(camera_file, common, frames, full)
+    camera = make(source, common, frames, full)
     return Views(camera, torch.stack(masks), torch.stack(images) if photos else None)
 
 
@@ -126,7 +131,8 @@ def _check_background(background: tuple[float, float, float] | None) -> None:
             raise ValueError(f"background: expected red, green and blue in [0, 1], got {background}")
 
 
-def _camera_file(path: Path) -> Path:
+def camera_file(path: Path) -> Path:
+    """The file of the cameras that ``path`` is, or that is in the folder ``path``; FileNotFoundError if none is."""
     if path.is_file():
         return path
     if not path.is_dir():
@@ -137,16 +143,21 @@ def _camera_file(path: Path) -> Path:
     raise FileNotFoundError(f"{path}: expected one of {', '.join(_CAMERA_FILES)} in the folder, got none")
 
 
-def _frames(path: Path) -> tuple[dict[str, Any], list[_Frame]]:
+def _frames(path: Path, allow_outside: bool) -> tuple[dict[str, Any], list[_Frame]]:
     """What a camera file says of all images, and of each."""
     if path.suffix.lower() == ".csv":
-        rows: list[Any] = list(csv.DictReader(read_text(path).splitlines(), skipinitialspace=True))
+        try:
+            rows: list[Any] = list(csv.DictReader(read_text(path).splitlines(), skipinitialspace=True))
+        except csv.Error as error:
+            raise ValueError(f"{path}: expected CSV, got a file that cannot be read as such ({error})") from None
         common: dict[str, Any] = {"views": rows}
     else:
         try:
             common = json.loads(read_text(path))
-        except json.JSONDecodeError as error:
-            raise ValueError(f"{path}: expected JSON, got a file that cannot be read as such ({error})") from None
+        except (ValueError, RecursionError) as error:
+            raise ValueError(
+                f"{path}: expected JSON, got a file that cannot be read as such ({reason(error)})"
+            ) from None
         if not isinstance(common, dict) or not ("frames" in common or "views" in common):
             raise ValueError(f'{path}: expected the key "frames" (NeRF) or "views", got neither')
         rows = common["frames" if "frames" in common else "views"]
@@ -158,34 +169,41 @@ def _frames(path: Path) -> tuple[dict[str, Any], list[_Frame]]:
         where = f"{path}: image {index}"
         if not isinstance(row, dict):
             raise ValueError(f"{where}: expected an object with keys, got {type(row).__name__}")
-        mask = row.get(mask_key)
-        frames.append(_Frame(where, _file(path, _key(where, row, image_key)), _file(path, mask) if mask else None, row))
+        image = _file(path, _key(where, row, image_key), allow_outside)
+        mask = _file(path, row[mask_key], allow_outside) if row.get(mask_key) else None
+        frames.append(_Frame(where, image, mask, row))
     return common, frames
 
 
-def _file(camera_file: Path, name: Any) -> Path:
+def _file(camera_file: Path, name: Any, allow_outside: bool) -> Path:
     """A file named beside the camera file; NeRF's names have no suffix."""
+    name = str(name)
+    if not allow_outside and is_outside(camera_file, name):
+        raise outside(camera_file, name)
     for suffix in _SUFFIXES:
-        found = camera_file.parent / (str(name) + suffix)
-        if found.is_file():
+        found = camera_file.parent / (name + suffix)
+        if is_file(found):
             return found
-    return existing(camera_file.parent / str(name))
+    raise FileNotFoundError(f"{camera_file}: expected a file {short(name)}, got nothing there")
 
 
 def _key(where: str, row: dict[str, Any], key: str) -> Any:
     if key in row and row[key] in (None, ""):
         raise ValueError(f'{where}: expected something for the key "{key}", got nothing')
     if key not in row:
-        raise ValueError(f'{where}: expected the key "{key}", got {", ".join(map(str, row)) or "none"}')
+        raise ValueError(f'{where}: expected the key "{key}", got {(", ".join(map(str, row)) or "none")[:80]}')
     return row[key]
 
 
 def _number(where: str, row: dict[str, Any], key: str, default: float | None = None) -> float:
     value = row.get(key, default) if default is not None else _key(where, row, key)
     try:
-        return validate.number(key, float(value if value not in (None, "") else default))  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        raise ValueError(f"{where}: {key}: expected a finite number, got {value!r}") from None
+        number = validate.number(key, float(value if value not in (None, "") else default))  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        number = math.inf
+    if not abs(number) <= _LARGEST:
+        raise ValueError(f"{where}: {key}: expected a finite number, got {short(value)}")
+    return number
 
 
 def _above_zero(where: str, row: dict[str, Any], key: str, default: float | None = None) -> float:
@@ -279,14 +297,14 @@ def _pose(frame: _Frame) -> list[list[float]]:
     value = _key(frame.where, frame.numbers, "transform_matrix")
     try:
         matrix = torch.tensor(value, dtype=torch.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RuntimeError, OverflowError):
         matrix = torch.zeros(0)
-    if matrix.shape not in ((4, 4), (3, 4)) or not bool(torch.isfinite(matrix).all()):
-        raise ValueError(f"{frame.where}: transform_matrix: expected 4 x 4 finite numbers, got {value}")
+    if matrix.shape not in ((4, 4), (3, 4)) or not bool((matrix.abs() <= _LARGEST).all()):
+        raise ValueError(f"{frame.where}: transform_matrix: expected 4 x 4 finite numbers, got {short(value)}")
     turn = matrix[:3, :3]
     if not torch.allclose(turn @ turn.t(), torch.eye(3, dtype=torch.float64), atol=1e-3) or torch.det(turn) < 0:
         raise ValueError(
-            f"{frame.where}: transform_matrix: expected a rotation without scale or mirroring, got {value}"
+            f"{frame.where}: transform_matrix: expected a rotation without scale or mirroring, got {short(value)}"
         )
     if len(matrix) == 4 and not torch.allclose(matrix[3], matrix.new_tensor([0, 0, 0, 1])):
         raise ValueError(f"{frame.where}: transform_matrix: expected the last row 0, 0, 0, 1, got {matrix[3].tolist()}")

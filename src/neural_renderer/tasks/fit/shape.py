@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -11,35 +10,9 @@ from torch import Tensor
 from ... import losses, validate
 from ...io.cubes import barycentric_grid
 from ...meshes.topology import Topology
+from ..settings import FitWeights as Weights
 from .descent import SmoothDescent
 from .fit_views import Views, agreement, chosen
-
-
-@dataclass(frozen=True)
-class Weights:
-    """How much each loss of `losses` counts; 0: not at all. The unit of length is half the object's longest side.
-
-    Bends and lengths shrink as a mesh gets finer. The weights on them are those of a mesh of 10,000 vertices, and are
-    converted for others.
-    """
-
-    silhouette: float = 1.0
-    """1 - intersection over union of the silhouettes."""
-    photometric: float = 4.0
-    """Mean squared difference of the colours, once vertices have colours."""
-    laplacian: float = 100.0
-    """Squared distance of a vertex to the mean of its neighbours."""
-    edge_length: float = 0.0
-    """Mean squared length of edges."""
-    normal_consistency: float = 0.2
-    """1 - cosine of the angle between neighbouring faces."""
-    smoothness: float = 0.0
-    """The paper's smoothness loss, a sum over edges."""
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if validate.number(name, value) < 0:
-                raise ValueError(f"{name}: expected a weight of at least 0, got {value}")
 
 
 class ShapeFit:
@@ -48,7 +21,7 @@ class ShapeFit:
     Args:
         views: `moved` so that the object lies in about [-1, 1].
         vertices: [V, 3] float32, where it begins.
-        faces: [F, 3] int32 or int64.
+        faces: [F, 3], whole numbers of any real dtype.
         steps: how many steps there are.
         subdivisions: how often, evenly over the steps, each face is cut in four: coarse to fine. 0 for a start that is
             fine already.
@@ -78,7 +51,7 @@ class ShapeFit:
         steps: int = 150,
         subdivisions: int = 0,
         colour_from: float = 1.0,
-        weights: Weights = Weights(),
+        weights: Weights = Weights(),  # noqa: B008 (immutable)
         rate: float = 0.01,
         smooth: float = 8.0,
         batch: int = 6,
@@ -122,7 +95,7 @@ class ShapeFit:
             shape = (*shape, _blended(moving[1], self._faces))
         images = part.draw(shape, "alpha" if self._colours is None else ("rgb", "alpha"), self._gradient)
         weights, topology = self._weights, self._topology
-        loss = weights.silhouette * losses.silhouette_iou(images.alpha, part.masks)  # type: ignore[arg-type]
+        loss = weights.silhouette * losses.silhouette_iou_loss(images.alpha, part.masks)  # type: ignore[arg-type]
         if self._colours is not None:
             loss = loss + weights.photometric * losses.photometric(images.rgb, part.photos, part.masks)  # type: ignore[arg-type]
         for name in ("laplacian", "edge_length", "normal_consistency", "smoothness"):

@@ -25,8 +25,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....io import load_mesh
-from ....io.atomic_write import replacing
-from ....render import render
+from ....io.atomic_write import replacing, write_file
+from ....rendering import render
 from ....version import __version__
 from .arrays import DESCRIPTION, SPLITS
 from .drawing import shoulder_light
@@ -80,15 +80,16 @@ def render_views(
     return (torch.cat(pictures) * 255 + 0.5).to(torch.uint8)
 
 
-def make_object(path: Path, settings: Settings = Settings()) -> tuple[Tensor, Tensor]:
+def make_object(path: Path, settings: Settings = Settings(), allow_outside: bool = False) -> tuple[Tensor, Tensor]:
     """The views (see `render_views`) and the voxels (see `voxels.solid`) of a model in a file, its box's side made 1.
 
-    Raises ValueError, with the file's name, for one that cannot be read or shows nothing.
+    allow_outside: as in `load_mesh`. Raises ValueError, with the file's name, for one that cannot be read or shows
+    nothing.
     """
-    vertices, faces, textures = load_mesh(path, 2)
+    vertices, faces, textures = load_mesh(path, 2, allow_outside)
     if textures is not None:
         texture_size = min(16, int((_TEXELS / len(faces)) ** (1 / 3)))
-        textures = load_mesh(path, texture_size)[2] if texture_size > 2 else textures
+        textures = load_mesh(path, texture_size, allow_outside)[2] if texture_size > 2 else textures
     used = torch.unique(faces.long())  # stray vertices belong to no surface
     try:
         vertices = mirrored(vertices.index_copy(0, used, unit(vertices[used])))
@@ -101,20 +102,20 @@ def make_object(path: Path, settings: Settings = Settings()) -> tuple[Tensor, Te
 
 
 def make_objects(
-    models: Sequence[Model], folder: Path, settings: Settings, processes: int
+    models: Sequence[Model], folder: Path, settings: Settings, processes: int, allow_outside: bool = False
 ) -> Iterator[tuple[Model, str | None, list[str]]]:
     """Make objects in several processes, or (0) in this one; each has a file of its own below ``folder``.
 
     What is there already stays. Yields each model as it is done, with None or a sentence that says why it could not be
-    made, and warnings about it.
+    made, and warnings about it. ``allow_outside``: as in `load_mesh`.
     """
     waiting: dict[Model, str] = {}
-    for model, key in _keys(models, settings).items():
+    for model, key in _keys(models, settings, allow_outside).items():
         notes = _made(model, folder, key)
         if notes is not None:
             yield model, None, notes
         elif processes == 0:
-            yield model, *_make_file(model, folder, settings, key)
+            yield model, *_make_file(model, folder, settings, key, allow_outside)
         else:
             waiting[model] = key
     while waiting:
@@ -123,7 +124,8 @@ def make_objects(
             crashed = False
             with _pool(count) as pool:
                 futures = {
-                    pool.submit(_make_file, model, folder, settings, key): model for model, key in waiting.items()
+                    pool.submit(_make_file, model, folder, settings, key, allow_outside): model
+                    for model, key in waiting.items()
                 }
                 try:
                     for future in as_completed(futures):
@@ -166,7 +168,7 @@ def object_file(model: Model, folder: Path) -> Path:
     return folder / "objects" / model.category / f"{model.name}.npz"
 
 
-def _keys(models: Sequence[Model], settings: Settings) -> dict[Model, str]:
+def _keys(models: Sequence[Model], settings: Settings, allow_outside: bool) -> dict[Model, str]:
     """What tells for each model whether it has changed: its file, and the materials and pictures that lie around it.
 
     Of a folder with several models each has what is named like it, and what is named like none of them.
@@ -185,6 +187,7 @@ def _keys(models: Sequence[Model], settings: Settings) -> dict[Model, str]:
         for model in here:
             own_files = around.get(model.path.stem, []), around.get(None, [])
             recipe = [_RECIPE, asdict(settings), *_stamp(model.path), zlib.crc32(repr(own_files).encode())]
+            recipe += ["allow_outside"] if allow_outside else []
             keys[model] = json.dumps(recipe)
     return {model: keys[model] for model in models}
 
@@ -199,16 +202,18 @@ def _made(model: Model, folder: Path, key: str) -> list[str] | None:
     try:
         with np.load(object_file(model, folder)) as arrays:
             return arrays["notes"].tolist() if str(arrays["key"]) == key else None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+    except Exception:  # none, or broken in any way
         return None
 
 
-def _make_file(model: Model, folder: Path, settings: Settings, key: str) -> tuple[str | None, list[str]]:
+def _make_file(
+    model: Model, folder: Path, settings: Settings, key: str, allow_outside: bool
+) -> tuple[str | None, list[str]]:
     target = object_file(model, folder)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            images, voxels = make_object(model.path, settings)
+            images, voxels = make_object(model.path, settings, allow_outside)
         except Exception as error:  # whatever a model is broken by, the others are not
             told = isinstance(error, (ValueError, OSError)) and str(error)
             return (str(error) if told else f"{model.path}: {type(error).__name__}: {error}"), []
@@ -244,15 +249,14 @@ def assemble(
         "versions": {"neural_renderer": __version__, "torch": torch.__version__, "numpy": np.__version__},
         "broken": broken,
     }
-    with replacing(folder / DESCRIPTION) as fresh:
-        fresh.write_text(json.dumps(description, indent=1) + "\n", encoding="utf-8")
+    write_file(folder / DESCRIPTION, json.dumps(description, indent=1) + "\n")
 
 
 def names_before(folder: Path) -> dict[str, dict[str, list[str]]]:
     """The names of the objects by split and class that a folder of data holds already."""
     try:
         return json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["names"]
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return {}
 
 
@@ -267,7 +271,7 @@ def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
             try:
                 with np.load(path) as arrays:
                     array = arrays[kind]
-            except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            except Exception as error:  # numpy's and zipfile's errors for broken files are of many kinds
                 raise ValueError(
                     f"{path}: expected a finished object, got a broken file; without it, it is made anew"
                 ) from error

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....camera import Camera
-from ....render import render
+from ....rendering import render
 from ....shading.lights import Light
 from .framing import SIZE, view_camera
 

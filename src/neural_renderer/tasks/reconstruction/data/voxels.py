@@ -18,7 +18,7 @@ def voxelize(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
     """Predicted meshes as the published evaluation voxelises them: surface and what it encloses.
 
     vertices: [B, V, 3] floating, in the frame of reconstruction (see `framing`), of which [−0.5, 0.5]³ is kept.
-    faces: [F, 3] int32 or int64.
+    faces: [F, 3], whole numbers of any real dtype.
 
     Returns [B, size, size, size] bool. The box is scaled by (size − 1)/size, so that voxel i along an axis has its
     centre at (i − (size − 1)/2)/(size − 1). The axes are (y, x, −z), as in the published `_voxels.npz`. For how voxels
@@ -27,7 +27,7 @@ def voxelize(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
     Raises TypeError or ValueError for other types, shapes, devices, indices out of range, numbers that are not finite.
     """
     validate.floating("vertices", vertices, ["B", "V", 3])
-    validate.indices("faces", faces, ["F", 3])
+    faces = validate.indices("faces", faces, ["F", 3])
     validate.same_device(vertices=vertices, faces=faces)
     validate.finite("vertices", vertices)
     validate.in_range("faces", faces, vertices.shape[1])
@@ -44,7 +44,7 @@ def solid(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
     reconstruction mirrors; if they enclose a volume of the other sign they are taken the other way round.)
     """
     validate.floating("vertices", vertices, ["V", 3])
-    validate.indices("faces", faces, ["F", 3])
+    faces = validate.indices("faces", faces, ["F", 3])
     validate.finite("vertices", vertices)
     validate.in_range("faces", faces, len(vertices))
     points = _grid(vertices.detach().cpu().float(), size)
