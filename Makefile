@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # torch comes first and alone: with the version of constraints.txt there, nothing later replaces it.
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 
-.PHONY: demo test lint format benchmark clean
+.PHONY: demo test lint format benchmark coverage package clean
 
 demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
@@ -24,6 +24,25 @@ format: $(VENV)/installed
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m benchmarks
+
+coverage: $(VENV)/installed
+	$(BIN)/python -m pytest --cov --cov-report=term --cov-report=html
+
+# A wheel and a source distribution in dist/; each is then installed and tested in an environment of its own.
+package: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt build twine
+	rm -rf dist build
+	$(BIN)/python -m build --quiet --outdir dist
+	$(BIN)/twine check --strict dist/*
+	for file in dist/*; do \
+		$(PYTHON) -m venv --clear build/package \
+		&& build/package/bin/python -m pip install --quiet "$(TORCH)" \
+		&& build/package/bin/python -m pip install --quiet --constraint constraints.txt "$$file" \
+		&& (cd build && package/bin/neural-renderer info) || exit 1; \
+	done
+	mkdir build/sdist && tar -xzf dist/*.tar.gz --strip-components 1 -C build/sdist
+	build/package/bin/python -m pip install --quiet --constraint constraints.txt "build/sdist[dev]"
+	cd build/sdist && ../package/bin/python -m pytest tests/raster tests/io tests/test_render.py
 
 # The package alone, and what working on it needs besides.
 $(VENV)/package: pyproject.toml constraints.txt

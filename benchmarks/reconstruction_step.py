@@ -16,7 +16,7 @@ import torch
 import tyro
 
 from neural_renderer.features import load_features
-from neural_renderer.losses import silhouette_iou
+from neural_renderer.losses import silhouette_iou_loss
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
 from neural_renderer.tasks.reconstruction.networks.configs import ConfigName, make_config
 from neural_renderer.tasks.reconstruction.networks.make_network import ModelName
@@ -66,7 +66,7 @@ def main(
         seen, looks, target = beside_views(leaf, alpha, views)
         drawn = network.silhouettes(seen, looks)
         clock = took("renderer, forward", clock)
-        error = silhouette_iou(drawn, sized_like(drawn, target))
+        error = silhouette_iou_loss(drawn, sized_like(drawn, target))
         (pull,) = torch.autograd.grad(error, drawn, retain_graph=True)
         regulariser = network.regulariser(leaf)
         (rest,) = torch.autograd.grad(regulariser, leaf) if regulariser.requires_grad else (0.0,)

@@ -29,7 +29,7 @@ def main() -> None:
 
     with torch.no_grad():
         silhouettes = renderer(vertices, faces, mode="silhouettes")
-        iou = 1 - nr.losses.silhouette_iou(silhouettes, target)
+        iou = 1 - nr.losses.silhouette_iou_loss(silhouettes, target)
         print(f"final loss {(silhouettes - target).square().sum():.1f}, IoU {iou:.4f}")
         for azimuth in range(0, 360, 4):
             renderer.eye = nr.get_points_from_angles(2.732, 0, azimuth)

@@ -58,7 +58,6 @@ BAD = {
     "textures of rank 5": ("textures", torch.ones(20, 2, 2, 2, 3), ValueError),
     "textures with 4 channels": ("textures", torch.ones(1, 20, 2, 2, 2, 4), ValueError),
     "textures that are no cubes": ("textures", torch.ones(1, 20, 2, 3, 2, 3), ValueError),
-    "textures of size 1": ("textures", torch.ones(1, 20, 1, 1, 1, 3), ValueError),
     "textures of size 0": ("textures", torch.ones(1, 20, 0, 0, 0, 3), ValueError),
     "textures of 8 bits": ("textures", torch.ones(1, 20, 2, 2, 2, 3).to(torch.float8_e4m3fn), TypeError),
     "textures of integers": ("textures", torch.ones(1, 20, 2, 2, 2, 3, dtype=torch.uint8), TypeError),

@@ -42,15 +42,17 @@ def test_silhouette_iou():
     t = s.clone()
     s[0, :2], t[0, 1:3] = 1.0, 1.0  # IoU 4 / 12
     s[1], t[1] = 0.5, 1.0  # IoU 1/2
-    torch.testing.assert_close(losses.silhouette_iou(s, t).item(), 1 - (1 / 3 + 1 / 2) / 2)
-    assert losses.silhouette_iou(t, t) == 0 and losses.silhouette_iou(t, t.bool()) == 0
+    torch.testing.assert_close(losses.silhouette_iou_loss(s, t).item(), 1 - (1 / 3 + 1 / 2) / 2)
+    assert losses.silhouette_iou_loss(t, t) == 0 and losses.silhouette_iou_loss(t, t.bool()) == 0
     empty = torch.zeros(1, 4, 4, requires_grad=True)
-    losses.silhouette_iou(empty, torch.zeros(1, 4, 4)).backward()
-    assert losses.silhouette_iou(empty, torch.zeros(1, 4, 4)) == 0 and torch.equal(empty.grad, torch.zeros(1, 4, 4))
-    assert losses.silhouette_iou(empty, torch.ones(1, 4, 4)) == 1
+    losses.silhouette_iou_loss(empty, torch.zeros(1, 4, 4)).backward()
+    assert losses.silhouette_iou_loss(empty, torch.zeros(1, 4, 4)) == 0 and torch.equal(
+        empty.grad, torch.zeros(1, 4, 4)
+    )
+    assert losses.silhouette_iou_loss(empty, torch.ones(1, 4, 4)) == 1
     assert metrics.silhouette_iou(s, t).tolist() == pytest.approx([1 / 3, 0])  # 0.5 is not above the threshold
     assert metrics.silhouette_iou(s * 0, s > 9).tolist() == [1, 1]
-    assert gradcheck(losses.silhouette_iou, (torch.rand(2, 3, 3).double().requires_grad_(), torch.rand(2, 3, 3)))
+    assert gradcheck(losses.silhouette_iou_loss, (torch.rand(2, 3, 3).double().requires_grad_(), torch.rand(2, 3, 3)))
 
 
 def test_photometric():
@@ -75,7 +77,7 @@ def test_half_precision_is_summed_in_float32(dtype):
     image.requires_grad_()
     mask = torch.ones(2, 400, 400)
     for loss in (
-        lambda a, b: losses.silhouette_iou(a[:, 0], b[:, 0]),
+        lambda a, b: losses.silhouette_iou_loss(a[:, 0], b[:, 0]),
         lambda a, b: losses.photometric(a, b, mask),
         lambda a, b: losses.total_variation(a - b),
     ):
@@ -151,7 +153,7 @@ def test_mesh_losses_check_their_vertices_once(loss, monkeypatch):
 @pytest.mark.parametrize(
     ("loss", "shape", "other"),
     [
-        (losses.silhouette_iou, (0, 4, 4), torch.ones(0, 4, 4)),
+        (losses.silhouette_iou_loss, (0, 4, 4), torch.ones(0, 4, 4)),
         (losses.photometric, (0, 3, 4, 4), torch.ones(0, 3, 4, 4)),
         (lambda image, mask: losses.photometric(image, image, mask), (0, 3, 4, 4), torch.ones(0, 4, 4)),
         (losses.total_variation, (0, 3, 4, 4), torch.ones(0, 4, 4)),
@@ -170,13 +172,13 @@ def test_an_empty_batch_costs_nothing(loss, shape, other):
 
 def test_nan_in_an_image_is_nan_in_its_loss():
     image, target = torch.full((1, 4, 4), float("nan")), torch.ones(1, 4, 4)
-    assert losses.silhouette_iou(image, target).isnan() and losses.silhouette_iou(target, image).isnan()
+    assert losses.silhouette_iou_loss(image, target).isnan() and losses.silhouette_iou_loss(target, image).isnan()
     assert losses.photometric(image[None], target[None]).isnan()
 
 
 def test_mistakes_are_named():
     sparse = torch.ones(2, 4, 4).to_sparse()
-    for call in (losses.silhouette_iou, metrics.silhouette_iou):
+    for call in (losses.silhouette_iou_loss, metrics.silhouette_iou):
         for pair in ((sparse, sparse), (torch.ones(2, 4, 4), sparse)):
             with pytest.raises(TypeError, match="expected a dense tensor, got"):
                 call(*pair)
@@ -185,7 +187,7 @@ def test_mistakes_are_named():
     with pytest.raises(ValueError, match="faces: expected a tensor with numbers"):
         losses.laplacian(vertices(4), TETRAHEDRON.to("meta"))
     with pytest.raises(ValueError, match="target: expected shape"):
-        losses.silhouette_iou(torch.rand(2, 4, 4), torch.rand(1, 4, 4))
+        losses.silhouette_iou_loss(torch.rand(2, 4, 4), torch.rand(1, 4, 4))
     with pytest.raises(TypeError, match="faces: expected an int32 or int64"):
         losses.laplacian(vertices(4), TETRAHEDRON.double())
     with pytest.raises(ValueError, match="predicted and target"):
@@ -197,7 +199,13 @@ def test_they_compile_in_one_graph():
 
     def loss(v, image):
         shape = losses.laplacian(v, topology) + losses.smoothness(v, topology) + losses.edge_length(v, topology)
-        return shape + losses.silhouette_iou(image[:, 0], image[:, 1]) + losses.total_variation(image, image[:, 2])
+        return shape + losses.silhouette_iou_loss(image[:, 0], image[:, 1]) + losses.total_variation(image, image[:, 2])
 
     v, image = vertices(2, 4), torch.rand(2, 3, 4, 4, dtype=torch.float64)
     torch.testing.assert_close(torch.compile(loss, fullgraph=True, backend="aot_eager")(v, image), loss(v, image))
+
+
+def test_the_old_name_of_the_silhouette_loss_warns() -> None:
+    s, t = torch.rand(2, 1, 4, 4)
+    with pytest.warns(DeprecationWarning, match="silhouette_iou_loss"):
+        assert torch.equal(losses.silhouette_iou(s, t), losses.silhouette_iou_loss(s, t))

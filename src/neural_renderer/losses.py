@@ -1,11 +1,13 @@
-"""Losses on images and on meshes; each returns one number and is differentiable in its floating arguments.
+"""Losses on images and on meshes.
 
-They compute in float32 what is given in half precision, whose numbers end at 65504: a sum over a picture is soon more.
-An empty batch costs 0, with a gradient (of no elements). A NaN in an image makes the loss NaN; one in vertices is a
-ValueError if values are checked.
+Each loss returns a scalar tensor and is differentiable in its floating arguments. Half-precision input is summed in
+float32, because a sum over an image overflows float16. The loss of an empty batch is 0. NaN in an image gives a NaN
+loss; NaN in vertices raises ValueError while values are checked (`check_values`).
 """
 
 from __future__ import annotations
+
+import warnings
 
 import torch
 from torch import Tensor
@@ -15,18 +17,28 @@ from .meshes.normals import face_normals
 from .meshes.topology import Topology
 
 
-def silhouette_iou(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tensor:
-    """1 − intersection over union of silhouettes, averaged over the batch: 0 where they agree, 1 where they do not.
+def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tensor:
+    """Compute 1 − IoU of soft silhouettes, averaged over the batch.
 
-    Per image 1 − Σ(s·ŝ) / Σ(s + ŝ − s·ŝ): the silhouette loss of section 4.1 of the paper, plus 1.
+    The loss of one image is 1 − Σ(s·ŝ) / Σ(s + ŝ − s·ŝ). It is 0 for equal silhouettes and 1 for disjoint ones. The
+    paper's silhouette loss (section 4.1) is this minus 1.
 
     Args:
         predicted: [B, H, W] floating, in [0, 1].
-        target: [B, H, W], in [0, 1], of any dtype.
-        eps: the least union, in pixels; two silhouettes that are both empty agree (0, without a gradient).
+        target: [B, H, W] of any dtype, in [0, 1].
+        eps: Smallest union, in pixels. Two empty silhouettes have loss 0 and no gradient.
+
+    Returns:
+        Scalar tensor in [0, 1].
 
     Raises:
-        TypeError, ValueError: wrong types, shapes or devices.
+        TypeError, ValueError: A type, shape or device does not fit.
+
+    Example:
+        >>> square = torch.zeros(1, 8, 8)
+        >>> square[:, 2:6, 2:6] = 1
+        >>> silhouette_iou_loss(square, square.roll(1, 2)).item()  # 12 pixels of 20 are shared
+        0.4000000059604645
     """
     predicted = _wide(validate.floating("predicted", predicted, ("B", "H", "W")))
     target = _like("target", target, predicted)
@@ -36,16 +48,29 @@ def silhouette_iou(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tens
     return _mean(1 - torch.where(union <= eps, torch.ones_like(iou), iou))  # this way round NaN stays NaN
 
 
+def silhouette_iou(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tensor:
+    """Call `silhouette_iou_loss` under its old name. Deprecated since 2.0."""
+    warnings.warn(
+        "losses.silhouette_iou is now losses.silhouette_iou_loss; the old name goes in the next version",
+        DeprecationWarning,
+        stacklevel=2,
+    )
+    return silhouette_iou_loss(predicted, target, eps)
+
+
 def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None) -> Tensor:
-    """The mean squared difference of images [B, C, H, W] over all pixels and channels.
+    """Compute the mean squared difference of images over pixels and channels.
 
     Args:
         image: [B, C, H, W] floating.
-        target: like ``image``.
-        mask: [B, H, W] or None: the weight of each pixel; the mean is weighted by it (0 if all weights are 0).
+        target: [B, C, H, W].
+        mask: [B, H, W] pixel weights of a weighted mean, or None for equal weights. The loss is 0 if all weights are 0.
+
+    Returns:
+        Scalar tensor, ≥ 0.
 
     Raises:
-        TypeError, ValueError: wrong types, shapes or devices.
+        TypeError, ValueError: A type, shape or device does not fit.
     """
     image = _wide(validate.floating("image", image, ("B", "C", "H", "W")))
     squared = (image - _like("target", target, image)).square()
@@ -56,17 +81,18 @@ def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None) -> Te
 
 
 def total_variation(images: Tensor, mask: Tensor | None = None) -> Tensor:
-    """The sum of squared differences of each pixel to its right and its lower neighbour.
+    """Sum the squared differences between each pixel and its right and lower neighbours.
 
     Args:
         images: [B, C, H, W] floating.
-        mask: [B, H, W] or None: the weight of the differences that start at each pixel.
+        mask: [B, H, W] pixel weights, or None for equal weights. A difference gets the weight of its left or upper
+            pixel.
 
     Returns:
-        The sum over pixels, channels and images, as the published style transfer has it: not a mean.
+        Scalar tensor: a sum over pixels, channels and images, not a mean, as in the published style transfer.
 
     Raises:
-        TypeError, ValueError: wrong types, shapes or devices.
+        TypeError, ValueError: A type, shape or device does not fit.
     """
     images = _wide(validate.floating("images", images, ("B", "C", "H", "W")))
     right = (images[..., :, 1:] - images[..., :, :-1]).square()
@@ -78,18 +104,18 @@ def total_variation(images: Tensor, mask: Tensor | None = None) -> Tensor:
 
 
 def laplacian(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
-    """The mean over vertices of the squared distance to the mean of their neighbours (uniform weights).
+    """Compute the uniform Laplacian loss: the mean squared distance of vertices to the centroid of their neighbours.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] int32 or int64, or a `Topology` made of them once; the latter only under torch.compile.
+        faces: [F, 3] int32 or int64, or a `Topology` built from them once. torch.compile needs a `Topology`.
 
     Returns:
-        The mean over the batch; a vertex without edges counts as 0. O(E).
+        Scalar tensor: the mean over vertices and batch. A vertex without edges adds 0. Cost O(E).
 
     Raises:
-        TypeError, ValueError: wrong types, shapes or devices; face indices out of range and vertices that are not
-            finite if values are checked.
+        TypeError, ValueError: A type, shape or device does not fit; while values are checked, also a face index out of
+            range or a vertex that is not finite.
     """
     vertices, topology = _prepared(vertices, faces)
     start, end = torch.cat((topology.edges, topology.edges.flip(1))).unbind(1)
@@ -101,7 +127,7 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 
 
 def edge_length(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
-    """The mean squared length of the edges, over edges and batch; arguments and errors as `laplacian`."""
+    """Compute the mean squared edge length over edges and batch. Arguments and errors: see `laplacian`."""
     vertices, topology = _prepared(vertices, faces)
     start, end = topology.edges.unbind(1)
     edge = vertices.index_select(-2, end) - vertices.index_select(-2, start)
@@ -109,25 +135,26 @@ def edge_length(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 
 
 def normal_consistency(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
-    """The mean of 1 − cos of the angle between the normals of faces that share an edge: 0 where all is flat.
+    """Compute the mean of 1 − cos φ over edges, φ being the angle between the normals of the two adjacent faces.
 
-    The faces' winding does not matter. Arguments and errors as `laplacian`; the mean is over edges and batch.
+    The loss of a flat surface is 0. The winding of faces does not matter. The mean is over edges and batch. Arguments
+    and errors: see `laplacian`.
     """
     bend = _bend(vertices, faces)
     return bend.sum() / max(bend.numel(), 1)
 
 
 def smoothness(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
-    """Σ (cos θ + 1)² over the edges, averaged over the batch: the smoothness loss of section 4.1 of the paper.
+    """Sum (cos θ + 1)² over edges and average over the batch: the paper's smoothness loss (section 4.1).
 
-    θ is the angle between the two faces at an edge: 180° where they are flat. Arguments and errors as `laplacian`.
+    θ is the dihedral angle, 180° on a flat surface. Arguments and errors: see `laplacian`.
     """
     bend = _bend(vertices, faces)
     return bend.square().sum() / max(bend.shape[0] if bend.ndim == 2 else 1, 1)
 
 
 def _bend(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
-    """1 + cos θ = 1 − n·n' for each pair of faces at an edge, [I] or [B, I]."""
+    """Compute 1 + cos θ = 1 − n·n' for each pair of adjacent faces, [I] or [B, I]."""
     vertices, topology = _prepared(vertices, faces)
     v0, v1, v2, v3 = (vertices.index_select(-2, i) for i in topology.hinges.unbind(1))
     normal = face_normals(torch.stack((v0, v1, v2), dim=-2))
@@ -153,7 +180,7 @@ def _mean(value: Tensor) -> Tensor:
 
 
 def _like(name: str, value: Tensor, other: Tensor) -> Tensor:
-    """``value`` in the dtype of ``other``, whose shape and device it must have."""
+    """Return ``value`` in the dtype of ``other``; raise if shape or device differ."""
     if not isinstance(value, Tensor):
         raise TypeError(f"{name}: expected a torch tensor, got {type(value).__name__}")
     validate.dense(name, value)

@@ -1,4 +1,4 @@
-"""Measures of how well shapes agree."""
+"""Metrics without gradients."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from . import validate
 
 
 def silhouette_iou(predicted: Tensor, target: Tensor, threshold: float = 0.5) -> Tensor:
-    """Intersection over union of binary silhouettes, one number in [0, 1] for each image.
+    """Compute the intersection over union (IoU) of binary silhouettes.
 
     Args:
-        predicted: [B, H, W], floating (a pixel is covered above ``threshold``) or bool.
-        target: likewise.
+        predicted: [B, H, W] bool, or floating and compared with ``threshold``.
+        target: [B, H, W], likewise.
+        threshold: A pixel of a floating silhouette is covered if its value is above this.
 
     Returns:
-        [B] float32, without a gradient; two empty silhouettes agree (1).
+        [B] float32 in [0, 1], without a gradient. Two empty silhouettes have IoU 1.
 
     Raises:
-        TypeError, ValueError: not tensors, or shapes that differ.
+        TypeError, ValueError: An argument is not a tensor, or the shapes differ.
     """
     for name, value in (("predicted", predicted), ("target", target)):
         if not isinstance(value, Tensor):

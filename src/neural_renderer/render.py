@@ -54,7 +54,7 @@ def render(
 
     mesh: a `Mesh`; a list of them, of any sizes, one for each image (see `batch`); a `UVMesh`, whose images are sampled
         at every pixel drawn; or (vertices, faces) or (vertices, faces, textures) with vertices [V, 3] or [B, V, 3]
-        floating, faces [F, 3] or [B, F, 3] integer, textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating, T >= 2.
+        floating, faces [F, 3] or [B, F, 3] integer, textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
     camera: one camera, or B of them. One mesh is drawn from all cameras, and one camera sees all meshes.
     size: the images' side or (height, width), in pixels; they need not be square, and pixels stay square.
     light: a `Light`, a `SphericalHarmonicLight`, or a list of them, which add up; None draws the textures as they are.
@@ -122,7 +122,7 @@ def _sampled(
     behind = behind_image(background, len(face_index), 3, settings, face_index.device)
     color = mesh.shade(seen).movedim(3, 1)
     if factors is not None:
-        white = torch.ones((1, len(mesh.faces), 2, 2, 2, 3), device=face_index.device)
+        white = torch.ones((1, len(mesh.faces), 1, 1, 1, 3), device=face_index.device)
         still = corners.detach(), face_index, seen.weights.detach()
         color = color * sample_textures(
             white, factors, torch.zeros_like(color), *still, settings.eps, settings.perspective

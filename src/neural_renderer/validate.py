@@ -98,10 +98,10 @@ def vertices(value: Any) -> Tensor:
 
 
 def cubes(name: str, value: Any, *owners: int | str) -> Tensor:
-    """``value`` if it is a floating tensor of texture cubes [*owners, T, T, T, 3], T at least 2 (see `floating`)."""
+    """``value`` if it is a floating tensor of texture cubes [*owners, T, T, T, 3], T at least 1 (see `floating`)."""
     floating(name, value, (*owners, "T", "T", "T", 3))
-    if len(set(value.shape[-4:-1])) != 1 or value.shape[-2] < 2:
-        raise ValueError(f"{name}: expected cubes [T, T, T, 3] with T at least 2, got {shape_of(value)}")
+    if len(set(value.shape[-4:-1])) != 1 or value.shape[-2] < 1:
+        raise ValueError(f"{name}: expected cubes [T, T, T, 3] with T at least 1, got {shape_of(value)}")
     return value
 
 

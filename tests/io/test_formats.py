@@ -64,6 +64,19 @@ def test_save_and_load(tmp_path, suffix, size):
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])
+def test_one_colour_a_face(tmp_path, suffix):
+    """Two triangles apart, so that a vertex has the colour of its only face; files hold 255 levels."""
+    vertices, faces = (
+        torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [3, 0, 0], [2, 1, 0]]),
+        torch.arange(6),
+    )
+    textures = torch.tensor([[0.1, 0.5, 0.9], [0.8, 0.3, 0.2]]).view(2, 1, 1, 1, 3)
+    save_mesh(tmp_path / f"two{suffix}", vertices, faces.view(2, 3), textures)
+    found = load_mesh(tmp_path / f"two{suffix}", 1)[2]
+    assert found is not None and found.shape == textures.shape and (found - textures).abs().max() < 0.5 / 255 + 1e-6
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])
 def test_save_without_textures(tmp_path, suffix):
     vertices, faces = icosphere(1)
     save_mesh(tmp_path / f"m{suffix}", vertices, faces)

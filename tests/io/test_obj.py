@@ -178,8 +178,8 @@ def test_bad_arguments(tmp_path):
     path = write(tmp_path, "v 1 1 1 1 0 0\n" * 3 + "f 1 2 3")
     with pytest.raises(ValueError, match="all coincide"):
         load_obj(path)
-    with pytest.raises(ValueError, match="texture_size: expected at least 2"):
-        load_obj(path, False, texture_size=1, load_texture=True)
+    with pytest.raises(ValueError, match="texture_size: expected at least 1"):
+        load_obj(path, False, texture_size=0, load_texture=True)
     with pytest.raises(ValueError, match=r"11\.2 GiB .*choose a smaller one"):
         load_obj(path, False, texture_size=1000, load_texture=True)
     with pytest.raises(ValueError, match="texture_wrapping: expected one of REPEAT"):
@@ -222,7 +222,7 @@ def test_vertex_colours(tmp_path):
     assert textures[1, 3, 0, 0].tolist() == [0, 1, 0]
 
 
-@pytest.mark.parametrize("size", [2, 4, 5])
+@pytest.mark.parametrize("size", [1, 2, 4, 5])
 @pytest.mark.parametrize("wrapping", ["REPEAT", "MIRRORED_REPEAT", "CLAMP_TO_EDGE", "CLAMP_TO_BORDER"])
 def test_image_inside_is_the_same_for_all_wrappings(tmp_path, size, wrapping):
     cube = textured(tmp_path, size=size, texture_wrapping=wrapping)
@@ -291,7 +291,9 @@ def coloured_sphere(size: int):
     return vertices, faces, torch.from_numpy(bake_corners((vertices[faces.long()].numpy() + 1) / 2, size))
 
 
-@pytest.mark.parametrize(("size", "error"), [(2, 0.015), (3, 0.015), (4, 0.006), (5, 0.005), (8, 0.003), (16, 0.0025)])
+@pytest.mark.parametrize(
+    ("size", "error"), [(1, 0.0025), (2, 0.015), (3, 0.015), (4, 0.006), (5, 0.005), (8, 0.003), (16, 0.0025)]
+)
 def test_save_and_load(tmp_path, size, error):
     vertices, faces, textures = coloured_sphere(size)
     path = tmp_path / "new/folder/my sphere.obj"
@@ -304,7 +306,7 @@ def test_save_and_load(tmp_path, size, error):
 
 def test_save_keeps_the_texels_of_the_face(tmp_path):
     vertices, faces = icosphere(1)
-    for size in (2, 4, 7):
+    for size in (1, 2, 4, 7):
         textures = torch.rand(80, size, size, size, 3)
         save_obj(tmp_path / "noise.obj", vertices, faces, textures)
         difference = (load_obj(tmp_path / "noise.obj", False, size, True)[2] - textures).abs()

@@ -170,10 +170,10 @@ def test_a_broken_mesh_is_not_saved(tmp_path, suffix, checked):
         ({"faces": torch.full((12, 3), 8)}, ValueError, r"faces: expected indices in \[0, 8\), got 8"),
         ({"textures": torch.zeros(11, 2, 2, 2, 3)}, ValueError, r"textures: expected shape \[12, T, T, T, 3\]"),
         ({"textures": torch.zeros(12, 2, 2, 3, 3)}, ValueError, "textures: expected cubes"),
-        ({"textures": torch.zeros(12, 1, 1, 1, 3)}, ValueError, "T at least 2"),
+        ({"textures": torch.zeros(12, 0, 0, 0, 3)}, ValueError, "T at least 1"),
         ({"vertices": torch.ones(8, 3).to_sparse()}, TypeError, "vertices: expected a dense tensor"),
         ({"faces": cube()[1].to_sparse()}, TypeError, "faces: expected a dense tensor"),
-        ({"texture_size": 1}, ValueError, "texture_size: expected at least 2, got 1"),
+        ({"texture_size": 0}, ValueError, "texture_size: expected at least 1, got 0"),
     ],
 )
 def test_errors(change, error, sentence):

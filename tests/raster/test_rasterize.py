@@ -208,6 +208,21 @@ def test_anti_aliasing_is_the_mean_of_four(device):
     )
 
 
+@pytest.mark.parametrize("gradient", ["nmr", "edge"])
+def test_one_texel_is_eight_equal_ones(device, gradient):
+    """The same images, and the gradient of the one is the sum of the eight's; equal texels blend up to rounding."""
+    _, faces, *_ = scene_inputs(device)
+    found = []
+    for size in (1, 2):
+        leaf = faces.clone().requires_grad_()
+        cubes = torch.rand(2, 9, 1, 1, 1, 3, generator=torch.Generator().manual_seed(0)).to(device).requires_grad_()
+        image = draw(leaf, cubes.expand(2, 9, size, size, size, 3), gradient=gradient)
+        (image * torch.randn(image.shape, generator=torch.Generator().manual_seed(1)).to(device)).sum().backward()
+        found.append((image.detach(), leaf.grad, cubes.grad))
+    for one, eight in zip(*found, strict=True):
+        assert one.any() and (one - eight).norm() <= 1e-5 * eight.norm()
+
+
 def test_what_is_asked_for_does_not_change_it(device):
     _, faces, *_ = scene_inputs(device)
     cubes = torch.rand(2, 9, 2, 2, 2, 3, device=device)

@@ -91,8 +91,8 @@ def test_gradients_are_right():
 def test_mistakes_are_named():
     with pytest.raises(ValueError, match="textures: expected shape"):
         lighting(corners(2, 3), torch.rand(2, 4, 2, 2, 2, 3))
-    for size in ((1, 1, 1), (2, 3, 2)):
-        with pytest.raises(ValueError, match=r"textures: expected cubes .* T at least 2"):
+    for size in ((0, 0, 0), (2, 3, 2)):
+        with pytest.raises(ValueError, match=r"textures: expected cubes .* T at least 1"):
             lighting(corners(2, 3), torch.rand(2, 3, *size, 3))
     with pytest.raises(ValueError, match="faces: expected finite numbers, got 1 "):
         lighting(torch.tensor([1.0] * 8 + [np.nan]).view(1, 1, 3, 3), torch.rand(1, 1, 2, 2, 2, 3))

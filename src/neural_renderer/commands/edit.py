@@ -79,7 +79,7 @@ class Edit:
     """Begin with the mesh's own colours or, where it has none, with the picture's mean colour (style) or grey (dream),
     or with grey in any case (random). By default the preset's."""
     texture_size: int = 4
-    """Texels along the edge of a face's texture (at least 3, or 2 if not seamless); more for meshes of few faces."""
+    """Texels along the edge of a face's texture (at least 3, or 1 if not seamless); more for meshes of few faces."""
     uv: int | None = None
     """Paint where the file's own texture coordinates lead to, each of its images on so many pixels a side (at least
     16): for meshes of few, large faces, which must have an image. --texture-size and --seamless then have no part.
@@ -120,7 +120,7 @@ class Edit:
 
     def checked(self) -> None:
         """Raises ValueError for options out of range, before anything is read or fetched."""
-        limits = {"batch": 1, "size": 32, "texture_size": 2, "preview": 1, "turntable": 0, "seed": 0}
+        limits = {"batch": 1, "size": 32, "texture_size": 1, "preview": 1, "turntable": 0, "seed": 0}
         for name, least in limits.items():
             checked_count(name, getattr(self, name), least)
         for name, least in {"iterations": 1, "uv": 16}.items():

@@ -73,7 +73,7 @@ class Render:
     normalize: bool = True
     """Move the model to the origin and scale its longest side to 2 units."""
     texture_size: int | None = None
-    """Bake the colours into textures of so many texels along the side of a face (at least 2), as `Mesh.load` does. By
+    """Bake the colours into textures of so many texels along the side of a face (at least 1), as `Mesh.load` does. By
     default the file's images are shown as they are."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute; auto is CUDA where there is one."""
@@ -102,7 +102,7 @@ class Render:
             return UVMesh.load(self.mesh, _GREY)
         vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
         if textures is None:
-            textures = torch.full((len(faces), 2, 2, 2, 3), _GREY)
+            textures = torch.full((len(faces), 1, 1, 1, 3), _GREY)
         return Mesh(vertices, faces, textures)
 
     def _check(self) -> None:
@@ -116,7 +116,7 @@ class Render:
                 raise ValueError(f"--output: expected a .gif or .mp4 for a turntable, got {self.output.name!r}")
         image_size("size", self.size)
         if self.texture_size is not None:
-            checked_count("texture_size", self.texture_size, 2)
+            checked_count("texture_size", self.texture_size, 1)
         self._between("fps", self.fps, 0, math.inf)
         self._between("viewing-angle", self.viewing_angle, 0, 90)
         self._between("elevation", self.elevation, -90, 90)

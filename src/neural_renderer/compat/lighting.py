@@ -42,7 +42,7 @@ def lighting(
 
     Args:
         faces: the faces' corners in world space, [B, F, 3 corners, 3 coordinates], floating.
-        textures: [B, F, T, T, T, 3], floating, T at least 2; they are not changed.
+        textures: [B, F, T, T, T, 3], floating, T at least 1; they are not changed.
         intensity_ambient, intensity_directional: numbers, or tensors [] or [B].
         color_ambient, color_directional: RGB, [3] or [B, 3]: list, tuple, array or tensor.
         direction: towards the light, likewise; it is used as it is, so its length counts.

@@ -1,9 +1,9 @@
 """One picture from many cubes: a tile per face, for the formats that know only images and texture coordinates.
 
 A tile shows its face as a right triangle, corners at pixels (1, 1), (1, 1 + n) and (1 + n, 1 + n), n a multiple of
-T - 1 so that the texels in the plane of the face fall on pixels. The rest of the tile carries the colours on across the
-triangle's border, so that a viewer which blends neighbouring pixels draws no seam. One with mipmaps blends neighbouring
-tiles as well, so tiles of similar colour lie together.
+T - 1, if that is not 0, so that the texels in the plane of the face fall on pixels. The rest of the tile carries the
+colours on across the triangle's border, so that a viewer which blends neighbouring pixels draws no seam. One with
+mipmaps blends neighbouring tiles as well, so tiles of similar colour lie together.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def _by_colour(means: np.ndarray) -> np.ndarray:
 
 def _span(size: int, columns: int) -> int:
     """Pixels from corner to corner: in steps of T - 1, unless the picture would become too wide."""
-    steps = size - 1
+    steps = max(size - 1, 1)
     span = max(1, round(min(48, max(12, 1024 // columns - 3)) / steps)) * steps
     most = _LARGEST // columns - 3
     if most < 1:
@@ -112,11 +112,11 @@ def _trilinear(barycentric: np.ndarray, size: int) -> np.ndarray:
     column = np.zeros(size**3, dtype=np.int64)  # the other texels have weight 0 and may add it anywhere
     column[used] = np.arange(len(used))
     at = barycentric * (size - 1)
-    low = np.floor(at + 1e-9).clip(0, size - 2).astype(np.int64)
+    low = np.floor(at + 1e-9).clip(0, max(size - 2, 0)).astype(np.int64)
     part = (at - low).clip(0, 1)
     weights = np.zeros((len(at), len(used)), dtype=np.float32)
     for corner in np.ndindex(2, 2, 2):
         share = np.where(corner, part, 1 - part).prod(axis=1)
-        texel = np.ravel_multi_index(tuple((low + corner).T), (size, size, size))
+        texel = np.ravel_multi_index(tuple(np.minimum(low + corner, size - 1).T), (size, size, size))
         weights[np.arange(len(at)), column[texel]] += share
     return weights

@@ -1,8 +1,8 @@
 """Baking colours into the cubes that the renderer draws: an image seen through UV, colours of corners, one colour.
 
 Texel (i, j, k) of a face's T³ cube holds the colour at barycentric weights (i, j, k) / (i + j + k) of the face's
-corners 0, 1, 2, and texel (0, 0, 0) the colour at the centre. The renderer reads weight w of a corner at cube
-coordinate w * (T - 1), so T is at least 2.
+corners 0, 1, 2, and texel (0, 0, 0), the only one if T is 1, the colour at the centre. The renderer reads weight w of a
+corner at cube coordinate w * (T - 1).
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ def barycentric_grid(size: int) -> np.ndarray:
 
 
 def check_size(faces: int, size: int) -> None:
-    """TypeError or ValueError if T is no whole number, below 2, or cubes for F faces would take more than 8 GiB."""
+    """TypeError or ValueError if T is no whole number, below 1, or cubes for F faces would take more than 8 GiB."""
     if isinstance(size, bool) or not isinstance(size, (int, np.integer)):
         raise TypeError(f"texture_size: expected an int, got {type(size).__name__}")
-    if size < 2:
-        raise ValueError(f"texture_size: expected at least 2, got {size}")
+    if size < 1:
+        raise ValueError(f"texture_size: expected at least 1, got {size}")
     needed = faces * int(size) ** 3 * 12
     if needed > _MOST_BYTES:
         raise ValueError(

@@ -35,7 +35,7 @@ def load_mesh(path: str | os.PathLike[str], texture_size: int = 4) -> tuple[Tens
 
     Args:
         path: The file.
-        texture_size: T, texels along a cube's edge, at least 2.
+        texture_size: T, texels along a cube's edge, at least 1 (the colour at the face's centre).
 
     Returns:
         On the CPU: vertices, float32 [V, 3]; faces, int32 [F, 3]; textures, float32 [F, T, T, T, 3] in [0, 1], or None
@@ -179,7 +179,7 @@ def save_mesh(path: str | os.PathLike[str], vertices: Any, faces: Any, textures:
         path: Ends in ``.obj``, ``.ply`` or ``.glb``.
         vertices: [V, 3] float tensor or array, on any device.
         faces: [F, 3] int32 or int64.
-        textures: [F, T, T, T, 3] in [0, 1] (clamped), T at least 2, or None.
+        textures: [F, T, T, T, 3] in [0, 1] (clamped), or None.
 
     Raises:
         TypeError, ValueError: As told for each argument, and for another suffix.

@@ -37,7 +37,7 @@ def load_obj(
     Args:
         filename_obj: The file.
         normalization: Move the bounding box to the origin and scale its longest side to [-1, 1].
-        texture_size: T, texels along a cube's edge, at least 2.
+        texture_size: T, texels along a cube's edge, at least 1 (the colour at the face's centre).
         load_texture: Return colours too.
         texture_wrapping: Texture coordinates outside [0, 1]: ``"REPEAT"``, ``"MIRRORED_REPEAT"``,
             ``"CLAMP_TO_EDGE"`` or ``"CLAMP_TO_BORDER"`` (black).
@@ -147,7 +147,7 @@ def save_obj(filename: str | os.PathLike[str], vertices: Any, faces: Any, textur
         filename: Ends in ``.obj``; missing folders are made.
         vertices: [V, 3] float tensor or array, on any device; written so that float32 is read back exactly.
         faces: [F, 3] int32 or int64.
-        textures: [F, T, T, T, 3] in [0, 1] (clamped), T at least 2, or None. Each face gets a tile of 15 × 15 to
+        textures: [F, T, T, T, 3] in [0, 1] (clamped), or None. Each face gets a tile of 15 × 15 to
             50 × 50 pixels (fewer above 290,000 faces) in the PNG, which holds what the renderer shows of its cube.
 
     Raises:

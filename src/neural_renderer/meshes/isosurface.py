@@ -1,4 +1,4 @@
-"""The surface of a function on space, as a mesh."""
+"""Isosurface extraction by naive surface nets."""
 
 from __future__ import annotations
 
@@ -12,10 +12,18 @@ Field = Callable[[np.ndarray], np.ndarray]  # points [..., 3] to a distance-like
 
 
 def isosurface(field: Field, steps: int, half: float = 1.15) -> tuple[Tensor, Tensor]:
-    """The surface field = 0 inside [-half, half]³, by naive surface nets on steps³ cells.
+    """Extract the surface field = 0 inside [−half, half]³ by naive surface nets on steps³ cells.
 
-    Each cell that the surface passes through gets a vertex at the mean of where it crosses the cell's edges; each
-    crossed edge gets a quad between its four cells. Returns vertices float32 [V, 3], faces int64 [F, 3], outward.
+    A cell with a sign change gets one vertex, at the mean of the crossings of its edges. A crossed edge gets a quad
+    that connects the vertices of its four cells.
+
+    Args:
+        field: Maps points [..., 3] to values [...], negative inside, like a signed distance.
+        steps: Number of cells along each axis.
+        half: Half the side of the sampled cube, in world units.
+
+    Returns:
+        Vertices [V, 3] float32 and outward faces [F, 3] int64.
     """
     n = steps + 1
     grid = np.moveaxis(np.indices((n, n, n)), 0, -1).astype(np.float64)

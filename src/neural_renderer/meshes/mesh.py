@@ -23,7 +23,7 @@ class Mesh(nn.Module):
         vertices: Parameter, float32 [V, 3].
         faces: Buffer, int32 [F, 3], indices into the vertices.
         textures: Parameter, float32 [F, T, T, T, 3]. Texel (i, j, k) of a face's cube belongs to barycentric weights
-            (i, j, k) / (T - 1) of its corners 0, 1, 2.
+            (i, j, k) / (T - 1) of its corners 0, 1, 2; with T = 1 the face has one colour.
 
     ``Mesh(vertices, faces, textures)`` copies what it is given (tensors on one device, or numpy arrays). Without
     textures they are 0.05 times normal noise of size ``texture_size``, to be optimised through the sigmoid of
@@ -31,7 +31,7 @@ class Mesh(nn.Module):
 
     Raises:
         TypeError, ValueError: Other types or shapes, tensors on different devices, NaN or infinity, indices out of
-            range, no faces, T below 2.
+            range, no faces, T below 1.
     """
 
     vertices: nn.Parameter
@@ -59,7 +59,7 @@ class Mesh(nn.Module):
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
         if textures is None:
-            texture_size = validate.whole("texture_size", texture_size, 2)
+            texture_size = validate.whole("texture_size", texture_size, 1)
             textures = 0.05 * torch.randn(len(faces), *[texture_size] * 3, 3, device=vertices.device)
         textures = _as_tensor(textures)
         validate.cubes("textures", textures, len(faces))
@@ -173,5 +173,5 @@ def _as_tensor(value: Any) -> Any:
 
 
 def _white(faces: Tensor, texture_size: int) -> Tensor:
-    size = validate.whole("texture_size", texture_size, 2)
+    size = validate.whole("texture_size", texture_size, 1)
     return torch.ones(len(faces), size, size, size, 3, device=faces.device)

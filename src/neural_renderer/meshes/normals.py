@@ -1,4 +1,4 @@
-"""Smooth normals, to be interpolated over faces."""
+"""Vertex normals for smooth shading, and face normals."""
 
 from __future__ import annotations
 
@@ -11,17 +11,26 @@ from ..raster.rasterize import checked_faces, vertices_to_faces
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Unit normals at vertices: of the faces around each the mean, weighted by area.
+    """Compute area-weighted vertex normals.
 
-    vertices: [V, 3] or [B, V, 3] floating. faces: [F, 3] or [B, F, 3] integer; rows of -1 are no faces.
+    Interpolated normals are shorter than 1; normalise them in each pixel.
 
-    Returns [B, V, 3] float32 (B = 1 for one mesh), on the side from which corners run counter-clockwise in a
-    right-handed world; 0 at vertices without faces of any area. Differentiable in vertices. Interpolated over a face
-    they are shorter than 1: normalise them in each pixel. Raises TypeError or ValueError for other types or shapes.
+    Args:
+        vertices: [V, 3] or [B, V, 3] floating.
+        faces: [F, 3] or [B, F, 3] integer. A row of −1 is padding.
 
-    >>> mesh = Mesh.icosphere()
-    >>> seen = fragments(mesh, Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30), 64)
-    >>> normals = functional.normalize(seen.interpolate(vertex_normals(mesh.vertices, mesh.faces)), dim=-1)
+    Returns:
+        [B, V, 3] float32 unit vectors (B = 1 for one mesh), on the side where corners run counter-clockwise in a
+        right-handed world. A vertex without a face of positive area has normal 0. Differentiable in vertices.
+
+    Raises:
+        TypeError, ValueError: A type or shape does not fit.
+
+    Example:
+        >>> mesh = nr.Mesh.icosphere()
+        >>> seen = nr.fragments(mesh, nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30), 64)
+        >>> normals = seen.interpolate(nr.vertex_normals(mesh.vertices, mesh.faces))
+        >>> normals = torch.nn.functional.normalize(normals, dim=-1)
     """
     points = validate.vertices(vertices)
     corners = vertices_to_faces(points if points.dim() == 3 else points[None], checked_faces(faces))
@@ -36,16 +45,22 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def face_normals(corners: Tensor) -> Tensor:
-    """Unit normals of faces: corners [..., 3, 3] → [..., 3], along (v0 − v1) × (v2 − v1), as in the published code.
+    """Compute unit normals of faces along (v0 − v1) × (v2 − v1), the orientation of the first packages.
 
-    This is the side from which the corners run **clockwise** in a right-handed world. A face without area has a
-    normal shorter than 1, down to zero; values and gradients are finite.
+    They point to the side where corners run **clockwise** in a right-handed world. The normal of a degenerate face is
+    shorter than 1, down to 0. Values and gradients are finite.
+
+    Args:
+        corners: [..., 3 corners, 3] floating.
+
+    Returns:
+        [..., 3], differentiable.
     """
     v0, v1, v2 = corners.unbind(-2)
     a, b = v0 - v1, v2 - v1
     normal = torch.linalg.cross(a, b, dim=-1)
-    # The published floor of 1e-5 is an area: alone it would darken the small faces of a fine mesh. Measured against
-    # the face's own size it only catches slivers, and for faces larger than a unit it is the published one.
+    # The first packages divide by max(area, 1e-5), which darkens the small faces of a fine mesh. Here the floor is
+    # relative to the squared edge length: it affects slivers only, and equals theirs for edges longer than 1.
     size = torch.maximum((a * a).sum(-1, keepdim=True), (b * b).sum(-1, keepdim=True)).detach()
     floor = 1e-5 * size.clamp(1e-12, 1)
     return normal / torch.maximum(torch.linalg.vector_norm(normal, dim=-1, keepdim=True), floor)

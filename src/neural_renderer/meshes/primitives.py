@@ -1,4 +1,4 @@
-"""Shapes to begin with. All have outward counter-clockwise faces, y up, and the origin in the middle."""
+"""Primitive meshes with outward counter-clockwise faces, y up, centred at the origin."""
 
 from __future__ import annotations
 
@@ -10,12 +10,26 @@ from .. import validate
 
 
 def icosphere(level: int = 3, radius: float = 1.0) -> tuple[Tensor, Tensor]:
-    """A sphere: vertices float32 [10·4ˡ + 2, 3], faces int32 [20·4ˡ, 3], where l is the level.
+    """Make a sphere by subdividing an icosahedron.
 
-    An icosahedron, its poles on the y axis and a mirror plane at z = 0, has each edge cut into 2ˡ equal parts, and the
-    points are pushed out onto the sphere. Level 3 is the usual template of single-image reconstruction to 1e-5: 642
-    vertices and 1280 faces; exactly 4, 40 and 32 vertices have x, y and z = 0, where the published file, written with
-    six decimals, has 4, 33 and 30. Raises TypeError or ValueError for a level outside [0, 8] or a radius not above 0.
+    The poles lie on the y axis and z = 0 is a mirror plane. Every edge of the icosahedron is cut into 2^level parts,
+    and the points are projected onto the sphere. Level 3 equals the template of the published single-image
+    reconstruction to 1e-5.
+
+    Args:
+        level: Number of subdivisions, 0 to 8.
+        radius: Radius, > 0.
+
+    Returns:
+        Vertices [10·4^level + 2, 3] float32 and faces [20·4^level, 3] int32.
+
+    Raises:
+        TypeError, ValueError: ``level`` or ``radius`` is out of range.
+
+    Example:
+        >>> vertices, faces = icosphere(level=3)
+        >>> vertices.shape, faces.shape
+        (torch.Size([642, 3]), torch.Size([1280, 3]))
     """
     level, radius = validate.whole("level", level, 0), validate.positive("radius", radius)
     if level > 8:
@@ -38,7 +52,7 @@ def icosphere(level: int = 3, radius: float = 1.0) -> tuple[Tensor, Tensor]:
 
 
 def _subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each face in four, at the middles of its edges."""
+    """Split each face into four at the midpoints of its edges."""
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, inverse = np.unique(edges, axis=0, return_inverse=True)
     middle = vertices[edges].mean(axis=1)
@@ -49,7 +63,14 @@ def _subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def cube(size: float = 2.0) -> tuple[Tensor, Tensor]:
-    """A cube of this side: vertices float32 [8, 3], faces int32 [12, 3]. TypeError or ValueError unless size > 0."""
+    """Make a cube of side ``size``.
+
+    Returns:
+        Vertices [8, 3] float32 and faces [12, 3] int32.
+
+    Raises:
+        TypeError, ValueError: ``size`` is not > 0.
+    """
     size = validate.positive("size", size)
     vertices = np.array(list(np.ndindex(2, 2, 2))) - 0.5  # vertex 4x + 2y + z
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -57,10 +78,19 @@ def cube(size: float = 2.0) -> tuple[Tensor, Tensor]:
 
 
 def torus(radius: float = 0.7, tube: float = 0.3, segments: int = 48, sides: int = 24) -> tuple[Tensor, Tensor]:
-    """A ring around the y axis: vertices float32 [segments·sides, 3], faces int32 [2·segments·sides, 3].
+    """Make a torus around the y axis.
 
-    ``radius`` reaches from the axis to the middle of the tube, whose own radius is ``tube``. TypeError or
-    ValueError unless radius > 0, tube > 0 and both counts are at least 3.
+    Args:
+        radius: Distance from the axis to the centre of the tube, > 0.
+        tube: Radius of the tube, > 0.
+        segments: Number of segments around the axis, ≥ 3.
+        sides: Number of segments around the tube, ≥ 3.
+
+    Returns:
+        Vertices [segments · sides, 3] float32 and faces [2 · segments · sides, 3] int32.
+
+    Raises:
+        TypeError, ValueError: An argument is out of range.
     """
     radius, tube = validate.positive("radius", radius), validate.positive("tube", tube)
     segments, sides = validate.whole("segments", segments, 3), validate.whole("sides", sides, 3)

@@ -1,4 +1,4 @@
-"""Which edges a mesh has, and which two faces meet at each."""
+"""Edges of a mesh, and pairs of adjacent faces."""
 
 from __future__ import annotations
 
@@ -12,16 +12,21 @@ from .. import validate
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """The edges of a mesh, found once by `Topology.of` and used in place of ``faces`` by the losses that need them.
+    """Edges and adjacent faces of a mesh, computed once by `Topology.of` and accepted by losses in place of ``faces``.
 
-    A face that names a vertex twice has no part in it.
-    Build it outside of torch.compile: how many edges there are depends on the numbers in ``faces``.
+    A face with a repeated vertex index is ignored. Build a `Topology` outside of torch.compile, because the number of
+    edges depends on the values in ``faces``.
 
     Attributes:
         edges: [E, 2] int64, each edge once, smaller vertex index first, sorted.
-        hinges: [I, 4] int64, (v0, v1, v2, v3) for each pair of faces that meet at an edge (v0, v1), where v2 and v3 are
-            the corners opposite to it in the two faces. An edge of one face has none, an edge of k faces k − 1.
-        vertices: the least number of vertices the mesh can have: the largest index + 1.
+        hinges: [I, 4] int64: (v0, v1, v2, v3) for each pair of faces with the common edge (v0, v1); v2 and v3 are the
+            opposite corners. A boundary edge has no hinge; an edge of k faces has k − 1.
+        vertices: Smallest possible number of vertices: the largest index + 1.
+
+    Example:
+        >>> topology = Topology.of(torch.tensor([[0, 1, 2], [2, 1, 3]]))
+        >>> topology.hinges.tolist()
+        [[1, 2, 0, 3]]
     """
 
     edges: Tensor
@@ -30,9 +35,13 @@ class Topology:
 
     @classmethod
     def of(cls, faces: Tensor) -> Topology:
-        """From faces [F, 3], int32 or int64, in O(F log F).
+        """Find the edges of faces in O(F log F).
 
-        Raises TypeError or ValueError for another dtype or shape, ValueError for a negative index.
+        Args:
+            faces: [F, 3] int32 or int64.
+
+        Raises:
+            TypeError, ValueError: The dtype or shape does not fit, or an index is negative.
         """
         faces = validate.has_numbers("faces", validate.indices("faces", faces, ("F", 3))).long()
         count = int(faces.max()) + 1 if len(faces) else 0
@@ -53,5 +62,5 @@ class Topology:
         )
 
     def to(self, device: torch.device | str) -> Topology:
-        """The same topology on another device."""
+        """Copy the topology to another device."""
         return Topology(self.edges.to(device), self.hinges.to(device), self.vertices)

@@ -21,7 +21,10 @@ OUTPUTS = ("rgb", "alpha", "depth")
 
 
 class Images(NamedTuple):
-    """What a renderer returns; None for what was not asked for. Row 0 is at the top."""
+    """What a renderer returns; None for what was not asked for. Row 0 is at the top.
+
+    The images may be changed in place before `backward`, as any result of torch's operations that does not need it.
+    """
 
     rgb: Tensor | None = None  # [B, 3, H, W] float32
     alpha: Tensor | None = None  # [B, H, W] float32, 1 where a face is seen, 0 elsewhere, in between if anti-aliased
@@ -83,7 +86,7 @@ def rasterize_images(
         in float32.
     size: the images' side, or (height, width), in pixels.
     outputs: which of "rgb", "alpha", "depth"; what is not asked for costs nothing.
-    textures: [B or 1, F, T, T, T, 3] floating, T >= 2; needed for "rgb".
+    textures: [B or 1, F, T, T, T, 3] floating (T = 1: one colour a face); needed for "rgb".
     light: [B or 1, 2, F, 3] factors for the colour of each face's two sides; none: 1.
     background: colour where no face is seen: [3], [B, 3], or an image [B, 3, H, W] or [3, H, W] (H and W of
         the output).
@@ -149,10 +152,12 @@ def finish_images(
         image = settings.through_visibility(image, corners, face_index, colored, not colored, marks)
         if settings.anti_aliasing:
             image = halve(image)
-        # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied.
+        # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied. Copies where
+        # there are several, for autograd lets nobody change one of several views in place.
         if len(layers) > 1:
             parts = image.split([layer.shape[1] for layer in layers.values()], 1)
-            layers = {name: part.contiguous() for name, part in zip(layers, parts, strict=True)}
+            copies = (part.clone(memory_format=torch.contiguous_format) for part in parts)
+            layers = dict(zip(layers, copies, strict=True))
         else:
             layers = dict.fromkeys(layers, image)
         rgb = layers.get("rgb")
@@ -163,6 +168,8 @@ def finish_images(
         depth = None
     elif settings.anti_aliasing and depth is not None:
         depth = halve(depth[:, None])[:, 0]
+    elif depth is not None and depth.requires_grad:
+        depth = depth.clone()  # its gradient needs the values as they are, and callers may change theirs in place
     return Images(rgb, alpha, depth)
 
 

@@ -1,4 +1,4 @@
-"""Ambient and directional light on flat faces (section "Lighting" of the Neural 3D Mesh Renderer paper)."""
+"""Ambient and directional light with flat shading (section "Lighting" of the paper)."""
 
 from __future__ import annotations
 
@@ -17,15 +17,21 @@ _UP = (0.0, 1.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """One ambient and one directional light for a scene, or one for each scene of a batch.
+    """Ambient and directional light, for one scene or for each scene of a batch.
 
-    The light on a face is ambient · ambient_color + directional · directional_color · max(n · direction, 0), where n
-    is the unit normal on the side that is looked at. Gradients flow to whatever is a tensor.
+    A face is lit by ambient · ambient_color + directional · directional_color · max(n · direction, 0), where n is the
+    unit normal of its visible side. Parameters given as tensors get gradients.
 
     Attributes:
-        ambient, directional: the intensities: numbers, or tensors [] or [B].
-        ambient_color, directional_color: RGB, [3] or [B, 3]: list, tuple, array or tensor.
-        direction: **towards** the light, in world space, likewise. It is used as it is: its length counts.
+        ambient: Ambient intensity: number, or tensor [] or [B].
+        directional: Directional intensity: number, or tensor [] or [B].
+        ambient_color: RGB [3] or [B, 3]: list, tuple, array or tensor.
+        directional_color: RGB [3] or [B, 3].
+        direction: [3] or [B, 3], world vector **towards** the light. It is not normalised: its length scales the light.
+
+    Example:
+        >>> light = nr.Light(ambient=0.3, directional=0.7, direction=(1.0, 1.0, 0.0))
+        >>> images = nr.render(mesh, camera, light=light)
     """
 
     ambient: Scalar = 0.5
@@ -35,19 +41,19 @@ class Light:
     direction: Array = _UP
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
-        """The light on both sides of each face.
+        """Compute the light on both sides of each face.
 
         Args:
-            corners: the faces' corners in world space, [B, F, 3 corners, 3 coordinates], floating.
-            mirrored: whether the faces are seen through a mirroring camera (`Camera.mirrored`).
+            corners: [B, F, 3 corners, 3] floating, corners of faces in world space.
+            mirrored: Whether the camera mirrors (`Camera.mirrored`).
 
         Returns:
-            [B, 2, F, 3 colours]. Index 0 is the side that is seen where the corners run counter-clockwise on the
-            screen: with a camera that does not mirror, the side of (v1 − v0) × (v2 − v0); with one that does, the
-            other. Index 1 is its back.
+            [B, 2, F, 3]: RGB factors. Index 0 is the side visible when corners run counter-clockwise on the screen:
+            the side of (v1 − v0) × (v2 − v0), or the opposite one for a mirroring camera. Index 1 is its back.
 
         Raises:
-            TypeError, ValueError: wrong types or shapes; parameters that are not finite if values are checked.
+            TypeError, ValueError: A type or shape does not fit; while values are checked, also a parameter that is not
+                finite.
         """
         facing = self._facing(corners)
         if not mirrored:
@@ -55,7 +61,7 @@ class Light:
         return self._shade(torch.stack((facing, -facing), dim=1))
 
     def _facing(self, corners: Tensor) -> Tensor:
-        """n · direction of each face [B, F], with n as `face_normals` turns it."""
+        """Compute n · direction of each face, [B, F], with the orientation of `face_normals`."""
         validate.floating("corners", corners, ("B", "F", 3, 3))
         if isinstance(self.directional, (int, float)) and self.directional == 0:
             return corners.new_zeros(corners.shape[:2])
@@ -64,7 +70,7 @@ class Light:
         return (face_normals(corners) * direction[..., None, :]).sum(-1)
 
     def _shade(self, facing: Tensor) -> Tensor:
-        """The light [B, ..., 3] for n · direction [B, ...]."""
+        """Compute light [B, ..., 3] from n · direction [B, ...]."""
 
         def glow(intensity: str, color: str) -> Tensor:
             strength = scalar(intensity, getattr(self, intensity), facing.dtype, facing.device)

@@ -32,7 +32,7 @@ class Texels:
     @classmethod
     def free(cls, faces: Tensor, size: int) -> Texels:
         """Every cube for itself, as published: T³ texels for each face of [F, 3]."""
-        texels = validate.whole("texture_size", size, 2) ** 3
+        texels = validate.whole("texture_size", size, 1) ** 3
         count, device = len(faces) * texels, faces.device
         return cls(
             torch.arange(count, device=device).reshape(-1, texels), torch.eye(texels, device=device), size, count

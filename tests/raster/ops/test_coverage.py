@@ -125,11 +125,24 @@ def test_spheres_have_no_holes(device):
 @given(scene=scenes(FRONT))
 def test_two_sided_is_appending_reversed_faces(device, scene):
     faces = scene.faces.to(device)
-    appended = torch.cat((faces, faces[:, :, [0, 2, 1]]), 1)
+    appended = torch.cat((faces, faces.flip(2)), 1)
     args = (scene.height, scene.width, NEAR, FAR)
     both = coverage(faces, *args, True, scene.perspective)
     expected = coverage(appended, *args, False, scene.perspective)
     assert torch.equal(both, torch.where(expected >= 0, expected % max(scene.count, 1), -1))
+
+
+def test_faces_that_exist_twice(device):
+    """Many models hold each face a second time in reversed order: the copy that faces the camera is seen, everywhere.
+
+    Its depth is that of the other copy's back to the last bit, and at equal depth fronts come before backs.
+    """
+    faces = Scene(0, 2, 200, 1, 1, True, True, ("plain", "tiny")).faces
+    twice = torch.cat((faces, faces.flip(2)), 1)
+    for perspective in (False, True):
+        found = coverage(twice.to(device), 128, 128, NEAR, FAR, True, perspective).cpu()
+        front = coverage(twice.to(device), 128, 128, NEAR, FAR, False, perspective).cpu()
+        assert (found >= 0).any() and torch.equal(found, front)
 
 
 def test_near_and_far_cut_pixels_not_faces(device):

@@ -23,7 +23,7 @@ def drawn(scene, device):
 @examples(50)
 @given(
     scene=scenes(empty=False),
-    size=st.integers(2, 6),
+    size=st.integers(1, 6),
     shared_textures=st.booleans(),
     shared_light=st.booleans(),
     eps=st.sampled_from([1e-3, 1e-4]),
@@ -49,7 +49,7 @@ def test_random_scenes(device, scene, size, shared_textures, shared_light, eps):
     torch.testing.assert_close(color.cpu().double(), reference, rtol=1e-5, atol=2e-5)
     # On a texel the blend has a kink, and rounding decides which side the weight is on.
     coordinate = weights.cpu().double() * (size - 1)
-    kink = (coordinate - coordinate.round()).abs() < 1e-5
+    kink = ((coordinate - coordinate.round()).abs() < 1e-5) & (size > 1)
     found, expected = ([*g[:3], g[3].cpu() * ~kink] for g in (found, expected))
     for ours, theirs in zip(found, expected, strict=True):
         error = (ours.cpu() - theirs).norm()

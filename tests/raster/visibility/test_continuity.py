@@ -71,6 +71,17 @@ def test_no_jump_is_overlooked(device, size):
     assert sewn(texture_marks(cubes, light), faces).view(4, 3)[0, 2]
 
 
+def test_one_colour_a_face(device):
+    """Among faces of one colour and light a single one of another has its three edges, seen from both sides."""
+    _, faces = sphere(device)
+    light = torch.ones(1, 2, len(faces), 3, device=device)
+    cubes = torch.full((1, len(faces), 1, 1, 1, 3), 0.4, device=device)
+    assert sewn(texture_marks(cubes, light), faces).all()
+    cubes[0, 7, ..., 2] = 0.5
+    found = sewn(texture_marks(cubes, light), faces).view(-1, 3)
+    assert (~found).sum() == 6 and not found[7].any()
+
+
 def test_images_are_sewn_where_charts_go_on(device):
     vertices, faces = sphere(device)
     corners = vertices[faces.long()]

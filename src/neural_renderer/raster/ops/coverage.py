@@ -257,9 +257,10 @@ def _draw(
             continue
         index = f
         if side < 0:
-            # The first packages append the reversed copies after all faces; ties go to the lower index there.
+            # As the first packages do it, who append copies in reversed order after all faces: a face that a file holds
+            # twice, once turned over, has the depth of its copy to the last bit, and ties go to the lower index.
             index = f + count
-            v1, v2 = v2, v1
+            v0, v2 = v2, v0
         # The depth is (e . n) / (e . d) for the pixel's edge functions e.
         n = wp.vec3(v0[2], v1[2], v2[2])
         d = wp.vec3(1.0, 1.0, 1.0)

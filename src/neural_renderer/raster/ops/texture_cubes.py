@@ -26,14 +26,14 @@ def sample_textures(
 ) -> Tensor:
     """The colour [B, 3, H, W] of each pixel; differentiable in textures, light, background and weights.
 
-    textures: [B or 1, F, T, T, T, 3] float32, T >= 2; texel [a][b][c] belongs to corner weights (0, 1, 2) in that
-    order.
+    textures: [B or 1, F, T, T, T, 3] float32; texel [a][b][c] belongs to corner weights (0, 1, 2) in that order.
     light: [B or 1, 2, F, 3] factors on the side that is seen when the corners run counter-clockwise, and on the other.
     background: [B, 3, H, W], seen where no face is.
     faces, face_index, weights: as `coverage` and `barycentrics` take and give them.
     eps: cube coordinates end at T - 1 - eps.
 
-    The coordinate along corner k's axis is T - 1 times its weight, and the 8 texels around it are blended.
+    The coordinate along corner k's axis is T - 1 times its weight, and the 8 texels around it are blended. With T = 1
+    the face has one colour.
     """
     batch, height, width = face_index.shape
     color = torch.empty((batch, 3, height, width), dtype=torch.float32, device=faces.device)
@@ -139,8 +139,10 @@ def cube_coordinate(w: wp.vec3, size: int, eps: float) -> wp.vec3:
     return c
 
 
-# The 8 texels around a cube coordinate and their shares, in plain C++: compilers keep this loop in registers.
+# The 8 texels around a cube coordinate and their shares, in plain C++: compilers keep this loop in registers. A cube of
+# one texel has no neighbours to blend.
 _TEXELS = """
+    if (size == 1) { ONE }
     const int low[3] = {(int)c[0], (int)c[1], (int)c[2]};
     const float up[3] = {c[0] - (float)low[0], c[1] - (float)low[1], c[2] - (float)low[2]};
     const wp::int64 first = ((cube * size + low[0]) * size + low[1]) * size + low[2];
@@ -154,7 +156,10 @@ _TEXELS = """
 """
 
 
-@wp.func_native(_TEXELS.replace("DO", "sum += share * textures.data[texel];") + "    return sum;")
+@wp.func_native(
+    _TEXELS.replace("ONE", "return textures.data[cube];").replace("DO", "sum += share * textures.data[texel];")
+    + "    return sum;"
+)
 def blend(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int, c: wp.vec3) -> wp.vec3:
     """The colour at a coordinate of the cube of that number."""
     ...
@@ -168,13 +173,17 @@ _SLOPE = """
 """
 
 
-@wp.func_native(_TEXELS.replace("DO", _SLOPE) + "    return sum;")
+@wp.func_native(_TEXELS.replace("ONE", "return wp::vec_t<3, float>(0.0f);").replace("DO", _SLOPE) + "    return sum;")
 def slope(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int, c: wp.vec3, part: wp.vec3) -> wp.vec3:
     """What the colour there, weighted with ``part``, gains along each axis of the cube."""
     ...
 
 
-@wp.func_native(_TEXELS.replace("DO", "wp::atomic_add(&textures.data[texel], share * part);"))
+@wp.func_native(
+    _TEXELS.replace("ONE", "wp::atomic_add(&textures.data[cube], part); return;").replace(
+        "DO", "wp::atomic_add(&textures.data[texel], share * part);"
+    )
+)
 def scatter(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int, c: wp.vec3, part: wp.vec3):
     """Its transpose: add ``part`` to the texels, each its share."""
     ...

@@ -120,7 +120,7 @@ def sample_textures_reference(
     batch, size, seen = len(faces), textures.shape[2], (face_index >= 0)[..., None]
     if not faces.shape[1]:
         return background.double()
-    c = (weights.double() * (size - 1)).clamp(0, size - 1 - eps)
+    c = (weights.double() * (size - 1)).clamp(0, max(size - 1 - eps, 0))
     # A tent of width 1 around the coordinate along each axis: the trilinear blend as a sum over the whole cube.
     tents = (1 - (c[..., None] - torch.arange(size, dtype=torch.float64, device=c.device)).abs()).clamp(min=0)
     cubes = _own(textures.double().expand(batch, *textures.shape[1:]), face_index)
@@ -155,7 +155,7 @@ def nmr_edges_reference(
         for f in range(faces.shape[1]):
             if not corners[b, f].isfinite().all() or not (side[b, f] > 0 or (side[b, f] < 0 and two_sided)):
                 continue
-            order = [0, 1, 2] if side[b, f] > 0 else [0, 2, 1]
+            order = [0, 1, 2] if side[b, f] > 0 else [2, 1, 0]
             for k in range(3):
                 p, q, r = (order[(k + n) % 3] for n in range(3))
                 for axis, (pulls, colors, shown) in enumerate((rows, columns)):

@@ -113,8 +113,8 @@ def _(grad, image, faces, face_index, two_sided, perspective, seams, marks=None)
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    _, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, marks = inputs
-    ctx.save_for_backward(output, faces, face_index, marks)
+    image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, marks = inputs
+    ctx.save_for_backward(image, faces, face_index, marks)  # not the output, which callers may change in place
 
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]

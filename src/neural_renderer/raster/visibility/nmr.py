@@ -86,8 +86,8 @@ def _(grad, image, faces, face_index, eps, two_sided, binary):  # type: ignore[n
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    _, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary = inputs
-    ctx.save_for_backward(output, faces, face_index)
+    image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary = inputs
+    ctx.save_for_backward(image, faces, face_index)  # not the output, which callers may change in place
 
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
@@ -274,7 +274,7 @@ def _pull(
     side = facing(v0, v1, v2, 1)
     turned = side < 0
     if turned:
-        v1, v2 = v2, v1
+        v0, v2 = v2, v0
     x = wp.vec3(0.0, 0.0, 0.0)
     y = wp.vec3(0.0, 0.0, 0.0)
     corners = int(3)  # a variable, or Warp would unroll the loop sixfold
@@ -292,8 +292,8 @@ def _pull(
         y[(k + 1) % 3] += to_y[1]
     for k in range(3):
         corner = k
-        if turned and k > 0:
-            corner = 3 - k
+        if turned:
+            corner = 2 - k
         part = wp.vec3(x[k], y[k], 0.0)
         if lanes == 1:
             result[b, f, corner] = part

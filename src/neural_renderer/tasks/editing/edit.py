@@ -63,7 +63,7 @@ class MeshEdit:
         settle: the part of the steps, in [0, 1], at the end of which both rates have fallen to 0; 0 keeps them.
         start: "mesh", its own colours; "plain", the objective's colour with a little noise, for meshes without colours;
             or "random", grey with a little noise.
-        texture_size: T, texels along the edge of a face's cube, at least 2, or 3 if seamless; not for a `UVMesh`.
+        texture_size: T, texels along the edge of a face's cube, at least 1, or 3 if seamless; not for a `UVMesh`.
         seamless: faces share the texels on their edges; False: each face has its own, as published; not for a `UVMesh`.
         gradient: the renderer's, through visibility.
         seed: of the views and of random colours.
@@ -94,7 +94,7 @@ class MeshEdit:
         self.phase = objective.name
         self._objective, self._gradient, self._seed = objective, gradient, validate.whole("seed", seed, 0)
         self._views = views
-        texture_size = validate.whole("texture_size", texture_size, 2)
+        texture_size = validate.whole("texture_size", texture_size, 1)
 
         points, self._vertex = torch.unique(mesh.vertices.detach(), dim=0, return_inverse=True)
         corners = self._vertex[mesh.faces.long()]

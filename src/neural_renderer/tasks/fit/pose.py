@@ -193,7 +193,7 @@ class CameraFit:
         """One number for each start [S]."""
         rgb, alpha = self._draw(turn, shift, longest)
         mask, photo = smaller(self._mask, longest), smaller(self._photo, longest)[None]
-        each = torch.stack([losses.silhouette_iou(one[None], mask) for one in alpha])
+        each = torch.stack([losses.silhouette_iou_loss(one[None], mask) for one in alpha])
         if rgb is not None:
             error = torch.stack([losses.photometric(one[None], photo) for one in rgb])
             each = each + self._photometric * error / mask.mean()

@@ -122,7 +122,7 @@ class ShapeFit:
             shape = (*shape, _blended(moving[1], self._faces))
         images = part.draw(shape, "alpha" if self._colours is None else ("rgb", "alpha"), self._gradient)
         weights, topology = self._weights, self._topology
-        loss = weights.silhouette * losses.silhouette_iou(images.alpha, part.masks)  # type: ignore[arg-type]
+        loss = weights.silhouette * losses.silhouette_iou_loss(images.alpha, part.masks)  # type: ignore[arg-type]
         if self._colours is not None:
             loss = loss + weights.photometric * losses.photometric(images.rgb, part.photos, part.masks)  # type: ignore[arg-type]
         for name in ("laplacian", "edge_length", "normal_consistency", "smoothness"):

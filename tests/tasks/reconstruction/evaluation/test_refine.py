@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from neural_renderer.losses import silhouette_iou
+from neural_renderer.losses import silhouette_iou_loss
 from neural_renderer.tasks.reconstruction.evaluation.predictors import network_predictor
 from neural_renderer.tasks.reconstruction.evaluation.refine import likeliest_views, refined
 from neural_renderer.tasks.reconstruction.networks.configs import Config
@@ -41,7 +41,7 @@ def test_the_silhouette_that_went_in(symmetric: bool) -> None:
     assert torch.equal(guess, before) and not result.requires_grad and result.abs().max() <= 0.5
 
     def error(shapes: Tensor, views: Tensor) -> float:
-        return float(silhouette_iou(network.silhouettes(shapes, views), network.silhouettes(truth, views)))
+        return float(silhouette_iou_loss(network.silhouettes(shapes, views), network.silhouettes(truth, views)))
 
     assert error(result, views) < 0.04 < 0.1 < error(guess, views)
     alone = refined(network, guess[:1], images[:1], 20)  # each mesh by itself

@@ -259,8 +259,8 @@ TWO_PROCESSES = """
 import sys
 from dataclasses import replace
 from pathlib import Path
-from neural_renderer.tasks.reconstruction.arrays import open_split
-from neural_renderer.tasks.reconstruction.run import fit
+from neural_renderer.tasks.reconstruction.data.arrays import open_split
+from neural_renderer.tasks.reconstruction.training.train import fit
 from tests.tasks.reconstruction.fake import SMALL
 
 folder, out = Path(sys.argv[1]), Path(sys.argv[2])
@@ -279,7 +279,8 @@ def test_two_processes_do_what_one_does(tmp_path: Path) -> None:
     script.write_text(TWO_PROCESSES)
     root = Path(__file__).parents[4]
     command = [sys.executable, str(script), str(tmp_path), str(tmp_path / "two")]
-    environment = os.environ | {"PYTHONPATH": str(root)}
+    path = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
+    environment = os.environ | {"PYTHONPATH": path}
     done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     fit("mesh", replace(SMALL, steps=1), fake_split(), None, tmp_path / "one", device="cpu")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ....losses import laplacian, silhouette_iou
+from ....losses import laplacian, silhouette_iou_loss
 from ..data.framing import VIEWS
 from ..networks.make_network import Model
 from ..networks.mesh_network import MeshNetwork, blurring
@@ -49,7 +49,7 @@ def refined(network: MeshNetwork, vertices: Tensor, images: Tensor, steps: int) 
     for _ in range(steps):
         with torch.enable_grad():
             shapes = moved()
-            error = silhouette_iou(network.silhouettes(shapes, views), masks)
+            error = silhouette_iou_loss(network.silhouettes(shapes, views), masks)
             loss = len(shapes) * (error + _LAPLACIAN * laplacian(shapes, network.topology))
         (moves.grad,) = torch.autograd.grad(loss, moves)
         optimiser.step()

@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader
 
 from ....compat.adam import Adam
 from ....features import FeatureNetwork
-from ....losses import silhouette_iou
+from ....losses import silhouette_iou_loss
 from ..data.arrays import Split
 from ..data.framing import VIEWS
 from ..networks.checkpoint import HEADER, header
@@ -136,7 +136,7 @@ class Training(lightning.LightningModule):
         with torch.autocast(images.device.type, enabled=False):
             seen, looks, target = beside_views(shapes, alpha, views)
             drawn = self.network.silhouettes(seen, looks)
-            error = silhouette_iou(drawn, sized_like(drawn, target))
+            error = silhouette_iou_loss(drawn, sized_like(drawn, target))
             loss = error + self.network.regulariser(shapes)
         self.latest = {"loss": loss.detach(), "iou": 1 - error.detach()}  # type: ignore[dict-item]
         return loss
@@ -177,7 +177,7 @@ class Training(lightning.LightningModule):
             seen = shapes.repeat_interleave(VIEWS, 0)
             drawn = model.silhouettes(seen, views.repeat(len(look)))
             target = sized_like(drawn, images[:, 3]).repeat(len(look), 1, 1)
-            self._scores.setdefault(name, []).append(1 - float(silhouette_iou(drawn, target)))
+            self._scores.setdefault(name, []).append(1 - float(silhouette_iou_loss(drawn, target)))
 
     def on_validation_epoch_start(self) -> None:
         self._scores: dict[str, list[float]] = {}
