@@ -14,9 +14,9 @@ from torch import Tensor
 
 from ...io import load_image, save_animation, save_image, save_mesh
 from ...io.atomic_write import replacing
-from ...meshes.mesh import Mesh
+from ...pictures.clay import clay_mesh
 from ...pictures.photograph import photograph
-from ...tasks.reconstruction.data.drawing import CLAY
+from ...tasks.reconstruction.data.drawing import MESH_COLOR
 from ...tasks.reconstruction.evaluation.cutout import cut_out
 from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshes, prediction_picture
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
@@ -146,7 +146,7 @@ class Predict:
             with replacing(_beside(target, "sheet.png")) as fresh:
                 save_image(fresh, sheet)
         if self.turntable:
-            upright = Mesh(vertices, faces, torch.tensor(CLAY).expand(len(faces), 2, 2, 2, 3)).normalize()
+            upright = clay_mesh(vertices, faces, MESH_COLOR).normalize()
             frames = (photograph(upright, 145 + 360 * i / self.turntable, size=256) for i in range(self.turntable))
             with replacing(_beside(target, "turntable.gif")) as fresh:
                 save_animation(fresh, frames, fps=15)

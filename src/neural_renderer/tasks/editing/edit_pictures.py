@@ -13,7 +13,8 @@ from torch import Tensor
 from ...io import save_animation
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
-from ...pictures.photograph import photograph, sheet
+from ...pictures.photograph import photograph
+from ...pictures.sheet import sheet
 from .edit import MeshEdit
 
 _FRONT, _ELEVATION, _ANGLE = 150.0, 20.0, 19.0

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from ...io import save_animation
 from ...meshes.mesh import Mesh
+from ...pictures.clay import CLAY
 from ...pictures.photograph import photograph
 from .fit_views import Views
-from .mesh import CLAY, coloured
+from .mesh import with_texture
 
 
 @torch.no_grad()
@@ -25,7 +26,7 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
     rows = sorted({round(i * (len(views) - 1) / max(columns - 1, 1)) for i in range(columns)})
     some = views[rows]
     photos = some.photos is not None and len(shape) == 3
-    images = some.draw(coloured(shape), ("rgb", "alpha"))
+    images = some.draw(with_texture(shape), ("rgb", "alpha"))
     rgb, alpha = images.rgb.clamp(0, 1), images.alpha[:, None]  # type: ignore[union-attr, index]
     mask = some.masks[:, None]
     target = some.photos if some.photos is not None else mask * torch.tensor(CLAY).to(mask)[:, None, None]

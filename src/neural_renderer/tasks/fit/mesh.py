@@ -10,12 +10,11 @@ from torch import Tensor
 from ... import validate
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
+from ...pictures.clay import plain_texture
 from .fit_views import Views
 from .hull import carve, frame
 from .shape import ShapeFit, Weights
 from .texture import TextureFit
-
-CLAY = (0.55, 0.68, 0.84)
 
 
 class MeshFit:
@@ -99,7 +98,7 @@ class MeshFit:
 
     def mesh(self) -> Mesh:
         """The mesh as it is now, in the world of the cameras; without colours it is the blue of clay."""
-        vertices, faces, textures = coloured(self.shape)
+        vertices, faces, textures = with_texture(self.shape)
         return Mesh(vertices * self._scale + self._centre, faces, textures)
 
     def advance(self) -> dict[str, float]:
@@ -144,9 +143,6 @@ class MeshFit:
         return vertices.to(device), faces.to(device)
 
 
-def coloured(shape: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
-    """Vertices, faces and textures of a shape that may have none: then it is the colour of clay."""
-    if len(shape) == 3:
-        return shape
-    clay = torch.tensor(CLAY, device=shape[0].device).expand(len(shape[1]), 2, 2, 2, 3)
-    return shape[0], shape[1], clay
+def with_texture(shape: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return vertices, faces and textures of a shape; a shape without textures gets the colour of clay."""
+    return shape if len(shape) == 3 else (shape[0], shape[1], plain_texture(shape[1]))

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ....render import render
-from ..data.drawing import CLAY, STONE, drawn
+from ..data.drawing import MESH_COLOR, VOXEL_COLOR, drawn
 from ..data.framing import SIZE, view_camera
 from ..data.voxels import surface, voxelize
 from .refine import refined
@@ -55,7 +55,7 @@ class Meshes:
 
     def picture(self, index: int, view: float, size: int) -> Tensor:
         """See `Shapes`."""
-        return drawn(self.vertices[index], self.faces, view, CLAY, size)
+        return drawn(self.vertices[index], self.faces, view, MESH_COLOR, size)
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Solids:
         """The voxels as cubes."""
         if not bool(self.filled[index].any()):
             return torch.full((3, size, size), 0.5)
-        return drawn(*surface(self.filled[index]), view, STONE, size)
+        return drawn(*surface(self.filled[index]), view, VOXEL_COLOR, size)
 
 
 def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Predictor:

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from ..data.arrays import Split
-from ..data.drawing import PAPER, STONE, drawn, shown
+from ..data.drawing import PAPER, VOXEL_COLOR, drawn, shown
 from ..data.framing import SIZE, VIEWS
 from ..data.voxels import surface
 from .predictors import Predictor, Solids
@@ -24,7 +24,7 @@ def data_sheet(split: Split, name: str, most: int = 48, columns: int = 8) -> Ten
         row = [shown(torch.from_numpy(split.images[name][index, view].copy())) for view in views]
         if name in split.voxels:
             solid = surface(torch.from_numpy(split.voxels[name][index].copy()))
-            row += [drawn(*solid, view, STONE) for view in (views[1], views[-2])]
+            row += [drawn(*solid, view, VOXEL_COLOR) for view in (views[1], views[-2])]
         rows.append(torch.cat(row, 2))
     return torch.cat(rows, 1)
 
