@@ -76,7 +76,7 @@ class Fit:
     """Half of the vertical field of view in degrees, for --recover camera (above 0, below 90)."""
     gradient: Literal["edge", "nmr"] = "edge"
     """The renderer's gradient through visibility."""
-    colour_from: float = 1.0
+    color_from: float = 1.0
     """The part of the steps (0 to 1) after which colours move the shape too: 0.3 finds some hollows that silhouettes do
     not show, in twice the time."""
     weights: Weights = field(default_factory=Weights)
@@ -112,7 +112,7 @@ class Fit:
             texture_steps=self.texture_steps,
             cells=self.cells,
             texture_size=self.texture_size,
-            colour_from=self.colour_from,
+            color_from=self.color_from,
             weights=self.weights,
             batch=self.batch,
             gradient=self.gradient,
@@ -127,7 +127,7 @@ class Fit:
         mesh.save(self.output / "mesh.glb")
         save_image(self.output / "comparison.png", comparison(fit.views, fit.shape))
         found: dict[str, Any] = {"views": len(seen), "vertices": mesh.num_vertices, "faces": mesh.num_faces}
-        for name, part in (("fitted", fit.views), ("held_out", unseen and fit.placed(unseen))):
+        for name, part in (("fitted", fit.views), ("held_out", unseen and fit.normalize(unseen))):
             if part is not None:
                 quality = part.quality(fit.shape)
                 found[name] = {

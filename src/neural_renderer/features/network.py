@@ -28,8 +28,8 @@ class FeatureNetwork(nn.Module):
         plan: Shapes of the tensors of the checkpoint, for `features_like`. Empty if the network has no checkpoint.
 
     Example:
-        >>> network = load_features("googlenet_bvlc.safetensors")
-        >>> network(images, ["inception_4c"])["inception_4c"].shape
+        >>> network = load_features("googlenet_bvlc.safetensors")  # doctest: +SKIP
+        >>> network(images, ["inception_4c"])["inception_4c"].shape  # doctest: +SKIP
         torch.Size([4, 512, 14, 14])
     """
 
