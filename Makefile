@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # torch comes first and alone: with the version of constraints.txt there, nothing later replaces it.
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 
-.PHONY: demo test lint format benchmark coverage package clean
+.PHONY: demo test lint format benchmark coverage package docs clean
 
 demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
@@ -44,6 +44,11 @@ package: $(VENV)/installed
 	build/package/bin/python -m pip install --quiet --constraint constraints.txt "build/sdist[dev]"
 	cd build/sdist && ../package/bin/python -m pytest tests/raster tests/io tests/test_render.py
 
+# The site, in out/docs/html. Notebooks run again only when their own cells change: `make clean` runs all of them.
+docs: $(VENV)/docs
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs out/docs/html
+	@echo "Open out/docs/html/index.html"
+
 # The package alone, and what working on it needs besides.
 $(VENV)/package: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -53,6 +58,10 @@ $(VENV)/package: pyproject.toml constraints.txt
 
 $(VENV)/installed: $(VENV)/package
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	touch $@
+
+$(VENV)/docs: $(VENV)/package
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[docs]"
 	touch $@
 
 clean:

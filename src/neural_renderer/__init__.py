@@ -1,7 +1,21 @@
-"""A differentiable mesh renderer for PyTorch, on the CPU and on CUDA (Kato, Ushiku and Harada, CVPR 2018).
+"""Draw meshes in PyTorch, and send gradients from the images back to the scene. CPU and CUDA.
 
-New code: `Mesh`, `Camera`, `Light`, `render`, `fragments`, `losses`. Code written for the first packages: `Renderer`
-and the rest.
+    mesh = nr.Mesh.load("bunny.obj")                                    # vertices, faces, textures
+    camera = nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30)      # one camera, or a batch of them
+    images = nr.render(mesh, camera, 256)                               # images.rgb, images.alpha, images.depth
+    nr.losses.silhouette_iou(images.alpha, target).backward()           # fills mesh.vertices.grad
+
+Where to look; `help(nr.render)` and so on explain each name:
+
+    a scene      Mesh, UVMesh, Camera, Light, SphericalHarmonicLight; icosphere, cube, torus, batch, join
+    its images   render, which returns Images
+    your shader  fragments, which returns Fragments; sample_texture, vertex_normals, fill_gutters
+    losses       the modules losses and metrics
+    files        load_mesh, save_mesh, load_image, save_image, save_animation
+    old code     Renderer, rasterize, look_at, load_obj, Adam, …: the names of the first `neural_renderer` packages
+
+`neural_renderer.tasks` holds what the command line does: fit, editing and reconstruction. The method is that of
+"Neural 3D Mesh Renderer" (Kato, Ushiku and Harada, CVPR 2018).
 """
 
 from . import losses, metrics
@@ -17,6 +31,7 @@ from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals
 from .meshes.primitives import cube, icosphere, torus
 from .meshes.uv_mesh import UVMesh
+from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
 from .render import render
 from .shading.lights import Light
@@ -72,3 +87,5 @@ __all__ = [
     "vertex_normals",
     "vertices_to_faces",
 ]
+
+_show_in_notebooks()

@@ -90,8 +90,6 @@ class Fragments:
         validate.floating("colors", colors, (batch, rows, columns, "C"))
         validate.same_device(colors=colors, faces=self.corners)
         channels = colors.shape[3]
-        if not isinstance(background, Tensor) and not hasattr(background, "__iter__"):
-            background = [validate.number("background", background)] * channels
         behind = behind_image(background, batch, channels, self.settings, colors.device)
         image = torch.where(self.mask[:, None], colors.float().permute(0, 3, 1, 2), behind)
         image = self.settings.through_visibility(image, self.corners, self.face_index, validate.flag("seams", seams))
@@ -137,5 +135,5 @@ def seen_on(screen: Tensor, faces: Tensor, settings: Settings) -> Fragments:
     """`fragments` of vertices [B, V, 3] that are on the screen already."""
     corners = settings.corners(vertices_to_faces(screen, checked_faces(faces)), 8)
     face_index = settings.face_index(corners)
-    weights, depth = barycentrics(corners, face_index, settings.far, settings.perspective)
+    weights, depth = barycentrics(corners, face_index, settings.near, settings.far, settings.perspective)
     return Fragments(corners, faces, face_index, weights, depth, settings)

@@ -17,7 +17,6 @@ DEFAULTS = {
     "K": None,
     "R": None,
     "t": None,
-    "dist_coeffs": None,
     "orig_size": 1024,
     "perspective": True,
     "viewing_angle": 30,
@@ -29,6 +28,7 @@ DEFAULTS = {
     "light_color_ambient": [1, 1, 1],
     "light_color_directional": [1, 1, 1],
     "light_direction": [0, 1, 0],
+    "camera_up": [0, 1, 0],
 }
 
 
@@ -48,7 +48,7 @@ def calibrated(device, batch=1, size=64):
 def test_defaults():
     renderer = nr.Renderer()
     assert {name: getattr(renderer, name) for name in DEFAULTS} == DEFAULTS
-    assert renderer.rasterizer_eps == 1e-3
+    assert renderer.rasterizer_eps == 1e-3 and torch.equal(renderer.dist_coeffs, torch.zeros(1, 5))
     assert renderer.eye[:2] == [0, 0] and renderer.eye[2] == pytest.approx(-2.7320508)
     assert nr.Renderer(viewing_angle=45).eye[2] == pytest.approx(-2)
     assert isinstance(renderer, torch.nn.Module) and not list(renderer.parameters())
@@ -57,7 +57,65 @@ def test_defaults():
 @pytest.mark.parametrize("name", DEFAULTS)
 def test_constructor_arguments_are_attributes(name):
     given = {"camera_mode": "look", "viewing_angle": 20, "image_size": (3, 4)}.get(name, [0.25, 0.5, 0.75])
-    assert getattr(nr.Renderer(**{name: given}), name) == given
+    found = getattr(nr.Renderer(**{name: given}), name)
+    assert (found.tolist() if isinstance(found, torch.Tensor) else found) == given
+
+
+def test_calibrations_are_tensors_at_once(device):
+    """Programs take them from the renderer, move and multiply them; a tensor stays the one that was given."""
+    vertices, faces, _ = sphere(device)
+    camera = calibrated(device)
+    arrays = {name: value.double().cpu().numpy() for name, value in camera.items() if name != "orig_size"}
+    lists = {name: value.tolist() for name, value in arrays.items()}
+    kept = nr.Renderer(32, **camera)
+    assert all(getattr(kept, name) is camera[name] for name in arrays)
+    for given in (arrays, lists):
+        renderer = nr.Renderer(32, **given, orig_size=camera["orig_size"], dist_coeffs=np.zeros((1, 5)))
+        for name in (*arrays, "dist_coeffs"):
+            value = getattr(renderer, name)
+            assert isinstance(value, torch.Tensor) and value.dtype == torch.float32
+            setattr(renderer, name, value.to(device))
+        for one, other in zip(*(r(vertices, faces, mode="depth") for r in (renderer, kept)), strict=True):
+            assert torch.equal(one, other)
+    assert nr.Renderer(**{**camera, "dist_coeffs": None}).dist_coeffs.to(device).shape == (1, 5)
+    with pytest.raises(TypeError, match="K: expected numbers"):
+        nr.Renderer(K=["a"])
+
+
+def test_viewing_angle_counts_only_where_it_is_used(device):
+    vertices, faces, _ = sphere(device)
+    for angle in (0, 90, 120):
+        nr.Renderer(16, viewing_angle=angle, **calibrated(device))(vertices, faces, mode="silhouettes")
+    flat = nr.Renderer(16, camera_mode="look_at", viewing_angle=90, perspective=False)
+    assert flat(vertices, faces, mode="silhouettes").any()
+    later = nr.Renderer(16, viewing_angle=0)
+    later.camera_mode, later.eye = "look_at", [0, 0, -2.7]
+    with pytest.raises(ValueError, match="viewing_angle: expected degrees"):
+        later(vertices, faces, mode="silhouettes")
+
+
+@pytest.mark.parametrize("mode", ["look_at", "look"])
+def test_camera_up(device, mode):
+    vertices, faces, _ = sphere(device)
+    vertices = vertices * torch.tensor([1.0, 0.5, 0.3], device=device)
+    renderer = nr.Renderer(32, camera_mode=mode, anti_aliasing=False)
+    upright = renderer(vertices, faces, mode="silhouettes")
+    renderer.camera_up = torch.tensor([1.0, 0, 0], device=device)
+    on_its_side = renderer(vertices, faces, mode="silhouettes")
+    assert not torch.equal(upright, on_its_side) and torch.equal(on_its_side, upright.transpose(1, 2))
+    given = nr.Renderer(32, camera_mode=mode, anti_aliasing=False, camera_up=(1, 0, 0))
+    assert torch.equal(given(vertices, faces, mode="silhouettes"), on_its_side)
+
+
+def test_height_and_width(device):
+    vertices, faces, textures = sphere(device)
+    renderer = nr.Renderer(camera_mode="look_at", image_height=10, image_width=16, background_color=0.25)
+    assert renderer.image_size == (10, 16)
+    rgb = renderer(vertices, faces, textures)[0]
+    assert rgb.shape == (1, 3, 10, 16) and (rgb[..., 0] == 0.25).all()
+    renderer.image_width = 20
+    assert renderer(vertices, faces, mode="depth").shape == (1, 10, 20)
+    assert nr.Renderer(64, image_width=32).image_size == (64, 32) and nr.Renderer((3, 4)).image_height == 3
 
 
 def test_renderers_share_no_lists():
@@ -180,7 +238,7 @@ def test_each_view_may_have_its_angle(device):
     assert (angles.grad != 0).all()
     for wrong in (0, 90, torch.tensor([30.0, 95.0])):
         with pytest.raises(ValueError, match=r"^viewing_angle: expected degrees in \(0, 90\)"):
-            nr.Renderer(viewing_angle=wrong)
+            nr.Renderer(camera_mode="look_at", viewing_angle=wrong)
 
 
 def test_camera_direction_of_the_constructor(device):

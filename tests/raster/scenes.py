@@ -11,8 +11,8 @@ from torch import Tensor
 
 from neural_renderer.raster.reference.operators import faces_at_pixels, pixel_centres, sides
 
-KINDS = ("plain", "tiny", "huge", "outside", "point", "line", "copy", "flat", "crossing", "behind", "nan")
-FRONT = KINDS[:8]
+FRONT = ("plain", "tiny", "huge", "outside", "point", "line", "copy", "flat", "speck", "sliver")
+KINDS = (*FRONT, "crossing", "behind", "nan")
 NEAR, FAR = 0.1, 10.0
 
 
@@ -61,6 +61,10 @@ def _face(kind: str, before: Tensor, random: torch.Generator) -> Tensor:
         return middle + 0.04 * arms
     if kind == "huge":
         return middle + arms * torch.tensor([100.0, 100, 1])
+    if kind in ("speck", "sliver"):  # at the middle of the image, where a pixel's centre is if its sides are odd
+        size = 10 ** -float(torch.rand((), generator=random) * 9 + 3)
+        arms = (arms + 0.1 * arms[0]) * torch.tensor([size if kind == "speck" else 1, size, 0])
+        return arms + face * torch.tensor([0, 0, 1])
     if kind == "outside":
         return face + torch.tensor([1.5, 0, 0])
     if kind == "point":

@@ -34,7 +34,7 @@ def test_case(shared, device, case):
     same = index == get("face_index")
     assert same.float().mean() >= 0.9999
     seen = same & (index >= 0)
-    weights, depth = barycentrics(faces, index, far, True)
+    weights, depth = barycentrics(faces, index, near, far, True)
     z = faces.detach()[torch.arange(len(index))[:, None, None], index.clamp(min=0), :, 2]
     on_screen = weights * z / depth[..., None]
     torch.testing.assert_close(on_screen[seen], get("weights")[seen], rtol=0, atol=1e-4)

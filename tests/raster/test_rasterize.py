@@ -19,7 +19,7 @@ def scene_inputs(device, batch=2, count=9, height=14, width=18):
     scene = Scene(3, batch, count, height, width, True, True, FRONT)
     faces = scene.faces.to(device)
     index = coverage.coverage(faces, height, width, NEAR, FAR, True, True)
-    weights, depth = barycentrics.barycentrics(faces, index, FAR, True)
+    weights, depth = barycentrics.barycentrics(faces, index, NEAR, FAR, True)
     return scene, faces, index, weights, depth
 
 

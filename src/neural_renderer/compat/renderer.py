@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from .. import validate
 from ..camera import look, look_at, projection
-from ..camera.lens import in_perspective, viewing_angle
+from ..camera.lens import in_perspective
+from ..camera.lens import viewing_angle as checked_angle
+from ..camera.parameters import as_tensor, common_device, scalar
 from ..raster.rasterize import Images, checked_faces, rasterize_images, vertices_to_faces, world_corners
+from ..raster.settings import image_size
 from ..shading.lights import Light
 from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR
 
@@ -28,19 +32,36 @@ _LIGHT = {
 class Renderer(nn.Module):
     """A renderer with settable attributes; each constructor argument is an attribute of the same name.
 
-    image_size: side, or (height, width). anti_aliasing: draw at twice the size and average.
-    background_color: [3], [B, 3] or an image. fill_back: draw both sides of every face.
-    camera_mode: "projection" (K, R, t, dist_coeffs, orig_size: an OpenCV camera), "look_at" (eye), "look" (eye,
-        camera_direction); any other string: vertices are in screen space already.
-    perspective: divide by depth ("look_at" and "look" only), with half field of view viewing_angle in degrees: a
-        number, or a tensor [] or [B].
-    near, far: only what has near < depth < far at a pixel is seen, in every mode.
-    rasterizer_eps: eps of colour renders (see `rasterize_images`); that of silhouettes is 1e-4, as it always was.
-    light_*: intensities, colours and direction (towards the light) as in `Light`.
-    gradient: the estimator through visibility.
-
     "look_at" and "look" mirror the world, and light in "projection" mode falls on the far sides of faces, as in the
     first packages; `render` has neither property.
+
+    Args:
+        image_size: side, or (height, width), in pixels; image_height and image_width set either alone.
+        anti_aliasing: draw at twice the size and average.
+        background_color: a number, [3], [B, 3] or an image.
+        fill_back: draw both sides of every face.
+        camera_mode: where the camera comes from, which may change at any time:
+            "projection": a calibrated camera as in OpenCV, by K, R, t, dist_coeffs and orig_size (see `projection`);
+            "look_at": the attribute eye; it looks at the origin, with camera_up upwards;
+            "look": the same, but it looks along camera_direction;
+            any other string: no camera; vertices are in screen space already.
+        K, R, t, dist_coeffs: tensors, kept as they are; arrays and lists become float32 tensors. dist_coeffs None is
+            zeros [1, 5].
+        orig_size: the size of the image that K describes: a number or (height, width).
+        perspective: divide by depth ("look_at" and "look" only).
+        viewing_angle: half the field of view in degrees, a number, or a tensor [] or [B]; in (0, 90) where it is used.
+            The eye begins on the -z axis where a square of side 2 at z = -1 fills the image.
+        near, far: only what has near < depth < far at a pixel is seen, in every mode.
+        light_*: intensities, colours and direction (towards the light) as in `Light`: one for all images or [B].
+        gradient: the estimator through visibility.
+
+    Attributes:
+        eye: the camera's position, [3] or [B, 3].
+        rasterizer_eps: eps of colour renders, 1e-3 (see `rasterize_images`); that of silhouettes is 1e-4, as it always
+            was.
+
+    Raises:
+        TypeError, ValueError: with a sentence, here for what cannot be kept, and at each call for what is used.
     """
 
     def __init__(
@@ -66,19 +87,31 @@ class Renderer(nn.Module):
         light_color_directional: Any = (1, 1, 1),
         light_direction: Any = (0, 1, 0),
         gradient: str = "nmr",
+        camera_up: Any = (0, 1, 0),
+        image_height: int | None = None,
+        image_width: int | None = None,
     ) -> None:
         super().__init__()
         self.image_size = image_size
+        if image_height is not None:
+            self.image_height = image_height
+        if image_width is not None:
+            self.image_width = image_width
         self.anti_aliasing = anti_aliasing
         self.background_color = _own(background_color)
         self.fill_back = fill_back
         self.camera_mode = _mode(camera_mode)
-        self.K, self.R, self.t, self.dist_coeffs = K, R, t, dist_coeffs
+        self.K, self.R, self.t = (_as_tensor(name, value) for name, value in (("K", K), ("R", R), ("t", t)))
+        none = torch.zeros((1, 5), device=common_device(K, R, t))
+        self.dist_coeffs = none if dist_coeffs is None else _as_tensor("dist_coeffs", dist_coeffs)
         self.orig_size = orig_size
         self.perspective = perspective
         self.viewing_angle = viewing_angle
+        if camera_mode in ("look_at", "look") and perspective:
+            checked_angle("viewing_angle", viewing_angle, torch.get_default_dtype())
         self.eye: Any = _default_eye(viewing_angle)
         self.camera_direction = _own(camera_direction)
+        self.camera_up = _own(camera_up)
         self.near = near
         self.far = far
         self.light_intensity_ambient = light_intensity_ambient
@@ -88,6 +121,24 @@ class Renderer(nn.Module):
         self.light_direction = _own(light_direction)
         self.rasterizer_eps = 1e-3
         self.gradient = gradient
+
+    @property
+    def image_height(self) -> int:
+        """The images' height; setting it keeps their width."""
+        return image_size("image_size", self.image_size)[0]
+
+    @image_height.setter
+    def image_height(self, height: int) -> None:
+        self.image_size = height, self.image_width
+
+    @property
+    def image_width(self) -> int:
+        """The images' width; setting it keeps their height."""
+        return image_size("image_size", self.image_size)[1]
+
+    @image_width.setter
+    def image_width(self, width: int) -> None:
+        self.image_size = self.image_height, width
 
     def __setattr__(self, name: str, value: Any) -> None:
         # A number takes the place of a parameter too, which nn.Module would refuse.
@@ -202,9 +253,9 @@ class Renderer(nn.Module):
             return projection(vertices, K, R, t, dist_coeffs, size), True
         divided = validate.flag("perspective", self.perspective)
         if mode == "look_at":
-            vertices = look_at(vertices, self.eye)
+            vertices = look_at(vertices, self.eye, up=self.camera_up)
         elif mode == "look":
-            vertices = look(vertices, self.eye, self.camera_direction)
+            vertices = look(vertices, self.eye, self.camera_direction, self.camera_up)
         else:
             return validate.vertices(vertices), True
         if divided:
@@ -229,11 +280,16 @@ def _mode(value: Any) -> str:
 
 def _default_eye(angle: Any) -> Any:
     """The place on -z from which a square of side 2 at z = -1 fills the image: [3], or [B, 3] for angles [B]."""
-    angle = viewing_angle("viewing_angle", angle, torch.get_default_dtype())
+    angle = scalar("viewing_angle", angle, torch.get_default_dtype())
     if isinstance(angle, Tensor):
         z = -1 / torch.tan(torch.deg2rad(angle.detach())) - 1
         return torch.stack((torch.zeros_like(z), torch.zeros_like(z), z), -1)
-    return [0, 0, -(1.0 / math.tan(math.radians(angle)) + 1)]
+    return [0, 0, -(1.0 / math.tan(math.radians(angle)) + 1) if angle else -math.inf]
+
+
+def _as_tensor(name: str, value: Any) -> Any:
+    """Arrays and lists as tensors, so that programs can move and multiply them; anything else as it is."""
+    return as_tensor(name, value, torch.float32) if isinstance(value, (np.ndarray, list, tuple)) else value
 
 
 def _own(value: Any) -> Any:

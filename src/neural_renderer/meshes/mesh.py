@@ -19,6 +19,9 @@ from . import primitives
 class Mesh(nn.Module):
     """Vertices, faces and a texture, as a module whose parameters are the vertices and the texture.
 
+    `load`, `fromobj` and `icosphere` make one; `save` writes it; `normalize` centres and scales it; `get_batch` and
+    `set_lr` are those of the first packages. All other methods are `torch.nn.Module`'s: `to`, `parameters`, ….
+
     Attributes:
         vertices: Parameter, float32 [V, 3].
         faces: Buffer, int32 [F, 3], indices into the vertices.

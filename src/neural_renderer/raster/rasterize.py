@@ -21,14 +21,19 @@ OUTPUTS = ("rgb", "alpha", "depth")
 
 
 class Images(NamedTuple):
-    """What a renderer returns; None for what was not asked for. Row 0 is at the top.
+    """The images of a renderer; None for an output that was not asked for. Row 0 is at the top.
 
-    The images may be changed in place before `backward`, as any result of torch's operations that does not need it.
+    They may be changed in place before ``backward``.
+
+    Attributes:
+        rgb: [B, 3, H, W] float32, the colours.
+        alpha: [B, H, W] float32: 1 where a face is seen, 0 elsewhere, in between at anti-aliased outlines.
+        depth: [B, H, W] float32, along the viewing axis in world units; ``far`` where no face is seen.
     """
 
-    rgb: Tensor | None = None  # [B, 3, H, W] float32
-    alpha: Tensor | None = None  # [B, H, W] float32, 1 where a face is seen, 0 elsewhere, in between if anti-aliased
-    depth: Tensor | None = None  # [B, H, W] float32, along the viewing axis in world units, far where no face is seen
+    rgb: Tensor | None = None
+    alpha: Tensor | None = None
+    depth: Tensor | None = None
 
 
 def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -88,7 +93,7 @@ def rasterize_images(
     outputs: which of "rgb", "alpha", "depth"; what is not asked for costs nothing.
     textures: [B or 1, F, T, T, T, 3] floating (T = 1: one colour a face); needed for "rgb".
     light: [B or 1, 2, F, 3] factors for the colour of each face's two sides; none: 1.
-    background: colour where no face is seen: [3], [B, 3], or an image [B, 3, H, W] or [3, H, W] (H and W of
+    background: colour where no face is seen: a number, [3], [B, 3], or an image [B, 3, H, W] or [3, H, W] (H and W of
         the output).
     near, far: 0 <= near < far; only what has near < depth < far at a pixel is seen.
     eps: added to the distances in the gradient's denominators (screen units); cube coordinates end at T - 1 - eps.
@@ -113,7 +118,7 @@ def rasterize_images(
     whole = gradient == "edge"  # the derivative inside of faces, too
     if "rgb" in outputs or "depth" in outputs:
         from_corners = corners if whole or "depth" in outputs else still
-        weights, depth = barycentrics(from_corners, face_index, settings.far, perspective)
+        weights, depth = barycentrics(from_corners, face_index, settings.near, settings.far, perspective)
         if "rgb" in outputs:
             cubes = _checked_textures(textures, batch, count, device)
             factors = _checked_light(light, batch, count, device)
@@ -218,7 +223,8 @@ def behind_image(background: Any, batch: int, channels: int, settings: Settings,
             background = torch.as_tensor(background, dtype=torch.float32, device=device)
         except (TypeError, ValueError, RuntimeError):
             raise TypeError(
-                f"background: expected a colour [{channels}] or [B, {channels}] or an image, got {background!r}"
+                f"background: expected a number, a colour [{channels}] or [B, {channels}], or an image, "
+                f"got {background!r}"
             ) from None
     elif background.dtype == torch.uint8:  # an image as it comes from a file, most likely
         raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")
@@ -227,6 +233,7 @@ def behind_image(background: Any, batch: int, channels: int, settings: Settings,
         validate.has_numbers("background", background)
     color = background.to(device=device, dtype=torch.float32)
     validate.finite("background", color)
+    color = color.expand(channels) if color.dim() == 0 else color
     shape = tuple(color.shape)
     image = (channels, height, width)
     if shape == (channels,) or (len(shape) == 2 and shape[0] in (1, batch) and shape[1] == channels):
@@ -235,6 +242,6 @@ def behind_image(background: Any, batch: int, channels: int, settings: Settings,
         color = color.reshape(-1, *image)
         return color.repeat_interleave(2, 2).repeat_interleave(2, 3) if settings.anti_aliasing else color
     raise ValueError(
-        f"background: expected [{channels}], [{batch}, {channels}], {list(image)} or {[batch, *image]}, "
+        f"background: expected a number, [{channels}], [{batch}, {channels}], {list(image)} or {[batch, *image]}, "
         f"got {list(shape)}"
     )

@@ -17,7 +17,7 @@ from tests.raster.scenes import FAR, NEAR, examples, scenes
 def test_random_scenes(device, scene, channels, shared):
     faces = scene.faces.to(device)
     index = coverage(faces, scene.height, scene.width, NEAR, FAR, scene.two_sided, scene.perspective)
-    weights = barycentrics(faces, index, FAR, scene.perspective)[0].requires_grad_()
+    weights = barycentrics(faces, index, NEAR, FAR, scene.perspective)[0].requires_grad_()
     attributes = scene.noise(1 if shared else scene.batch, scene.count, 3, channels).to(device).requires_grad_()
     found = interpolate(attributes, faces, index, weights)
     image = torch.arange(scene.batch, device=device)[:, None, None]
@@ -34,6 +34,6 @@ def test_random_scenes(device, scene, channels, shared):
 def test_operator_is_well_formed(device):
     faces = (torch.rand(2, 7, 3, 3) * torch.tensor([2.0, 2, 3]) + torch.tensor([-1.0, -1, 1])).to(device)
     index = coverage(faces, 10, 12, NEAR, FAR, True, True)
-    weights = barycentrics(faces, index, FAR, True)[0].requires_grad_()
+    weights = barycentrics(faces, index, NEAR, FAR, True)[0].requires_grad_()
     attributes = torch.randn(2, 7, 3, 4, device=device, requires_grad=True)
     torch.library.opcheck(interpolate.operator, (attributes, faces, index, weights))

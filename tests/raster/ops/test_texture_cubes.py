@@ -17,7 +17,7 @@ from tests.raster.scenes import FAR, NEAR, examples, scenes
 def drawn(scene, device):
     faces = scene.faces.to(device)
     index = coverage(faces, scene.height, scene.width, NEAR, FAR, scene.two_sided, scene.perspective)
-    return faces, index, *barycentrics(faces, index, FAR, scene.perspective)
+    return faces, index, *barycentrics(faces, index, NEAR, FAR, scene.perspective)
 
 
 @examples(50)
@@ -66,7 +66,7 @@ def test_textures_lie_flat_in_space(device, perspective):
     shares = torch.stack(torch.meshgrid(*[torch.linspace(0, 1, 4, device=device)] * 3, indexing="ij"), -1)
     textures = (shares @ world[0, 0])[None, None]
     index = coverage(screen, 32, 32, NEAR, FAR, False, perspective)
-    weights, depth = barycentrics(screen, index, FAR, perspective)
+    weights, depth = barycentrics(screen, index, NEAR, FAR, perspective)
     ones = torch.ones(1, 2, 1, 3, device=device)
     color = sample_textures(
         textures, ones, torch.zeros(1, 3, 32, 32, device=device), screen, index, weights, 0.0, perspective
@@ -79,7 +79,7 @@ def test_each_side_has_its_light(device):
     front = torch.tensor([[-1.0, -1, 1], [1, -1, 1], [0, 1, 1]])
     faces = torch.stack((front, front.flip(0)))[:, None].to(device)
     index = coverage(faces, 4, 4, NEAR, FAR, True, True)
-    weights, _ = barycentrics(faces, index, FAR, True)
+    weights, _ = barycentrics(faces, index, NEAR, FAR, True)
     light = torch.tensor([[[[1.0, 2, 3]], [[4.0, 5, 6]]]], device=device)
     textures = torch.ones(1, 1, 2, 2, 2, 3, device=device)
     black = torch.zeros(2, 3, 4, 4, device=device)

@@ -5,36 +5,45 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.geometry import homogeneous_weights, in_front, pixel_box, pixel_centre, to_pixels
+from ..warp.geometry import degenerate, homogeneous_weights, in_front, pixel_box, pixel_centre, to_pixels
 from ..warp.launch import array, face_lanes, launch, zeros
 from ..warp.registration import differentiable_once, operator
 from .visible_faces import next_shown, seen_faces
 
+# Without fused multiply-adds, so that `edge_weights` computes what `coverage` does.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+# Of the square of a face's largest coordinate c, in pixels: in less area nothing is known of the weights by
+# `pixel_matrix`. They are made of products of up to 2 c^2, and all roundings together come to some 82 * 2^-24 c^2.
+LEAST_AREA = wp.constant(2.0**-17)
 
 
 @operator
-def barycentrics(faces: Tensor, face_index: Tensor, far: float, perspective: bool) -> tuple[Tensor, Tensor]:
+def barycentrics(
+    faces: Tensor, face_index: Tensor, near: float, far: float, perspective: bool
+) -> tuple[Tensor, Tensor]:
     """Weights and depth at each pixel of the face that `coverage` found there; differentiable in the corners.
 
     faces: [B, F, 3, 3] float32 screen-space corners; face_index: [B, H, W] int32.
+    near, far: as in `coverage`.
     perspective: depth is ``1 / sum(w_k / z_k)``; ``sum(w_k z_k)`` otherwise.
 
     Returns weights [B, H, W, 3], the shares of the corners in the point that is seen, in space: what a quantity given
     at the corners is interpolated with: ``w_k z / z_k`` (``w_k`` without perspective), in [0, 1], of sum 1, and 0 where
-    no face is seen. And depth [B, H, W], ``far`` where no face is seen. Backward is the analytic derivative
-    inside the face: with the pixel fixed, moving corner m by v on the screen changes w_k by ``-w_m grad(w_k) . v``.
+    no face is seen. And depth [B, H, W] in [near, far], ``far`` where no face is seen. Both are finite for any face
+    that `coverage` draws. Backward is the analytic derivative inside the face: with the pixel fixed, moving corner m by
+    v on the screen changes w_k by ``-w_m grad(w_k) . v``. A `degenerate` face passes no gradient to x and y.
     """
     batch, height, width = face_index.shape
     weights = torch.empty((batch, height, width, 3), dtype=torch.float32, device=faces.device)
     depth = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
-    arguments = [array(faces, wp.vec3), array(face_index), far, int(perspective)]
+    arguments = [array(faces, wp.vec3), array(face_index), near, far, int(perspective)]
     launch(_forward, batch * height, [*arguments, array(weights, wp.vec3), array(depth)], faces.device)
     return weights, depth
 
 
 @torch.library.register_fake("neural_renderer::barycentrics")
-def _(faces, face_index, far, perspective):  # type: ignore[no-untyped-def]
+def _(faces, face_index, near, far, perspective):  # type: ignore[no-untyped-def]
     shape = face_index.shape
     return faces.new_empty((*shape, 3)), faces.new_empty(shape)
 
@@ -75,14 +84,14 @@ def _(grad_weights, grad_depth, faces, face_index, weights, depth, perspective):
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    faces, face_index, _, ctx.perspective = inputs
+    faces, face_index, _, _, ctx.perspective = inputs
     ctx.save_for_backward(faces, face_index, *output)
 
 
 def _to_corners(ctx, grad_weights, grad_depth):  # type: ignore[no-untyped-def]
     faces, face_index, weights, depth = ctx.saved_tensors
     grad = barycentrics_backward(grad_weights, grad_depth, faces, face_index, weights, depth, ctx.perspective)
-    return grad, None, None, None
+    return grad, None, None, None, None
 
 
 torch.library.register_autograd("neural_renderer::barycentrics", _to_corners, setup_context=_save)
@@ -90,7 +99,7 @@ torch.library.register_autograd("neural_renderer::barycentrics", _to_corners, se
 
 @wp.func
 def pixel_matrix(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, height: int, width: int) -> wp.mat33:
-    """The matrix that takes a pixel (column, row from the bottom, 1) to its weights.
+    """The matrix that takes a pixel (column, row from the bottom, 1) to its weights; 0 if `edge_weights` must do.
 
     Weights by this inverse are how the first packages computed them: for faces far smaller than a pixel its rounding
     (some 1e-4 of a weight) is what existing results contain.
@@ -102,6 +111,10 @@ def pixel_matrix(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, height: int, width: int)
     y1 = to_pixels(v1[1], height)
     y2 = to_pixels(v2[1], height)
     area = x2 * (y0 - y1) + x0 * (y1 - y2) + x1 * (y2 - y0)
+    x = wp.max(wp.abs(x0), wp.max(wp.abs(x1), wp.abs(x2)))
+    y = wp.max(wp.abs(y0), wp.max(wp.abs(y1), wp.abs(y2)))
+    if not wp.abs(area) > LEAST_AREA * wp.max(x, y) * wp.max(x, y):
+        return wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return wp.mat33(
         (y1 - y2) / area, (x2 - x1) / area, (x1 * y2 - x2 * y1) / area,
         (y2 - y0) / area, (x0 - x2) / area, (x2 * y0 - x0 * y2) / area,
@@ -109,11 +122,24 @@ def pixel_matrix(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, height: int, width: int)
     )  # fmt: skip
 
 
+@wp.func
+def edge_weights(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float) -> wp.vec3:
+    """The weights by the edge functions of `coverage`: where it drew the face, they have one sign and are not all 0."""
+    e0 = (v1[0] - x) * (v2[1] - y) - (v1[1] - y) * (v2[0] - x)
+    e1 = (v2[0] - x) * (v0[1] - y) - (v2[1] - y) * (v0[0] - x)
+    e2 = (v0[0] - x) * (v1[1] - y) - (v0[1] - y) * (v1[0] - x)
+    whole = e0 + e1 + e2
+    if whole == 0.0:
+        return wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
+    return wp.vec3(e0 / whole, e1 / whole, e2 / whole)
+
+
 @wp.kernel
 def _forward(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
+    near: float,
     far: float,
     perspective: int,
     weights: wp.array3d(dtype=wp.vec3),
@@ -147,7 +173,11 @@ def _forward(
                 for k in range(3):
                     share = matrix[k, 0] * float(i) + matrix[k, 1] * float(height - 1 - row) + matrix[k, 2]
                     w[k] = wp.clamp(share, 0.0, 1.0)
-                w = w / (w[0] + w[1] + w[2])
+                whole = w[0] + w[1] + w[2]
+                if whole == 0.0:
+                    w = edge_weights(v0, v1, v2, pixel_centre(i, width), y)
+                    whole = 1.0
+                w = w / whole
                 if perspective == 1:
                     z = 1.0 / (w[0] / v0[2] + w[1] / v1[2] + w[2] / v2[2])
                     w = wp.vec3(w[0] * z / v0[2], w[1] * z / v1[2], w[2] * z / v2[2])
@@ -155,9 +185,10 @@ def _forward(
                     z = w[0] * v0[2] + w[1] * v1[2] + w[2] * v2[2]
             else:
                 a = homogeneous_weights(v0, v1, v2, pixel_centre(i, width), y)
-                whole = a[0] + a[1] + a[2]
-                z = float(wp.float64(1.0) / whole)
-                w = wp.vec3(float(a[0] / whole), float(a[1] / whole), float(a[2] / whole))
+                inverse = a[0] + a[1] + a[2]
+                z = float(wp.float64(1.0) / inverse)
+                w = wp.vec3(float(a[0] / inverse), float(a[1] / inverse), float(a[2] / inverse))
+            z = wp.clamp(z, near, far)  # where it was drawn, but for the rounding of the weights
         weights[b, row, i] = w
         depth[b, row, i] = z
 
@@ -191,12 +222,13 @@ def _backward(
     front = in_front(v0, v1, v2, perspective)
     if front < 0:
         return
-    area = (v1[0] - v0[0]) * (v2[1] - v0[1]) - (v1[1] - v0[1]) * (v2[0] - v0[0])
-    if area == 0.0:
-        return
     # What the weights gain per step to the right and up.
-    dx = wp.vec3(v1[1] - v2[1], v2[1] - v0[1], v0[1] - v1[1]) / area
-    dy = wp.vec3(v2[0] - v1[0], v0[0] - v2[0], v1[0] - v0[0]) / area
+    dx = wp.vec3(0.0, 0.0, 0.0)
+    dy = wp.vec3(0.0, 0.0, 0.0)
+    if not degenerate(v0, v1, v2):
+        area = (v1[0] - v0[0]) * (v2[1] - v0[1]) - (v1[1] - v0[1]) * (v2[0] - v0[0])
+        dx = wp.vec3(v1[1] - v2[1], v2[1] - v0[1], v0[1] - v1[1]) / area
+        dy = wp.vec3(v2[0] - v1[0], v0[0] - v2[0], v1[0] - v0[0]) / area
     z = wp.vec3(v0[2], v1[2], v2[2])
     # In perspective, depth and the weights in space are made of w_k / z_k: 1 / depth is their sum.
     inverse = wp.vec3(1.0, 1.0, 1.0)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .operators import in_camera_space, pixel_centres
+from .operators import SHORTEST, degenerate, in_camera_space, pixel_centres
 
 LEAST_RUN = 0.02  # no crossing counts more than the inverse of this
 SMALL = 1.5  # pixels: faces of less area are often missed by all centres
@@ -148,7 +148,7 @@ class _Scan(NamedTuple):
 def _move(scan: _Scan, f: int, k: int, counter_clockwise: bool) -> tuple[float, float]:
     """What the lines across edge k of face f send to the coordinates along them of its start and its end."""
     (pu, pv), (qu, qv) = scan.places[f][k], scan.places[f][(k + 1) % 3]
-    if pu == qu or (scan.perspective and min(scan.depths[f][k], scan.depths[f][(k + 1) % 3]) <= 0):
+    if abs(pu - qu) < SHORTEST or (scan.perspective and min(scan.depths[f][k], scan.depths[f][(k + 1) % 3]) <= 0):
         return 0.0, 0.0
     # Counter-clockwise around the face, its outside is on the right: that of an edge upward is at larger x, that of an
     # edge to the right at smaller y.
@@ -263,7 +263,7 @@ def _cut(grad: Tensor, image: Tensor, face_index: Tensor, corners: Tensor, axis:
     f, g = (index.long() for index in pair(face_index))
     equal = (corners[f][..., :, None, :] == corners[g][..., None, :, :]).all(-1)
     one_surface = equal.sum((-2, -1)) >= 2
-    front = (corners[..., 2] > 0).all(-1) | (not perspective)
+    front = ((corners[..., 2] > 0).all(-1) | (not perspective)) & ~degenerate(corners)
     chosen = (f >= 0) & (g >= 0) & (f != g) & ~one_surface & front[f] & front[g]
     f, g = f[chosen], g[chosen]
     (x, next_x), (y, next_y) = ((a[chosen], b[chosen]) for a, b in (pair(x), pair(y)))

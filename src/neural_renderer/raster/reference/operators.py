@@ -13,6 +13,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+NARROWEST = 2.0**-22  # screen units: four roundings of a coordinate near 1
+SHORTEST = 1e-9  # pixels: of an edge that crosses less of them no slope is computed
+
 
 class FacesAtPixels(NamedTuple):
     """Every face of an image at every pixel centre, [F, H, W] each, float64."""
@@ -82,7 +85,9 @@ def coverage_reference(
     return result
 
 
-def barycentrics_reference(faces: Tensor, face_index: Tensor, far: float, perspective: bool) -> tuple[Tensor, Tensor]:
+def barycentrics_reference(
+    faces: Tensor, face_index: Tensor, near: float, far: float, perspective: bool
+) -> tuple[Tensor, Tensor]:
     """Weights [B, H, W, 3] and depth [B, H, W] of the seen faces, differentiable in ``faces``; see `barycentrics`."""
     seen = face_index >= 0
     if not faces.shape[1]:
@@ -92,9 +97,12 @@ def barycentrics_reference(faces: Tensor, face_index: Tensor, far: float, perspe
     plain = torch.tensor([[-1.0, -1, 1], [1, -1, 1], [0, 1, 1]], dtype=torch.float64, device=faces.device)
     own = torch.where(seen[..., None, None], _own(faces.double(), face_index), plain)
     x, y = pixel_centres(face_index.shape[1], face_index.shape[2], faces.device)
-    weights, _ = _screen_weights(own, x, y)
+    still = degenerate(own)[..., None, None] & (torch.arange(3, device=faces.device) < 2)
+    own = torch.where(still, own.detach(), own)
+    flat = sides(own.detach(), False) == 0
+    weights, _ = _screen_weights(torch.where(flat[..., None, None], plain, own), x, y)
     # What is clamped lies outside the face by rounding only: the derivative is that of the inside.
-    clamped = weights.detach().clamp(0, 1)
+    clamped = torch.where(flat[..., None], 1.0, weights.detach().clamp(0, 1))
     weights = weights + (clamped / clamped.sum(-1, keepdim=True) - weights).detach()
     depth = _depth(weights, own, perspective)
     if perspective:
@@ -103,6 +111,7 @@ def barycentrics_reference(faces: Tensor, face_index: Tensor, far: float, perspe
         weights = torch.where(crossing[..., None], hit.weights, weights)
         depth = torch.where(crossing, hit.depth, depth)
         weights = weights * depth[..., None] / own[..., 2]
+    depth = depth + (depth.detach().clamp(near, far) - depth).detach()
     return torch.where(seen[..., None], weights, 0.0), torch.where(seen, depth, far)
 
 
@@ -177,7 +186,8 @@ def _pull_edge(
         ((lines * c[1 - axis] + lines - 1) / 2, (length * c[axis] + length - 1) / 2) for c in corners.tolist()
     )
     to_p = to_q = 0.0
-    if pu == qu or corners[0, 2] <= 0 or corners[1, 2] <= 0:  # an end behind the camera has no place on the screen
+    # An end behind the camera has no place on the screen.
+    if abs(pu - qu) < SHORTEST or corners[0, 2] <= 0 or corners[1, 2] <= 0:
         return 0.0, 0.0
     d = (-1 if pu < qu else 1) * (1 if axis == 1 else -1)
     for u in range(max(0, math.ceil(min(pu, qu))), min(lines - 1, math.floor(max(pu, qu))) + 1):
@@ -215,6 +225,14 @@ def _own(values: Tensor, face_index: Tensor) -> Tensor:
     """Of values [B, F, ...], those of the face at each pixel, [B, H, W, ...]; of face 0 where there is none."""
     image = torch.arange(len(values), device=values.device)[:, None, None]
     return values[image, face_index.clamp(min=0).long()]
+
+
+def degenerate(faces: Tensor) -> Tensor:
+    """Whether weights change by 1 over less than `NARROWEST`, along x or y, in the faces [..., 3, 3]."""
+    v = faces.detach()[..., :2]
+    arms = v[..., [2, 0, 1], :] - v[..., [1, 2, 0], :]
+    area = arms[..., 0, 0] * arms[..., 1, 1] - arms[..., 0, 1] * arms[..., 1, 0]
+    return area.abs() <= NARROWEST * arms.abs().amax((-2, -1))
 
 
 def _screen_weights(faces: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:

@@ -15,7 +15,7 @@ import warp as wp
 from torch import Tensor
 
 from ..ops.visible_faces import seen_faces
-from ..warp.geometry import facing, to_pixels
+from ..warp.geometry import SHORTEST, facing, to_pixels
 from ..warp.launch import array, copy, face_lanes, launch, zeros
 from ..warp.registration import differentiable_once, operator
 from .crossings import (
@@ -163,7 +163,7 @@ def move_edge(
     qv = to_pixels(q[axis], length)
     ru = to_pixels(r[1 - axis], count)
     rv = to_pixels(r[axis], length)
-    if pu == qu or (perspective == 1 and (p[2] <= 0.0 or q[2] <= 0.0)):
+    if wp.abs(pu - qu) < SHORTEST or (perspective == 1 and (p[2] <= 0.0 or q[2] <= 0.0)):
         return wp.vec2(0.0, 0.0)
     d = int(1)
     if (pu < qu) == (axis == 1):

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..ops.visible_faces import next_shown
-from ..warp.geometry import homogeneous_weights, in_front, pixel_box, pixel_centre
+from ..warp.geometry import degenerate, homogeneous_weights, in_front, pixel_box, pixel_centre
 from ..warp.launch import array, face_lanes, launch, zeros
 from .neighbors import same
 
@@ -21,7 +21,7 @@ def add_intersections(
     Two neighbouring pixels show two faces, and between their centres lies a point of both at which their nearness q
     (1 / z; -z without perspective) is equal. q is linear on the screen, so where that line crosses the pair, and how
     the six corners move it, are ratios of differences. Rows and columns share its motion by the squares of the
-    components of its normal.
+    components of its normal. A `degenerate` face has no part in it.
     """
     batch, count = faces.shape[:2]
     height, width = face_index.shape[1:]
@@ -139,7 +139,7 @@ def _cut(
     v0 = faces[b, f, 0]
     v1 = faces[b, f, 1]
     v2 = faces[b, f, 2]
-    if in_front(v0, v1, v2, perspective) != 1:
+    if in_front(v0, v1, v2, perspective) != 1 or degenerate(v0, v1, v2):
         return
     sums = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     steps = wp.vec2(2.0 / float(width), 2.0 / float(height))
@@ -178,7 +178,8 @@ def _cut(
                     short = total(others_there) - total(there)
                     # Of faces in one plane the difference is rounding.
                     clear = ahead + short > 1.0e-6 * wp.abs(total(here))
-                    if clear and ahead > 0.0 and short > 0.0 and in_front(u0, u1, u2, perspective) == 1:
+                    solid = in_front(u0, u1, u2, perspective) == 1 and not degenerate(u0, u1, u2)
+                    if clear and ahead > 0.0 and short > 0.0 and solid:
                         t = ahead / (ahead + short)
                         q = here + t * (there - here)
                         others_q = others_here + t * (others_there - others_here)

@@ -11,7 +11,7 @@ import warp as wp
 from torch import Tensor
 
 from ..ops.visible_faces import seen_faces
-from ..warp.geometry import facing, to_pixels
+from ..warp.geometry import SHORTEST, facing, to_pixels
 from ..warp.launch import array, copy, face_lanes, launch, zeros
 from ..warp.registration import differentiable_once, operator
 from .scanlines import WIDE, copy_lines, empty_lines, place, shrink, sweep
@@ -19,7 +19,7 @@ from .scanlines import WIDE, copy_lines, empty_lines, place, shrink, sweep
 wp.set_module_options({"enable_backward": False})
 
 # Keeps a quotient finite where a pixel lies on the edge and the corner has no share in it.
-TINY = wp.constant(1.0e-20)
+TINY = wp.constant(1.0e-15)
 # Bytes of scan lines that are stored at once: on the CPU no more than its caches hold, or so.
 _ROOM = {"cpu": 2**23, "cuda": 2**28}
 
@@ -142,7 +142,7 @@ def pull_edge(
     qv = to_pixels(q[axis], length)
     rv = to_pixels(r[axis], length)
     # An edge that ends behind the camera has no place on the screen for its end: it gets no gradient.
-    if pu == qu or p[2] <= 0.0 or q[2] <= 0.0:
+    if wp.abs(pu - qu) < SHORTEST or p[2] <= 0.0 or q[2] <= 0.0:
         return wp.vec2(0.0, 0.0)
     outward = int(1)
     if (pu < qu) == (axis == 1):

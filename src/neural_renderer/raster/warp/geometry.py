@@ -15,6 +15,10 @@ import warp as wp
 
 # Corners beyond have no products in float32.
 FARTHEST = wp.constant(1.0e12)
+# Screen units: four roundings of a coordinate near 1. What changes within less is not known.
+NARROWEST = wp.constant(2.0**-22)
+# Pixels: of an edge that crosses less of them no slope is computed. Float32 tells so little only in one pixel's line.
+SHORTEST = wp.constant(1.0e-9)
 Int4 = wp.types.vector(length=4, dtype=wp.int32)
 
 
@@ -48,6 +52,17 @@ def facing(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
         if v2[2] <= 0.0:
             side = -side
     return side
+
+
+@wp.func
+def degenerate(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> bool:
+    """Whether a weight changes by 1 over less than NARROWEST, along x or along y."""
+    a = wp.abs(v2 - v1)
+    b = wp.abs(v0 - v2)
+    c = wp.abs(v1 - v0)
+    longest = wp.max(wp.max(wp.max(a[0], a[1]), wp.max(b[0], b[1])), wp.max(c[0], c[1]))
+    area = (v1[0] - v0[0]) * (v2[1] - v0[1]) - (v1[1] - v0[1]) * (v2[0] - v0[0])
+    return wp.abs(area) <= NARROWEST * longest
 
 
 @wp.func

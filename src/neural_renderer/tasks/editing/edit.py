@@ -42,11 +42,11 @@ class Objective(Protocol):
 class MeshEdit:
     """Steps of Adam on a mesh, for an objective on images from random views: call `advance` until ``done``.
 
-    >>> network = load_features("vgg16-original")
-    >>> edit = MeshEdit(Mesh.load("bunny.obj"), Style(network, painting), steps=500, start="plain")
-    >>> while not edit.done:
+    >>> network = load_features("vgg16-original")  # doctest: +SKIP
+    >>> edit = MeshEdit(Mesh.load("bunny.obj"), Style(network, painting), steps=500, start="plain")  # doctest: +SKIP
+    >>> while not edit.done:  # doctest: +SKIP
     ...     edit.advance()
-    >>> edit.mesh().save("painted.glb")
+    >>> edit.mesh().save("painted.glb")  # doctest: +SKIP
 
     The mesh is edited in the cube [-1, 1]³ and given back where it was. Vertices at the same place are one. Colours are
     the sigmoid of what is optimised, and begin between 0.05 and 0.95.

@@ -43,13 +43,13 @@ class Style:
     """The style loss of images of an object against a painting, with what keeps object and colours together.
 
     The style of an image at a layer with features f_p [C] at its pixels p is the Gram matrix
-    G = Σ m_p f_p f_pᵀ / (C Σ m_p), where m is the object's mask, averaged down to the layer: what is behind the object
-    has no part in it.
+    ``G = Σ m_p f_p f_pᵀ / (C Σ m_p)``, where m is the object's mask, averaged down to the layer: what is behind the
+    object has no part in it.
 
     With ``relative`` all losses are means, which no network's scale, mesh or image size changes: for each layer
-    |G − G*|² / |G*|², averaged over layers and views; the mean over the vertices of their squared movement; the mean of
-    the squared differences over the object's pixels. Without it they are the sums of the published code, for which its
-    weights are made; they belong to features of the original VGG-16.
+    ``|G − G*|² / |G*|²``, averaged over layers and views; the mean over the vertices of their squared movement; the
+    mean of the squared differences over the object's pixels. Without it they are the sums of the published code, for
+    which its weights are made; they belong to features of the original VGG-16.
 
     Args:
         network: with the layers.

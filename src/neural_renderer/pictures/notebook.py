@@ -1,0 +1,111 @@
+"""How `Images`, `Fragments`, `Mesh` and `UVMesh` look in a notebook: as PNG pictures, a mesh as a turntable.
+
+A notebook asks an object for its picture by calling ``_repr_png_``. The classes lie below this module and know nothing
+of pictures, so `show_in_notebooks` gives them that method from here.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from PIL import Image
+from torch import Tensor
+
+from ..fragments import Fragments
+from ..meshes.mesh import Mesh
+from ..meshes.uv_mesh import UVMesh
+from ..raster import Images
+from .photograph import photograph
+
+_MOST_IMAGES = 8  # of a batch
+_LEAST_SIDE, _MOST_WIDTH = 128, 1024  # pixels: small images are enlarged, wide rows are reduced
+_FRAMES, _FRAME_SIZE, _FRAME_MILLISECONDS = 20, 192, 120
+_MANY_FACES = 200_000  # a turntable of a larger mesh would take many seconds; one picture is shown instead
+
+
+def show_in_notebooks() -> None:
+    """Give the four classes the method that notebooks call."""
+    Images._repr_png_ = images_png  # type: ignore[attr-defined]
+    Fragments._repr_png_ = fragments_png  # type: ignore[attr-defined]
+    Mesh._repr_png_ = UVMesh._repr_png_ = mesh_png  # type: ignore[attr-defined]
+
+
+@torch.no_grad()
+def images_png(images: Images) -> bytes | None:
+    """The first images of a batch side by side: colours in the first row, then silhouettes, then depth (near is white).
+
+    Returns None, so that the notebook shows text, for a batch without images or of images without pixels.
+    """
+    rows = []
+    if images.rgb is not None:
+        rows.append(images.rgb[:_MOST_IMAGES])
+    if images.alpha is not None:
+        rows.append(images.alpha[:_MOST_IMAGES, None].expand(-1, 3, -1, -1))
+    if images.depth is not None:
+        rows.append(_nearness(images.depth[:_MOST_IMAGES])[:, None].expand(-1, 3, -1, -1))
+    return _png([_rows_side_by_side(rows)]) if rows and rows[0].numel() else None
+
+
+@torch.no_grad()
+def fragments_png(fragments: Fragments) -> bytes | None:
+    """Maps of the visible faces, one colour for each face and white where there is none; None without pixels."""
+    index = fragments.face_index[:_MOST_IMAGES]
+    if not index.numel():
+        return None
+    # Steps by the golden ratio give neighbouring numbers different hues.
+    hue = torch.frac(index.double() * 0.6180339887)[:, None] * 6 + torch.tensor([0.0, 4.0, 2.0]).view(3, 1, 1).to(index)
+    color = ((hue % 6 - 3).abs() - 1).clamp(0, 1) * 0.55 + 0.35
+    color = torch.where(index[:, None] >= 0, color, 1.0).float()
+    return _png([_rows_side_by_side([color[..., :: fragments.settings.scale, :: fragments.settings.scale]])])
+
+
+def mesh_png(mesh: Mesh | UVMesh) -> bytes | None:
+    """A turntable of a mesh as an animated PNG; a still picture of a very fine mesh; None if it has no size."""
+    try:
+        mesh = mesh.normalize()
+    except ValueError:
+        return None
+    frames = _FRAMES if len(mesh.faces) <= _MANY_FACES else 1
+    return _png([photograph(mesh, 180 + 360 * frame / frames, size=_FRAME_SIZE) for frame in range(frames)])
+
+
+def _nearness(depth: Tensor) -> Tensor:
+    """Depth [B, H, W] as grey: 1 for the nearest surface, about 0.2 for the farthest, 0 where there is none."""
+    depth = depth.nan_to_num(posinf=0.0)
+    covered = depth[depth < 0.9 * depth.amax()]
+    if not covered.numel():  # one depth everywhere: a surface that fills the image, or none
+        covered = depth.flatten()
+    # Anti-aliasing mixes the background's depth into outlines; those are fewer than a fifth of the pixels.
+    low, typical = covered.min(), covered.sort().values[len(covered) * 4 // 5]
+    grey = 1 - 0.64 * (depth - low) / (typical - low).clamp(min=1e-6)
+    return grey.clamp(min=0)
+
+
+def _rows_side_by_side(rows: Sequence[Tensor]) -> Tensor:
+    """Rows of images [B, 3, H, W] as one picture [3, H', W'] of a size that is comfortable to look at."""
+    whole = torch.cat([torch.cat(list(row), dim=2) for row in rows], dim=1).float()[None]
+    enlarged = max(min(-(-_LEAST_SIDE // rows[0].shape[2]), _MOST_WIDTH // whole.shape[3]), 1)
+    if enlarged > 1:
+        whole = whole.repeat_interleave(enlarged, 2).repeat_interleave(enlarged, 3)
+    elif whole.shape[3] > _MOST_WIDTH:
+        height = max(whole.shape[2] * _MOST_WIDTH // whole.shape[3], 1)
+        whole = F.interpolate(whole, (height, _MOST_WIDTH), mode="area")
+    return whole[0]
+
+
+def _png(frames: Sequence[Tensor]) -> bytes:
+    """Pictures [3, H, W] in [0, 1] as a PNG file, animated if there are several."""
+    pixels = [(frame.nan_to_num().clamp(0, 1) * 255).round().byte().permute(1, 2, 0).cpu().numpy() for frame in frames]
+    first, *others = [Image.fromarray(array) for array in pixels]
+    file = io.BytesIO()
+    if others:
+        # One palette for all frames: a third of the size, and no flicker from frame to frame.
+        palette = first.quantize(256, dither=Image.Dither.NONE)
+        first, *others = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in (first, *others)]
+        first.save(file, "PNG", save_all=True, append_images=others, duration=_FRAME_MILLISECONDS, loop=0)
+    else:
+        first.save(file, "PNG")
+    return file.getvalue()
