@@ -47,20 +47,20 @@ class FacePaint:
 
     def __init__(self, mesh: Mesh, corners: Tensor, size: int, seamless: bool) -> None:
         check_cubes(len(corners), size)
-        self._mesh, self._texels = mesh, (Texels.shared if seamless else Texels.free)(corners, size)
+        self._mesh, self._texels = mesh, (Texels.shared if seamless else Texels.separate)(corners, size)
         self.count = self._texels.count
 
     def first(self) -> Tensor:
         size = self._texels.size
         if self._mesh.texture_size != size:
             raise ValueError(f"mesh: expected textures of {size}³ texels, got {self._mesh.texture_size}³")
-        return self._texels.of(self._mesh.textures.detach())
+        return self._texels.from_cubes(self._mesh.textures.detach())
 
     def drawn(self, vertices: Tensor, colours: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         return vertices, self._mesh.faces, self._texels.cubes(colours)
 
     def finished(self, vertices: Tensor, colours: Tensor, known: Tensor) -> Mesh:
-        return Mesh(*self.drawn(vertices, self._texels.spread(colours, known)))
+        return Mesh(*self.drawn(vertices, self._texels.fill_unknown(colours, known)))
 
     def unpainted(self, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         return vertices, self._mesh.faces, self._mesh.textures.detach()
