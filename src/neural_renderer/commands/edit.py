@@ -17,7 +17,7 @@ from ..io import load_mesh, save_image
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..pictures.curve import curve
-from ..tasks.editing import DreamWeights, MeshEdit, StyleWeights, Views
+from ..tasks.editing import DreamWeights, MeshEdit, RandomViews, StyleWeights
 from ..tasks.editing.edit import Objective
 from ..tasks.editing.edit_pictures import preview, six_views, turntable
 from ..tasks.editing.paint import check_cubes, check_images
@@ -61,7 +61,7 @@ class Edit:
     iterations: int | None = None
     """Steps (at least 1); by default the preset's."""
     batch: int = 4
-    """Views that each step looks at (at least 1)."""
+    """RandomViews that each step looks at (at least 1)."""
     size: int = 224
     """Side in pixels of what the network sees (at least 32); smaller is faster, and what it paints becomes larger. The
     object is drawn at twice that."""
@@ -158,7 +158,7 @@ class Edit:
         setting = {name: self.chosen(preset, name) for name in asdict(preset)}
         if setting["init"] == "mesh" and not coloured:
             setting["init"] = "plain"
-        views = Views(setting["elevation"], setting["distance"], light=setting["light"])
+        views = RandomViews(setting["elevation"], setting["distance"], light=setting["light"])
         edit = MeshEdit(
             mesh.resized(self.uv) if isinstance(mesh, UVMesh) and self.uv else mesh,
             objective,
@@ -194,7 +194,7 @@ class Edit:
 
     def _report(self, edit: MeshEdit, run: Run, finished: bool, mesh: Mesh | UVMesh, settings: dict[str, Any]) -> None:
         """Write ``report.json`` and say the most important of it."""
-        after, moved = edit.measure(), edit.moved()
+        after, moved = edit.measure(), edit.displacement()
         share = {name: round(part / max(sum(edit.seconds.values()), 1e-9), 4) for name, part in edit.seconds.items()}
         report = {"version": __version__, "finished": finished, "steps": edit.step}
         report |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces), "settings": settings}

@@ -1,8 +1,8 @@
-"""A mesh edited by gradients: the style of a painting, or what a network dreams of it."""
+"""Mesh editing by gradient descent: style transfer and DeepDream."""
 
 from .dream import DREAM_LAYER, PUBLISHED_DREAM, Dream, DreamWeights
 from .edit import MeshEdit
-from .random_views import Views
+from .random_views import RandomViews
 from .style import PUBLISHED_STYLE, STYLE_LAYERS, Style, StyleWeights
 
 __all__ = [
@@ -13,7 +13,7 @@ __all__ = [
     "Dream",
     "DreamWeights",
     "MeshEdit",
+    "RandomViews",
     "Style",
     "StyleWeights",
-    "Views",
 ]

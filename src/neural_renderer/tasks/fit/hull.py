@@ -7,6 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ...meshes.bounds import bounding_box
 from ...meshes.isosurface import isosurface
 from ...meshes.topology import Topology
 from ..components import connected_components
@@ -45,8 +46,8 @@ def object_bounds(views: Views) -> tuple[Tensor, float]:
                 "masks: expected silhouettes of one object that meet in space, got some that do not: "
                 "the cameras or their conventions may be wrong"
             )
-        low, high = inside.amin(0), inside.amax(0)
-        center, half = (low + high) / 2, float((high - low).max()) / 2 + 2 * half / cells
+        center, found = bounding_box(inside)
+        half = found + 2 * half / cells
     return center, half
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ... import losses, validate
 from ...camera import Camera
+from ...meshes.bounds import bounding_box
 from ...render import render
 from .fit_views import downscale, mask_iou
 
@@ -73,7 +74,7 @@ class CameraFit:
         self._photometric = photometric if photo is not None and len(shape) == 3 else 0.0
         self._rate = validate.positive("rate", rate)
         vertices = shape[0].detach()
-        self._center = (vertices.amin(0) + vertices.amax(0)) / 2
+        self._center, _ = bounding_box(vertices)
         self._scale = float((vertices - self._center).norm(dim=1).max())
         self._shape = ((vertices - self._center) / self._scale, *(part.detach() for part in shape[1:]))
         self._mask = downscale(mask[None], _FINE)
