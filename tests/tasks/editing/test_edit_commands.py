@@ -15,8 +15,7 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.tasks.editing import MeshEdit
-from neural_renderer.tasks.editing import edit_pictures
+from neural_renderer.tasks.editing import MeshEdit, edit_pictures
 from tests.tasks.editing.networks import saved_vgg
 
 SMALL = ["--size", "32", "--batch", "2", "--turntable", "2"]
