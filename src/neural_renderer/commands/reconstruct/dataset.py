@@ -15,8 +15,8 @@ from rich.table import Table
 
 from ...io import save_image
 from ...tasks.reconstruction.data.arrays import SPLITS, open_split
-from ...tasks.reconstruction.data.dataset import Settings, assemble, make_objects, names_before
-from ...tasks.reconstruction.data.models_folder import Model, find_models, read_splits, shared_out
+from ...tasks.reconstruction.data.dataset import Settings, assemble, existing_names, make_objects
+from ...tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
 from ...tasks.reconstruction.evaluation.check_axes import agreement
 from ...tasks.reconstruction.evaluation.sheets import data_sheet
 from ..common import checked_count, output_folder
@@ -88,7 +88,7 @@ class Dataset:
         if self.set is not None:
             return dict.fromkeys(keys, self.set)
         if self.splits is None:
-            return shared_out(models)
+            return default_splits(models)
         given = read_splits(self.splits)
         for category, name in sorted(given.keys() - keys):
             broken.setdefault(f"{category}/{name}", f"{self.models}: expected {category}/{name}, got no such model")
@@ -99,7 +99,7 @@ class Dataset:
 
     def _check_splits(self, chosen: dict[tuple[str, str], str]) -> None:
         """No object may be in two splits, one of them from an earlier run."""
-        for earlier, classes in names_before(self.out).items():
+        for earlier, classes in existing_names(self.out).items():
             for category, names in classes.items():
                 for name in names:
                     now = chosen.get((category, name), earlier)

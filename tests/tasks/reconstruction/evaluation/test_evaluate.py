@@ -21,8 +21,8 @@ from neural_renderer import cli
 from neural_renderer.features import FeatureNetwork
 from neural_renderer.tasks.reconstruction.data.arrays import Split, open_split
 from neural_renderer.tasks.reconstruction.data.dataset import Settings, render_views
-from neural_renderer.tasks.reconstruction.data.framing import unit
-from neural_renderer.tasks.reconstruction.data.voxels import chamfer, solid, voxel_iou, voxelize
+from neural_renderer.tasks.reconstruction.data.framing import scale_to_unit
+from neural_renderer.tasks.reconstruction.data.voxels import chamfer, voxel_iou, voxelize, voxelize_model
 from neural_renderer.tasks.reconstruction.evaluation.evaluate import Scores, evaluate
 from neural_renderer.tasks.reconstruction.evaluation.predictors import Meshes, Solids, network_predictor
 from neural_renderer.tasks.reconstruction.evaluation.retrieval import Retrieval, feature_layer, image_features
@@ -42,10 +42,10 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One object of each class, in "test" and, in other colours, in "train"."""
     folder = tmp_path_factory.mktemp("data")
     for name, (vertices, faces) in SHAPES.items():
-        vertices = unit(vertices)
+        vertices = scale_to_unit(vertices)
         textures = torch.tensor([0.8, 0.3, 0.5]).expand(len(faces), 2, 2, 2, 3)
         images = render_views(vertices, faces, textures, Settings(samples=2))
-        voxels = solid(vertices, faces.flip(1))
+        voxels = voxelize_model(vertices, faces.flip(1))
         for split, order in (("test", [0, 1, 2, 3]), ("train", [1, 2, 0, 3])):
             np.savez_compressed(folder / f"{name}_{split}_images.npz", images[None, :, order].numpy())
             np.savez_compressed(folder / f"{name}_{split}_voxels.npz", voxels[None].numpy())
@@ -61,7 +61,7 @@ class Knowing:
         self.kind, self.faces, self._grown = kind, SHAPES["ball"][1], grown
 
     def vertices(self, images: Tensor) -> Tensor:
-        return (self._grown * unit(SHAPES["ball"][0])).expand(len(images), -1, -1)
+        return (self._grown * scale_to_unit(SHAPES["ball"][0])).expand(len(images), -1, -1)
 
     def occupancy(self, images: Tensor) -> Tensor:
         return voxelize(self.vertices(images), self.faces).float() * 0.6
@@ -89,7 +89,7 @@ def test_means_are_over_views_objects_and_classes(data: Path) -> None:
 
     def some(images: Tensor) -> Solids:
         """Right for half of the views."""
-        filled = voxelize(unit(SHAPES["ball"][0])[None], SHAPES["ball"][1]).repeat(len(images), 1, 1, 1)
+        filled = voxelize(scale_to_unit(SHAPES["ball"][0])[None], SHAPES["ball"][1]).repeat(len(images), 1, 1, 1)
         filled[::2] = False
         return Solids(filled)
 
@@ -102,9 +102,9 @@ def test_means_are_over_views_objects_and_classes(data: Path) -> None:
 def test_silhouettes_come_from_the_side_too(data: Path) -> None:
     """A pole turned by 90° looks right from nowhere."""
     split = open_split(data, "test", ["pole"])
-    right = Meshes(unit(SHAPES["pole"][0]).expand(24, -1, -1), SHAPES["pole"][1])
+    right = Meshes(scale_to_unit(SHAPES["pole"][0]).expand(24, -1, -1), SHAPES["pole"][1])
     assert scores_of(split, lambda _: right).mean("silhouette_iou") > 0.9
-    turned = Meshes(unit(SHAPES["pole"][0])[:, [2, 1, 0]].expand(24, -1, -1), SHAPES["pole"][1])
+    turned = Meshes(scale_to_unit(SHAPES["pole"][0])[:, [2, 1, 0]].expand(24, -1, -1), SHAPES["pole"][1])
     assert scores_of(split, lambda _: turned).mean("silhouette_iou") < 0.8
 
 

@@ -12,8 +12,8 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.tasks.reconstruction.data.framing import mirrored, unit, view_camera
-from neural_renderer.tasks.reconstruction.data.voxels import solid
+from neural_renderer.tasks.reconstruction.data.framing import mirror, scale_to_unit, view_camera
+from neural_renderer.tasks.reconstruction.data.voxels import voxelize_model
 from neural_renderer.tasks.reconstruction.evaluation.predict import best_frame, predict_meshes, prediction_picture
 from neural_renderer.tasks.reconstruction.evaluation.predictors import network_predictor
 from neural_renderer.tasks.reconstruction.networks.configs import Config
@@ -23,7 +23,7 @@ def wedge() -> tuple[Tensor, Tensor]:
     """A model without any symmetry, its faces counter-clockwise seen from outside."""
     vertices = torch.tensor([[0, 0, 0], [4, 0, 0], [0, 0, 2], [0, 1.5, 0], [4, 0.5, 0.0]])
     faces = torch.tensor([[0, 1, 2], [0, 2, 3], [1, 4, 2], [2, 4, 3], [0, 3, 1], [1, 3, 4]])
-    return unit(vertices), faces
+    return scale_to_unit(vertices), faces
 
 
 def volume(vertices: Tensor, faces: Tensor) -> float:
@@ -38,14 +38,14 @@ class Knowing:
     def __init__(self, kind: str) -> None:
         self.kind = kind
         vertices, faces = wedge()
-        self._vertices, self.faces = mirrored(vertices), faces.flip(1)
+        self._vertices, self.faces = mirror(vertices), faces.flip(1)
 
     def vertices(self, images: Tensor) -> Tensor:
         assert images.shape[1:] == (4, 64, 64) and images.max() <= 1
         return self._vertices.expand(len(images), -1, -1)
 
     def occupancy(self, images: Tensor) -> Tensor:
-        return solid(self._vertices, self.faces).float().expand(len(images), -1, -1, -1)
+        return voxelize_model(self._vertices, self.faces).float().expand(len(images), -1, -1, -1)
 
 
 IMAGES = torch.zeros(1, 4, 64, 64, dtype=torch.uint8)
@@ -65,7 +65,7 @@ def test_the_mesh_of_voxels_is_as_large_and_outward() -> None:
     assert volume(vertices, faces) == pytest.approx(volume(expected, triangles), rel=0.5)
     camera = view_camera(torch.arange(0, 24, 5))
     a, b = (
-        nr.render((mirrored(points), corners), camera, 64, outputs="alpha").alpha
+        nr.render((mirror(points), corners), camera, 64, outputs="alpha").alpha
         for points, corners in ((vertices, faces), (expected, triangles))
     )
     assert nr.metrics.silhouette_iou(a, b).min() > 0.8  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ from neural_renderer.tasks.reconstruction.evaluation.predictors import network_p
 from neural_renderer.tasks.reconstruction.evaluation.refine import likeliest_views, refined
 from neural_renderer.tasks.reconstruction.networks.configs import Config
 from neural_renderer.tasks.reconstruction.networks.mesh_network import MeshNetwork
-from tests.tasks.reconstruction.fake import SMALL
+from tests.tasks.reconstruction.synthetic import SMALL
 
 
 def boats(network: MeshNetwork) -> Tensor:

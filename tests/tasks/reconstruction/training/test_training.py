@@ -22,14 +22,14 @@ from neural_renderer.tasks.reconstruction.networks.make_network import make_netw
 from neural_renderer.tasks.reconstruction.training.train import fit
 from neural_renderer.tasks.reconstruction.training.training import Training, schedule
 from tests.features.test_features import torchvision_googlenet, torchvision_vgg
-from tests.tasks.reconstruction.fake import SMALL, fake_split, write_split
+from tests.tasks.reconstruction.synthetic import SMALL, synthetic_split, write_split
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 def train(out: Path, kind: str = "mesh", config: Config = SMALL, every: int = 3, **options: Any) -> Training:
     out.mkdir(exist_ok=True)
-    return fit(kind, config, fake_split(), fake_split(1, seed=1), out, every=every, device="cpu", **options)
+    return fit(kind, config, synthetic_split(), synthetic_split(1, seed=1), out, every=every, device="cpu", **options)
 
 
 @pytest.mark.parametrize("kind", ["mesh", "voxel"])
@@ -261,7 +261,7 @@ from dataclasses import replace
 from pathlib import Path
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
 from neural_renderer.tasks.reconstruction.training.train import fit
-from tests.tasks.reconstruction.fake import SMALL
+from tests.tasks.reconstruction.synthetic import SMALL
 
 folder, out = Path(sys.argv[1]), Path(sys.argv[2])
 fit("mesh", replace(SMALL, steps=1), open_split(folder, "train"), None, out, devices=2, device="cpu")
@@ -283,7 +283,7 @@ def test_two_processes_do_what_one_does(tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": path}
     done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    fit("mesh", replace(SMALL, steps=1), fake_split(), None, tmp_path / "one", device="cpu")
+    fit("mesh", replace(SMALL, steps=1), synthetic_split(), None, tmp_path / "one", device="cpu")
     one, two = (read_checkpoint(tmp_path / name / "last.ckpt") for name in ("one", "two"))
     assert one["training"]["steps"] == two["training"]["steps"] == 1
     states = [content["optimizer_states"][0]["state"] for content in (one, two)]

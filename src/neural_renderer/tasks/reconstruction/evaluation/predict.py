@@ -11,8 +11,8 @@ from torch import Tensor
 
 from ....meshes.isosurface import isosurface
 from ....metrics import silhouette_iou
-from ..data.drawing import drawn, shown
-from ..data.framing import VIEWS, mirrored
+from ..data.drawing import draw_mesh, on_paper
+from ..data.framing import VIEWS, mirror
 from .cutout import framed
 from .predictors import Predictor
 from .refine import refined
@@ -44,14 +44,14 @@ def predict_meshes(model: Any, images: Tensor, threshold: float = 0.5, refine: i
 
     The mesh of a voxel network is the surface where its probabilities, blended between voxels, are ``threshold``; that
     of a mesh network is fitted by ``refine`` steps to the silhouette that went in (see `refine`).
-    Vertices are in the frame of the models (`framing.mirrored` is undone), on the CPU; faces run counter-clockwise
+    Vertices are in the frame of the models (`framing.mirror` is undone), on the CPU; faces run counter-clockwise
     seen from outside. Raises ValueError if a network finds nothing solid in an image.
     """
     pixels = images.float() / 255
     if model.kind == "mesh":
         faces = model.faces.flip(1).cpu()
         meshes = refined(model, model.vertices(pixels), pixels, refine)
-        return [(mirrored(vertices), faces) for vertices in meshes.cpu()]
+        return [(mirror(vertices), faces) for vertices in meshes.cpu()]
     return [_voxel_mesh(occupancy, threshold) for occupancy in model.occupancy(pixels).cpu()]
 
 
@@ -69,7 +69,7 @@ def _voxel_mesh(occupancy: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
         return threshold - value.numpy().astype(np.float64)
 
     vertices, faces = isosurface(distance, _CELLS, 0.5 * (1 + 1.9 / last))
-    return mirrored(vertices), faces.flip(1)
+    return mirror(vertices), faces.flip(1)
 
 
 def prediction_picture(picture: Tensor, image: Tensor, vertices: Tensor, faces: Tensor, size: int = 128) -> Tensor:
@@ -85,8 +85,8 @@ def prediction_picture(picture: Tensor, image: Tensor, vertices: Tensor, faces: 
     given = torch.zeros(4, size, size)
     top, left = (size - fit[0]) // 2, (size - fit[1]) // 2
     given[:, top : top + fit[0], left : left + fit[1]] = fitted
-    seen = F.interpolate(shown(image)[None], (size, size), mode="nearest")[0]
-    paper = shown(torch.zeros(4, 1, 1, dtype=torch.uint8))
+    seen = F.interpolate(on_paper(image)[None], (size, size), mode="nearest")[0]
+    paper = on_paper(torch.zeros(4, 1, 1, dtype=torch.uint8))
     cells = [(given[:3] + paper * (1 - given[3:])).clamp(0, 1), seen]
-    cells += [drawn(mirrored(vertices), faces, VIEWS * turn / _AROUND, size=size) for turn in range(_AROUND)]
+    cells += [draw_mesh(mirror(vertices), faces, VIEWS * turn / _AROUND, size=size) for turn in range(_AROUND)]
     return torch.cat([torch.cat(cells[row : row + 6], 2) for row in (0, 6, 12)], 1)

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from ....render import render
-from ..data.drawing import MESH_COLOR, VOXEL_COLOR, drawn
+from ..data.drawing import MESH_COLOR, VOXEL_COLOR, draw_mesh
 from ..data.framing import SIZE, view_camera
-from ..data.voxels import surface, voxelize
+from ..data.voxels import voxel_surface, voxelize
 from .refine import refined
 
 
@@ -55,7 +55,7 @@ class Meshes:
 
     def picture(self, index: int, view: float, size: int) -> Tensor:
         """See `Shapes`."""
-        return drawn(self.vertices[index], self.faces, view, MESH_COLOR, size)
+        return draw_mesh(self.vertices[index], self.faces, view, MESH_COLOR, size)
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,9 @@ class Solids:
         result = torch.zeros(*views.shape, SIZE, SIZE, device=views.device)
         for row, solid in enumerate(self.filled):
             if bool(solid.any()):
-                images = render(surface(solid), view_camera(views[row]), SIZE, outputs="alpha", anti_aliasing=False)
+                images = render(
+                    voxel_surface(solid), view_camera(views[row]), SIZE, outputs="alpha", anti_aliasing=False
+                )
                 result[row] = images.alpha  # type: ignore[assignment]
         return result
 
@@ -81,7 +83,7 @@ class Solids:
         """The voxels as cubes."""
         if not bool(self.filled[index].any()):
             return torch.full((3, size, size), 0.5)
-        return drawn(*surface(self.filled[index]), view, VOXEL_COLOR, size)
+        return draw_mesh(*voxel_surface(self.filled[index]), view, VOXEL_COLOR, size)
 
 
 def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Predictor:

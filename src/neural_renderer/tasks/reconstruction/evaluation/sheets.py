@@ -10,9 +10,9 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from ..data.arrays import Split
-from ..data.drawing import PAPER, VOXEL_COLOR, drawn, shown
+from ..data.drawing import PAPER, VOXEL_COLOR, draw_mesh, on_paper
 from ..data.framing import SIZE, VIEWS
-from ..data.voxels import surface
+from ..data.voxels import voxel_surface
 from .predictors import Predictor, Solids
 
 
@@ -21,10 +21,10 @@ def data_sheet(split: Split, name: str, most: int = 48, columns: int = 8) -> Ten
     rows = []
     for index in spread(len(split.images[name]), most):
         views = [round(column * VIEWS / columns) for column in range(columns)]
-        row = [shown(torch.from_numpy(split.images[name][index, view].copy())) for view in views]
+        row = [on_paper(torch.from_numpy(split.images[name][index, view].copy())) for view in views]
         if name in split.voxels:
-            solid = surface(torch.from_numpy(split.voxels[name][index].copy()))
-            row += [drawn(*solid, view, VOXEL_COLOR) for view in (views[1], views[-2])]
+            solid = voxel_surface(torch.from_numpy(split.voxels[name][index].copy()))
+            row += [draw_mesh(*solid, view, VOXEL_COLOR) for view in (views[1], views[-2])]
         rows.append(torch.cat(row, 2))
     return torch.cat(rows, 1)
 
@@ -50,7 +50,7 @@ def prediction_sheet(
             image = torch.from_numpy(split.images[name][index, view].copy())
             truth = Solids(torch.from_numpy(split.voxels[name][index].copy())[None])
             predictions = [predict(image[None]) for predict in predictors.values()]
-            row = [torch.nn.functional.interpolate(shown(image)[None], (size, size), mode="bilinear")[0]]
+            row = [torch.nn.functional.interpolate(on_paper(image)[None], (size, size), mode="bilinear")[0]]
             for shapes in (*predictions, truth):
                 row += [shapes.picture(0, (view + turn) % VIEWS, size).cpu() for turn in turns]
             rows.append(torch.cat(row, 2))
@@ -71,8 +71,8 @@ def training_sheet(predict: Predictor, split: Split, most: int = 13, turns: tupl
         look = (7 * number + 2) % VIEWS
         views = [(look + turn) % VIEWS for turn in turns]
         shapes = predict(images[look][None])
-        row = [shown(images[look])] + [shapes.picture(0, view, SIZE).cpu() for view in views]
-        rows.append(torch.cat(row + [shown(images[view]) for view in views], 2))
+        row = [on_paper(images[look])] + [shapes.picture(0, view, SIZE).cpu() for view in views]
+        rows.append(torch.cat(row + [on_paper(images[view]) for view in views], 2))
     return torch.cat(rows, 1)
 
 
