@@ -17,7 +17,7 @@ from ...io import save_image
 from ...tasks.reconstruction.data.arrays import SPLITS, open_split
 from ...tasks.reconstruction.data.dataset import Settings, assemble, existing_names, make_objects
 from ...tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
-from ...tasks.reconstruction.evaluation.check_axes import agreement
+from ...tasks.reconstruction.evaluation.check_axes import check_axes
 from ...tasks.reconstruction.evaluation.sheets import data_sheet
 from ..common import checked_count, output_folder
 
@@ -143,7 +143,7 @@ class Dataset:
                 data = open_split(self.out, split, sorted(classes))
                 for name in classes:
                     save_image(self.out / "sheets" / f"{name}_{split}.png", data_sheet(data, name))
-                    lowest = min(lowest, agreement(data, name)[0])
+                    lowest = min(lowest, check_axes(data, name)[0])
             text = f"outlines of voxels and images agree to an IoU of at least {lowest:.2f} in every class"
             console.print(f"{text}; look at {self.out / 'sheets'}", highlight=False, soft_wrap=True)
         if left_out:

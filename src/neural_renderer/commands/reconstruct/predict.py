@@ -20,7 +20,7 @@ from ...tasks.reconstruction.data.drawing import MESH_COLOR
 from ...tasks.reconstruction.evaluation.cutout import cut_out
 from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshes, prediction_picture
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
-from ...tasks.reconstruction.evaluation.refine import chosen_steps
+from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.networks.checkpoint import load_model
 from ..common import checked_count, chosen_device
 
@@ -82,7 +82,7 @@ class Predict:
             raise ValueError(f"--mask: expected a folder of masks for {len(self.images)} pictures, got {self.mask}")
         device = chosen_device(self.device)
         model = load_model(self.checkpoint, device)
-        refine = chosen_steps(model, self.refine)
+        refine = refine_steps(model, self.refine)
         predict = network_predictor(model, self.threshold)
         console, failures = Console(stderr=True), []
         for path in track(self.images, "Meshes", console=console, transient=True, disable=len(self.images) == 1):

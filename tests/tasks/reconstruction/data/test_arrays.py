@@ -1,4 +1,4 @@
-"""The published files as memory-mapped arrays: what is in them comes out, in little memory; nothing broken passes."""
+"""Published files as memory-mapped arrays: contents, memory use, broken files."""
 
 from __future__ import annotations
 

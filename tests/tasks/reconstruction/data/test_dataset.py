@@ -24,7 +24,7 @@ from neural_renderer.metrics import silhouette_iou
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
 from neural_renderer.tasks.reconstruction.data.dataset import Settings, assemble, make_object, make_objects
 from neural_renderer.tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
-from neural_renderer.tasks.reconstruction.evaluation.check_axes import agreement
+from neural_renderer.tasks.reconstruction.evaluation.check_axes import check_axes
 from neural_renderer.tasks.reconstruction.evaluation.sheets import data_sheet
 
 SMALL = Settings(samples=2)
@@ -80,14 +80,14 @@ def test_voxels_stand_where_the_views_show_them(models: Path, tmp_path: Path) ->
     assert all(problem is None for _, problem, _ in make_objects(found, tmp_path / "d", SMALL, 0))
     assemble(tmp_path / "d", {"test": {"wedge": [m for m in found if m.category == "wedge"]}}, SMALL, {})
     split = open_split(tmp_path / "d", "test")
-    fit, axes = agreement(split, "wedge")
+    fit, axes = check_axes(split, "wedge")
     assert fit > 0.7 and axes is None
     for axis, name in enumerate(("(-0, 1, 2)", "(0, -1, 2)", "(0, 1, -2)")):
         turned = replace(split, voxels={"wedge": np.flip(split.voxels["wedge"], 1 + axis).copy()})
-        fit, axes = agreement(turned, "wedge")
+        fit, axes = check_axes(turned, "wedge")
         assert fit < 0.7 and axes == name, fit
     turned = replace(split, voxels={"wedge": np.transpose(split.voxels["wedge"], (0, 2, 3, 1)).copy()})
-    assert agreement(turned, "wedge")[1] == "(2, 0, 1)"
+    assert check_axes(turned, "wedge")[1] == "(2, 0, 1)"
     assert data_sheet(split, "wedge").shape == (3, 3 * 64, 10 * 64)
 
 

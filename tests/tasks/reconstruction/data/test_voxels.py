@@ -1,4 +1,4 @@
-"""Voxels: against a slow reference of the published evaluation, and on shapes whose voxels can be counted."""
+"""Voxelisation against a slow reference of the published evaluation, and on shapes with known voxels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from neural_renderer.tasks.reconstruction.data.voxels import voxel_iou, voxel_su
 
 
 def reference(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
-    """The published evaluation's rule, one line, one face at a time, in float64; points in voxels."""
+    """Voxelise like the published evaluation, in float64; points are in voxel coordinates."""
     state = np.zeros((size,) * 3, dtype=int)
 
     def mark(cell: list[int]) -> None:
@@ -57,7 +57,7 @@ def reference(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
 
 
 def box(low: list[float], high: list[float]) -> tuple[Tensor, Tensor]:
-    """An axis-aligned box; its faces run counter-clockwise seen from outside."""
+    """Make an axis-aligned box with counter-clockwise faces."""
     vertices, faces = nr.cube()
     span = torch.tensor([low, high])
     return torch.where(vertices > 0, span[1], span[0]), faces
@@ -171,7 +171,7 @@ def test_surface_of_voxels() -> None:
 
 
 def test_surface_stands_where_the_object_stands() -> None:
-    """Voxels and object cast the same silhouettes, from cameras that tell all axes and signs apart."""
+    """Voxels and object have the same silhouettes, from cameras that tell all axes and signs apart."""
     arms = [box([-0.5, -0.5, -0.5], [0.5, -0.35, -0.3]), box([-0.5, -0.5, -0.5], [-0.35, 0.4, -0.3])]
     arms += [box([-0.5, -0.5, -0.5], [-0.2, -0.3, 0.2])]
     vertices = torch.cat([arm for arm, _ in arms])
@@ -197,7 +197,7 @@ def test_iou() -> None:
 
 
 def test_views_see_what_the_camera_of_the_model_sees() -> None:
-    """The mirrored frame under the mirroring camera is the model itself under an ordinary one, on +x at view 0."""
+    """A mirrored object under the mirroring camera looks like the model under an ordinary one, at +x for view 0."""
     generator = torch.Generator().manual_seed(0)
     model = torch.rand(50, 3, generator=generator) - 0.5
     for view in (0, 4, 17):

@@ -1,4 +1,4 @@
-"""What a step looks at depends on the seed and on its number alone."""
+"""Training batches depend on seed and step only."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.tasks.reconstruction.data.framing import view_camera
-from neural_renderer.tasks.reconstruction.training.sampling import Batches, mirrored_views, prepared
+from neural_renderer.tasks.reconstruction.training.sampling import Batches, mirrored_views, prepare_batch
 from tests.tasks.reconstruction.synthetic import SMALL, synthetic_split
 
 
@@ -45,12 +45,12 @@ def test_classes_and_views_are_drawn_evenly() -> None:
 
 
 def test_a_mirrored_object_is_what_another_view_shows() -> None:
-    """Augmented, a picture shows the mirrored object: render that and compare, in every view."""
+    """A flipped image equals the rendered image of the mirrored object, in every view."""
     split = synthetic_split(objects=1)
     images = torch.from_numpy(split.images["box"])  # [1, 24, 4, 64, 64]
     views = torch.arange(24)
     batch = {"images": images.transpose(0, 1), "views": views[:, None], "flip": torch.tensor([True])}
-    _, alpha, seen = prepared(batch, 1)
+    _, alpha, seen = prepare_batch(batch, 1)
     assert torch.equal(seen[:, 0], mirrored_views(views)) and torch.equal(mirrored_views(mirrored_views(views)), views)
 
     generator = torch.Generator().manual_seed(0)
@@ -64,8 +64,8 @@ def test_a_mirrored_object_is_what_another_view_shows() -> None:
 
 def test_prepared_images() -> None:
     batch = Batches(synthetic_split(), SMALL, 0, 0, 1)[0]
-    images, alpha, views = prepared(batch, 2)
+    images, alpha, views = prepare_batch(batch, 2)
     assert images.shape == (2, 4, 4, 64, 64) and views.shape == (2, 4)
     assert images.min() >= 0 and images.max() <= 1 and torch.equal(images[:, :, 3], alpha)
-    plain = prepared({name: batch[name] for name in ("images", "views")}, 1)
+    plain = prepare_batch({name: batch[name] for name in ("images", "views")}, 1)
     assert torch.equal(plain[0], batch["images"][:1] / 255) and torch.equal(plain[2], batch["views"])
