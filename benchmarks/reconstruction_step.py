@@ -18,11 +18,11 @@ import tyro
 from neural_renderer.features import load_features
 from neural_renderer.losses import silhouette_iou_loss
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
-from neural_renderer.tasks.reconstruction.networks.configs import ConfigName, make_config
-from neural_renderer.tasks.reconstruction.networks.make_network import ModelName
+from neural_renderer.tasks.reconstruction.networks.configs import make_config
 from neural_renderer.tasks.reconstruction.training.sampling import prepare_batch
 from neural_renderer.tasks.reconstruction.training.train import has_bfloat16
 from neural_renderer.tasks.reconstruction.training.training import Training, downsample_like, pair_with_views
+from neural_renderer.tasks.settings import ConfigName, ModelName
 
 
 def main(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import torch
 
 
 @pytest.fixture(scope="session")
@@ -16,9 +18,41 @@ def shared() -> Path:
     return folder
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--emulated-cuda",
+        choices=["plain", "races"],
+        help="run the CUDA code of all kernels on a processor; 'races' also fails tests with unordered accesses",
+    )
+
+
+@pytest.fixture(scope="session")
+def emulated_modules(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of translated kernels."""
+    return tmp_path_factory.mktemp("emulated_cuda")
+
+
+@pytest.fixture(autouse=True)
+def emulated_cuda(request: pytest.FixtureRequest) -> Iterator[None]:
+    """With --emulated-cuda every launch of a test runs CUDA's code."""
+    mode = request.config.getoption("--emulated-cuda")
+    if mode is None:
+        yield
+        return
+    from tests.cuda_emulation.device import EmulatedDevice
+
+    with EmulatedDevice(request.getfixturevalue("emulated_modules"), mode) as device:
+        yield
+    races = {kernel: sums[0] for kernel, sums in device.measured.items() if mode == "races" and sums[0]}
+    assert not races, f"unordered accesses to memory: {races}"
+
+
+def pytest_runtest_setup() -> None:
+    """Numbers without a seed of their own are the same in any order of the tests."""
+    torch.manual_seed(0)
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Every test that takes ``device`` runs on the CPU, and on CUDA where there is one."""
     if "device" in metafunc.fixturenames:
-        import torch
-
         metafunc.parametrize("device", ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"])

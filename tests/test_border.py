@@ -101,6 +101,43 @@ def test_indices_that_wrap_in_32_bits_are_out_of_range(scene):
             nr.check_values(True)
 
 
+WHOLE = [torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torch.uint64, torch.int64]
+WHOLE += [torch.float16, torch.bfloat16, torch.float32, torch.float64]
+
+
+@pytest.mark.parametrize("dtype", WHOLE)
+def test_faces_of_any_dtype_that_holds_whole_numbers(tmp_path, scene, dtype):
+    (vertices, faces, textures), camera = scene
+    other = faces.to(dtype)
+    renderer = nr.Renderer(16, camera_mode="look_at")
+    calls = {
+        "render": lambda f: nr.render((vertices, f, textures), camera, 16).rgb,
+        "list": lambda f: nr.render([nr.Mesh(vertices, f, textures)], camera, 16).rgb,
+        "Renderer": lambda f: renderer(vertices[None], f[None], textures[None])[0],
+        "silhouettes": lambda f: renderer(vertices[None], f, mode="silhouettes"),
+        "corners": lambda f: nr.vertices_to_faces(vertices[None], f[None]),
+        "normals": lambda f: nr.vertex_normals(vertices, f),
+        "Mesh": lambda f: nr.Mesh(vertices, f).faces,
+        "fragments": lambda f: nr.fragments((vertices, f), camera, 16).interpolate(vertices, f),
+        "losses": lambda f: nr.losses.smoothness(vertices, f),
+    }
+    for name, call in calls.items():
+        assert torch.equal(call(other), call(faces)), name
+    nr.save_obj(tmp_path / "ball.obj", vertices, other)
+    assert torch.equal(nr.load_obj(tmp_path / "ball.obj", False)[1], faces.cpu())
+    assert other.dtype == dtype
+
+
+def test_files_never_hold_fractions(tmp_path, scene):
+    (vertices, faces, _), _ = scene
+    nr.check_values(False)
+    try:
+        with pytest.raises(ValueError, match="faces: expected whole numbers"):
+            nr.save_obj(tmp_path / "ball.obj", vertices, faces + 0.5)
+    finally:
+        nr.check_values(True)
+
+
 def test_one_mesh_for_faces_of_a_batch(device, scene):
     (vertices, faces, textures), _ = scene
     renderer = nr.Renderer(16, camera_mode="look_at")

@@ -6,6 +6,7 @@ import ast
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
+from types import ModuleType
 
 import neural_renderer
 
@@ -22,15 +23,16 @@ ROOMS = [
     "camera",
     "meshes",
     "shading",
-    "fragments",
+    "deferred",
     "losses",
-    "render",
+    "rendering",
     "compat",
     "features",
     "pictures",
     "tasks",
     "commands",
     "cli",
+    "interface",
 ]
 
 RASTER = ["warp", "ops", "visibility", "reference", "settings", "rasterize"]
@@ -99,3 +101,12 @@ def test_rooms_are_small() -> None:
     for folder in (path for path in SOURCE.rglob("*") if path.is_dir() and path.name != "__pycache__"):
         files = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
         assert len(files) <= 14, f"{folder}: expected at most about a dozen files, got {len(files)}"
+
+
+def test_public_names_are_there_on_demand() -> None:
+    """A module of the same name would take the place of a public function as soon as anybody imports it."""
+    files = {parts for parts, _ in modules()}
+    for name in neural_renderer.__all__:
+        value = getattr(neural_renderer, name)
+        assert isinstance(value, ModuleType) or (name,) not in files, f"{name} is a module and a function"
+    assert set(neural_renderer.__all__) <= set(dir(neural_renderer))

@@ -81,7 +81,8 @@ def test_half_precision_is_summed_in_float32(dtype):
         lambda a, b: losses.photometric(a, b, mask),
         lambda a, b: losses.total_variation(a - b),
     ):
-        torch.testing.assert_close(loss(image, target), loss(image.float(), target.float()), rtol=5e-3, atol=0)
+        # The differences of neighbours, or of images, are rounded to 8 bits at least before they are summed.
+        torch.testing.assert_close(loss(image, target), loss(image.float(), target.float()), rtol=2**-8, atol=0)
         (found,) = torch.autograd.grad(loss(image, target), image)
         assert found.dtype == dtype and found.isfinite().all() and found.any()
     v = (vertices(2, 4) * 100).to(dtype)
@@ -188,8 +189,8 @@ def test_mistakes_are_named():
         losses.laplacian(vertices(4), TETRAHEDRON.to("meta"))
     with pytest.raises(ValueError, match="target: expected shape"):
         losses.silhouette_iou_loss(torch.rand(2, 4, 4), torch.rand(1, 4, 4))
-    with pytest.raises(TypeError, match="faces: expected an int32 or int64"):
-        losses.laplacian(vertices(4), TETRAHEDRON.double())
+    with pytest.raises(ValueError, match="faces: expected whole numbers"):
+        losses.laplacian(vertices(4), TETRAHEDRON / 2)
     with pytest.raises(ValueError, match="predicted and target"):
         metrics.silhouette_iou(torch.rand(2, 4, 4), torch.rand(2, 4, 5))
 

@@ -3,7 +3,7 @@
     mesh = nr.Mesh.load("bunny.obj")                                    # vertices, faces, textures
     camera = nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30)      # one camera, or a batch of them
     images = nr.render(mesh, camera, 256)                               # images.rgb, images.alpha, images.depth
-    nr.losses.silhouette_iou(images.alpha, target).backward()           # fills mesh.vertices.grad
+    nr.losses.silhouette_iou_loss(images.alpha, target).backward()           # fills mesh.vertices.grad
 
 Where to look; `help(nr.render)` and so on explain each name:
 
@@ -18,74 +18,31 @@ Where to look; `help(nr.render)` and so on explain each name:
 "Neural 3D Mesh Renderer" (Kato, Ushiku and Harada, CVPR 2018).
 """
 
-from . import losses, metrics
-from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
-from .compat.adam import Adam
-from .compat.lighting import lighting
-from .compat.rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
-from .compat.renderer import Renderer
-from .fragments import Fragments, fragments
-from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
-from .meshes.batch import batch, join
-from .meshes.mesh import Mesh
-from .meshes.normals import vertex_normals
-from .meshes.primitives import cube, icosphere, torus
-from .meshes.uv_mesh import UVMesh
-from .pictures.notebook import show_in_notebooks as _show_in_notebooks
-from .raster import Images, rasterize_images, vertices_to_faces
-from .render import render
-from .shading.lights import Light
-from .shading.spherical_harmonics import SphericalHarmonicLight
-from .textures.gutters import fill_gutters
-from .textures.sample_texture import sample_texture
-from .validate import check_values
-from .version import __version__
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
 
-__all__ = [
-    "Adam",
-    "Camera",
-    "Fragments",
-    "Images",
-    "Light",
-    "Mesh",
-    "Rasterize",
-    "Renderer",
-    "SphericalHarmonicLight",
-    "UVMesh",
-    "__version__",
-    "batch",
-    "check_values",
-    "cube",
-    "fill_gutters",
-    "fragments",
-    "get_points_from_angles",
-    "icosphere",
-    "join",
-    "lighting",
-    "load_image",
-    "load_mesh",
-    "load_obj",
-    "look",
-    "look_at",
-    "losses",
-    "metrics",
-    "orthographic",
-    "perspective",
-    "projection",
-    "rasterize",
-    "rasterize_depth",
-    "rasterize_images",
-    "rasterize_rgbad",
-    "rasterize_silhouettes",
-    "render",
-    "sample_texture",
-    "save_animation",
-    "save_image",
-    "save_mesh",
-    "save_obj",
-    "torus",
-    "vertex_normals",
-    "vertices_to_faces",
-]
+from .compat.old_modules import OLD_MODULES, register_old_modules
+from .version import __version__ as __version__
 
-_show_in_notebooks()
+register_old_modules()
+
+if TYPE_CHECKING:
+    from .interface import *
+else:
+
+    def __getattr__(name: str) -> Any:
+        """Load modules and public names at first use, so that `neural-renderer --help` answers without torch."""
+        if not name.startswith("_") and name not in OLD_MODULES and find_spec(f"{__name__}.{name}"):
+            return import_module(f"{__name__}.{name}")
+        if not name.startswith("_") or name == "__all__":
+            public = vars(import_module(f"{__name__}.interface"))
+            globals().update({key: public[key] for key in public if key == "__all__" or not key.startswith("_")})
+        if name in globals():
+            return globals()[name]
+        if name in OLD_MODULES:
+            return import_module(f"{__name__}.{name}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+    def __dir__() -> list[str]:
+        return [*globals(), *__getattr__("__all__")]

@@ -14,16 +14,17 @@ import tyro
 from rich.console import Console
 from rich.text import Text
 
-# Name → (module, its dataclass with a method `run` that returns the exit code, summary). A module is imported only when
-# its command is called, so that a new one costs the others nothing. A table in place of the dataclass makes a group.
+# Name → (module below `commands`, its dataclass with a method `run` that returns the exit code, summary). The dataclass
+# adds that method to the command's options, which `commands.options` has, and is imported only when there is something
+# to do: help and complaints about options come at once, without torch. A table in place of the dataclass makes a group.
 COMMANDS = {
-    "render": ("neural_renderer.commands.render", "Render", "Draw a mesh file as a picture or as a turntable."),
-    "info": ("neural_renderer.commands.info", "Info", "Show versions and devices, and check that rendering works."),
-    "fit": ("neural_renderer.commands.fit", "Fit", "Recover a textured mesh from images with known cameras."),
-    "reconstruct": ("neural_renderer.commands.reconstruct", "COMMANDS", "Turn one picture into a mesh."),
-    "style": ("neural_renderer.commands.style", "StyleCommand", "Give a mesh the style of a painting."),
-    "dream": ("neural_renderer.commands.dream", "DreamCommand", "Turn a mesh into what a network sees in it."),
-    "demo": ("neural_renderer.commands.demo", "Demo", "Make pictures that show what the package does."),
+    "render": ("render", "Render", "Draw a mesh file as a picture or as a turntable."),
+    "info": ("info", "Info", "Show versions and devices, and check that rendering works."),
+    "fit": ("fit", "Fit", "Recover a textured mesh from images with known cameras."),
+    "reconstruct": ("reconstruct", "COMMANDS", "Turn one picture into a mesh."),
+    "style": ("style", "Style", "Give a mesh the style of a painting."),
+    "dream": ("dream", "Dream", "Turn a mesh into what a network sees in it."),
+    "demo": ("demo", "Demo", "Make pictures that show what the package does."),
 }
 
 _DESCRIPTION = """A differentiable mesh renderer: `neural-renderer COMMAND --help` explains each command.
@@ -39,7 +40,8 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
     try:
         with _plain_warnings():
-            return _parse(arguments).run()
+            module, kind, options = _parse(arguments)
+            return getattr(_load(module), kind)(**vars(options)).run()
     except SystemExit as stop:  # --help (0) and wrong usage (2)
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except KeyboardInterrupt:
@@ -58,24 +60,28 @@ def main(args: Sequence[str] | None = None) -> int:
 def _parse(
     arguments: list[str],
     table: dict[str, tuple[str, str, str]] = COMMANDS,
+    folder: str = "",
     prog: str = "neural-renderer",
     description: str = _DESCRIPTION,
-) -> Any:
-    """The dataclass of the command that ``arguments`` name, filled in."""
+) -> tuple[str, str, Any]:
+    """The module and the class of the command that ``arguments`` name, and its options, filled in."""
     name = arguments[0]
-    called = _load(*table[name][:2]) if name in table else None
-    if isinstance(called, dict):
-        return _parse(
-            arguments[1:] or ["--help"], called, f"{prog} {name}", importlib.import_module(table[name][0]).DESCRIPTION
-        )
+    module, kind, _ = table.get(name, ("", "", ""))
+    module = folder + module
+    if kind == "COMMANDS":
+        group = _load(module)
+        prog = f"{prog} {name}"
+        return _parse(arguments[1:] or ["--help"], group.COMMANDS, f"{module}.", prog, group.DESCRIPTION)
+    called = getattr(_load(f"options.{module}"), f"{kind}Options") if kind else None
     commands: dict[str, Any] = {
         other: called if other == name else _stand_in(summary) for other, (_, _, summary) in table.items()
     }
-    return tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=description, args=arguments)
+    options = tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=description, args=arguments)
+    return module, kind, options
 
 
-def _load(module: str, kind: str) -> Any:
-    return getattr(importlib.import_module(module), kind)
+def _load(module: str) -> Any:
+    return importlib.import_module(f"neural_renderer.commands.{module}")
 
 
 def _stand_in(summary: str) -> Callable[..., Any]:
@@ -112,7 +118,7 @@ def _sentence(error: Exception) -> str:
     """What went wrong, on one line; an error that nobody foresaw is named and says how to learn more."""
     message = " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        return f"{os.fsdecode(error.filename)}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, (ValueError, TypeError, OSError)) and message:
         return message
     return f"{type(error).__name__}: {message} (--debug shows where)"

@@ -37,8 +37,8 @@ def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6) ->
     Example:
         >>> square = torch.zeros(1, 8, 8)
         >>> square[:, 2:6, 2:6] = 1
-        >>> silhouette_iou_loss(square, square.roll(1, 2)).item()  # 12 pixels of 20 are shared
-        0.4000000059604645
+        >>> silhouette_iou_loss(square, square.roll(1, 2))  # 12 pixels of 20 are shared
+        tensor(0.4000)
     """
     predicted = _wide(validate.floating("predicted", predicted, ("B", "H", "W")))
     target = _like("target", target, predicted)
@@ -108,7 +108,8 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] int32 or int64, or a `Topology` built from them once. torch.compile needs a `Topology`.
+        faces: [F, 3] whole numbers of any real dtype, or a `Topology` built from them once. torch.compile needs a
+            `Topology`.
 
     Returns:
         Scalar tensor: the mean over vertices and batch. A vertex without edges adds 0. Cost O(E).

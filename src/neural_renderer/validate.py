@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import reprlib
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -13,6 +15,7 @@ from torch import Tensor
 
 FLOATING = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 """The floating dtypes that torch computes in; those of 8 bits and fewer only store."""
+_SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torch.uint64)
 
 _check_values = True
 
@@ -80,14 +83,25 @@ def real(name: str, value: Tensor) -> Tensor:
     return value
 
 
-def indices(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
-    """``value`` if it is an int32 or int64 tensor whose shape fits (see `floating`)."""
+def indices(name: str, value: Any, shape: Sequence[int | str], always: bool = False) -> Tensor:
+    """``value`` as an int32 or int64 tensor, if it holds whole numbers of any real dtype and its shape fits.
+
+    int32 and int64 come back as they are, others as int64 (see `floating` for the shape). Raises TypeError for anything
+    else than a tensor of real numbers, ValueError for another shape, and for other numbers if values are checked, or
+    ``always``.
+    """
     if not isinstance(value, Tensor):
-        raise TypeError(f"{name}: expected an int32 or int64 torch tensor, got {type(value).__name__}")
-    if value.dtype not in (torch.int32, torch.int64):
-        raise TypeError(f"{name}: expected an int32 or int64 tensor, got {shape_of(value)}")
+        raise TypeError(f"{name}: expected a torch tensor of whole numbers, got {type(value).__name__}")
+    if value.dtype not in (torch.int32, torch.int64, *_SMALL, *FLOATING):
+        raise TypeError(f"{name}: expected a tensor of whole numbers, got {shape_of(value)}")
     _match(name, value, shape)
-    return value
+    if value.dtype in (torch.int32, torch.int64):
+        return value
+    result = value.detach().to(torch.int64)
+    checked = value.dtype in FLOATING and (always or values_are_checked(value))
+    if checked and not bool((result == value).all()):
+        raise ValueError(f"{name}: expected whole numbers, got {shape_of(value)} with others")
+    return result
 
 
 def vertices(value: Any) -> Tensor:
@@ -169,19 +183,23 @@ def in_range(name: str, value: Tensor, size: int, always: bool = False) -> None:
             raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
 
 
-def number(name: str, value: Any) -> float:
-    """``value`` as a finite float; TypeError or ValueError otherwise."""
-    if not isinstance(value, (int, float)):
-        try:
-            if isinstance(value, str):  # which float() would read
-                raise TypeError
-            value = float(value.item() if isinstance(value, Tensor) else value)
-        except (TypeError, ValueError, RuntimeError):
-            got = shape_of(value) if isinstance(value, Tensor) else type(value).__name__
-            raise TypeError(f"{name}: expected a number, got {got}") from None
-    if not -math.inf < value < math.inf:
-        raise ValueError(f"{name}: expected a finite number, got {value}")
-    return float(value)
+def number(name: str, value: Any, dtype: torch.dtype = torch.float64) -> float:
+    """``value`` as a float that is finite in ``dtype``; TypeError or ValueError otherwise."""
+    try:
+        if isinstance(value, str):  # which float() would read
+            raise TypeError
+        found = float(value.item() if isinstance(value, Tensor) else value)
+    except OverflowError:  # a whole number, of too many digits to show
+        raise ValueError(f"{name}: expected a finite number, got one beyond {sys.float_info.max:.0e}") from None
+    except (TypeError, ValueError, RuntimeError):
+        got = shape_of(value) if isinstance(value, Tensor) else type(value).__name__
+        raise TypeError(f"{name}: expected a number, got {got}") from None
+    if not -math.inf < found < math.inf:
+        raise ValueError(f"{name}: expected a finite number, got {found}")
+    most = torch.finfo(dtype).max
+    if not -most <= found <= most:
+        raise ValueError(f"{name}: expected a number that {str(dtype).removeprefix('torch.')} holds, got {found:g}")
+    return found
 
 
 def positive(name: str, value: Any) -> float:
@@ -203,7 +221,7 @@ def not_negative(name: str, value: Any) -> float:
 def flag(name: str, value: Any) -> bool:
     """``value`` if it is True or False (0 and 1 pass too); TypeError otherwise."""
     if not isinstance(value, (bool, int, np.bool_, np.integer)) or value not in (0, 1):
-        raise TypeError(f"{name}: expected True or False, got {value!r}")
+        raise TypeError(f"{name}: expected True or False, got {reprlib.repr(value)}")
     return bool(value)
 
 

@@ -10,8 +10,8 @@ import torch
 import trimesh
 from PIL import Image
 
+from neural_renderer.io import load_mesh, save_mesh
 from neural_renderer.io.cubes import bake_corners
-from neural_renderer.io.formats import load_mesh, save_mesh
 from neural_renderer.meshes.primitives import cube, icosphere
 
 REFUSED = {

@@ -10,11 +10,12 @@ import pytest
 import torch
 from PIL import Image
 
+from neural_renderer.io import load_obj, save_obj
 from neural_renderer.io.atlas import build_atlas
 from neural_renderer.io.cubes import bake_corners, barycentric_grid
-from neural_renderer.io.obj import load_obj, save_obj
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import icosphere
+from tests.rounding import EPS, STEP, relative, rounding
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 UV = "vt 0 0\nvt 1 0\nvt 0 1\n"
@@ -69,7 +70,7 @@ def test_tetrahedron(shared):
     expected = torch.tensor([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]])
     assert torch.equal(vertices, expected)
     assert torch.equal(faces, torch.tensor([[2, 4, 3], [4, 2, 1], [3, 1, 2], [1, 3, 4]], dtype=torch.int32) - 1)
-    assert torch.equal(faces, faces2) and torch.allclose(normalized, vertices * 2 - 1)
+    assert torch.equal(faces, faces2) and torch.equal(normalized, vertices * 2 - 1)
 
 
 def test_teapot(shared):
@@ -79,8 +80,9 @@ def test_teapot(shared):
     raw = load_obj(path, False)[0]
     old = raw - raw.min(0).values  # the published arithmetic, in float32
     old = old / old.max() * 2
-    assert torch.allclose(vertices, old - old.max(0).values / 2, rtol=0, atol=2.5e-7)
-    assert (vertices.max(0).values + vertices.min(0).values).abs().max() < 1e-6 and vertices.max() == 1
+    # Theirs takes four operations on numbers up to 2, ours is rounded once.
+    assert torch.allclose(vertices, old - old.max(0).values / 2, **rounding(5, 2))
+    assert (vertices.max(0).values + vertices.min(0).values).abs().max() <= 2 * EPS and vertices.max() == 1
 
 
 def test_every_nasty_file_loads_or_is_refused(shared):
@@ -199,19 +201,21 @@ def test_polygons(tmp_path):
         a, b, c = vertices[faces.long()].unbind(1)
         areas = torch.linalg.cross(b - a, c - a) / 2
         whole = torch.linalg.cross(vertices, vertices.roll(-1, 0)).sum(0) / 2
-        assert torch.allclose(areas.sum(0), whole) and torch.allclose(areas.norm(dim=1).sum(), whole.norm())
+        assert torch.equal(areas.sum(0), whole) and areas.norm(dim=1).sum() == whole.norm()  # halves of whole numbers
 
 
 def test_concave_polygon_with_a_bridge(shared):
     vertices, faces = load_obj(shared / "data/meshes/nasty/assimp_OBJ/concave_polygon.obj", False)
     a, b, c = vertices[faces.long()].unbind(1)
     areas = torch.linalg.cross(b - a, c - a) / 2
-    assert torch.allclose(areas.norm(dim=1).sum(), areas.sum(0).norm(), rtol=1e-4)  # nothing overlaps
+    assert torch.allclose(areas.norm(dim=1).sum(), areas.sum(0).norm(), rtol=1e-4)  # nothing overlaps; float32
 
 
 def test_a_small_mesh_far_away_keeps_its_shape(tmp_path):
     path = write(tmp_path, "v 1e6 1e6 0\nv 1000000.001 1e6 0\nv 1e6 1000000.001 0\nf 1 2 3")
-    assert torch.allclose(load_obj(path)[0], torch.tensor([[-1.0, -1, 0], [1, -1, 0], [-1, 1, 0]]), atol=1e-5)
+    assert torch.allclose(
+        load_obj(path)[0], torch.tensor([[-1.0, -1, 0], [1, -1, 0], [-1, 1, 0]]), atol=1e-6
+    )  # 1e6 in float64 leaves 2e-7 of 1e-3
 
 
 def test_vertex_colours(tmp_path):
@@ -227,7 +231,7 @@ def test_vertex_colours(tmp_path):
 def test_image_inside_is_the_same_for_all_wrappings(tmp_path, size, wrapping):
     cube = textured(tmp_path, size=size, texture_wrapping=wrapping)
     expected = torch.from_numpy(barycentric_grid(size)[:, 1:]).float()  # u is the weight of corner 1, v of corner 2
-    assert torch.allclose(cube.reshape(-1, 3)[:, :2], expected, atol=2e-3)
+    assert torch.allclose(cube.reshape(-1, 3)[:, :2], expected, atol=0.51 * STEP)
     assert (cube[..., 2] == 0).all()  # the image replaces Kd
 
 
@@ -251,7 +255,9 @@ def test_repeat_across_a_border(tmp_path):
     cube = textured(tmp_path, "vt 0.9 0\nvt 1.2 0\nvt -0.1 0.5\n")
     # The face starts at -0.1, so all of it moves up by one: 1.9, 2.2, 0.9, each then wrapped.
     assert torch.allclose(
-        torch.stack([cube[3, 0, 0], cube[0, 3, 0], cube[0, 0, 3]])[:, 0], torch.tensor([0.9, 0.2, 0.9]), atol=2e-3
+        torch.stack([cube[3, 0, 0], cube[0, 3, 0], cube[0, 0, 3]])[:, 0],
+        torch.tensor([0.9, 0.2, 0.9]),
+        atol=0.51 * STEP,
     )
     assert (textured(tmp_path, "vt 1 0\nvt 1 1\nvt 1 0.5\n")[..., 0] == 1).all()  # exactly 1 stays 1
 
@@ -283,7 +289,7 @@ def test_kinds_of_image(tmp_path, kind, image):
     textured(tmp_path)
     image.save(tmp_path / "image.png")
     textures = load_obj(tmp_path / "mesh.obj", load_texture=True)[2]
-    assert torch.allclose(textures, torch.full_like(textures, 1.0 if kind == "1 bit" else 0.2), atol=1e-6)
+    assert torch.allclose(textures, torch.full_like(textures, 1.0 if kind == "1 bit" else 0.2), **relative(8))
 
 
 def coloured_sphere(size: int):

@@ -7,6 +7,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.tasks.texels import Texels
+from tests.rounding import rounding
 
 CUBE = nr.cube()[1]
 BALL = nr.icosphere(1)[1]
@@ -34,7 +35,7 @@ def test_texels_are_those_of_corners_edges_and_insides(faces: torch.Tensor, size
     texels = Texels.shared(faces, size)
     inside = (size - 2) * (size - 3) // 2
     assert texels.count == int(faces.max()) + 1 + edges * (size - 2) + len(faces) * inside
-    assert torch.allclose(texels.weights.sum(1), torch.ones(size**3)) and (texels.weights >= 0).all()
+    assert torch.allclose(texels.weights.sum(1), torch.ones(size**3), **rounding(4)) and (texels.weights >= 0).all()
     values = torch.rand(texels.count, 3, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(texels.from_cubes(texels.cubes(values)), values)
 
@@ -55,7 +56,7 @@ def test_no_seam(size: int) -> None:
             sides.setdefault(key, []).append(colours[face] if start < end else colours[face].flip(0))
     assert len(sides) == 120 and all(len(pair) == 2 for pair in sides.values())
     for one, other in sides.values():
-        torch.testing.assert_close(one, other, rtol=0, atol=1e-6)
+        torch.testing.assert_close(one, other, **rounding(8))
 
 
 def test_colours_that_are_linear_on_a_face_are_kept() -> None:
@@ -65,7 +66,7 @@ def test_colours_that_are_linear_on_a_face_are_kept() -> None:
     grid[0] = 1
     cubes = torch.einsum("gk,fkc->fgc", grid / grid.sum(1, keepdim=True), vertices[faces.long()])
     again = texels.cubes(texels.from_cubes(cubes.reshape(-1, 4, 4, 4, 3)))
-    torch.testing.assert_close(again.flatten(1, 3), cubes, rtol=0, atol=1e-6)
+    torch.testing.assert_close(again.flatten(1, 3), cubes, **rounding(16))  # means of up to six faces
 
 
 def test_separate_texels_are_the_cubes() -> None:

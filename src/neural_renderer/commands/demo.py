@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal
 
 import torch
-import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
 from ..io import save_animation, save_image
+from ..io.obj_writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.primitives import icosphere
 from ..pictures.clay import clay_mesh
@@ -23,33 +21,14 @@ from ..pictures.sheet import sheet
 from ..tasks.fit import ShapeFit, TextureFit, Views
 from .common import checked_count, chosen_device
 from .demo_models import duck, knot
+from .options.demo import DemoOptions
 
 _ANGLES = (145.0, 90.0, 180.0, 250.0, 20.0)
 
 
 @dataclass(frozen=True)
-class Demo:
-    """Render a textured knot as a turntable, and sculpt a sphere into a duck from 24 silhouettes. No downloads.
-
-    Example: neural-renderer demo -o out
-    """
-
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
-    """Folder for the files; it is made if missing."""
-    frames: int = 48
-    """Pictures of the turntable, at least 1."""
-    size: int = 320
-    """Side of the pictures in pixels, at least 32."""
-    iterations: int = 300
-    """Steps of gradient descent for the shape, at least 1."""
-    views: int = 24
-    """Silhouettes that the sphere is fitted to, at least 1."""
-    view_size: int = 96
-    """Side of these silhouettes in pixels, at least 16."""
-    seed: int = 0
-    """Seed of the order in which the views are used."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to compute; auto is CUDA where there is one."""
+class Demo(DemoOptions):
+    """Makes the pictures."""
 
     def run(self) -> int:
         """Make everything; returns the exit code 0."""
@@ -57,6 +36,7 @@ class Demo:
         limits = {"frames": 1, "size": 32, "iterations": 1, "views": 1, "view_size": 16}
         for name, least in limits.items():
             checked_count(name, getattr(self, name), least)
+        check_own(self.output / "fitted.obj", None, "-o names another folder")
         device = chosen_device(self.device)
         console = Console()
         torch.manual_seed(self.seed)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import torch
-import tyro
 from rich.console import Console
 
 from .. import validate
 from ..features import FeatureNetwork, load_features
 from ..io import load_mesh, save_image
+from ..io.atomic_write import write_file
+from ..io.obj_writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..pictures.curve import curve
@@ -22,11 +22,14 @@ from ..tasks.editing.edit import Objective
 from ..tasks.editing.edit_pictures import preview, six_views, turntable
 from ..tasks.editing.paint import check_cubes, check_images
 from ..version import __version__
-from .common import checked_count, chosen_device
+from .common import check_outputs, checked_count, chosen_device
+from .options.edit import EditOptions
 from .task_runner import Run, fingerprint
 
 # What may change when an edit goes on.
-_FREE = ("output", "iterations", "preview", "turntable", "resume", "device")
+_FREE = ("output", "iterations", "preview", "turntable", "allow_outside", "resume", "force", "device")
+_PICTURES = ("preview.png", "views.png", "loss.png", "turntable.mp4", "turntable.gif")
+_RESULTS = ("mesh.obj", "mesh.glb", *_PICTURES, "report.json")
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
 
@@ -46,63 +49,8 @@ class Preset:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Edit:
-    """Options of both commands; those that are None are the preset's."""
-
-    mesh: tyro.conf.Positional[Path]
-    """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for the results; it is made if missing."""
-    preset: Literal["paper", "published"] = "paper"
-    """Settings of the paper, with losses that suit any network and mesh; or those of the code that was published with
-    it, which are for its own network."""
-    weights: Path | None = None
-    """File with the network's weights: .safetensors, or .pth of torch; by default they are fetched once."""
-    iterations: int | None = None
-    """Steps (at least 1); by default the preset's."""
-    batch: int = 4
-    """RandomViews that each step looks at (at least 1)."""
-    size: int = 224
-    """Side in pixels of what the network sees (at least 32); smaller is faster, and what it paints becomes larger. The
-    object is drawn at twice that."""
-    vertex_rate: float | None = None
-    """How fast vertices move (Adam's alpha; 0: not at all); by default the preset's."""
-    texture_rate: float | None = None
-    """How fast colours change (Adam's alpha; 0: not at all); by default the preset's."""
-    settle: float | None = None
-    """The part of the steps (0 to 1), at the end, in which both rates fall to 0; by default the preset's."""
-    elevation: tuple[float, float] | None = None
-    """Lowest and highest camera, in degrees (between -90 and 90); by default the preset's."""
-    distance: float | None = None
-    """From the camera to the middle of the object, whose longest side is 2; by default the preset's."""
-    init: Literal["mesh", "random"] | None = None
-    """Begin with the mesh's own colours or, where it has none, with the picture's mean colour (style) or grey (dream),
-    or with grey in any case (random). By default the preset's."""
-    texture_size: int = 4
-    """Texels along the edge of a face's texture (at least 3, or 1 if not seamless); more for meshes of few faces."""
-    uv: int | None = None
-    """Paint where the file's own texture coordinates lead to, each of its images on so many pixels a side (at least
-    16): for meshes of few, large faces, which must have an image. --texture-size and --seamless then have no part.
-    By default faces get texels of their own, and the mesh new texture coordinates."""
-    seamless: bool | None = None
-    """Faces share the texels on their edges, so that no seam can appear; otherwise each face has its own. By
-    default the preset's."""
-    bend: float | None = None
-    """Weight of smooth movement: how much each vertex is held to move as its neighbours do; by default the preset's."""
-    variation: float | None = None
-    """Weight of smooth colours, the total variation of the images; by default the preset's."""
-    gradient: Literal["nmr", "edge"] = "nmr"
-    """The renderer's gradient through visibility; nmr is the paper's."""
-    preview: int = 50
-    """Steps from one preview and checkpoint to the next (at least 1)."""
-    turntable: int = 36
-    """Pictures of the turntable (0: none)."""
-    seed: int = 0
-    """Seed of the views and of random colours."""
-    resume: bool = False
-    """Go on from the checkpoint in the output folder, if there is one, which must be of the same files and settings."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to compute; auto is CUDA where there is one."""
+class Edit(EditOptions):
+    """What both commands do with their options; those that are None are the preset's."""
 
     def chosen(self, preset: Preset, name: str) -> Any:
         """The option's value, or else the preset's."""
@@ -119,25 +67,31 @@ class Edit:
         return load_features(published if self.weights is None else self.weights).to(chosen_device(self.device))
 
     def checked(self) -> None:
-        """Raises ValueError for options out of range, before anything is read or fetched."""
+        """Raise ValueError for options out of range and FileExistsError for outputs that are no results of ours, before
+        anything is read or fetched.
+        """
         limits = {"batch": 1, "size": 32, "texture_size": 1, "preview": 1, "turntable": 0, "seed": 0}
         for name, least in limits.items():
             checked_count(name, getattr(self, name), least)
         for name, least in {"iterations": 1, "uv": 16}.items():
             if getattr(self, name) is not None:
                 checked_count(name, getattr(self, name), least)
+        inputs = [self.mesh, self.weights, getattr(self, "painting", None)]
+        check_outputs([self.output / name for name in _RESULTS], inputs)
+        if not self.force:
+            check_own(self.output / "mesh.obj", None, "--force replaces it")
 
     def loaded(self) -> tuple[Mesh | UVMesh, bool]:
         """The mesh and whether it has colours of its own."""
         if self.uv is not None:
-            painted = UVMesh.load(self.mesh)
+            painted = UVMesh.load(self.mesh, allow_outside=self.allow_outside)
             if not painted.images:
                 raise ValueError(
                     f"--uv: expected a mesh with texture coordinates and an image, got {self.mesh}, which has none"
                 )
             check_images(len(painted.images), self.uv)
             return painted.to(chosen_device(self.device)), True
-        vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
+        vertices, faces, textures = load_mesh(self.mesh, self.texture_size, self.allow_outside)
         check_cubes(len(faces), self.texture_size)
         white = torch.ones(len(faces), *(self.texture_size,) * 3, 3)
         mesh = Mesh(vertices, faces, white if textures is None else textures)
@@ -182,13 +136,14 @@ class Edit:
         with validate.called(steps="--iterations"):
             finished = run.work(self.resume)
         result = edit.mesh()
-        result.save(self.output / "mesh.obj")
+        result.save(self.output / "mesh.obj", overwrite=self.force)
         result.save(self.output / "mesh.glb")
         save_image(self.output / "views.png", six_views(mesh, result))
         if self.turntable:
             turntable(self.output, result, self.turntable)
         main = next(name for name in run.history[-1] if name not in ("phase", "loss")) if run.history else "loss"
-        curve(run.history, main, "loss", logarithmic=main == "style").save(self.output / "loss.png")
+        losses = curve(run.history, main, "loss", logarithmic=main == "style")
+        save_image(self.output / "loss.png", losses)
         self._report(edit, run, finished, mesh, settings)
         return 0 if finished else 130
 
@@ -200,7 +155,7 @@ class Edit:
         report |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces), "settings": settings}
         report |= {"held_out": {"before": edit.before, "after": after}, "moved": moved}
         report |= {"seconds": round(run.seconds, 1), "share_of_time": share, "history": run.history}
-        (self.output / "report.json").write_text(json.dumps(report, indent=1, default=str) + "\n", encoding="utf-8")
+        write_file(self.output / "report.json", json.dumps(report, indent=1, default=str) + "\n")
         console = Console()
         change = f"{edit.before:.4g} → {after:.4g} on views that no step saw, vertices moved by {moved['mean']:.2%}"
         console.print(f"[bold]{change}[/bold] of the mesh's size on average", highlight=False, soft_wrap=True)

@@ -17,6 +17,7 @@ from ..meshes.primitives import icosphere
 from ..raster import rasterize_images, vertices_to_faces
 from ..raster.reference.operators import coverage_reference, nmr_edges_reference
 from ..version import __version__
+from .options.info import InfoOptions
 
 # Two triangles and a pixel each, with the gradient that the first package published for them: the loss is |I − target|
 # at (row, column) of a silhouette of 64 x 64 pixels, the gradient is in (x, y) of the three corners.
@@ -29,11 +30,8 @@ _CASES = (
 
 
 @dataclass(frozen=True)
-class Info:
-    """Show versions and devices, and check on each device that a small picture and its gradient come out right.
-
-    Example: neural-renderer info
-    """
+class Info(InfoOptions):
+    """Prints the table, and checks."""
 
     def run(self) -> int:
         """Print the table; returns 0 if every check is as expected, else 1."""

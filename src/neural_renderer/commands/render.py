@@ -5,26 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal
 
 import torch
-import tyro
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
-from ..fragments import fragments
+from ..deferred import fragments
 from ..io import load_mesh, save_animation, save_image
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
 from ..pictures.lamp import lamp_direction
 from ..raster.settings import image_size
-from ..render import render
+from ..rendering import render
 from ..shading.lights import Light
-from .common import checked_count, chosen_device
+from .common import check_outputs, checked_count, chosen_device
+from .options.render import RenderOptions
 
 _LAMP = (-0.4, 0.6, 0.7)  # right, up, backward; more frontal than `pictures.lamp.LAMP`: no visible face is dark
 _COLORS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": (0.0, 0.0, 0.0)}
@@ -33,54 +31,13 @@ _PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
 
 
 @dataclass(frozen=True)
-class Render:
-    """Draw a mesh file as a picture (.png, .jpg) or as a turntable (.gif, .mp4).
-
-    Example: neural-renderer render bunny.obj -o bunny.png --size 512
-
-    Example: neural-renderer render bunny.obj -o bunny.gif --turntable 60
-    """
-
-    mesh: tyro.conf.Positional[Path]
-    """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Picture to write: .png or .jpg; .gif or .mp4 for a turntable."""
-    size: int | tuple[int, int] = 512
-    """Side of the picture, or height and width, in pixels (1 to 32768)."""
-    azimuth: float = 150.0
-    """Where the camera stands around the y axis, in degrees: 180 on +z, in front of most models, 90 on +x, 0 on -z, in
-    front of some."""
-    elevation: float = 20.0
-    """How high the camera stands, in degrees (above -90, below 90): 0 level with the model, positive above it."""
-    distance: float | None = None
-    """From the camera to the origin, in the model's units (above 0); by default the whole model is in the picture."""
-    viewing_angle: float = 20.0
-    """Half of the vertical field of view, in degrees (above 0, below 90)."""
-    orthographic: bool = False
-    """Draw without perspective; then distance and viewing angle do not change sizes."""
-    mode: Literal["rgb", "silhouettes", "depth", "normals"] = "rgb"
-    """What to draw: colours; silhouettes, white on black; depth, near bright and far dark; or normals as the camera
-    sees them, red to the right, green up, blue towards the viewer."""
-    turntable: int | None = None
-    """Number of pictures of a turntable that begins at the azimuth (at least 1); 60 for an animation."""
-    fps: float = 20.0
-    """Pictures per second of an animation (above 0)."""
-    background: Literal["white", "black", "transparent"] | tuple[float, float, float] | None = None
-    """Colour behind the model, for mode rgb or normals only: a name, or red, green and blue from 0 to 1; transparent is
-    for .png. White by default."""
-    light: bool = True
-    """Light the model from over the viewer's shoulder; without light its colours are drawn as they are."""
-    normalize: bool = True
-    """Move the model to the origin and scale its longest side to 2 units."""
-    texture_size: int | None = None
-    """Bake the colours into textures of so many texels along the side of a face (at least 1), as `Mesh.load` does. By
-    default the file's images are shown as they are."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to compute; auto is CUDA where there is one."""
+class Render(RenderOptions):
+    """Draws a mesh file, as the options say."""
 
     def run(self) -> int:
         """Draw; returns the exit code 0. Raises ValueError, TypeError or OSError with a sentence."""
         self._check()
+        check_outputs([self.output], [self.mesh])
         device = chosen_device(self.device)
         mesh = self._loaded().to(device)
         mesh = mesh.normalize() if self.normalize else mesh
@@ -99,8 +56,8 @@ class Render:
 
     def _loaded(self) -> Mesh | UVMesh:
         if self.texture_size is None:
-            return UVMesh.load(self.mesh, _GREY)
-        vertices, faces, textures = load_mesh(self.mesh, self.texture_size)
+            return UVMesh.load(self.mesh, _GREY, self.allow_outside)
+        vertices, faces, textures = load_mesh(self.mesh, self.texture_size, self.allow_outside)
         if textures is None:
             textures = torch.full((len(faces), 1, 1, 1, 3), _GREY)
         return Mesh(vertices, faces, textures)

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..io.files import existing, why_not_loaded
+from ..io.files import existing, load_tensors, reason, why_not_loaded
 from .googlenet import googlenet, is_googlenet
 from .network import FeatureNetwork, Plan
 from .vgg import is_vgg, vgg
@@ -91,11 +91,13 @@ def _read(path: Path) -> dict[str, Any]:
         try:
             return load_file(path)
         except Exception as error:  # its own error class, and others after a broken header
-            raise ValueError(f"{path}: expected a .safetensors file, got one that cannot be read ({error})") from None
+            raise ValueError(
+                f"{path}: expected a .safetensors file, got one that cannot be read ({reason(error)})"
+            ) from None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about pickle versions of files that are rejected anyway
-            weights = torch.load(path, map_location="cpu", weights_only=True)
+            weights = load_tensors(path)
     except Exception as error:  # torch raises errors of many classes for files that are not checkpoints
         raise ValueError(
             f"{path}: expected a PyTorch checkpoint, got a file that cannot be read ({why_not_loaded(error)})"

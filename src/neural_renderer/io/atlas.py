@@ -16,11 +16,12 @@ _LARGEST = 8192  # pixels: the widest texture that every viewer and GPU takes
 _TRIANGLE = np.array([[0, 0], [0, 1], [1, 1]])  # (x, y down) of the corners in units of n
 
 
-def build_atlas(textures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def build_atlas(textures: np.ndarray, tile: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Draw the cubes of a mesh into one picture.
 
     Args:
         textures: [F, T, T, T, 3] float32 in [0, 1].
+        tile: the width of a tile in pixels, at least 4; None chooses it as told below.
 
     Returns:
         The picture, [H, W, 3] uint8, first row on top, and where each face's corners are in it: [F, 3, 2] float64
@@ -30,7 +31,7 @@ def build_atlas(textures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     faces, size = textures.shape[:2]
     columns = math.ceil(math.sqrt(faces))
     rows = math.ceil(faces / columns)
-    span = _span(size, columns)
+    span = _span(size, columns) if tile is None else tile - 3
     tile = span + 3
     weights, used = _tile_weights(size, span), _face_texels(size)
     picture = np.zeros((rows * tile, columns * tile, 3), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""What reading and writing share: text in any encoding, files found whatever their case, a mesh checked for writing."""
+"""What reading and writing share: text in any encoding, words for messages, a mesh checked for writing."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import codecs
 import os
 import sys
 import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +35,34 @@ def existing(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
+def fits_float32(values: np.ndarray) -> np.ndarray:
+    """Which of the numbers are finite in float32."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.isfinite(values.astype(np.float32))
+
+
+def short(value: Any) -> str:
+    """``value`` as a message quotes it: in quotes if it is text, and cut if it is long."""
+    if isinstance(value, str):
+        return repr(value if len(value) < 80 else value[:77] + "...")
+    text = repr(value)
+    return text if len(text) < 80 else text[:77] + "..."
+
+
+def reason(error: BaseException) -> str:
+    """What an error says, on one line of at most 200 characters; its kind if it says nothing."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file, up to the size that it has now: files of /proc, whose size is 0, may never end."""
+    with path.open("rb") as file:
+        return file.read(os.fstat(file.fileno()).st_size)
+
+
 def read_text(path: Path) -> str:
     """The text of a file, with ``\\n`` line ends: UTF-8, UTF-16 (with or without its mark), else Latin-1."""
-    data = path.read_bytes()
+    data = read_bytes(path)
     encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), "utf-8")
     if encoding == "utf-8" and b"\0" in data[:64]:
         encoding = "utf-16-be" if data[:1] == b"\0" else "utf-16-le"
@@ -45,35 +71,6 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError:
         text = data.decode("latin-1")  # never fails; names with accents from old Windows programs
     return text.replace("\r\n", "\n").replace("\r", "\n")
-
-
-def find_file(name: str, *folders: Path) -> Path | None:
-    """The file that another file calls ``name``, or None.
-
-    Looked for in each folder as written, then by its last part alone (exporters leave paths of their own machine);
-    backslashes are separators, and upper and lower case are told apart only where both exist.
-    """
-    parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".")]
-    for wanted in (parts, parts[-1:]) if parts else ():
-        for folder in folders:
-            found = _walk(folder, wanted)
-            if found is not None:
-                return found
-    absolute = Path(name)
-    return absolute if absolute.is_absolute() and absolute.is_file() else None
-
-
-def _walk(folder: Path, parts: list[str]) -> Path | None:
-    for part in parts:
-        step = folder / part
-        if not step.exists():
-            entries = folder.iterdir() if folder.is_dir() else iter(())
-            alike = next((entry for entry in entries if entry.name.lower() == part.lower()), None)
-            if alike is None:
-                return None
-            step = alike
-        folder = step
-    return folder if folder.is_file() else None
 
 
 def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -85,7 +82,7 @@ def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.n
     """
     vertices, faces = _on_host("vertices", vertices), _on_host("faces", faces)
     validate.floating("vertices", vertices, ["V", 3])
-    validate.indices("faces", faces, ["F", 3])
+    faces = validate.indices("faces", faces, ["F", 3], always=True)
     if not len(faces):
         raise ValueError("faces: expected at least one, got none")
     validate.finite("vertices", vertices, always=True)
@@ -101,6 +98,19 @@ def _on_host(name: str, value: Any) -> Any:
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
     return validate.has_numbers(name, value).detach().cpu().resolve_neg() if isinstance(value, Tensor) else value
+
+
+def load_tensors(path: str | os.PathLike[str], device: torch.device | str = "cpu") -> Any:
+    """What torch.save has written: tensors and plain values; no code of the file is run.
+
+    Raises whatever torch does (see `why_not_loaded`), and ValueError for an archive that unpacks to more than its size:
+    torch compresses nothing.
+    """
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > os.path.getsize(path):
+                raise ValueError("it is compressed")
+    return torch.load(path, map_location=device, weights_only=True)
 
 
 def why_not_loaded(error: Exception) -> str:

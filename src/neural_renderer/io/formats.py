@@ -1,33 +1,35 @@
-"""Meshes in any common format: OBJ by our own reader and writer, the others through trimesh."""
+"""Meshes read from any common format: OBJ by our own reader, the others through trimesh."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
-from .atlas import build_atlas, coordinates
 from .cubes import check_size
-from .files import existing, mesh_to_write
-from .obj import obj_skin, save_obj
+from .files import existing, fits_float32, read_bytes, reason, short, warn
+from .images import unpack
+from .named_files import find_file
+from .obj import obj_skin
 from .parse import read_obj
 from .surface_colors import Skin
-from .textured_writer import with_picture
 
 if TYPE_CHECKING:
     import trimesh
 
 _READABLE = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
-_WRITABLE = (".obj", ".ply", ".glb")
 
 
-def load_mesh(path: str | os.PathLike[str], texture_size: int = 4) -> tuple[Tensor, Tensor, Tensor | None]:
+def load_mesh(
+    path: str | os.PathLike[str], texture_size: int = 4, allow_outside: bool = False
+) -> tuple[Tensor, Tensor, Tensor | None]:
     """Read a mesh as it is in the file, its format told by the suffix: OBJ, PLY, STL, OFF, GLB or glTF.
 
     Vertices and faces keep the file's order, but STL, which repeats a vertex for every face, has equal ones joined.
@@ -36,19 +38,22 @@ def load_mesh(path: str | os.PathLike[str], texture_size: int = 4) -> tuple[Tens
     Args:
         path: The file.
         texture_size: T, texels along a cube's edge, at least 1 (the colour at the face's centre).
+        allow_outside: Read materials, images and buffers outside the file's folder too, if it names such; for files of
+            people whom you trust.
 
     Returns:
         On the CPU: vertices, float32 [V, 3]; faces, int32 [F, 3]; textures, float32 [F, T, T, T, 3] in [0, 1], or None
         if the file has no colour. Images seen through texture coordinates, colours of vertices and of faces are
         baked into the textures; glTF's linear colours become sRGB ones, as images are, and parts without any white.
-        What an OBJ file names but is missing is grey 0.5, with a warning.
+        What an OBJ file names but is missing is grey 0.5, an image that another file names white, with a warning.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: Another suffix, a file that cannot be read, NaN or infinite vertices, no faces, an index out of
-            range, or textures of more than 8 GiB. The file is named.
+        ValueError: Another suffix, a file that cannot be read, vertices that are NaN, infinite or beyond float32, no
+            faces, an index out of range, textures of more than 8 GiB, an image that is none or too large (see
+            `load_image`), or names of files outside the folder by ``..`` without ``allow_outside``. The file is named.
     """
-    points, corners, skin, pixel_centres = read_mesh(path)
+    points, corners, skin, pixel_centres = read_mesh(path, allow_outside)
     check_size(len(corners), texture_size)
     geometry = torch.from_numpy(points.astype(np.float32)), torch.from_numpy(corners.astype(np.int32))
     if skin is None:
@@ -56,7 +61,9 @@ def load_mesh(path: str | os.PathLike[str], texture_size: int = 4) -> tuple[Tens
     return *geometry, torch.from_numpy(skin.bake(texture_size, pixel_centres=pixel_centres))
 
 
-def read_mesh(path: str | os.PathLike[str]) -> tuple[np.ndarray, np.ndarray, Skin | None, bool]:
+def read_mesh(
+    path: str | os.PathLike[str], allow_outside: bool = False
+) -> tuple[np.ndarray, np.ndarray, Skin | None, bool]:
     """Vertices [V, 3] float64, faces [F, 3] int64, colours if there are any; and whether u = 0 and 1 are the borders of
     an image, or the centres of its outermost pixels, as neural_renderer always read OBJ files.
 
@@ -69,35 +76,38 @@ def read_mesh(path: str | os.PathLike[str]) -> tuple[np.ndarray, np.ndarray, Ski
     existing(path)
     if suffix == ".obj":
         obj = read_obj(path, with_uv=True)
-        return obj.vertices, obj.faces, obj_skin(obj), False
-    return *_read_others(path, suffix), True
+        return obj.vertices, obj.faces, obj_skin(obj, allow_outside=allow_outside), False
+    return *_read_others(path, suffix, allow_outside), True
 
 
-def _read_others(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray, Skin | None]:
+def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarray, np.ndarray, Skin | None]:
     import trimesh  # here, since importing it takes longer than most calls to this package
 
-    try:
-        loaded = trimesh.load(path, process=False, maintain_order=True)
+    with _NamedFiles(path, allow_outside) as named, _reading(path, suffix):
+        loaded = trimesh.load(path, process=False, maintain_order=True, resolver=named)  # type: ignore[arg-type]
         parts = list(_parts(loaded))
-    except Exception as error:  # whatever a broken file makes trimesh stumble over, MemoryError included
-        raise ValueError(f"{path}: cannot be read as {suffix[1:].upper()} ({error})") from error
     count = sum(len(part.faces) for part, _ in parts)
     if not count:
         known = sum(len(part.vertices) for part, _ in parts) or len(getattr(loaded, "vertices", ()))
         raise ValueError(f"{path}: expected faces, got {known} vertices but no faces")
     vertices, faces, skins = [], [], []
+    known_pixels: dict[tuple[float, ...], np.ndarray] = {}
     offset = 0
     for part, matrix in parts:
         corners = np.asarray(part.faces, dtype=np.int64)
         points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        if not np.isfinite(points).all():
-            raise ValueError(f"{path}: expected finite vertices, got {int((~np.isfinite(points)).sum())} bad numbers")
+        good = fits_float32(points)
+        if not good.all():
+            raise ValueError(
+                f"{path}: expected finite vertices that float32 can hold, got {int((~good).sum())} bad numbers"
+            )
         if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
             raise ValueError(f"{path}: expected face indices in [0, {len(points)}), got {corners.max()}")
         order = [0, 2, 1] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]  # a mirrored part is turned inside out
         vertices.append(points)
         faces.append(corners[:, order] + offset)
-        skins.append(_part_skin(part, corners, order, linear=suffix in (".glb", ".gltf")))
+        with _reading(path, suffix):
+            skins.append(_part_skin(part, corners, order, suffix in (".glb", ".gltf"), known_pixels))
         offset += len(points)
     points, corners = np.concatenate(vertices), np.concatenate(faces)
     if suffix == ".stl":
@@ -105,6 +115,52 @@ def _read_others(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray, Skin 
     if all(skin is None for skin in skins):
         return points, corners, None
     return points, corners, Skin.joined([skin or Skin.plain(len(f), 1) for skin, f in zip(skins, faces, strict=True)])
+
+
+@contextmanager
+def _reading(path: Path, suffix: str) -> Iterator[None]:
+    """Whatever a broken file makes trimesh or Pillow stumble over, MemoryError included, as ValueError."""
+    try:
+        yield
+    except Exception as error:
+        # trimesh guesses encodings by a package that few have.
+        why = "its text is not UTF-8" if isinstance(error, ModuleNotFoundError) else reason(error)
+        raise ValueError(f"{path}: cannot be read as {suffix[1:].upper()} ({why})") from error
+
+
+class _NamedFiles:
+    """The files that a mesh file names, for trimesh, which is silent about images that it cannot get.
+
+    Used as a context, it raises at the end what it has refused, and warns of what is missing.
+    """
+
+    def __init__(self, path: Path, allow_outside: bool) -> None:
+        self._path, self._allow_outside = path, allow_outside
+        self._refused: ValueError | None = None
+        self._missing: list[str] = []
+
+    def get(self, name: str) -> bytes:
+        try:
+            for spelling in dict.fromkeys((name, unquote(name))):  # glTF writes a space as %20
+                found = find_file(self._path, spelling, allow_outside=self._allow_outside)
+                if found is not None:
+                    return read_bytes(found)
+        except ValueError as error:
+            self._refused = error
+            raise
+        self._missing.append(name)
+        raise FileNotFoundError(f"its file {short(name)} is missing")
+
+    __getitem__ = get
+
+    def __enter__(self) -> _NamedFiles:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._refused is not None:
+            raise self._refused from None
+        for name in self._missing if kind is None else ():
+            warn(f"{self._path}: its file {short(name)} is missing")
 
 
 def _parts(loaded: Any) -> Iterator[tuple[trimesh.Trimesh, np.ndarray]]:
@@ -128,8 +184,13 @@ def _join_equal(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np
     return points[np.sort(first)], rank[inverse.reshape(-1)[corners]]
 
 
-def _part_skin(part: Any, corners: np.ndarray, order: list[int], linear: bool) -> Skin | None:
-    """The colours of one part, its corners taken in ``order``, or None; ``linear``: its plain colours are not sRGB."""
+def _part_skin(
+    part: Any, corners: np.ndarray, order: list[int], linear: bool, known_pixels: dict[tuple[float, ...], np.ndarray]
+) -> Skin | None:
+    """The colours of one part, its corners taken in ``order``, or None.
+
+    linear: its plain colours are not sRGB. known_pixels: of the pictures that earlier parts showed.
+    """
     visual = part.visual
     kind = visual.kind if visual is not None and visual.defined else None
     skin = Skin.plain(len(corners), 1.0)
@@ -146,10 +207,14 @@ def _part_skin(part: Any, corners: np.ndarray, order: list[int], linear: bool) -
     factor = getattr(material, "baseColorFactor", None)
     factor = np.ones(3) if factor is None else np.asarray(factor, dtype=np.float64)[:3] / 255
     if image is not None and visual.uv is not None:
-        pixels = np.asarray(image.convert("RGB"), dtype=np.float32) / 255
-        if (factor < 1).any():
-            pixels = _srgb(_unsrgb(pixels) * factor, True).astype(np.float32)
-        skin.paint(np.arange(len(corners)), pixels, np.nan_to_num(visual.uv)[corners][:, order])
+        key = (id(image), *factor)
+        if key not in known_pixels:
+            pixels = unpack("its image", image, transparency=False)
+            if (factor < 1).any():
+                pixels = _srgb(_unsrgb(pixels) * factor, True).astype(np.float32)
+            known_pixels[key] = pixels
+        uv = np.where(fits_float32(visual.uv), visual.uv, 0)
+        skin.paint(np.arange(len(corners)), known_pixels[key], uv[corners][:, order])
         return skin
     if not linear and not hasattr(material, "baseColorFactor"):
         factor = np.asarray(material.main_color, dtype=np.float64)[:3] / 255
@@ -166,57 +231,3 @@ def _srgb(colours: np.ndarray, linear: bool) -> np.ndarray:
 
 def _unsrgb(colours: np.ndarray) -> np.ndarray:
     return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
-
-
-def save_mesh(path: str | os.PathLike[str], vertices: Any, faces: Any, textures: Any = None) -> None:
-    """Write a mesh, its format told by the suffix; missing folders are made.
-
-    OBJ is `save_obj`. PLY (binary) keeps vertices and faces and has one colour a vertex: the mean, over the faces
-    around it, of the texture at that corner. GLB shows the textures as they are, as one picture, matt and two-sided;
-    it has three vertices of its own for each face, because texture coordinates belong to vertices there.
-
-    Args:
-        path: Ends in ``.obj``, ``.ply`` or ``.glb``.
-        vertices: [V, 3] float tensor or array, on any device.
-        faces: [F, 3] int32 or int64.
-        textures: [F, T, T, T, 3] in [0, 1] (clamped), or None.
-
-    Raises:
-        TypeError, ValueError: As told for each argument, and for another suffix.
-    """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in _WRITABLE:
-        raise ValueError(f"path: expected a name that ends in {', '.join(_WRITABLE)}, got {path.name!r}")
-    if suffix == ".obj":
-        return save_obj(path, vertices, faces, textures)
-    import trimesh
-
-    points, corners, cubes = mesh_to_write(vertices, faces, textures)
-    if cubes is None:
-        mesh = trimesh.Trimesh(points, corners, process=False)
-    elif suffix == ".ply":
-        colours = _vertex_colours(len(points), corners, cubes)
-        mesh = trimesh.Trimesh(points, corners, vertex_colors=colours, process=False)
-    else:
-        mesh = _with_atlas(points, corners, cubes)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    mesh.export(path, file_type=suffix[1:])
-    return None
-
-
-def _vertex_colours(count: int, corners: np.ndarray, cubes: np.ndarray) -> np.ndarray:
-    last = cubes.shape[1] - 1
-    at_corners = np.stack([cubes[:, last, 0, 0], cubes[:, 0, last, 0], cubes[:, 0, 0, last]], axis=1)
-    total, faces = np.zeros((count, 3)), np.zeros((count, 1))
-    np.add.at(total, corners.reshape(-1), at_corners.reshape(-1, 3))
-    np.add.at(faces, corners.reshape(-1), 1)
-    colours = np.where(faces > 0, total / faces.clip(1), 0.5)
-    return (np.concatenate([colours, np.ones((count, 1))], axis=1) * 255 + 0.5).astype(np.uint8)
-
-
-def _with_atlas(points: np.ndarray, corners: np.ndarray, cubes: np.ndarray) -> trimesh.Trimesh:
-    picture, pixels = build_atlas(cubes)
-    uv = coordinates(pixels.reshape(-1, 2), picture)
-    own = np.arange(corners.size).reshape(-1, 3)
-    return with_picture(points[corners].reshape(-1, 3), own, uv, Image.fromarray(picture))

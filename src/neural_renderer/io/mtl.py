@@ -8,16 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from .files import read_text
+from .files import read_text, short
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+# No pattern may match the same text in two ways: then time grows with the square of a line's length.
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 # Options stand before the file name, which may itself hold spaces. -o, -s and -t take one to three numbers.
 _OPTION = re.compile(
     rf"-(?P<name>o|s|t)(?P<numbers>(?:\s+{_NUMBER}(?=\s)){{1,3}})\s+"
     rf"|-mm\s+{_NUMBER}\s+{_NUMBER}\s+"
     r"|-(?P<word>blendu|blendv|cc|clamp|texres|bm|boost|imfchan|type|colorspace)\s+(?P<value>\S+)\s+"
 )
-_TRAILING = re.compile(r"\s+-(?:o|s|t|mm|blendu|blendv|cc|clamp|texres|bm|boost|imfchan|type|colorspace)\s.*$")
+_TRAILING = re.compile(r"\s-(?:o|s|t|mm|blendu|blendv|cc|clamp|texres|bm|boost|imfchan|type|colorspace)\s.*$")
 
 
 @dataclass
@@ -58,13 +59,14 @@ def _colour(text: str, where: str) -> np.ndarray:
     except ValueError:
         colour = np.array([])
     if len(colour) not in (1, 3) or not np.isfinite(colour).all():
-        raise ValueError(f"{where}: expected Kd and three finite numbers, got {text!r}")
+        raise ValueError(f"{where}: expected Kd and three finite numbers, got {short(text)}")
     return np.broadcast_to(colour.clip(0, 1), 3)
 
 
 def _read_map(material: Material, text: str) -> None:
-    while option := _OPTION.match(text):
-        text = text[option.end() :]
+    begin = 0
+    while option := _OPTION.match(text, begin):
+        begin = option.end()
         numbers = [float(number) for number in (option["numbers"] or "").split()]
         if option["name"] == "s":
             material.scale = (numbers[0], numbers[1] if len(numbers) > 1 else 1.0)
@@ -72,4 +74,4 @@ def _read_map(material: Material, text: str) -> None:
             material.offset = (numbers[0], numbers[1] if len(numbers) > 1 else 0.0)
         elif option["word"] == "clamp":
             material.clamp = option["value"] == "on"
-    material.image = _TRAILING.sub("", text).strip().strip('"')
+    material.image = _TRAILING.sub("", text[begin:]).strip().strip('"')

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .files import read_text
+from .files import fits_float32, read_text, short
 from .polygons import triangulate
 
 
@@ -44,7 +44,7 @@ def read_obj(path: Path, with_uv: bool) -> ObjFile:
         try:
             parser.statement(number, line)
         except (ValueError, IndexError) as error:
-            reason = str(error) if isinstance(error, _OutOfRange) else f"cannot read {_short(line)}"
+            reason = str(error) if isinstance(error, _OutOfRange) else f"cannot read {short(line.strip())}"
             raise ValueError(f"{path}, line {number}: {reason}") from None
     if not parser.sizes:
         empty = "" if text.strip() else " (it is empty)"
@@ -58,21 +58,19 @@ class _OutOfRange(ValueError):
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
     """Lines with their numbers from 1; a backslash at the end of a line joins it with the next."""
-    joined, first = "", 0
+    parts: list[str] = []
+    first = 0
     for number, line in enumerate(text.split("\n"), 1):
         if line.endswith("\\") and not line.lstrip().startswith("#"):
-            joined, first = joined + line[:-1] + " ", first or number
-        elif joined:
-            yield first, joined + line
-            joined, first = "", 0
+            parts.append(line[:-1])
+            first = first or number
+        elif parts:
+            yield first, " ".join([*parts, line])
+            parts, first = [], 0
         else:
             yield number, line
-    if joined:
-        yield first, joined
-
-
-def _short(line: str) -> str:
-    return repr(line.strip() if len(line) < 80 else line.strip()[:77] + "...")
+    if parts:
+        yield first, " ".join(parts)
 
 
 class _Parser:
@@ -138,15 +136,18 @@ class _Parser:
             return index - 1
         if index == 0 or known + index < 0:
             limit = f"not 0 nor below -{known}" if known else f"above 0, because no {what} comes before it"
-            raise _OutOfRange(f"expected a {what} index that is {limit}, got {index}")
+            raise _OutOfRange(f"expected a {what} index that is {limit}, got {short(index)}")
         return known + index
 
     def finish(self, with_uv: bool) -> ObjFile:
         vertices = np.array(self.positions, dtype=np.float64).reshape(-1, 3)
-        bad = ~np.isfinite(vertices).all(axis=1)
+        bad = ~fits_float32(vertices).all(axis=1)
         if bad.any():
             line = self.position_lines[int(bad.argmax())]
-            raise ValueError(f"{self.path}, line {line}: expected finite coordinates, got {vertices[bad][0].tolist()}")
+            raise ValueError(
+                f"{self.path}, line {line}: expected finite coordinates that float32 can hold, got "
+                f"{vertices[bad][0].tolist()}"
+            )
         corners, sizes = np.array(self.corners), np.array(self.sizes)
         self._check(corners, len(vertices), "vertex")
         triangles, polygon = triangulate(vertices, corners, sizes)
@@ -180,4 +181,6 @@ class _Parser:
             at = int(bad.argmax())
             line = np.repeat(self.face_lines, self.sizes)[at]
             limit = f"up to {known}" if known else f"of a {what} in the file"
-            raise ValueError(f"{self.path}, line {line}: expected a {what} index {limit}, got {int(corners[at]) + 1}")
+            raise ValueError(
+                f"{self.path}, line {line}: expected a {what} index {limit}, got {short(int(corners[at]) + 1)}"
+            )

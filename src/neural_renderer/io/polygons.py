@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+from bisect import bisect_left, bisect_right
+from collections import deque
+
 import numpy as np
 
 
@@ -47,25 +51,78 @@ def _cut_ears(outline: np.ndarray, normal: np.ndarray) -> np.ndarray:
     flat = np.delete(outline, drop, axis=1)
     if (normal[drop] < 0) != (drop == 1):  # dropping y mirrors the plane
         flat = flat * [-1, 1]
-    left = list(range(len(flat)))
+    ring = _Ring(flat)
     ears = []
-    while len(left) > 3:
-        at = next((i for i in range(len(left)) if _is_ear(flat, left, i)), 0)  # none: it crosses itself, so any
-        ears.append((left[at - 1], left[at], left[(at + 1) % len(left)]))
-        del left[at]
-    return np.array([*ears, left])
+    # A corner comes up again when a neighbour of it is cut off, or the corner that blocks its ear. It waits its turn
+    # then, so that ears are cut from all around and none grows long.
+    queue, pending = deque(range(len(flat))), [1] * len(flat)
+    blocked: dict[int, list[int]] = {}
+    while queue:
+        at = queue.popleft()
+        pending[at] -= 1
+        if pending[at] or ring.gone[at] or ring.reflex[at]:
+            continue
+        blocker = ring.blocker(at)
+        if blocker is not None:
+            blocked.setdefault(blocker, []).append(at)
+            continue
+        again = [ring.before[at], ring.after[at]]
+        ears.append((again[0], at, again[1]))
+        if len(ears) == len(flat) - 2:
+            break
+        for corner in ring.cut(at):
+            again += blocked.pop(corner, [])
+        for corner in again:
+            pending[corner] += 1
+        queue.extend(again)
+    else:  # no corner is an ear, because the outline crosses itself or has no area: a fan
+        left = [corner for corner in range(len(flat)) if not ring.gone[corner]]
+        ears += [(left[0], *pair) for pair in itertools.pairwise(left[1:])]
+    return np.array(ears)
 
 
-def _is_ear(flat: np.ndarray, left: list[int], at: int) -> bool:
-    a, b, c = triangle = flat[[left[at - 1], left[at], left[(at + 1) % len(left)]]]
-    if _cross(b - a, c - b) <= 0:
-        return False
-    others = flat[left]
-    # A vertex that only touches a corner (bridges to holes repeat vertices) does not lie in the ear.
-    others = others[~(others[:, None] == triangle).all(axis=2).any(axis=1)]
-    inside = (_cross(b - a, others - a) >= 0) & (_cross(c - b, others - b) >= 0) & (_cross(a - c, others - c) >= 0)
-    return not inside.any()
+class _Ring:
+    """The corners [n, 2] of a polygon that are left, and those of them at which it is concave."""
 
+    def __init__(self, flat: np.ndarray) -> None:
+        count = len(flat)
+        self.before, self.after = [count - 1, *range(count - 1)], [*range(1, count), 0]
+        self.gone = [False] * count
+        self._points: list[list[float]] = flat.tolist()
+        self.reflex = np.array([self._turn(corner) <= 0 for corner in range(count)])
+        self._flat = flat
+        self._orders = [np.argsort(values, kind="stable") for values in flat.T]
+        self._sorted = [values[order].tolist() for values, order in zip(flat.T, self._orders, strict=True)]
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    def blocker(self, at: int) -> int | None:
+        """A concave corner in the triangle that the convex corner ``at`` would cut off."""
+        corners = [self.before[at], at, self.after[at]]
+        triangle = [self._points[corner] for corner in corners]
+        # Those in the narrower of the strips, upright or level, that the triangle lies in.
+        strips = []
+        for axis, (order, values) in enumerate(zip(self._orders, self._sorted, strict=True)):
+            low, high = min(point[axis] for point in triangle), max(point[axis] for point in triangle)
+            strips.append(order[bisect_left(values, low) : bisect_right(values, high)])
+        strip = min(strips, key=len)
+        strip = strip[self.reflex[strip]]
+        x, y = self._flat[strip].T
+        inside = np.ones(len(strip), dtype=bool)
+        for (ax, ay), (bx, by) in zip(triangle, triangle[1:] + triangle[:1], strict=True):
+            inside &= (bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0
+            # A corner that only touches another (bridges to holes repeat vertices) does not lie in the triangle.
+            inside &= (x != ax) | (y != ay)
+        return int(strip[inside.argmax()]) if inside.any() else None
+
+    def cut(self, at: int) -> list[int]:
+        """Take a corner out; returns the corners that block no ear any more."""
+        before, after = self.before[at], self.after[at]
+        self.after[before], self.before[after] = after, before
+        self.gone[at], self.reflex[at] = True, False
+        for corner in (before, after):
+            self.reflex[corner] = self._turn(corner) <= 0
+        return [corner for corner in (before, at, after) if not self.reflex[corner]]
+
+    def _turn(self, at: int) -> float:
+        """Above 0 where the outline turns left."""
+        (ax, ay), (bx, by), (cx, cy) = (self._points[corner] for corner in (self.before[at], at, self.after[at]))
+        return (bx - ax) * (cy - by) - (by - ay) * (cx - bx)

@@ -24,6 +24,7 @@ class Skin:
     uv: np.ndarray
     images: list[np.ndarray] = field(default_factory=list)
     wrapping: list[str] = field(default_factory=list)
+    _numbers: dict[tuple[int, str], int] = field(default_factory=dict, repr=False)
 
     @classmethod
     def plain(cls, faces: int, grey: float) -> Skin:
@@ -34,22 +35,29 @@ class Skin:
     @classmethod
     def joined(cls, parts: list[Skin]) -> Skin:
         """The faces of several, in their order."""
-        before = np.cumsum([0] + [len(part.images) for part in parts])
-        image = [np.where(part.image < 0, -1, part.image + n) for part, n in zip(parts, before, strict=False)]
-        return cls(
-            np.concatenate([part.colors for part in parts]),
-            np.concatenate(image),
-            np.concatenate([part.uv for part in parts]),
-            [image for part in parts for image in part.images],
-            [wrapping for part in parts for wrapping in part.wrapping],
-        )
+        colors, uv = (np.concatenate([getattr(part, name) for part in parts]) for name in ("colors", "uv"))
+        skin = cls(colors, np.full(len(colors), -1), uv)
+        begin = 0
+        for part in parts:
+            end = begin + len(part.image)
+            numbers = [
+                skin._number(image, wrapping) for image, wrapping in zip(part.images, part.wrapping, strict=True)
+            ]
+            skin.image[begin:end] = np.array([*numbers, -1])[part.image]  # -1 finds the last
+            begin = end
+        return skin
 
     def paint(self, faces: np.ndarray, image: np.ndarray, uv: np.ndarray, wrapping: str = "REPEAT") -> None:
-        """Let the faces of these numbers show an image."""
-        self.image[faces] = len(self.images)
+        """Let the faces of these numbers show an image; an array that others show already is kept once."""
+        self.image[faces] = self._number(image, wrapping)
         self.uv[faces] = uv
-        self.images.append(image)
-        self.wrapping.append(wrapping)
+
+    def _number(self, image: np.ndarray, wrapping: str) -> int:
+        number = self._numbers.setdefault((id(image), wrapping), len(self.images))
+        if number == len(self.images):
+            self.images.append(image)
+            self.wrapping.append(wrapping)
+        return number
 
     def bake(self, size: int, bilinear: bool = True, pixel_centres: bool = False) -> np.ndarray:
         """Texture cubes [F, T, T, T, 3] float32; see `bake_image`. ValueError if they would be too large."""

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
-from ..io.formats import load_mesh, save_mesh
+from ..io.formats import load_mesh
+from ..io.mesh_writer import save_mesh
 from ..io.obj import load_obj
 from . import primitives
 from .bounds import bounding_box
@@ -59,7 +60,7 @@ class Mesh(nn.Module):
             textures = None
         vertices, faces = _as_tensor(vertices), _as_tensor(faces)
         validate.floating("vertices", vertices, ["V", 3])
-        validate.indices("faces", faces, ["F", 3])
+        faces = validate.indices("faces", faces, ["F", 3])
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
         if textures is None:
@@ -82,16 +83,23 @@ class Mesh(nn.Module):
         normalization: bool = True,
         load_texture: bool = False,
         texture_size: int = 4,
+        allow_outside: bool = False,
     ) -> Mesh:
         """Read an OBJ file (see `load_obj`), with its colours or, by default, with noise for a texture."""
-        loaded = load_obj(filename_obj, normalization, texture_size, load_texture)
+        loaded = load_obj(filename_obj, normalization, texture_size, load_texture, allow_outside=allow_outside)
         textures = loaded[2] if len(loaded) == 3 else None
         return cls(loaded[0], loaded[1], textures, texture_size)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], texture_size: int = 4, normalize: bool = False) -> Mesh:
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        texture_size: int = 4,
+        normalize: bool = False,
+        allow_outside: bool = False,
+    ) -> Mesh:
         """Read a mesh of any format (see `load_mesh`) with its colours, or white if it has none."""
-        vertices, faces, textures = load_mesh(path, texture_size)
+        vertices, faces, textures = load_mesh(path, texture_size, allow_outside)
         mesh = cls(vertices, faces, _white(faces, texture_size) if textures is None else textures)
         return mesh.normalize() if normalize else mesh
 
@@ -116,9 +124,9 @@ class Mesh(nn.Module):
         """T, texels along a cube's edge."""
         return self.textures.shape[1]
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the mesh as OBJ, PLY or GLB (see `save_mesh`), its textures taken as colours and clamped to [0, 1]."""
-        save_mesh(path, self.vertices, self.faces, self.textures)
+        save_mesh(path, self.vertices, self.faces, self.textures, overwrite=overwrite)
 
     def normalize(self) -> Mesh:
         """A copy of the mesh with its bounding box centred at the origin and the box's longest side from -1 to 1.

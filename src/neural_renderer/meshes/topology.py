@@ -26,7 +26,7 @@ class Topology:
     Example:
         >>> topology = Topology.of(torch.tensor([[0, 1, 2], [2, 1, 3]]))
         >>> topology.hinges.tolist()
-        [[1, 2, 0, 3]]
+        [[1, 2, 3, 0]]
     """
 
     edges: Tensor
@@ -38,7 +38,7 @@ class Topology:
         """Find the edges of faces in O(F log F).
 
         Args:
-            faces: [F, 3] int32 or int64.
+            faces: [F, 3], whole numbers of any real dtype.
 
         Raises:
             TypeError, ValueError: The dtype or shape does not fit, or an index is negative.

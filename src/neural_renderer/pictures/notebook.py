@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from PIL import Image
 from torch import Tensor
 
-from ..fragments import Fragments
+from ..deferred import Fragments
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..raster import Images

@@ -10,11 +10,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
-from ..fragments import fragments
+from ..deferred import fragments
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
-from ..render import render
+from ..rendering import render
 from .lamp import lamp_direction
 
 _BACKDROP_TOP, _BACKDROP_BOTTOM = (0.94, 0.945, 0.955), (0.80, 0.82, 0.85)

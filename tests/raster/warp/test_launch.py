@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
 
 import neural_renderer as nr
+from tests.programs import run_python
 from tests.raster.scenes import FRONT, Scene
 
 
@@ -120,8 +119,7 @@ if __name__ == "__main__":
 def run(tmp_path, code: str, *arguments: str) -> None:
     script = tmp_path / "script.py"
     script.write_text(PRELUDE + code)
-    command = [sys.executable, str(script), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = run_python(script, *arguments)
     assert done.returncode == 0, done.stderr
 
 
@@ -139,6 +137,5 @@ def test_in_worker_processes(tmp_path, method):
 
 def test_says_nothing(tmp_path):
     """Neither the first kernel nor the later ones print."""
-    script = PRELUDE + "total(); total()"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    done = run_python("-c", PRELUDE + "total(); total()")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,8 @@ from neural_renderer.tasks.editing import MeshEdit, edit_pictures
 from tests.tasks.editing.networks import saved_vgg
 
 SMALL = ["--size", "32", "--batch", "2", "--turntable", "2"]
-FILES = ("mesh.obj", "mesh.mtl", "mesh.png", "mesh.glb", "views.png", "loss.png", "turntable.mp4", "turntable.gif")
+MESH = ("mesh.obj", "mesh.mtl", "mesh_texture.png", "mesh.glb")
+FILES = (*MESH, "views.png", "loss.png", "turntable.mp4", "turntable.gif")
 
 
 @pytest.fixture(autouse=True)
@@ -133,7 +133,7 @@ def test_interrupted_and_resumed(
 
     def interrupted(edit: MeshEdit) -> dict[str, float]:
         if edit.step == 1:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         return advance(edit)
 
     monkeypatch.setattr(MeshEdit, "advance", interrupted)

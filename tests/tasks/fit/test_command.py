@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import signal
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from PIL import Image
 import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.tasks.fit import MeshFit, Views, load_views
+from tests.rounding import STEP
 
 EYES = nr.get_points_from_angles(3.0, torch.tensor([70.0, 10, -35, 20, 40, -5]), torch.arange(6) * 60.0)
 
@@ -58,7 +58,8 @@ def test_cameras_in_files(folder: Path, name: str) -> None:
     views = load_views(folder / name)
     mesh = thing()
     quality = views.quality((mesh.vertices.detach(), mesh.faces, mesh.textures.detach()))
-    assert len(views) == 6 and quality["iou"].min() == 1 and quality["psnr"].min() > 40
+    # Cameras are rounded on their way through the file: a pixel whose samples are within that of an edge may differ.
+    assert len(views) == 6 and quality["iou"].min() > 0.995 and quality["psnr"].min() > 40
     smaller = load_views(folder / name, size=24)
     assert smaller.size == (24, 24) and smaller.quality((mesh.vertices.detach(), mesh.faces))["iou"].min() > 0.93
 
@@ -70,7 +71,7 @@ def test_intrinsics_in_pixels(folder: Path) -> None:
     given |= {"fl_x": focal, "fl_y": focal, "cx": 480, "cy": 480, "w": 960, "h": 960}
     (folder / "transforms.json").write_text(json.dumps(given))
     mesh = thing()
-    assert load_views(folder).quality((mesh.vertices.detach(), mesh.faces))["iou"].min() == 1
+    assert load_views(folder).quality((mesh.vertices.detach(), mesh.faces))["iou"].min() > 0.995
 
 
 def test_masks_and_backgrounds(folder: Path) -> None:
@@ -87,19 +88,20 @@ def test_masks_and_backgrounds(folder: Path) -> None:
         row["mask"] = f"m_{index}.png"
     (folder / "cameras.json").write_text(json.dumps(given))
     masked = load_views(folder / "cameras.json")
-    assert torch.allclose(masked.masks, views.masks, atol=0.01)
+    assert torch.allclose(masked.masks, views.masks, atol=0.51 * STEP)
     for index, row in enumerate(given["views"]):
         row["file"] = f"m_{index}.png"
     (folder / "cameras.json").write_text(json.dumps(given))
     silhouettes = load_views(folder / "cameras.json", photos=False)
-    assert silhouettes.photos is None and torch.allclose(silhouettes.masks, views.masks, atol=0.01)
+    assert silhouettes.photos is None and torch.allclose(silhouettes.masks, views.masks, atol=0.51 * STEP)
 
 
 def test_fit_writes_its_results(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert cli.main(["fit", str(folder), "-o", str(out), "--held-out", "3", *SMALL]) == 0
     assert "held-out views: iou" in capsys.readouterr().out
-    for name in ("mesh.obj", "mesh.glb", "mesh.png", "preview.png", "comparison.png", "loss.png", "turntable.gif"):
+    pictures = ("mesh_texture.png", "preview.png", "comparison.png", "loss.png", "turntable.gif")
+    for name in ("mesh.obj", "mesh.glb", *pictures):
         assert (out / name).stat().st_size > 100
     report = json.loads((out / "report.json").read_text())
     assert report["finished"] and report["views"] == 4 and len(report["history"]) == 8
@@ -118,7 +120,7 @@ def test_interrupted_and_resumed(
 
     def interrupted(fit: MeshFit) -> dict[str, float]:
         if fit.step == 2:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         return advance(fit)
 
     monkeypatch.setattr(MeshFit, "advance", interrupted)

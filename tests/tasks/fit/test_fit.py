@@ -14,6 +14,7 @@ import neural_renderer as nr
 from neural_renderer.meshes.topology import Topology
 from neural_renderer.tasks.fit import CameraFit, MeshFit, ShapeFit, TextureFit, Views, Weights, carve, object_bounds
 from neural_renderer.tasks.fit.descent import SmoothDescent
+from tests.rounding import rounding
 
 
 def ring() -> nr.Mesh:
@@ -68,8 +69,8 @@ def test_moved_views_see_the_same(kind: str) -> None:
     assert iou.min() > 0.995
     eye, forward = moved.eyes()
     eye_before, forward_before = views.eyes()
-    assert torch.allclose(eye, (eye_before - centre) / scale, atol=1e-5)
-    assert torch.allclose(forward, forward_before)
+    torch.testing.assert_close(eye, (eye_before - centre) / scale, **rounding(32, 5))
+    torch.testing.assert_close(forward, forward_before, **rounding(16))
 
 
 def test_visual_hull_has_the_hole_and_contains_the_object(views: Views) -> None:
@@ -103,7 +104,10 @@ def test_blur_is_the_inverse() -> None:
         matrix[b, a] -= 5
     values = torch.randn(len(vertices), 3, generator=torch.Generator().manual_seed(0))
     blurred = SmoothDescent(topology, 5.0).blur(values, tolerance=1e-6)
-    assert torch.allclose(blurred, torch.linalg.solve(matrix, values), atol=1e-5)
+    # The residual is below 1e-6 of the values, and the matrix makes nothing smaller; the solver's rounding is amplified
+    # by its condition.
+    condition = int(torch.linalg.cond(matrix))
+    torch.testing.assert_close(blurred, torch.linalg.solve(matrix, values), **rounding(17 + 16 * condition, 4))
 
 
 def test_sphere_is_subdivided_and_fits() -> None:

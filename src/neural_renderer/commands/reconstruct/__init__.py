@@ -15,7 +15,7 @@ neural-renderer reconstruct evaluate trained/best.ckpt data
 neural-renderer reconstruct predict trained/best.ckpt photo.png -o mesh.obj"""
 
 COMMANDS = {
-    name: (f"neural_renderer.commands.reconstruct.{name}", name.capitalize(), summary)
+    name: (name, name.capitalize(), summary)
     for name, summary in {
         "dataset": "Render and voxelise a folder of 3D models.",
         "train": "Train a network, of meshes or of voxels, on pictures alone.",

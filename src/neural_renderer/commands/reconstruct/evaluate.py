@@ -8,15 +8,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
 import torch
-import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ...io import save_image
-from ...io.atomic_write import replacing
+from ...io.atomic_write import write_file
 from ...tasks.reconstruction.data.arrays import Split, open_split
 from ...tasks.reconstruction.evaluation.check_axes import check_axes
 from ...tasks.reconstruction.evaluation.evaluate import Scores, evaluate
@@ -27,48 +25,14 @@ from ...tasks.reconstruction.evaluation.tables import markdown, terminal
 from ...tasks.reconstruction.networks.checkpoint import load_model
 from ...version import __version__
 from ..common import checked_count, chosen_device
+from ..options.reconstruct.evaluate import EvaluateOptions
 
 _LEAST_AGREEMENT = 0.35  # thin objects reach 0.5
 
 
 @dataclass(frozen=True)
-class Evaluate:
-    """Measure trained networks by class: voxel IoU at 32³ as in the paper's Table 1, silhouette IoU, chamfer distance.
-
-    Every object of a split is predicted from each of its 24 views. CHECKPOINT is what train has written, of a mesh or
-    of a voxel network; "none" measures the baseline alone. Written to the output folder: scores.json, table.md, and
-    sheet.png with an input, each method's prediction from three views, and the true voxels. Ctrl-C keeps the
-    methods that are done.
-
-    Example: neural-renderer reconstruct evaluate trained/best.ckpt data
-
-    Example: neural-renderer reconstruct evaluate mesh/best.ckpt data --also voxel/best.ckpt --baseline retrieval
-    --features googlenet
-    """
-
-    checkpoint: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CHECKPOINT")]
-    """The trained network, or "none"."""
-    data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
-    """Folder that dataset has written, or the published one."""
-    set: Literal["train", "val", "test"] = "test"
-    """The split to measure on."""
-    also: tuple[Path, ...] = ()
-    """Further networks, for rows of their own in the same table."""
-    baseline: Literal["retrieval"] | None = None
-    """Measure too how well the voxels of the most alike training image do."""
-    features: str | None = None
-    """The network that says what is alike to the baseline: vgg16 (its layer fc6, as in the paper) or googlenet (the
-    default), which are fetched once, or a file of weights of either."""
-    refine: int | None = None
-    """Steps by which a predicted mesh is fitted to the silhouette that went in, in place of the recipe's (0: none)."""
-    classes: tuple[str, ...] = ()
-    """Measure these classes only (default: all there are)."""
-    threshold: float = 0.5
-    """The probability (above 0, below 1) from which on a voxel network's voxels are solid."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder for the results; by default "evaluation", with the split's name, beside the checkpoint."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to compute; auto is CUDA where there is one."""
+class Evaluate(EvaluateOptions):
+    """Measures networks, as the options say."""
 
     def run(self) -> int:
         """Measure; returns the exit code: 0, or 130 after Ctrl-C. Raises ValueError or OSError."""
@@ -147,8 +111,7 @@ class Evaluate:
             "methods": {label: scores.to_dict() for label, scores in methods.items()},
         }
         for name, text in {"scores.json": json.dumps(report, indent=1) + "\n", "table.md": markdown(methods)}.items():
-            with replacing(folder / name) as fresh:
-                fresh.write_text(text, encoding="utf-8")
+            write_file(folder / name, text)
         for table in terminal(methods, width=console.width):
             console.print(table)
         for label, scores in methods.items():

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
 import torch
-import tyro
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor
 
 from ...io import load_image, save_animation, save_image, save_mesh
-from ...io.atomic_write import replacing
 from ...pictures.clay import clay_mesh
 from ...pictures.photograph import photograph
 from ...tasks.reconstruction.data.drawing import MESH_COLOR
@@ -22,49 +19,16 @@ from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshe
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
 from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.networks.checkpoint import load_model
-from ..common import checked_count, chosen_device
+from ..common import check_outputs, checked_count, chosen_device
+from ..options.reconstruct.predict import PredictOptions
 
 _SUFFIXES = (".obj", ".glb", ".ply")
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 
 
 @dataclass(frozen=True)
-class Predict:
-    """Turn a picture of an object into a mesh, with a trained network.
-
-    A picture is a PNG with transparency, a photo with a --mask, or an object before a plain background; of any size:
-    the object is cut out and framed as the pictures that the network has learned from, at the size at which the
-    prediction casts the silhouette that was given. A square of 64 pixels with transparency is taken as it is. Beside
-    the mesh (y up, its longest side about 1) there will be a sheet of what was given, what the network saw, and views
-    of the mesh (_sheet.png), and a turntable (_turntable.gif).
-
-    Example: neural-renderer reconstruct predict trained/best.ckpt chair.png -o chair.obj
-
-    Example: neural-renderer reconstruct predict trained/best.ckpt photo.jpg --mask mask.png -o chair.glb
-
-    Example: neural-renderer reconstruct predict trained/best.ckpt photos/*.png -o meshes
-    """
-
-    checkpoint: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CHECKPOINT")]
-    """The trained network, of meshes or of voxels."""
-    images: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="IMAGE")]
-    """One or more pictures."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The mesh, .obj, .glb or .ply; for several pictures a folder, which is made if missing."""
-    mask: Path | None = None
-    """Picture that is white, or opaque, on the object; for several pictures a folder of masks with the same names."""
-    format: Literal["obj", "glb", "ply"] = "obj"
-    """Of the meshes in a folder."""
-    turntable: int = 36
-    """Pictures of the turntable (0: none)."""
-    sheet: bool = True
-    """Write a sheet to look at."""
-    threshold: float = 0.5
-    """The probability (above 0, below 1) at which the surface of a voxel network's prediction lies."""
-    refine: int | None = None
-    """Steps by which a mesh is fitted to the silhouette that was given, in place of the recipe's (0: none)."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to compute; auto is CUDA where there is one."""
+class Predict(PredictOptions):
+    """Turns pictures into meshes, as the options say."""
 
     def run(self) -> int:
         """Predict; returns the exit code: 0, or 1 if there was a picture that nothing could be made of."""
@@ -74,10 +38,9 @@ class Predict:
         if not 0 < self.threshold < 1:
             raise ValueError(f"--threshold: expected a number above 0 and below 1, got {self.threshold}")
         targets = self._targets()
-        for target in targets.values():
-            for path in (target, _beside(target, "sheet.png"), _beside(target, "turntable.gif")):
-                if path.exists() and any(path.samefile(image) for image in self.images if image.exists()):
-                    raise ValueError(f"--output: expected another file than the picture {path}")
+        others = [_beside(target, name) for target in targets.values() for name in ("sheet.png", "turntable.gif")]
+        masks = list(self.mask.iterdir()) if self.mask is not None and self.mask.is_dir() else [self.mask]
+        check_outputs([*targets.values(), *others], [*self.images, *masks, self.checkpoint])
         if self.mask is not None and len(self.images) > 1 and not self.mask.is_dir():
             raise ValueError(f"--mask: expected a folder of masks for {len(self.images)} pictures, got {self.mask}")
         device = chosen_device(self.device)
@@ -139,17 +102,13 @@ class Predict:
         raise ValueError(f"{folder}: expected a mask {path.stem}.png, got none")
 
     def _write(self, target: Path, picture: Tensor, image: Tensor, vertices: Tensor, faces: Tensor) -> None:
-        with replacing(target) as fresh:
-            save_mesh(fresh, vertices, faces)
+        save_mesh(target, vertices, faces)
         if self.sheet:
-            sheet = prediction_picture(picture, image, vertices, faces)
-            with replacing(_beside(target, "sheet.png")) as fresh:
-                save_image(fresh, sheet)
+            save_image(_beside(target, "sheet.png"), prediction_picture(picture, image, vertices, faces))
         if self.turntable:
             upright = clay_mesh(vertices, faces, MESH_COLOR).normalize()
             frames = (photograph(upright, 145 + 360 * i / self.turntable, size=256) for i in range(self.turntable))
-            with replacing(_beside(target, "turntable.gif")) as fresh:
-                save_animation(fresh, frames, fps=15)
+            save_animation(_beside(target, "turntable.gif"), frames, fps=15)
 
 
 def _beside(target: Path, name: str) -> Path:

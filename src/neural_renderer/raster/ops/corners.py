@@ -5,7 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch, zeros
+from ..warp.launch import array, concurrent, launch, zeros
 from ..warp.registration import differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -33,14 +33,14 @@ def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
     """The gradient [B, V, 3] of `gather_corners` to its ``count`` vertices: the sum over the corners at each."""
     batch = grad.shape[0]
     result = zeros((batch, count, 3), grad.device)
-    if grad.device.type == "cuda" and torch.are_deterministic_algorithms_enabled():
+    if concurrent(grad.device) and torch.are_deterministic_algorithms_enabled():
         image = torch.arange(batch, device=grad.device)[:, None] * count
         valid = (faces >= 0) & (faces < count)
         index = (torch.where(valid, faces, 0).flatten(1) + image).flatten()
         part = torch.where(valid[..., None], grad, 0.0)
         return result.view(-1, 3).index_add_(0, index, part.reshape(-1, 3)).view_as(result)
     # On the CPU one task takes all faces of an image, since its additions would collide with another task's.
-    groups = grad.shape[1] if grad.device.type == "cuda" else 1
+    groups = grad.shape[1] if concurrent(grad.device) else 1
     arguments = [array(grad, wp.vec3), array(faces), groups, array(result, wp.vec3)]
     launch(_backward, batch * groups, arguments, grad.device)
     return result

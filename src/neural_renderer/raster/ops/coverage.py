@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import facing, homogeneous_weights, in_front, pixel_box, pixel_centre
-from ..warp.launch import MANY_PIXELS, array, cpu_bands, launch
+from ..warp.launch import MANY_PIXELS, array, concurrent, cpu_bands, launch
 from ..warp.registration import operator
 
 # Without fused multiply-adds an edge a -> b and its twin b -> a have exactly opposite signs at every pixel, so
@@ -33,8 +33,8 @@ def coverage(
     batch, count = faces.shape[:2]
     face_index = torch.empty((batch, height, width), dtype=torch.int32, device=faces.device)
     key = torch.empty((batch, height, width), dtype=torch.int64, device=faces.device)
-    on_cuda = faces.device.type == "cuda"
-    if on_cuda:
+    all_at_once = concurrent(faces.device)
+    if all_at_once:
         # One task per face, its rows shared by a few threads, more of them where faces are few and large.
         key.fill_(torch.iinfo(torch.int64).max)
         pixels = 8 * height * width // max(count, 1)
@@ -43,10 +43,10 @@ def coverage(
     else:
         # One task per image, or band of rows of it, which runs through all faces from first to last.
         lanes, groups, bands = 1, 1, min(height, cpu_bands(batch))
-    options = [groups, bands, lanes, near, far, int(two_sided), int(perspective), int(not on_cuda)]
+    options = [groups, bands, lanes, near, far, int(two_sided), int(perspective), int(not all_at_once)]
     maps = [array(key), array(face_index)]
     launch(_draw, batch * groups * bands * lanes, [array(faces, wp.vec3), *maps, *options], faces.device)
-    if on_cuda:
+    if all_at_once:
         launch(_decode, batch * height, [*maps, count], faces.device)
     return face_index
 

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 from torch.nn import functional
 
-from ..warp.launch import array, launch, zeros
+from ..warp.launch import array, concurrent, launch, zeros
 from ..warp.registration import differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -79,9 +79,9 @@ def sample_mipmaps_backward(
     batch, rows, _ = face_index.shape
     to_texels = zeros(texels.shape if texels_too else (0, 0, 0), texels.device)
     to_uv = zeros(uv.shape, uv.device)
-    if texels_too and texels.is_cuda and torch.are_deterministic_algorithms_enabled():
+    if texels_too and concurrent(texels.device) and torch.are_deterministic_algorithms_enabled():
         raise RuntimeError("sample_texture: no deterministic gradient to a texture on CUDA, got a request for one")
-    tasks = len(texels) if texels_too and not texels.is_cuda else batch * rows
+    tasks = len(texels) if texels_too and not concurrent(texels.device) else batch * rows
     arguments = _arguments(texels, height, width, uv, face_index, mipmaps, repeat)
     pixels = [batch * rows // tasks if tasks else 0, int(texels_too)]
     launch(_backward, tasks, [*arguments, array(grad), *pixels, array(to_texels), array(to_uv, wp.vec2)], texels.device)

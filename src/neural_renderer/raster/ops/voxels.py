@@ -7,7 +7,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch, load_kernel
+from ..warp.launch import array, concurrent, launch, load_kernel
 
 # Without fused multiply-adds neighbours agree about a line that passes through their common edge.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -35,7 +35,7 @@ def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) 
     batch, device = len(vertices), vertices.device
     state = torch.zeros((batch, size, size, size), dtype=torch.uint8, device=device)
     # On the CPU one task marks all of a mesh; on CUDA one a face, and it does not matter which one is last.
-    groups = 1 if device.type == "cpu" else max(len(faces), 1)
+    groups = max(len(faces), 1) if concurrent(device) else 1
     points, corners = array(vertices, wp.vec3), array(faces)
     launch(_mark, batch * groups, [points, corners, groups, float(spacing), array(state)], device)
     launch(_flood, batch, [array(state)], device)

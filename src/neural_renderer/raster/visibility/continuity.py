@@ -31,7 +31,7 @@ def texture_marks(textures: Tensor, light: Tensor) -> Tensor:
 
 def image_marks(uv: Tensor, image_index: Tensor, light: Tensor | None) -> Tensor:
     """Likewise [1 or B, F, 3, 2] of texture coordinates [F, 3, 2] on images of that index [F], which must be equal."""
-    corners = _hash(torch.cat((_bits(uv.detach()).long(), image_index[:, None, None].expand(-1, 3, 1)), 2))
+    corners = _hash(torch.cat((_bits(uv.detach()).long(), image_index.long()[:, None, None].expand(-1, 3, 1)), 2))
     following = corners.roll(-1, 1)
     marks = torch.stack((corners * _THERE + following * _BACK, following * _THERE + corners * _BACK), 2)
     # A face without an image has colours of its own.

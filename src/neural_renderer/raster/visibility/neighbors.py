@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import facing, in_front
-from ..warp.launch import array, launch, zeros
+from ..warp.launch import array, concurrent, launch, zeros
 
 wp.set_module_options({"enable_backward": False})
 
@@ -31,7 +31,7 @@ def neighbors(faces: Tensor, two_sided: bool, perspective: bool) -> Tensor:
     result = torch.empty((batch, count, 3), dtype=torch.int32, device=faces.device)
     corners = array(faces, wp.vec3)
     # The CPU's atomics are none: there one task fills an image's table alone.
-    lanes = 1 if faces.device.type == "cpu" else max(count, 1)
+    lanes = max(count, 1) if concurrent(faces.device) else 1
     launch(_insert, batch * lanes, [corners, array(table), int(two_sided), int(perspective), lanes], faces.device)
     arguments = [corners, array(table), int(two_sided), int(perspective), array(result)]
     launch(_find, batch * count, arguments, faces.device)

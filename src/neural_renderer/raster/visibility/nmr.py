@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import SHORTEST, facing, to_pixels
-from ..warp.launch import array, copy, face_lanes, launch, zeros
+from ..warp.launch import array, concurrent, copy, face_lanes, launch, zeros
 from ..warp.registration import differentiable_once, operator
 from .scanlines import WIDE, copy_lines, empty_lines, place, shrink, sweep
 
@@ -21,7 +21,7 @@ wp.set_module_options({"enable_backward": False})
 # Keeps a quotient finite where a pixel lies on the edge and the corner has no share in it.
 TINY = wp.constant(1.0e-15)
 # Bytes of scan lines that are stored at once: on the CPU no more than its caches hold, or so.
-_ROOM = {"cpu": 2**23, "cuda": 2**28}
+_ROOM, _ROOM_CONCURRENT = 2**23, 2**28
 
 
 @operator
@@ -56,15 +56,16 @@ def nmr_edges_backward(
     device = faces.device
 
     # The last channels, such as an alpha that no loss looks at, may have no gradient. (To ask on a GPU is to wait.)
-    while not (binary or grad.is_cuda or channels == 1 or bool(grad[:, channels - 1].any())):
+    while not (binary or concurrent(device) or channels == 1 or bool(grad[:, channels - 1].any())):
         channels -= 1
     planes = 1 if binary else 1 + channels
-    abreast = 1 if faces.is_cuda else WIDE
+    abreast = 1 if concurrent(device) else WIDE
     lanes = face_lanes(faces, height * width)
     # Zero would divide by zero where a pixel touches the edge.
     options = [int(binary), max(eps, 1e-12), int(two_sided), lanes]
     seen = seen_faces(face_index, faces.shape[1])
-    at_once = max(1, min(batch, _ROOM[device.type] // (8 * planes * height * width)))
+    room = _ROOM_CONCURRENT if concurrent(device) else _ROOM
+    at_once = max(1, min(batch, room // (8 * planes * height * width)))
     rows = empty_lines(at_once, height, width, planes, device)
     columns = empty_lines(at_once, width, height, planes, device)
     spans = torch.empty((at_once, height + width, 2), dtype=torch.int32, device=device)

@@ -20,11 +20,17 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from .kernel_cache import load_module
+
 # Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
 _PIECES = 4
 
 # Pixels to look at before another CPU thread is worth waking.
 MANY_PIXELS = 1 << 20
+
+# Tests set it: called with a kernel, the number of tasks and the arguments of each launch, it runs CUDA's code of the
+# kernel on a processor and returns True, or False to have the launch run as usual.
+emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
 
 _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
@@ -75,7 +81,7 @@ def load_kernel(kernel: wp.Kernel, device: str) -> None:
             try:
                 with _quiet():
                     wp.init()
-                wp.load_module(kernel.module, device=device)
+                load_module(kernel, device)
             except OSError as error:
                 raise OSError(
                     f"{wp.config.kernel_cache_dir}: expected a folder to keep compiled kernels in, got: {error}; "
@@ -94,6 +100,14 @@ def _threads(count: int) -> ThreadPoolExecutor:
         return _pool
 
 
+def concurrent(device: torch.device) -> bool:
+    """Whether the tasks of a launch run all at once, as on CUDA, so that they share sums by atomics.
+
+    This is the one question that decides between the layouts of a kernel's work; tests ask for CUDA's on the CPU.
+    """
+    return device.type == "cuda" or emulator is not None
+
+
 def cpu_bands(batch: int) -> int:
     """Into how many bands of rows each image is cut so that all of torch's threads have work."""
     threads = torch.get_num_threads()
@@ -106,7 +120,7 @@ def face_lanes(faces: Tensor, pixels: int) -> int:
     More where faces are few and large. One on the CPU, and one where torch asks for deterministic results: several add
     their sums in whatever order they end.
     """
-    if faces.device.type != "cuda" or torch.are_deterministic_algorithms_enabled():
+    if not concurrent(faces.device) or torch.are_deterministic_algorithms_enabled():
         return 1
     return min(32, 1 << (8 * pixels // max(faces.shape[1], 1)).bit_length() // 2)
 
@@ -152,7 +166,7 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
     arguments: tensors as `array` gives them, and numbers.
     least: how many tasks are worth another CPU thread.
     """
-    if tasks == 0:
+    if tasks == 0 or (emulator is not None and emulator(kernel, tasks, [0, *arguments])):
         return
     if device.type == "cuda":
         with torch.cuda.device(device):

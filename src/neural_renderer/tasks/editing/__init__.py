@@ -1,9 +1,10 @@
 """Mesh editing by gradient descent: style transfer and DeepDream."""
 
-from .dream import DREAM_LAYER, PUBLISHED_DREAM, Dream, DreamWeights
+from ..settings import DREAM_LAYER, STYLE_LAYERS
+from .dream import PUBLISHED_DREAM, Dream, DreamWeights
 from .edit import MeshEdit
 from .random_views import RandomViews
-from .style import PUBLISHED_STYLE, STYLE_LAYERS, Style, StyleWeights
+from .style import PUBLISHED_STYLE, Style, StyleWeights
 
 __all__ = [
     "DREAM_LAYER",

@@ -9,10 +9,8 @@ from torch import Tensor
 
 from ... import losses, validate
 from ...features import FeatureNetwork
+from ..settings import DREAM_LAYER
 from .deformation import Deformation
-
-DREAM_LAYER = "inception_4c"
-"""The paper's."""
 
 
 @dataclass(frozen=True)

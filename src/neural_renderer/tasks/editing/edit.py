@@ -16,7 +16,7 @@ from ...meshes.mesh import Mesh
 from ...meshes.topology import Topology
 from ...meshes.uv_mesh import UVMesh
 from ...raster import Images
-from ...render import render
+from ...rendering import render
 from ...shading.lights import Light
 from ..seeds import generator
 from .deformation import Deformation

@@ -12,11 +12,10 @@ from torch import Tensor
 
 from ... import losses, validate
 from ...features import FeatureNetwork
+from ..settings import STYLE_LAYERS
 from .deformation import Deformation
 from .palette import Palette
 
-STYLE_LAYERS = ("conv1_2", "conv2_2", "conv3_3", "conv4_3")
-"""The paper's, whose conv2_3 does not exist: the published code takes conv2_2."""
 _LARGEST = 2048  # side of a square painting in pixels; a network needs some gigabytes for it
 _MARGIN, _STRIDE = 16, 8  # of the window that the network sees, in pixels: around the objects, and of its borders
 _LEAST_SIDE, _MOST_ASPECT = 16, 16  # limits of a painting's shape, in pixels and as a ratio

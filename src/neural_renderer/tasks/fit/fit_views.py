@@ -14,7 +14,7 @@ from ... import metrics, validate
 from ...camera import Camera
 from ...meshes.mesh import Mesh
 from ...raster import Images
-from ...render import render
+from ...rendering import render
 from ..seeds import generator
 
 _VIEWS_AT_ONCE = 8  # drawn together by `Views.quality`: limits memory

@@ -26,10 +26,12 @@ from torch import Tensor
 from ... import validate
 from ...camera import Camera, get_points_from_angles
 from ...io import load_image
-from ...io.files import existing, read_text
+from ...io.files import existing, read_text, reason, short
+from ...io.named_files import is_file, is_outside, outside
 from .fit_views import Views, downscale
 
 _CAMERA_FILES = ("transforms.json", "transforms_train.json", "cameras.json", "cameras.csv")
+_LARGEST = torch.finfo(torch.float32).max
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG")
 
 
@@ -57,6 +59,7 @@ def load_views(
     photos: bool = True,
     background: tuple[float, float, float] | None = None,
     tolerance: float = 0.05,
+    allow_outside: bool = False,
 ) -> Views:
     """Load posed images from a folder.
 
@@ -70,19 +73,21 @@ def load_views(
         photos: Whether to use colours. Without them, an image that has no mask is itself the mask, white on black.
         background: RGB in [0, 1] of the background, for images without mask and alpha channel.
         tolerance: Largest difference from ``background``, in any channel, of a background pixel.
+        allow_outside: Whether the camera file may name images outside of its folder.
 
     Returns:
         The views, on the CPU.
 
     Raises:
         FileNotFoundError: The folder, the camera file or an image does not exist.
-        ValueError: A file is malformed, a key is missing, image sizes differ, a mask is empty, or an image has neither
-            mask nor alpha channel and ``background`` is None.
+        ValueError: A file is malformed, a key is missing, image sizes differ, an image is larger than `load_image`
+            accepts or outside of the folder without ``allow_outside``, a mask is empty, or an image has neither mask
+            nor alpha channel and ``background`` is None.
     """
     size = validate.whole("size", size, 16)
     _check_background(background)
-    camera_file = _camera_file(Path(path))
-    common, frames = _frames(camera_file)
+    source = camera_file(Path(path))
+    common, frames = _frames(source, allow_outside)
     images: list[Tensor] = []
     masks: list[Tensor] = []
     full = (0, 0)
@@ -94,7 +99,7 @@ def load_views(
         images.append(rgb)
         masks.append(mask)
     make = _nerf_camera if "frames" in common else _angles_camera
-    camera = make(camera_file, common, frames, full)
+    camera = make(source, common, frames, full)
     return Views(camera, torch.stack(masks), torch.stack(images) if photos else None)
 
 
@@ -139,7 +144,8 @@ def _check_background(background: tuple[float, float, float] | None) -> None:
             raise ValueError(f"background: expected red, green and blue in [0, 1], got {background}")
 
 
-def _camera_file(path: Path) -> Path:
+def camera_file(path: Path) -> Path:
+    """The file of the cameras that ``path`` is, or that is in the folder ``path``; FileNotFoundError if none is."""
     if path.is_file():
         return path
     if not path.is_dir():
@@ -150,16 +156,19 @@ def _camera_file(path: Path) -> Path:
     raise FileNotFoundError(f"{path}: expected one of {', '.join(_CAMERA_FILES)} in the folder, got none")
 
 
-def _frames(path: Path) -> tuple[dict[str, Any], list[_Frame]]:
+def _frames(path: Path, allow_outside: bool) -> tuple[dict[str, Any], list[_Frame]]:
     """Parse a camera file: the keys for all images, and the entry of each image."""
     if path.suffix.lower() == ".csv":
-        rows: list[Any] = list(csv.DictReader(read_text(path).splitlines(), skipinitialspace=True))
+        try:
+            rows: list[Any] = list(csv.DictReader(read_text(path).splitlines(), skipinitialspace=True))
+        except csv.Error as error:
+            raise ValueError(f"{path}: expected CSV, got a file that cannot be read as such ({error})") from None
         common: dict[str, Any] = {"views": rows}
     else:
         try:
             common = json.loads(read_text(path))
-        except json.JSONDecodeError as error:
-            raise ValueError(f"{path}: expected JSON, got {error}") from None
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"{path}: expected JSON, got {reason(error)}") from None
         if not isinstance(common, dict) or not ("frames" in common or "views" in common):
             raise ValueError(f'{path}: expected the key "frames" (NeRF) or "views", got neither')
         rows = common["frames" if "frames" in common else "views"]
@@ -171,34 +180,41 @@ def _frames(path: Path) -> tuple[dict[str, Any], list[_Frame]]:
         where = f"{path}: image {index}"
         if not isinstance(row, dict):
             raise ValueError(f"{where}: expected an object with keys, got {type(row).__name__}")
-        mask = row.get(mask_key)
-        frames.append(_Frame(where, _file(path, _key(where, row, image_key)), _file(path, mask) if mask else None, row))
+        image = _file(path, _key(where, row, image_key), allow_outside)
+        mask = _file(path, row[mask_key], allow_outside) if row.get(mask_key) else None
+        frames.append(_Frame(where, image, mask, row))
     return common, frames
 
 
-def _file(camera_file: Path, name: Any) -> Path:
+def _file(camera_file: Path, name: Any, allow_outside: bool) -> Path:
     """Find a file relative to the camera file; NeRF's data sets leave out suffixes."""
+    name = str(name)
+    if not allow_outside and is_outside(camera_file, name):
+        raise outside(camera_file, name)
     for suffix in _SUFFIXES:
-        found = camera_file.parent / (str(name) + suffix)
-        if found.is_file():
+        found = camera_file.parent / (name + suffix)
+        if is_file(found):
             return found
-    return existing(camera_file.parent / str(name))
+    raise FileNotFoundError(f"{camera_file}: expected a file {short(name)}, got nothing there")
 
 
 def _key(where: str, row: dict[str, Any], key: str) -> Any:
     if key in row and row[key] in (None, ""):
         raise ValueError(f'{where}: expected a value for the key "{key}", got none')
     if key not in row:
-        raise ValueError(f'{where}: expected the key "{key}", got {", ".join(map(str, row)) or "none"}')
+        raise ValueError(f'{where}: expected the key "{key}", got {(", ".join(map(str, row)) or "none")[:80]}')
     return row[key]
 
 
 def _number(where: str, row: dict[str, Any], key: str, default: float | None = None) -> float:
     value = row.get(key, default) if default is not None else _key(where, row, key)
     try:
-        return validate.number(key, float(value if value not in (None, "") else default))  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        raise ValueError(f"{where}: {key}: expected a finite number, got {value!r}") from None
+        number = validate.number(key, float(value if value not in (None, "") else default))  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        number = math.inf
+    if not abs(number) <= _LARGEST:
+        raise ValueError(f"{where}: {key}: expected a finite number, got {short(value)}")
+    return number
 
 
 def _above_zero(where: str, row: dict[str, Any], key: str, default: float | None = None) -> float:
@@ -289,14 +305,14 @@ def _pose(frame: _Frame) -> list[list[float]]:
     value = _key(frame.where, frame.numbers, "transform_matrix")
     try:
         matrix = torch.tensor(value, dtype=torch.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RuntimeError, OverflowError):
         matrix = torch.zeros(0)
-    if matrix.shape not in ((4, 4), (3, 4)) or not bool(torch.isfinite(matrix).all()):
-        raise ValueError(f"{frame.where}: transform_matrix: expected 4 x 4 finite numbers, got {value}")
+    if matrix.shape not in ((4, 4), (3, 4)) or not bool((matrix.abs() <= _LARGEST).all()):
+        raise ValueError(f"{frame.where}: transform_matrix: expected 4 x 4 finite numbers, got {short(value)}")
     turn = matrix[:3, :3]
     if not torch.allclose(turn @ turn.t(), torch.eye(3, dtype=torch.float64), atol=1e-3) or torch.det(turn) < 0:
         raise ValueError(
-            f"{frame.where}: transform_matrix: expected a rotation without scale or mirroring, got {value}"
+            f"{frame.where}: transform_matrix: expected a rotation without scale or mirroring, got {short(value)}"
         )
     if len(matrix) == 4 and not torch.allclose(matrix[3], matrix.new_tensor([0, 0, 0, 1])):
         raise ValueError(f"{frame.where}: transform_matrix: expected the last row 0, 0, 0, 1, got {matrix[3].tolist()}")

@@ -13,7 +13,7 @@ from torch import Tensor
 from ... import losses, validate
 from ...camera import Camera
 from ...meshes.bounds import bounding_box
-from ...render import render
+from ...rendering import render
 from .fit_views import downscale, mask_iou
 
 _COARSE, _FINE = 64, 128  # longer side of the images in pixels, in the first two thirds of the steps and in the last

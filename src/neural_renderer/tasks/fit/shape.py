@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -11,6 +10,7 @@ from torch import Tensor
 from ... import losses, validate
 from ...io.cubes import barycentric_grid
 from ...meshes.topology import Topology
+from ..settings import FitWeights as Weights
 from .descent import SmoothDescent
 from .fit_views import Views, mask_iou, views_of_step
 
@@ -23,40 +23,13 @@ _TYPICAL_VERTICES = 10_000  # the mesh for which the default weights are chosen
 _COLOR_RATE, _COLOR_SMOOTH = 0.1, 1.0  # step and λ of the descent on colours
 
 
-@dataclass(frozen=True)
-class Weights:
-    """How much each loss of `losses` counts; 0: not at all. The unit of length is half the object's longest side.
-
-    Bends and lengths shrink as a mesh gets finer. The weights on them are those of a mesh of 10,000 vertices, and are
-    converted for others.
-    """
-
-    silhouette: float = 1.0
-    """1 - intersection over union of the silhouettes."""
-    photometric: float = 4.0
-    """Mean squared difference of the colours, once vertices have colours."""
-    laplacian: float = 100.0
-    """Squared distance of a vertex to the mean of its neighbours."""
-    edge_length: float = 0.0
-    """Mean squared length of edges."""
-    normal_consistency: float = 0.2
-    """1 - cosine of the angle between neighbouring faces."""
-    smoothness: float = 0.0
-    """The paper's smoothness loss, a sum over edges."""
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if validate.number(name, value) < 0:
-                raise ValueError(f"{name}: expected a weight of at least 0, got {value}")
-
-
 class ShapeFit:
     """Fit the vertices of a mesh to posed images by gradient descent. Call `advance` until ``done``.
 
     Args:
         views: Views that are `Views.normalized`, so that the object lies in about [-1, 1]³.
         vertices: [V, 3] float32, initial positions.
-        faces: [F, 3] int32 or int64.
+        faces: [F, 3], whole numbers of any real dtype.
         steps: Number of steps, ≥ 1.
         subdivisions: Number of times each face is split into four, evenly over the steps (coarse to fine). 0 for a
             mesh that is fine already.
@@ -89,7 +62,7 @@ class ShapeFit:
         steps: int = 150,
         subdivisions: int = 0,
         color_from: float = 1.0,
-        weights: Weights = Weights(),
+        weights: Weights = Weights(),  # noqa: B008 (immutable)
         rate: float = 0.01,
         smooth: float = 8.0,
         batch: int = 6,

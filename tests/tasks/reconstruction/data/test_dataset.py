@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -26,6 +24,7 @@ from neural_renderer.tasks.reconstruction.data.dataset import Settings, assemble
 from neural_renderer.tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
 from neural_renderer.tasks.reconstruction.evaluation.check_axes import check_axes
 from neural_renderer.tasks.reconstruction.evaluation.sheets import data_sheet
+from tests.programs import search_path
 
 SMALL = Settings(samples=2)
 
@@ -254,7 +253,7 @@ def hook_workers(monkeypatch: pytest.MonkeyPatch, folder: Path, code: str) -> No
         f"    if event == 'open' and str(args[0]).endswith('w1.obj'):\n        {code}\n"
         "sys.addaudithook(hook)\n"
     )
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH")))))
+    monkeypatch.setenv("PYTHONPATH", search_path(folder))
 
 
 def test_workers_end_with_their_parent(models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -291,7 +290,7 @@ def test_interrupted(
         last = list(futures)[-1]
         last.add_done_callback(lambda _: cancelled.touch())
         yield from itertools.islice(as_completed(futures), 2)
-        signal.raise_signal(signal.SIGINT)
+        raise KeyboardInterrupt
 
     monkeypatch.setattr("neural_renderer.tasks.reconstruction.data.dataset.as_completed", press)
     assert command(models, out, "-j", "1") == 130

@@ -15,6 +15,7 @@ import neural_renderer as nr
 from neural_renderer.raster.ops.voxels import fill, inside
 from neural_renderer.tasks.reconstruction.data.framing import mirror, scale_to_unit, view_camera
 from neural_renderer.tasks.reconstruction.data.voxels import voxel_iou, voxel_surface, voxelize, voxelize_model
+from tests.rounding import rounding
 
 
 def reference(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
@@ -205,7 +206,7 @@ def test_views_see_what_the_camera_of_the_model_sees() -> None:
         level = 2.732 * math.cos(math.radians(30))
         eye = [level * math.cos(turn), 2.732 * 0.5, level * math.sin(turn)]
         expected = nr.Camera.look_at(eye, viewing_angle=15)(model)
-        assert torch.allclose(view_camera(torch.tensor([view]))(mirror(model)), expected, atol=1e-5)
+        assert torch.allclose(view_camera(torch.tensor([view]))(mirror(model)), expected, **rounding(32, 4))
     assert torch.equal(mirror(mirror(model)), model)
 
 
@@ -213,7 +214,7 @@ def test_views_see_what_the_camera_of_the_model_sees() -> None:
     ("vertices", "faces", "error", "sentence"),
     [
         (torch.zeros(4, 3), torch.zeros(1, 3).int(), ValueError, r"vertices: expected shape \[B, V, 3\]"),
-        (torch.zeros(1, 4, 3), torch.zeros(1, 3), TypeError, "faces: expected an int32 or int64"),
+        (torch.zeros(1, 4, 3), torch.zeros(1, 3) + 0.5, ValueError, "faces: expected whole numbers"),
         (torch.zeros(1, 4, 3), torch.full((1, 3), 4), ValueError, r"faces: expected indices in \[0, 4\), got 4"),
         (torch.full((1, 4, 3), math.nan), torch.zeros(1, 3).int(), ValueError, "vertices: expected finite numbers"),
     ],

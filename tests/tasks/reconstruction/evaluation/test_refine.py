@@ -45,6 +45,7 @@ def test_the_silhouette_that_went_in(symmetric: bool) -> None:
 
     assert error(result, views) < 0.04 < 0.1 < error(guess, views)
     alone = refine_meshes(network, guess[:1], images[:1], 20)  # meshes are independent
+    # A step moves vertices by up to a hundredth, along gradients that are the same but for their rounding.
     torch.testing.assert_close(alone, result[:1], rtol=0, atol=1e-4)
     if symmetric:  # the hidden side follows the visible one
         assert error(result, 12 - views) < 0.5 * error(guess, 12 - views)

@@ -22,6 +22,7 @@ from neural_renderer.tasks.reconstruction.networks.mesh_network import (
 )
 from neural_renderer.tasks.reconstruction.networks.voxel_network import VoxelNetwork, rays
 from tests.features.test_features import torchvision_googlenet, torchvision_vgg
+from tests.rounding import EPS, rounding
 
 SMALL = Config(encoder="light", width=8, hidden=(16,))
 
@@ -45,7 +46,7 @@ def test_octants() -> None:
         moved = deform_sphere(sphere, bias, shift)
         assert moved.abs().max() <= 0.5
         corner = torch.tanh(shift)[:, None] / 2
-        assert ((moved - corner) * sphere >= -1e-6).all()  # on the side of the octant's corner where it began
+        assert ((moved - corner) * sphere >= -4 * EPS).all()  # on the side of the octant's corner where it began
         on_plane = (sphere == 0).expand_as(moved)
         torch.testing.assert_close(moved[on_plane], corner.expand_as(moved)[on_plane])
     far = deform_sphere(sphere, torch.full((1, 642, 3), 50.0), torch.zeros(1, 3))
@@ -71,8 +72,9 @@ def test_blurring() -> None:
     edges = Topology.of(faces).edges
     differences = blurred[edges[:, 0]] - blurred[edges[:, 1]]
     laplacian = torch.zeros_like(blurred).index_add(0, edges[:, 0], differences).index_add(0, edges[:, 1], -differences)
-    torch.testing.assert_close(blurred + 3 * laplacian, noise)
-    torch.testing.assert_close(matrix.sum(1), torch.ones(len(vertices)))
+    # The matrix inverts one of a condition below 1 + 3 x 12, twice the largest degree; its rows have 162 entries.
+    torch.testing.assert_close(blurred + 3 * laplacian, noise, **rounding(162 * 37, 4 / 162**0.5))
+    torch.testing.assert_close(matrix.sum(1), torch.ones(len(vertices)), **rounding(162 + 37))
     assert torch.equal(smoothing_matrix(Topology.of(faces), 0.0), torch.eye(len(vertices)))
 
 
@@ -94,7 +96,8 @@ def test_a_picture_alone_counts(encoder: type[torch.nn.Module]) -> None:
     network, images = encoder().eval(), torch.rand(3, 4, 64, 64)
     features = network(images)
     assert features.shape == (3, 512)
-    torch.testing.assert_close(network(images[1:2]), features[1:2], rtol=1e-4, atol=1e-5)
+    # Convolutions of other batches are summed in other orders: up to 25 x 512 terms a layer, mostly of both signs.
+    torch.testing.assert_close(network(images[1:2]), features[1:2], **rounding(25 * 512, float(features.abs().max())))
 
 
 def test_voxels_are_seen_where_their_points_are() -> None:
@@ -149,7 +152,8 @@ def test_features() -> None:
     assert seen.shape == (3, 512) and encoder.layer == "inception_4c" and encoder.features.layers[-1] == "inception_4c"
     on_white = torch.cat((torch.where(images[:, 3:] > 0, images[:, :3], 1.0), torch.ones_like(images[:, 3:])), 1)
     torch.testing.assert_close(encoder(on_white), seen)
-    torch.testing.assert_close(encoder(images[:1]), seen[:1], rtol=1e-4, atol=1e-5)  # whatever else is in the batch
+    alone = encoder(images[:1])  # whatever else is in the batch
+    torch.testing.assert_close(alone, seen[:1], **rounding(25 * 512, float(seen.detach().abs().max())))
     seen.sum().backward()
     assert {name for name, value in encoder.named_parameters() if value.grad is not None} == {
         "learned.1.weight",

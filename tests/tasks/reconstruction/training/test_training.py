@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import csv
 import errno
-import os
-import subprocess
-import sys
+import itertools
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,9 +19,11 @@ from neural_renderer.tasks.reconstruction.networks import configs
 from neural_renderer.tasks.reconstruction.networks.checkpoint import load_model, read_checkpoint, save_model
 from neural_renderer.tasks.reconstruction.networks.configs import Config
 from neural_renderer.tasks.reconstruction.networks.make_network import make_network
+from neural_renderer.tasks.reconstruction.training.callbacks import Checkpoints
 from neural_renderer.tasks.reconstruction.training.train import train
 from neural_renderer.tasks.reconstruction.training.training import Training, schedule
 from tests.features.test_features import torchvision_googlenet, torchvision_vgg
+from tests.programs import run_python
 from tests.tasks.reconstruction.synthetic import SMALL, synthetic_split, write_split
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -98,9 +100,12 @@ def test_an_interruption_keeps_everything(tmp_path: Path) -> None:
     assert read_checkpoint(tmp_path / "last.ckpt")["training"]["steps"] == 1
 
 
-def test_minutes(tmp_path: Path) -> None:
-    training = small_training(tmp_path, config=replace(SMALL, steps=10_000), minutes=0.02)
-    assert training.done and training.seconds >= 1.2 and training.steps_done < 10_000
+def test_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time limit, by a clock that advances by a second at each reading."""
+    clock = SimpleNamespace(monotonic=itertools.count().__next__)
+    monkeypatch.setattr("neural_renderer.tasks.reconstruction.training.training.time", clock)
+    training = small_training(tmp_path, config=replace(SMALL, steps=100), minutes=0.1)
+    assert training.done and training.steps_done == training.seconds == 6
 
 
 def test_a_loss_that_is_no_number(tmp_path: Path) -> None:
@@ -125,14 +130,27 @@ def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_disk_that_is_full_for_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(path: Path, image: Any) -> None:
-        path.write_bytes(b"half")
-        raise OSError(errno.ENOSPC, "No space left on device")
+    write = Path.write_bytes
 
-    monkeypatch.setattr("neural_renderer.tasks.reconstruction.training.callbacks.save_image", full)
+    def full(path: Path, content: bytes) -> int:
+        if path.suffix == ".png":
+            write(path, content[:100])
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(OSError, match=r"00000003.png: expected to write it, got: No space left on device"):
         small_training(tmp_path)
     assert not list((tmp_path / "pictures").iterdir())
+
+
+def test_an_output_folder_that_is_deleted_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def ending(*_: Any) -> None:
+        shutil.rmtree(tmp_path / "out")
+
+    monkeypatch.setattr(Checkpoints, "on_train_epoch_end", ending)
+    with pytest.raises(OSError, match=r"out/log\.csv: expected to write it, got: No such file or directory"):
+        small_training(tmp_path / "out")
 
 
 def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:
@@ -261,6 +279,7 @@ from dataclasses import replace
 from pathlib import Path
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
 from neural_renderer.tasks.reconstruction.training.train import train
+from tests.programs import run_python
 from tests.tasks.reconstruction.synthetic import SMALL
 
 folder, out = Path(sys.argv[1]), Path(sys.argv[2])
@@ -277,11 +296,7 @@ def test_two_processes_do_what_one_does(tmp_path: Path) -> None:
     write_split(tmp_path, "train")
     script = tmp_path / "two.py"
     script.write_text(TWO_PROCESSES)
-    root = Path(__file__).parents[4]
-    command = [sys.executable, str(script), str(tmp_path), str(tmp_path / "two")]
-    path = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
-    environment = os.environ | {"PYTHONPATH": path}
-    done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=300)
+    done = run_python(script, tmp_path, tmp_path / "two")
     assert done.returncode == 0, done.stderr
     train("mesh", replace(SMALL, steps=1), synthetic_split(), None, tmp_path / "one", device="cpu")
     one, two = (read_checkpoint(tmp_path / name / "last.ckpt") for name in ("one", "two"))
@@ -290,4 +305,5 @@ def test_two_processes_do_what_one_does(tmp_path: Path) -> None:
     assert len(states[0]) == len(states[1]) > 20
     for number, state in states[0].items():
         gradient, other = state["exp_avg"], states[1][number]["exp_avg"]
+        # Sums over the batch, its images' pixels and the mesh, in another order, through layers of 512 terms.
         assert gradient.norm() > 0 and (gradient - other).norm() <= 1e-4 * gradient.norm()

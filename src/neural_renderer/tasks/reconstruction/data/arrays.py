@@ -7,21 +7,24 @@ An npz cannot be memory-mapped; it is unpacked once into an npy beside it.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import hashlib
 import json
+import math
 import os
 import re
 import shutil
 import tempfile
 import zipfile
-import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
+from ....io.files import reason, short
 from .framing import GRID, SIZE, VIEWS
 
 SPLITS = ("train", "val", "test")
@@ -124,19 +127,20 @@ def _read_names(folder: Path, split: str) -> dict[str, list[str]]:
     try:
         names = json.loads(path.read_text(encoding="utf-8"))["names"].get(split, {})
         return {str(name): list(rows) for name, rows in names.items()}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f'{path}: expected JSON with "names" by split and class, got {error}') from None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f'{path}: expected JSON with "names" by split and class, got {reason(error)}') from None
 
 
 def _open_array(source: Path, kind: str) -> np.ndarray:
     """Memory-map the first array of an npz from its unpacked copy."""
     copy = _unpacked_copy(source, kind)
-    try:
+    dtype, trailing = _KINDS[kind]
+    with contextlib.suppress(Exception):  # the copy is truncated or overwritten
         array = np.load(copy, mmap_mode="r")
-    except ValueError:  # the copy is truncated
-        copy.unlink()
-        array = np.load(_unpacked_copy(source, kind), mmap_mode="r")
-    return array
+        if array.dtype == dtype and array.ndim == 1 + len(trailing) and array.shape[1:] == trailing:
+            return array
+    copy.unlink()
+    return np.load(_unpacked_copy(source, kind), mmap_mode="r")
 
 
 def _unpacked_copy(source: Path, kind: str) -> Path:
@@ -150,7 +154,7 @@ def _unpacked_copy(source: Path, kind: str) -> Path:
     handle, fresh = tempfile.mkstemp(dir=folder, prefix=f".{source.stem}.", suffix=".npy")
     try:
         with os.fdopen(handle, "wb") as out:
-            _unpack(source, kind, out)
+            _unpack(source, kind, out, folder)
         os.utime(fresh, ns=(stamp, stamp))
         os.chmod(fresh, source.stat().st_mode & 0o777)
         os.replace(fresh, target)
@@ -172,33 +176,50 @@ def cache_folder(source: Path) -> Path:
     return folder
 
 
-def _unpack(source: Path, kind: str, out: IO[bytes]) -> None:
+def _unpack(source: Path, kind: str, out: IO[bytes], folder: Path) -> None:
+    """Write the first array of an npz to ``out``, an npy file in ``folder``."""
+    with contextlib.ExitStack() as opened:
+        with _reading(source):
+            archive = opened.enter_context(zipfile.ZipFile(source))
+            info = archive.infolist()[0]
+            member = opened.enter_context(archive.open(info))
+        shape = _checked_header(source, kind, member)
+        # An npz may unpack to a thousand times its size. Sizes are checked before anything is written.
+        expected, found = math.prod(shape), info.file_size - member.tell()  # numbers of one byte
+        if found != expected:
+            raise ValueError(f"{source}: expected {expected} numbers according to its header, got {found}")
+        if expected > shutil.disk_usage(folder).free:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        header = {"descr": np.dtype(_KINDS[kind][0]).str, "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(out, header)
+        chunk = b"start"
+        while chunk:
+            with _reading(source):
+                chunk = member.read(_CHUNK)
+            out.write(chunk)
+
+
+@contextlib.contextmanager
+def _reading(source: Path, expected: str = "an npz, got a file that is broken or truncated") -> Iterator[None]:
+    """Convert the errors of zipfile and numpy for broken files, which are of many classes, to ValueError."""
     try:
-        with zipfile.ZipFile(source) as archive, archive.open(archive.namelist()[0]) as member:
-            shape = _checked_header(source, kind, member)
-            np.lib.format.write_array_header_1_0(
-                out, {"descr": np.dtype(_KINDS[kind][0]).str, "fortran_order": False, "shape": shape}
-            )
-            begin = out.tell()
-            shutil.copyfileobj(member, out, _CHUNK)
-            expected, got = int(np.prod(shape)), out.tell() - begin
-    except (zipfile.BadZipFile, zlib.error, EOFError, IndexError, NotImplementedError, RuntimeError) as error:
-        raise ValueError(f"{source}: expected an npz, got a file that is broken or truncated ({error})") from error
-    if got != expected:
-        raise ValueError(f"{source}: expected {expected} numbers according to its header, got {got}")
+        yield
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            raise
+        raise ValueError(f"{source}: expected {expected} ({reason(error)})") from error
 
 
 def _checked_header(source: Path, kind: str, member: IO[bytes]) -> tuple[int, ...]:
     """Read the shape of an array; raise ValueError unless dtype and shape are those of the published data set."""
     dtype, trailing = _KINDS[kind]
     wanted = f"{dtype} (N, {', '.join(map(str, trailing))})"
-    try:
+    with _reading(source, f"{wanted}, got no array"):
         version = np.lib.format.read_magic(member)
-        reader = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, found = reader(member)
-    except ValueError as error:
-        raise ValueError(f"{source}: expected {wanted}, got no array ({error})") from None
-    if found != np.dtype(dtype) or tuple(shape[1:]) != trailing or not shape or fortran:
+        if version != (1, 0):  # other versions may have headers of any length
+            raise ValueError(f"version {version} of its format")
+        shape, fortran, dtype_found = np.lib.format.read_array_header_1_0(member)
+    if dtype_found != np.dtype(dtype) or tuple(shape[1:]) != trailing or not shape or fortran:
         order = " in Fortran order" if fortran else ""
-        raise ValueError(f"{source}: expected {wanted}, got {found} {tuple(shape)}{order}")
+        raise ValueError(f"{source}: expected {wanted}, got {dtype_found} {short(tuple(shape))}{order}")
     return tuple(shape)

@@ -25,8 +25,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....io import load_mesh
-from ....io.atomic_write import replacing
-from ....render import render
+from ....io.atomic_write import replacing, write_file
+from ....rendering import render
 from ....version import __version__
 from .arrays import DESCRIPTION, SPLITS
 from .drawing import shoulder_light
@@ -92,8 +92,13 @@ def render_views(
     return (torch.cat(pictures) * 255 + 0.5).to(torch.uint8)
 
 
-def make_object(path: Path, settings: Settings = Settings()) -> tuple[Tensor, Tensor]:
+def make_object(path: Path, settings: Settings = Settings(), allow_outside: bool = False) -> tuple[Tensor, Tensor]:
     """Render and voxelise a model file, scaled to a longest side of 1.
+
+    Args:
+        path: Mesh file.
+        settings: Settings of the data set.
+        allow_outside: As in `load_mesh`.
 
     Returns:
         Views [K, 4, S, S] uint8 (see `render_views`) and voxels (see `voxels.voxelize_model`).
@@ -101,10 +106,10 @@ def make_object(path: Path, settings: Settings = Settings()) -> tuple[Tensor, Te
     Raises:
         ValueError: The file is unreadable or no face is visible; the message names the file.
     """
-    vertices, faces, textures = load_mesh(path, 2)
+    vertices, faces, textures = load_mesh(path, 2, allow_outside)
     if textures is not None:
         texture_size = min(_MOST_TEXTURE_SIZE, int((_MOST_TEXELS / len(faces)) ** (1 / 3)))
-        textures = load_mesh(path, texture_size)[2] if texture_size > 2 else textures
+        textures = load_mesh(path, texture_size, allow_outside)[2] if texture_size > 2 else textures
     used = torch.unique(faces.long())  # unused vertices do not count
     try:
         vertices = mirror(vertices.index_copy(0, used, scale_to_unit(vertices[used])))
@@ -117,7 +122,7 @@ def make_object(path: Path, settings: Settings = Settings()) -> tuple[Tensor, Te
 
 
 def make_objects(
-    models: Sequence[Model], folder: Path, settings: Settings, processes: int
+    models: Sequence[Model], folder: Path, settings: Settings, processes: int, allow_outside: bool = False
 ) -> Iterator[tuple[Model, str | None, list[str]]]:
     """Render and voxelise models, each into a file of its own in ``folder``; finished ones are skipped.
 
@@ -126,17 +131,18 @@ def make_objects(
         folder: Folder of the data set.
         settings: Settings of the data set.
         processes: Number of worker processes; 0 for none.
+        allow_outside: As in `load_mesh`.
 
     Yields:
         Each model when it is finished, with an error message or None, and warnings.
     """
     waiting: dict[Model, str] = {}
-    for model, key in _keys(models, settings).items():
+    for model, key in _keys(models, settings, allow_outside).items():
         notes = _finished_notes(model, folder, key)
         if notes is not None:
             yield model, None, notes
         elif processes == 0:
-            yield model, *_make_file(model, folder, settings, key)
+            yield model, *_make_file(model, folder, settings, key, allow_outside)
         else:
             waiting[model] = key
     while waiting:
@@ -145,7 +151,8 @@ def make_objects(
             crashed = False
             with _pool(count) as pool:
                 futures = {
-                    pool.submit(_make_file, model, folder, settings, key): model for model, key in waiting.items()
+                    pool.submit(_make_file, model, folder, settings, key, allow_outside): model
+                    for model, key in waiting.items()
                 }
                 try:
                     for future in as_completed(futures):
@@ -188,7 +195,7 @@ def object_file(model: Model, folder: Path) -> Path:
     return folder / "objects" / model.category / f"{model.name}.npz"
 
 
-def _keys(models: Sequence[Model], settings: Settings) -> dict[Model, str]:
+def _keys(models: Sequence[Model], settings: Settings, allow_outside: bool) -> dict[Model, str]:
     """Compute a key for each model that changes with its mesh file, its materials and its images.
 
     In a folder with several models, a model owns the files with its name as a prefix; unmatched files belong to all.
@@ -207,6 +214,7 @@ def _keys(models: Sequence[Model], settings: Settings) -> dict[Model, str]:
         for model in here:
             own_files = files.get(model.path.stem, []), files.get(None, [])
             recipe = [_RECIPE, asdict(settings), *_stamp(model.path), zlib.crc32(repr(own_files).encode())]
+            recipe += ["allow_outside"] if allow_outside else []
             keys[model] = json.dumps(recipe)
     return {model: keys[model] for model in models}
 
@@ -222,17 +230,19 @@ def _finished_notes(model: Model, folder: Path, key: str) -> list[str] | None:
     try:
         with np.load(object_file(model, folder)) as arrays:
             return arrays["notes"].tolist() if str(arrays["key"]) == key else None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+    except Exception:  # none, or broken in any way
         return None
 
 
-def _make_file(model: Model, folder: Path, settings: Settings, key: str) -> tuple[str | None, list[str]]:
+def _make_file(
+    model: Model, folder: Path, settings: Settings, key: str, allow_outside: bool
+) -> tuple[str | None, list[str]]:
     """Make one object; return an error message or None, and warnings."""
     target = object_file(model, folder)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            images, voxels = make_object(model.path, settings)
+            images, voxels = make_object(model.path, settings, allow_outside)
         except Exception as error:  # one broken model must not stop the others
             expected = isinstance(error, (ValueError, OSError)) and str(error)
             return (str(error) if expected else f"{model.path}: {type(error).__name__}: {error}"), []
@@ -271,15 +281,14 @@ def assemble(
         "versions": {"neural_renderer": __version__, "torch": torch.__version__, "numpy": np.__version__},
         "broken": broken,
     }
-    with replacing(folder / DESCRIPTION) as fresh:
-        fresh.write_text(json.dumps(description, indent=1) + "\n", encoding="utf-8")
+    write_file(folder / DESCRIPTION, json.dumps(description, indent=1) + "\n")
 
 
 def existing_names(folder: Path) -> dict[str, dict[str, list[str]]]:
     """Read the names of the objects in a data set: split → class → names; empty if there is none."""
     try:
         return json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["names"]
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return {}
 
 
@@ -294,7 +303,7 @@ def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
             try:
                 with np.load(path) as arrays:
                     array = arrays[kind]
-            except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            except Exception as error:  # numpy's and zipfile's errors for broken files are of many kinds
                 raise ValueError(
                     f"{path}: expected a finished object, got a broken file; delete it to make the object again"
                 ) from error

@@ -8,7 +8,7 @@ from torch import Tensor
 from ....camera import Camera
 from ....pictures.clay import plain_texture
 from ....pictures.lamp import lamp_direction
-from ....render import render
+from ....rendering import render
 from ....shading.lights import Light
 from .framing import SIZE, view_camera
 

@@ -33,7 +33,7 @@ def voxelize(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
             finite.
     """
     validate.floating("vertices", vertices, ["B", "V", 3])
-    validate.indices("faces", faces, ["F", 3])
+    faces = validate.indices("faces", faces, ["F", 3])
     validate.same_device(vertices=vertices, faces=faces)
     validate.finite("vertices", vertices)
     validate.in_range("faces", faces, vertices.shape[1])
@@ -56,7 +56,7 @@ def voxelize_model(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
         [size, size, size] bool, with the axes of `voxelize`.
     """
     validate.floating("vertices", vertices, ["V", 3])
-    validate.indices("faces", faces, ["F", 3])
+    faces = validate.indices("faces", faces, ["F", 3])
     validate.finite("vertices", vertices)
     validate.in_range("faces", faces, len(vertices))
     points = _to_grid(vertices.detach().cpu().float(), size)

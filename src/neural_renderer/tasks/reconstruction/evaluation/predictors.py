@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from ....render import render
+from ....rendering import render
 from ..data.drawing import MESH_COLOR, VOXEL_COLOR, draw_mesh
 from ..data.framing import SIZE, view_camera
 from ..data.voxels import voxel_surface, voxelize

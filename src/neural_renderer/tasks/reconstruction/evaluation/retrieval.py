@@ -5,6 +5,7 @@ The paper compares features of VGG's layer fc6. GoogLeNet's last pool is an alte
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 from collections.abc import Iterator
@@ -74,7 +75,7 @@ class Retrieval:
             images = self._split.images[name]
             source = self._split.folder / f"{name}_{self._split.split}_images.npz"
             target = cache_folder(source) / f"{source.stem}_{stamp}.npy"
-            features = _cached(target, source)
+            features = _cached(target, source, VIEWS * len(images))
             if features is None:
                 rows = []
                 for index in range(len(images)):
@@ -118,12 +119,14 @@ class Retrieval:
         return predict
 
 
-def _cached(target: Path, source: Path) -> np.ndarray | None:
-    """Memory-map cached features; None if the file is missing, broken, or not as old as ``source``."""
-    try:
-        return np.load(target, mmap_mode="r") if target.stat().st_mtime_ns == source.stat().st_mtime_ns else None
-    except (OSError, ValueError, EOFError):
-        return None
+def _cached(target: Path, source: Path, count: int) -> np.ndarray | None:
+    """Memory-map cached features [count, D]; None if the file is missing, broken, or not as old as ``source``."""
+    with contextlib.suppress(Exception):
+        features = np.load(target, mmap_mode="r")
+        fresh = target.stat().st_mtime_ns == source.stat().st_mtime_ns
+        if fresh and features.dtype == np.float16 and features.ndim == 2 and len(features) == count:
+            return features
+    return None
 
 
 def _device(network: FeatureNetwork) -> torch.device:

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from ....features import features_like
+from ....features.network import Plan
 from ....io.atomic_write import replacing
+from ....io.files import load_tensors, reason, short
 from ....version import __version__
 from .configs import Config
-from .encoders import FeatureEncoder
+from .encoders import FEATURES, FeatureEncoder
 from .make_network import Model, make_network
 
 HEADER = "reconstruction"
@@ -85,17 +90,30 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
     content = read_checkpoint(path)
     head, weights = content[HEADER], content["state_dict"]
     try:
+        config = Config.from_dict(head["config"])
+        _check_size(head["kind"], config, head.get("features", {}), weights)
         features = features_like(head["features"]) if "features" in head else None
-        network = make_network(head["kind"], Config.from_dict(head["config"]), features)
+        network = make_network(head["kind"], config, features)
         prefix = head["weights"]
         found = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
         network.load_state_dict(found)
-    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise ValueError(f"{path}: expected the weights that its header describes, got others ({reason})") from None
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError) as error:
+        raise ValueError(
+            f"{path}: expected the weights that its header describes, got others ({reason(error)})"
+        ) from None
     if not all(bool(value.isfinite().all()) for value in found.values()):
         raise ValueError(f"{path}: expected finite weights, got NaN or infinity")
     return network.to(device).eval().requires_grad_(False)
+
+
+def _check_size(kind: str, config: Config, features: Plan, weights: dict[str, Tensor]) -> None:
+    """ValueError for a header of a larger network than the weights are of, before memory is taken for it."""
+    widths = (FEATURES, *config.hidden) if kind == "mesh" else ()
+    needed = config.width**2 + sum(math.prod(pair) for pair in pairwise(widths))
+    needed += sum(math.prod(shape) for shape in features.values())
+    found = sum(value.numel() for value in weights.values())
+    if needed > found:
+        raise ValueError(f"expected at least {needed} numbers, got {found}")
 
 
 def read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -106,14 +124,15 @@ def read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
             f"{path}: expected a checkpoint, got {'a folder' if path.is_dir() else 'nothing there'}"
         )
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except OSError:
-        raise
-    except Exception:  # torch raises errors of many classes for files that are not checkpoints, or truncated
+        content = load_tensors(path)
+    except Exception as error:  # torch raises errors of many classes for files that are not checkpoints, or truncated
+        if isinstance(error, OSError) and error.filename is not None:
+            raise
         raise ValueError(f"{path}: expected a checkpoint, got a file that is broken or of another format") from None
     head = content.get(HEADER) if isinstance(content, dict) else None
     if not isinstance(head, dict) or "state_dict" not in content:
         raise ValueError(f"{path}: expected a checkpoint of a reconstruction network, got another checkpoint")
     if head.get("version") != VERSION:
-        raise ValueError(f"{path}: expected a checkpoint of version {VERSION}, got version {head.get('version')}")
+        found = short(head.get("version"))
+        raise ValueError(f"{path}: expected a checkpoint of version {VERSION}, got version {found}")
     return content

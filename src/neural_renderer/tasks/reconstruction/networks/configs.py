@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
+from ...settings import ConfigName
 from .encoders import EncoderName
-
-ConfigName = Literal["paper", "small", "best"]
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from ....features import FeatureNetwork
 from .configs import Config
 from .mesh_network import MeshNetwork
 from .voxel_network import VoxelNetwork
 
 Model = MeshNetwork | VoxelNetwork
-ModelName = Literal["mesh", "voxel"]
 
 NETWORKS: dict[str, type[MeshNetwork] | type[VoxelNetwork]] = {"mesh": MeshNetwork, "voxel": VoxelNetwork}
 

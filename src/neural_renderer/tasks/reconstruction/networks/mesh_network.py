@@ -9,7 +9,7 @@ from ....features import FeatureNetwork
 from ....losses import laplacian, smoothness
 from ....meshes.primitives import icosphere
 from ....meshes.topology import Topology
-from ....render import render
+from ....rendering import render
 from ..data.framing import SIZE, view_camera
 from .configs import Config
 from .encoders import FEATURES, make_encoder, published_init

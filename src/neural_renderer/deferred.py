@@ -59,6 +59,7 @@ class Fragments:
         validate.floating("attributes", attributes, shape)
         triangles = self.triangles if triangles is None else checked_faces(triangles)
         validate.same_device(attributes=attributes, triangles=triangles, faces=self.corners)
+        validate.finite("attributes", attributes)
         attributes = attributes if attributes.dim() == 3 else attributes[None]
         triangles = triangles if triangles.dim() == 3 else triangles[None]
         batch, count = self.corners.shape[:2]
@@ -92,6 +93,7 @@ class Fragments:
         channels = colors.shape[3]
         behind = behind_image(background, batch, channels, self.settings, colors.device)
         image = torch.where(self.mask[:, None], colors.float().permute(0, 3, 1, 2), behind)
+        validate.finite("colors", image)
         image = self.settings.through_visibility(image, self.corners, self.face_index, validate.flag("seams", seams))
         return halve(image) if self.settings.anti_aliasing else image.contiguous()
 
@@ -133,7 +135,8 @@ def fragments(
 
 def seen_on(screen: Tensor, faces: Tensor, settings: Settings) -> Fragments:
     """`fragments` of vertices [B, V, 3] that are on the screen already."""
-    corners = settings.corners(vertices_to_faces(screen, checked_faces(faces)), 8)
+    faces = checked_faces(faces)
+    corners = settings.corners(vertices_to_faces(screen, faces), 8)
     face_index = settings.face_index(corners)
     weights, depth = barycentrics(corners, face_index, settings.near, settings.far, settings.perspective)
     return Fragments(corners, faces, face_index, weights, depth, settings)

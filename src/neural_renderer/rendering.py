@@ -11,7 +11,7 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .fragments import Fragments, seen_on
+from .deferred import Fragments, seen_on
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
@@ -77,7 +77,7 @@ def render(
     outputs = checked_outputs(outputs)
     height, width = image_size("size", size)
     screen = validate.in_float32("vertices on the screen", camera(vertices, aspect=width / height))
-    checked_faces(faces)
+    faces = checked_faces(faces)
     factors = None
     if lights and "rgb" in outputs:
         corners = world_corners(vertices, faces, len(screen))

@@ -1,0 +1,34 @@
+"""Options of `neural-renderer demo`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """Render a textured knot as a turntable, and sculpt a sphere into a duck from 24 silhouettes. No downloads.
+
+    Example: neural-renderer demo -o out
+    """
+
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
+    """Folder for the files; it is made if missing."""
+    frames: int = 48
+    """Pictures of the turntable, at least 1."""
+    size: int = 320
+    """Side of the pictures in pixels, at least 32."""
+    iterations: int = 300
+    """Steps of gradient descent for the shape, at least 1."""
+    views: int = 24
+    """Silhouettes that the sphere is fitted to, at least 1."""
+    view_size: int = 96
+    """Side of these silhouettes in pixels, at least 16."""
+    seed: int = 0
+    """Seed of the order in which the views are used."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to compute; auto is CUDA where there is one."""

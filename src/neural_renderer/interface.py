@@ -1,0 +1,75 @@
+"""The public names, which are those of the package; `__init__` loads this module when the first of them is used."""
+
+from . import losses, metrics
+from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
+from .compat.adam import Adam
+from .compat.lighting import lighting
+from .compat.old_functions import cross
+from .compat.rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
+from .compat.renderer import Renderer
+from .deferred import Fragments, fragments
+from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
+from .meshes.batch import batch, join
+from .meshes.mesh import Mesh
+from .meshes.normals import vertex_normals
+from .meshes.primitives import cube, icosphere, torus
+from .meshes.uv_mesh import UVMesh
+from .pictures.notebook import show_in_notebooks as _show_in_notebooks
+from .raster import Images, rasterize_images, vertices_to_faces
+from .rendering import render
+from .shading.lights import Light
+from .shading.spherical_harmonics import SphericalHarmonicLight
+from .textures.gutters import fill_gutters
+from .textures.sample_texture import sample_texture
+from .validate import check_values
+from .version import __version__
+
+__all__ = [
+    "Adam",
+    "Camera",
+    "Fragments",
+    "Images",
+    "Light",
+    "Mesh",
+    "Rasterize",
+    "Renderer",
+    "SphericalHarmonicLight",
+    "UVMesh",
+    "__version__",
+    "batch",
+    "check_values",
+    "cross",
+    "cube",
+    "fill_gutters",
+    "fragments",
+    "get_points_from_angles",
+    "icosphere",
+    "join",
+    "lighting",
+    "load_image",
+    "load_mesh",
+    "load_obj",
+    "look",
+    "look_at",
+    "losses",
+    "metrics",
+    "orthographic",
+    "perspective",
+    "projection",
+    "rasterize",
+    "rasterize_depth",
+    "rasterize_images",
+    "rasterize_rgbad",
+    "rasterize_silhouettes",
+    "render",
+    "sample_texture",
+    "save_animation",
+    "save_image",
+    "save_mesh",
+    "save_obj",
+    "torus",
+    "vertex_normals",
+    "vertices_to_faces",
+]
+
+_show_in_notebooks()

@@ -1,0 +1,126 @@
+"""The files that a file names: found whatever their case, and only in its own folder unless more is asked for."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import unquote
+
+from .files import read_text, short
+
+_NAMING = (".obj", ".mtl", ".ply", ".gltf", ".glb", ".json", ".csv")  # files that name others
+
+
+def find_file(source: Path, name: str, *folders: Path, allow_outside: bool = False) -> Path | None:
+    """The regular file that ``source`` calls ``name``, or None.
+
+    Looked for in each of the folders (by default that of ``source``) as written, then by its last part alone (exporters
+    leave paths of their own machine); backslashes are separators, and upper and lower case are told apart only where
+    both exist. Without ``allow_outside``, nothing outside the folder of ``source`` is looked at: a name whose ``..``
+    lead there raises ValueError, and an absolute path is not found.
+    """
+    folders, home = folders or (source.parent,), source.parent
+    relative = name[len(Path(name).drive) :].replace("\\", "/")
+    parts = [part for part in relative.split("/") if part not in ("", ".")]
+    beyond = False
+    for folder in folders if parts else ():
+        inner = _inside("/".join([str(folder), *parts]), home)
+        beyond |= inner is None
+        found = _walk(home, inner.parts) if inner is not None else _walk(folder, parts) if allow_outside else None
+        if found is not None:
+            return found
+    for folder in folders if parts else ():
+        found = _walk(folder, parts[-1:])
+        if found is not None:
+            return found
+    absolute = Path(name)
+    if absolute.is_absolute() and (allow_outside or _inside(name, home)) and is_file(absolute):
+        return absolute
+    if beyond and not allow_outside:
+        raise outside(source, name)
+    return None
+
+
+def is_outside(source: Path, name: str) -> bool:
+    """Whether a name in the file ``source`` leads out of its folder, by ``..`` or as an absolute path."""
+    return _inside(os.path.join(source.parent, name), source.parent) is None
+
+
+def outside(source: Path, name: str) -> ValueError:
+    """The error for a name in the file ``source`` that leads out of its folder."""
+    return ValueError(
+        f"{source}: expected names of files in its folder, got {short(name)}, which leads out of it; "
+        "allow_outside=True (--allow-outside) reads it all the same"
+    )
+
+
+def _inside(path: str, home: Path) -> Path | None:
+    """``path`` relative to the folder ``home``, or None where it is not in there.
+
+    The name decides and not the disk: nobody learns what lies elsewhere, and a link in the folder may lead anywhere.
+    """
+    whole, base = Path(os.path.abspath(path)), Path(os.path.abspath(home))
+    return whole.relative_to(base) if whole.is_relative_to(base) else None
+
+
+def _walk(folder: Path, parts: tuple[str, ...] | list[str]) -> Path | None:
+    try:
+        for part in parts:
+            step = folder / part
+            if not step.exists():
+                entries = folder.iterdir() if folder.is_dir() else iter(())
+                alike = next((entry for entry in entries if entry.name.lower() == part.lower()), None)
+                if alike is None:
+                    return None
+                step = alike
+            folder = step
+    except OSError:  # a name that is too long, a folder that may not be looked into
+        return None
+    return folder if is_file(folder) else None
+
+
+def is_file(path: Path) -> bool:
+    """Whether it is a regular file: at a device or a pipe, a reader would wait."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
+def names_file(path: Path, other: Path, *folders: Path) -> bool:
+    """Whether a mesh, its material files, or a file of cameras, name the file ``other``.
+
+    Names are relative to the folder of the file and to ``folders``, as written or by their last part alone, with or
+    without a suffix, whatever their case. What may be a name counts as one.
+    """
+    suffix, folders = path.suffix.lower(), (path.parent, *folders)
+    if suffix not in _NAMING:
+        return False
+    known = other.resolve(), other.parent.resolve() / other.name  # the same unless it is a link
+    wanted, stems = {str(file).lower() for file in known}, {file.stem.lower() for file in known}
+    wanted |= {name.removesuffix(other.suffix.lower()) for name in wanted}
+    roots = [str(folder.resolve()).lower() for folder in folders]
+    for line in read_text(path).split("\n"):
+        keyword, _, rest = line.strip().partition(" ")
+        if suffix == ".obj" and keyword.lower() == "mtllib":
+            names = rest, *rest.split()
+            libraries = {find_file(path, name.strip('"'), *folders, allow_outside=True) for name in names}
+            if any(names_file(library, other, *folders) for library in libraries if library):
+                return True
+        line = (unquote(line) if suffix in (".gltf", ".glb") else line).lower().replace("\\", "/")
+        if any(stem in line for stem in stems):
+            paths = (os.path.normpath(os.path.join(root, name)) for root in roots for name in _names(line))
+            if any(named in wanted for named in paths):
+                return True
+    return False
+
+
+def _names(line: str) -> Iterator[str]:
+    """What may be the name of a file in a line: its last words, parts in quotes and between commas."""
+    words = line.split()
+    names = [" ".join(words[start:]).strip('"') for start in range(len(words))]
+    for name in (*names, *re.findall(r'"([^"]*)"', line), *line.split(",")):
+        if len(name) < 4096:  # longer ones are data
+            yield from (name, os.path.basename(name))

@@ -1,0 +1,24 @@
+"""Programs that tests start in a process of their own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+_HANGING = 900  # seconds; no program needs a tenth of that on an idle machine
+
+
+def search_path(*folders: Path) -> str:
+    """The PYTHONPATH of this process, with ``folders`` before it."""
+    return os.pathsep.join([*map(str, folders), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+
+def run_python(*arguments: str | Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run this Python with ``arguments`` and with ``variables`` in its environment; `tests` can be imported."""
+    environment = os.environ | {"PYTHONPATH": search_path(ROOT)} | variables
+    command = [sys.executable, *map(str, arguments)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=_HANGING, check=False)
