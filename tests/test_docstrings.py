@@ -21,8 +21,10 @@ def test_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     parts = path.relative_to(SOURCE).with_suffix("").parts
     module = importlib.import_module(".".join(("neural_renderer", *parts)))
     monkeypatch.chdir(tmp_path)  # an example may write files
-    names = {name: getattr(nr, name) for name in nr.__all__}
-    given = names | {"nr": nr, "torch": torch}
+    names = vars(module) | {name: getattr(nr, name) for name in nr.__all__}
+    # Examples may take a mesh and a camera as given.
+    mesh, camera = nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30)
+    given = names | {"nr": nr, "torch": torch, "mesh": mesh, "camera": camera}
     finder, runner = doctest.DocTestFinder(exclude_empty=True), doctest.DocTestRunner(optionflags=FLAGS)
     report: list[str] = []
     for example in finder.find(module, module.__name__, globs=given):

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from tests.rounding import EPS, rounding
 
 
 def scene(device, gradient="edge", **options):
@@ -23,15 +24,16 @@ def test_positions_lie_on_the_rays(device):
     x = (2 * torch.arange(56, device=device) + 1 - 56) / 56
     y = -(2 * torch.arange(40, device=device) + 1 - 40) / 40
     expected = torch.stack((x.expand(40, 56), y[:, None].expand(40, 56)), -1).expand(2, -1, -1, -1)
-    torch.testing.assert_close(screen[..., :2][seen.mask], expected[seen.mask], rtol=0, atol=1e-4)
-    torch.testing.assert_close(screen[..., 2][seen.mask], seen.depth[seen.mask], rtol=1e-4, atol=1e-4)
+    # Weights of faces a few pixels wide are sums of products of some (56 / 3)² the size of what is left of them.
+    torch.testing.assert_close(screen[..., :2][seen.mask], expected[seen.mask], **rounding(4 * (56 // 3) ** 2))
+    torch.testing.assert_close(screen[..., 2][seen.mask], seen.depth[seen.mask], **rounding(4 * (56 // 3) ** 2))
 
 
 def test_white_on_black_is_the_silhouette(device):
     mesh, camera, seen = scene(device)
     image = seen.composite(seen.interpolate(torch.ones(len(mesh.vertices), 1, device=device)))
     expected = nr.render(mesh, camera, (40, 56), outputs="alpha").alpha
-    torch.testing.assert_close(image[:, 0], expected, rtol=0, atol=1e-6)
+    torch.testing.assert_close(image[:, 0], expected, **rounding(16))
 
 
 @pytest.mark.parametrize("gradient", ["nmr", "edge"])
@@ -92,12 +94,13 @@ def test_seams_between_faces_of_different_colour(device):
         cubes = colors[:, None, None, None].expand(-1, 2, 2, 2, 3).contiguous()
         return nr.render((moved, faces, cubes), camera, 48, light=None, gradient="edge").rgb
 
-    torch.testing.assert_close(shaded(vertices, True), drawn(vertices), rtol=0, atol=1e-5)
+    torch.testing.assert_close(shaded(vertices, True), drawn(vertices), **rounding(32))
     weight = torch.randn(1, 3, 48, 48, generator=torch.Generator().manual_seed(1)).to(device)
     found = []
     for draw in (lambda v: shaded(v, True), lambda v: shaded(v, False), drawn):
         leaf = vertices.clone().requires_grad_()
         found += torch.autograd.grad((draw(leaf) * weight).sum(), leaf)
     with_seams, without, expected = found
-    torch.testing.assert_close(with_seams, expected, rtol=1e-3, atol=1e-3 * float(expected.abs().max()))
+    # A vertex gathers at most some 48² pulls; what the same colours differ by in their last bits, cubes interpolate.
+    torch.testing.assert_close(with_seams, expected, rtol=0, atol=48**2 * EPS * float(expected.abs().max()))
     assert (without - expected).norm() > 0.3 * expected.norm()

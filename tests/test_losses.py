@@ -81,7 +81,8 @@ def test_half_precision_is_summed_in_float32(dtype):
         lambda a, b: losses.photometric(a, b, mask),
         lambda a, b: losses.total_variation(a - b),
     ):
-        torch.testing.assert_close(loss(image, target), loss(image.float(), target.float()), rtol=5e-3, atol=0)
+        # The differences of neighbours, or of images, are rounded to 8 bits at least before they are summed.
+        torch.testing.assert_close(loss(image, target), loss(image.float(), target.float()), rtol=2**-8, atol=0)
         (found,) = torch.autograd.grad(loss(image, target), image)
         assert found.dtype == dtype and found.isfinite().all() and found.any()
     v = (vertices(2, 4) * 100).to(dtype)

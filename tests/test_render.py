@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from tests.rounding import EPS, rounding
 
 
 def white_sphere(device, level=2, radius=0.5):
@@ -71,7 +72,9 @@ def test_is_the_old_renderer_through_mirrored_cameras(device):
     light = nr.Light(direction=(0.6, 0.8, 0))
     new = nr.render(mesh, nr.Camera.look_at(eye, mirrored=True), 32, light=light)
     for a, b in zip(old, (new.rgb, new.depth, new.alpha), strict=True):
-        torch.testing.assert_close(a, b, rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(
+            a, b, **rounding(16, float(b.detach().abs().max()))
+        )  # axes and light, worked out twice
 
 
 @pytest.mark.parametrize("name", ["look_at", "look", "orthographic", "projection", "mirrored"])
@@ -126,7 +129,8 @@ def test_one_mesh_many_cameras_and_many_meshes_one_camera(device):
     assert views.rgb.shape == (3, 3, 24, 24)
     for b in range(3):
         alone = nr.render(mesh, nr.Camera.look_at(eyes[b]), 24)
-        torch.testing.assert_close(views.depth[b], alone.depth[0], rtol=1e-4, atol=1e-4)
+        # A vertex may be a rounding off; a pixel's depth mixes that of the faces with the background's, 100.
+        torch.testing.assert_close(views.depth[b], alone.depth[0], **rounding(64, 100))
     vertices = torch.stack([mesh.vertices * s for s in (0.5, 1.0, 1.5)])
     many = nr.render((vertices, mesh.faces, mesh.textures), nr.Camera.look_at((0, 0, 3)), 24)
     assert many.alpha.shape == (3, 24, 24) and (many.alpha.sum((1, 2)).diff() > 0).all()
@@ -176,7 +180,7 @@ def test_depth_gradient_moves_the_camera_the_right_way(device):
     images = nr.render(mesh, nr.Camera.look_at(eye, orthographic=True), 32, outputs=("alpha", "depth"))
     seen = images.alpha.detach() == 1
     images.depth[seen].sum().backward()
-    assert float(eye.grad[2]) == pytest.approx(float(seen.sum()), rel=1e-3)
+    assert float(eye.grad[2]) == pytest.approx(float(seen.sum()), rel=2 * 32**2 * EPS)  # a sum over pixels
 
 
 def test_a_camera_inside_the_mesh_sees_it_all_around(device):

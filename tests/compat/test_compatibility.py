@@ -1,8 +1,7 @@
-"""What the published packages test, with their numbers, and their names and signatures; on real files."""
+"""What the published packages test, with their numbers, on real files."""
 
 from __future__ import annotations
 
-import inspect
 import json
 
 import numpy as np
@@ -11,11 +10,7 @@ import torch
 from PIL import Image
 
 import neural_renderer as nr
-
-
-@pytest.fixture
-def references(shared):
-    return shared / "data" / "references" / "neural_renderer"
+from tests.rounding import EPS, STEP, relative, rounding
 
 
 def to_batch(data: torch.Tensor) -> torch.Tensor:
@@ -24,8 +19,8 @@ def to_batch(data: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.fixture
-def teapot(references, device):
-    vertices, faces = nr.load_obj(references / "teapot.obj")
+def teapot(teapot_file, device):
+    vertices, faces = nr.load_obj(teapot_file)
     textures = torch.ones(len(faces), 4, 4, 4, 3)
     return tuple(to_batch(t.to(device)) for t in (vertices, faces, textures))
 
@@ -51,7 +46,8 @@ def test_teapot_covers_the_pixels_of_blender(teapot, blender, mode):
     assert int((drawn[2] != blender).sum()) == 0
     assert not drawn[[0, 1, 3]].any()
     if mode != "depth":
-        assert ((image < 1e-6) | ((image - 1).abs() < 1e-5)).all()
+        # A weighted mean of ones: the weights, their sum, and a few operations around them.
+        assert ((image == 0) | ((image - 1).abs() < 32 * EPS)).all()
 
 
 def test_teapot_depth(teapot, references):
@@ -61,7 +57,7 @@ def test_teapot_depth(teapot, references):
     depth[background] = depth[~background].min()
     stretched = (depth - depth.min()) / (depth.max() - depth.min())
     expected = np.asarray(Image.open(references / "test_depth.png")) / 255
-    np.testing.assert_allclose(stretched, expected, atol=1e-2)
+    np.testing.assert_allclose(stretched, expected, rtol=0, atol=2 * STEP)  # theirs is cut off to eight bits
 
 
 @pytest.mark.parametrize("case", [0, 1])
@@ -87,7 +83,8 @@ def test_gradient_fixtures(references, device, case, mode):
     pixel = image[:, fixture["pyi"], fixture["pxi"]]
     loss = (pixel - 1).abs() if fixture["loss"] == "|I-1|" else pixel.abs()
     loss.sum().backward()
-    np.testing.assert_allclose(vertices.grad[2].cpu(), fixture["grad"], rtol=1e-2, atol=1e-8)
+    # What is published has been computed in float32, and within half a pixel: eps is part of it, and an hundredth.
+    np.testing.assert_allclose(vertices.grad[2].cpu(), fixture["grad"], rtol=1e-2, atol=1e-6)
     assert not vertices.grad[[0, 1, 3]].any()
 
 
@@ -112,7 +109,8 @@ def test_depth_gradient_fixture(references, device):
             with torch.no_grad():
                 differences[k, axis] = (loss(vertices + step) - loss(vertices - step)) / 2e-3
     assert differences.abs().max() > 0.1
-    torch.testing.assert_close(vertices.grad[2].cpu(), differences, rtol=0, atol=1e-3)
+    # A loss near 1 in float32, a few roundings off, over 2e-3.
+    torch.testing.assert_close(vertices.grad[2].cpu(), differences, rtol=0, atol=16 * EPS / 2e-3 + 1e-4)
     assert not vertices.grad[[0, 1, 3]].any()
 
 
@@ -132,9 +130,9 @@ def test_look_at_and_perspective(device):
         ((0, 0, -10), (1, 0, 10)),
         ((-1, 1, 0), (0, half, 1.5 * 2**0.5)),
     ):
-        np.testing.assert_allclose(nr.look_at(point, eye)[0, 0].cpu(), expected, atol=1e-6)
+        np.testing.assert_allclose(nr.look_at(point, eye)[0, 0].cpu(), expected, **rounding(16, 10))
     found = nr.perspective(torch.tensor([[[1.0, 2, 10]]], device=device))
-    np.testing.assert_allclose(found[0, 0].cpu(), (3**0.5 / 10, 2 * 3**0.5 / 10, 10), rtol=1e-5)
+    np.testing.assert_allclose(found[0, 0].cpu(), (3**0.5 / 10, 2 * 3**0.5 / 10, 10), **relative(8))
 
 
 def test_lighting_runs(device):
@@ -142,21 +140,21 @@ def test_lighting_runs(device):
     assert nr.lighting(faces, textures).shape == textures.shape
 
 
-def test_load_obj(references):
+def test_load_obj(references, teapot_file):
     expected = torch.tensor([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]])
     vertices, faces = nr.load_obj(references / "tetrahedron.obj", normalization=False)
-    assert torch.allclose(vertices, expected) and faces.dtype == torch.int32
+    assert torch.equal(vertices, expected) and faces.dtype == torch.int32
     assert faces.tolist() == [[1, 3, 2], [3, 1, 0], [2, 0, 1], [0, 2, 3]]
-    assert torch.allclose(nr.load_obj(references / "tetrahedron.obj")[0], expected * 2 - 1)
-    vertices, faces = nr.load_obj(references / "teapot.obj")
+    assert torch.equal(nr.load_obj(references / "tetrahedron.obj")[0], expected * 2 - 1)
+    vertices, faces = nr.load_obj(teapot_file)
     assert (len(vertices), len(faces)) == (1292, 2464)
 
 
-def test_save_obj(references, tmp_path):
-    vertices, faces = nr.load_obj(references / "teapot.obj")
+def test_save_obj(teapot_file, tmp_path):
+    vertices, faces = nr.load_obj(teapot_file)
     nr.save_obj(tmp_path / "teapot.obj", vertices, faces)
     again, same = nr.load_obj(tmp_path / "teapot.obj", normalization=False)
-    assert torch.allclose(again, vertices) and torch.equal(same, faces)
+    assert torch.equal(again, vertices) and torch.equal(same, faces)
 
 
 def test_rasterize_functions(device):
@@ -182,31 +180,6 @@ def test_rasterize_functions(device):
     assert torch.equal(alpha, plain["alpha"].flip(1)) and torch.equal(depth, plain["depth"].flip(1))
     with pytest.raises(ValueError, match="return_rgb"):
         nr.Rasterize(20, 0.1, 100, 1e-4, (0, 0, 0))
-
-
-SIGNATURES = {
-    "rasterize_rgbad": "faces textures=None image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001 "
-    "background_color=(0, 0, 0) return_rgb=True return_alpha=True return_depth=True",
-    "rasterize": "faces textures=None image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001 "
-    "background_color=(0, 0, 0)",
-    "rasterize_silhouettes": "faces image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001",
-    "rasterize_depth": "faces image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001",
-    "Rasterize": "image_size near far eps background_color return_rgb=False return_alpha=False return_depth=False",
-    "perspective": "vertices angle=30.0",
-    "lighting": "faces textures intensity_ambient=0.5 intensity_directional=0.5 color_ambient=(1.0, 1.0, 1.0) "
-    "color_directional=(1.0, 1.0, 1.0) direction=(0.0, 1.0, 0.0)",
-    "get_points_from_angles": "distance elevation azimuth degrees=True",
-    "vertices_to_faces": "vertices faces",
-}
-
-
-@pytest.mark.parametrize("name", SIGNATURES)
-def test_signatures(name):
-    """New arguments may follow the published ones."""
-    function = getattr(nr, name)
-    given = [p for p in inspect.signature(function).parameters.values() if p.name != "self"]
-    written = [p.name if p.default is p.empty else f"{p.name}={p.default!r}" for p in given]
-    assert " ".join(written).startswith(SIGNATURES[name])
 
 
 def test_names():

@@ -37,7 +37,8 @@ MODULES = {
 @pytest.mark.parametrize("name", MODULES)
 def test_modules_hold_the_names_and_leave_the_functions(name):
     module = importlib.import_module(f"neural_renderer.{name}")
-    assert {key for key in vars(module) if not key.startswith("__")} == set(MODULES[name].split())
+    assert set(module.__all__) == set(MODULES[name].split()) <= set(dir(module))
+    assert all(hasattr(module, key) for key in module.__all__) and not hasattr(module, "nothing")
     for key in set(MODULES[name].split()) & set(nr.__all__):
         assert getattr(module, key) is getattr(nr, key)
     assert getattr(nr, name) is (getattr(module, name) if name in nr.__all__ else module)

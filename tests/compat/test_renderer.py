@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from tests.rounding import EPS, rounding
 
 DEFAULTS = {
     "image_size": 256,
@@ -231,8 +232,10 @@ def test_each_view_may_have_its_angle(device):
     images = both(vertices, faces, mode="silhouettes")
     for index, angle in enumerate((20.0, 40.0)):
         one = nr.Renderer(16, camera_mode="look_at", viewing_angle=angle)
-        assert both.eye[index].tolist() == pytest.approx(one.eye)
-        assert torch.allclose(images[index], one(vertices[:1], faces[:1], mode="silhouettes")[0])
+        assert both.eye[index].tolist() == pytest.approx(one.eye, rel=16 * EPS)  # the one float32, the other Python's
+        # A sample whose centre is within a rounding of an edge may change sides.
+        alone = one(vertices[:1], faces[:1], mode="silhouettes")[0]
+        assert (images[index] - alone).abs().sum() <= 0.5
     for _ in range(2):  # no graph is left in the renderer
         both(vertices, faces, mode="silhouettes").sum().backward()
     assert (angles.grad != 0).all()
@@ -300,7 +303,7 @@ def test_a_batch_is_its_views_one_by_one(device, batch):
             renderer.eye, renderer.background_color = eyes[b], colors[b]
             alone = renderer(*(t[b : b + 1] for t in (vertices, faces, textures)))
             for whole, part in zip(together, alone, strict=True):
-                torch.testing.assert_close(whole[b], part[0], rtol=1e-4, atol=1e-4)
+                torch.testing.assert_close(whole[b], part[0], **rounding(64, 100))  # depth is up to 100
 
 
 def test_faces_shared_and_of_both_integer_types(device):

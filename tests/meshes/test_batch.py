@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from tests.rounding import rounding
 
 
 def shapes(device):
@@ -26,9 +27,10 @@ def test_a_list_is_drawn_as_each_mesh_alone(device, gradient):
     for b, mesh in enumerate(meshes):
         own = nr.Camera.look_at([[0.3, 1.0, -2.5], [1.5, 0.2, -2.0]][b], viewing_angle=30).to(device)
         alone = nr.render(mesh, own, 48, gradient=gradient)
-        for name in ("rgb", "alpha", "depth"):
-            torch.testing.assert_close(getattr(together, name)[b], getattr(alone, name)[0], rtol=1e-5, atol=1e-5)
+        for name in ("rgb", "alpha", "depth"):  # the cameras' products are taken in another order; depth is up to 100
+            torch.testing.assert_close(getattr(together, name)[b], getattr(alone, name)[0], **rounding(64, 100))
         (expected,) = torch.autograd.grad((alone.rgb[0] * weight[b]).sum(), mesh.vertices)
+        # Where an edge passes near a pixel's centre, the pull has this distance in its denominator.
         assert (found[b] - expected).norm() <= 1e-3 * expected.norm()
 
 

@@ -9,6 +9,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.io import save_image
+from tests.rounding import EPS, rounding
 
 OBJ = """mtllib board.mtl
 v -1 -1 0
@@ -48,7 +49,8 @@ def test_an_image_is_shown_texel_by_texel_and_a_colour_as_it_is(board):
     seen = seen_from_the_front(mesh, 16)
     shown = mesh.shade(seen)[0]
     below = seen.face_index[0] == 0
-    torch.testing.assert_close(shown[below], picture.permute(1, 2, 0)[below], rtol=0, atol=1e-5)
+    # A place among 16 texels is a few roundings of 16 off.
+    torch.testing.assert_close(shown[below], picture.permute(1, 2, 0)[below], **rounding(10, 16))
     torch.testing.assert_close(shown[~below], torch.tensor([1.0, 0.25, 0.0]).expand(int((~below).sum()), 3))
 
 
@@ -139,7 +141,8 @@ def test_render_draws_images_as_it_draws_cubes(device, gradient):
         ((images.rgb - target).square().sum() + images.alpha.sum() + images.depth.sum()).backward()
         found.append((*images, vertices.grad, way.grad))
     for one, other in zip(*found, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-4 * float(other.detach().abs().max()))
+        # Colours that are blended in other ways, and sums over 24 x 32 x 4 samples of what they pull.
+        torch.testing.assert_close(one, other, rtol=0, atol=24 * 32 * 4 * EPS * float(other.detach().abs().max()))
 
 
 def test_render_reaches_images_and_colours(board):
@@ -151,8 +154,9 @@ def test_render_reaches_images_and_colours(board):
     seen = seen_from_the_front(mesh, 16)
     assert torch.equal(rgb, seen.composite(mesh.shade(seen)))
     rgb.sum().backward()
-    assert image.grad.sum() == pytest.approx(3 * int((seen.face_index == 0).sum()))
-    assert colors.grad[1].sum() == pytest.approx(3 * int((seen.face_index == 1).sum()))
+    # Sums of shares of 1 over 16 x 16 pixels.
+    assert image.grad.sum() == pytest.approx(3 * int((seen.face_index == 0).sum()), rel=16**2 * 4 * EPS)
+    assert colors.grad[1].sum() == pytest.approx(3 * int((seen.face_index == 1).sum()), rel=16**2 * 4 * EPS)
     with pytest.raises(ValueError, match="background: expected"):
         nr.render(mesh, camera, 16, background=(1.0, 1.0))
 
@@ -181,12 +185,12 @@ def test_a_corner_keeps_several_places_on_an_image(tmp_path):
     mesh.save(tmp_path / "ball.obj")
     again = nr.UVMesh.load(tmp_path / "ball.obj")
     assert torch.equal(again.vertices, mesh.vertices) and torch.equal(again.faces, mesh.faces)
-    torch.testing.assert_close(again.uv, mesh.uv, rtol=0, atol=1e-7)
+    torch.testing.assert_close(again.uv, mesh.uv, **rounding(2))
     mesh.save(tmp_path / "ball.glb")
     corners = nr.UVMesh.load(tmp_path / "ball.glb")
     assert len(corners.vertices) == 3 * len(mesh.faces)  # all differ here
     torch.testing.assert_close(corners.vertices[corners.faces.long()], mesh.vertices[mesh.faces.long()])
-    torch.testing.assert_close(corners.uv, mesh.uv, rtol=0, atol=1e-6)
+    torch.testing.assert_close(corners.uv, mesh.uv, **rounding(4))  # v is 1 - v in the file
 
 
 def test_resized_images_lie_where_they_lay(board):
@@ -200,7 +204,7 @@ def test_resized_images_lie_where_they_lay(board):
 def test_what_can_be_neither_saved_nor_drawn(board, tmp_path):
     mesh = nr.UVMesh.load(board[0])
     wrong = {
-        "path: expected a name that ends in .obj or .glb": ("mesh.ply", {}),
+        "path: expected a name that ends in .obj, .glb": ("mesh.ply", {}),
         "image_index: expected one of 1 images or -1, got 1": ("mesh.obj", {"image_index": torch.tensor([0, 1])}),
         "image_index: expected one of 1 images or -1, got -3": ("mesh.obj", {"image_index": torch.tensor([-3, 0])}),
         "image_index: expected shape": ("mesh.obj", {"image_index": torch.tensor([0])}),
@@ -226,4 +230,4 @@ def test_what_can_be_neither_saved_nor_drawn(board, tmp_path):
     (tmp_path / "folder.obj").mkdir()
     with pytest.raises(OSError, match=r"folder\.obj"):
         mesh.save(tmp_path / "folder.obj")
-    assert not (tmp_path / "folder.mtl").exists() and not (tmp_path / "folder_1.png").exists()
+    assert not (tmp_path / "folder.mtl").exists() and not list(tmp_path.glob("folder_*"))

@@ -19,8 +19,8 @@ def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_case(shared, device, case):
-    data = np.load(shared / "golden" / f"raster_{case}.npz")
+def test_case(golden, device, case):
+    data = np.load(golden / f"raster_{case}.npz")
 
     def get(name: str) -> torch.Tensor:
         """A map, turned so that its row 0 is at the top; or another array."""
@@ -37,6 +37,7 @@ def test_case(shared, device, case):
     weights, depth = barycentrics(faces, index, near, far, True)
     z = faces.detach()[torch.arange(len(index))[:, None, None], index.clamp(min=0), :, 2]
     on_screen = weights * z / depth[..., None]
+    # What the vectors promise: another implementation in float32 comes as close, and the gradients to 1e-3.
     torch.testing.assert_close(on_screen[seen], get("weights")[seen], rtol=0, atol=1e-4)
     torch.testing.assert_close(depth[seen], get("zmap")[seen], rtol=1e-4, atol=1e-4)
 

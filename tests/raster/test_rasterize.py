@@ -13,6 +13,7 @@ from neural_renderer.raster.ops import texture_cubes as textures
 from neural_renderer.raster.visibility import nmr as edges
 from tests.programs import run_python
 from tests.raster.scenes import FAR, FRONT, NEAR, Scene
+from tests.rounding import rounding
 
 
 def scene_inputs(device, batch=2, count=9, height=14, width=18):
@@ -88,6 +89,7 @@ def test_compiles_as_one_graph(device, backend):
         value = function(leaf)
         value.backward()
         results.append((value.detach(), leaf.grad))
+    # The same kernels; the loss, a sum of multiples of 1 / 16, is exact in any order.
     torch.testing.assert_close(results[0], results[1])
     assert results[0][1].any()
 
@@ -111,7 +113,9 @@ def test_renderers_compile_as_one_graph(device):
             inputs = vertices.clone().requires_grad_(), cubes.clone().requires_grad_()
             image = f(*inputs)
             results.append((image, *torch.autograd.grad(image.square().sum(), inputs)))
-        torch.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-4)
+        # What the compiler fuses is rounded otherwise; depth is up to 100, and sums go over 16 x 16 x 4 samples.
+        for one, other in zip(*results, strict=True):
+            torch.testing.assert_close(one, other, **rounding(32**2, float(other.detach().abs().max())))
 
 
 def _has_compiler() -> bool:
@@ -203,9 +207,8 @@ def test_anti_aliasing_is_the_mean_of_four(device):
     _, faces, *_ = scene_inputs(device)
     cubes = torch.rand(2, 9, 2, 2, 2, 3, device=device)
     fine = draw(faces, cubes, (28, 36), anti_aliasing=False, background=(0.2, 0.4, 0.6))
-    torch.testing.assert_close(
-        draw(faces, cubes, background=(0.2, 0.4, 0.6)), torch.nn.functional.avg_pool2d(fine, 2), rtol=1e-6, atol=1e-6
-    )
+    mean = torch.nn.functional.avg_pool2d(fine, 2)
+    torch.testing.assert_close(draw(faces, cubes, background=(0.2, 0.4, 0.6)), mean, **rounding(4, FAR))
 
 
 @pytest.mark.parametrize("gradient", ["nmr", "edge"])
@@ -274,12 +277,13 @@ def test_two_sided_is_appending_reversed_faces(device):
     theirs = nr.rasterize_images(both, 24, **options)
     assert torch.equal(ours.alpha, theirs.alpha)
     # The corners in another order are other roundings.
-    torch.testing.assert_close(ours.depth, theirs.depth, rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(ours.depth, theirs.depth, **rounding(16, FAR))
     options |= {"outputs": ("rgb", "alpha")}
     options.pop("textures")
     ours = nr.rasterize_images(native[0], 24, two_sided=True, textures=native[1], **options)
     theirs = nr.rasterize_images(both, 24, textures=twice, **options)
-    torch.testing.assert_close(ours.rgb, theirs.rgb, rtol=1e-4, atol=1e-4)
+    # Weights, then places among 3 texels along each of three axes, whose colours are up to about 3 apart.
+    torch.testing.assert_close(ours.rgb, theirs.rgb, **rounding(256, 3))
     pull = scene.noise(2, 3, 24, 24).to(device)
     for images in (ours, theirs):
         ((images.rgb * pull).sum() + (images.alpha * pull[:, 0]).sum()).backward()
@@ -339,5 +343,5 @@ def test_a_mesh_of_1600000_faces():
     done = run_python("-c", MEMORY)
     assert done.returncode == 0, done.stderr
     covered, mebibytes = map(float, done.stdout.split())
-    assert abs(covered - 3.14159 / 4 * 0.81) < 1e-3
+    assert abs(covered - 3.14159 / 4 * 0.81) < 1e-3  # of a disc's area, its outline's pixels being all or nothing
     assert mebibytes < 1024

@@ -19,9 +19,13 @@ def directions(count=20000):
 
 
 def test_harmonics_are_orthonormal():
+    """Up to the error of the sum over 20,000 directions."""
     values = _harmonics(directions())
     torch.testing.assert_close(
-        4 * math.pi * values.T @ values / len(values), torch.eye(9, dtype=torch.float64), rtol=0, atol=1e-3
+        4 * math.pi * values.T @ values / len(values),
+        torch.eye(9, dtype=torch.float64),
+        rtol=0,
+        atol=1e-3,
     )
 
 

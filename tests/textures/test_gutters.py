@@ -19,7 +19,7 @@ def test_gutters_take_the_colours_beside_them():
     texture.requires_grad_()
     filled = nr.fill_gutters(texture, uv)
     assert torch.equal(filled[8:24, 8:24], texture[8:24, 8:24])
-    assert (filled.sum(-1) - 1).abs().max() < 1e-5  # nothing of the black
+    assert (filled.sum(-1) - 1).abs().max() < 1e-5  # means of means: nothing of the black
     assert filled[16, 2, 0] > 0.8 and filled[16, 29, 2] > 0.8
     filled.sum().backward()
     assert (texture.grad[:8] == 0).all() and (texture.grad[8:24, 8:24] >= 1).all()

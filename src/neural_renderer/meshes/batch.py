@@ -1,4 +1,4 @@
-"""Several meshes at once: side by side in a batch, or together in one scene."""
+"""Several meshes as a batch, one for each image, or joined into one scene."""
 
 from __future__ import annotations
 
@@ -14,18 +14,29 @@ from .mesh import Mesh
 
 
 def pad(tensors: Sequence[Tensor], value: float = 0) -> Tensor:
-    """Tensors [N_b, ...] that differ in N alone, as one [B, max N, ...], filled up with ``value`` behind."""
+    """Stack tensors [N_b, ...] that differ in N only into [B, max N, ...], padded with ``value`` at the end."""
     longest = max(len(tensor) for tensor in tensors)
     spaces = ([0, 0] * (tensor.dim() - 1) + [0, longest - len(tensor)] for tensor in tensors)
     return torch.stack([nn.functional.pad(t, space, value=value) for t, space in zip(tensors, spaces, strict=True)])
 
 
 def batch(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]:
-    """Meshes of different size as one batch for `render`, which takes a list of them likewise.
+    """Pad meshes of different sizes to one batch. `render` does this with a list of meshes.
 
-    Returns vertices [B, V, 3], filled up with zeros, faces [B, F, 3], filled up with (-1, -1, -1), which stands for no
-    face, and textures [B, F, T, T, T, 3]. Gradients reach each mesh's own tensors.
-    Raises TypeError or ValueError for anything but meshes of one device and one texture size.
+    Args:
+        meshes: B meshes on one device, with one texture size.
+
+    Returns:
+        Vertices [B, V, 3], padded with 0; faces [B, F, 3], padded with (−1, −1, −1), which stands for no face; textures
+        [B, F, T, T, T, 3]. Gradients reach the tensors of each mesh.
+
+    Raises:
+        TypeError, ValueError: An item is not a `Mesh`, or devices or texture sizes differ.
+
+    Example:
+        >>> vertices, faces, textures = batch([nr.Mesh.icosphere(1), nr.Mesh.icosphere(2)])
+        >>> faces.shape
+        torch.Size([2, 320, 3])
     """
     _check(meshes)
     vertices = pad([mesh.vertices for mesh in meshes])
@@ -33,10 +44,17 @@ def batch(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def join(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]:
-    """Several objects as one scene for `render`: vertices [V, 3], faces [F, 3] and textures [F, T, T, T, 3] of all.
+    """Join several meshes into one scene.
 
-    Gradients reach each mesh's own tensors; ``Mesh(*join(meshes))`` is a copy of its own.
-    Raises TypeError or ValueError for anything but meshes of one device and one texture size.
+    Args:
+        meshes: Meshes on one device, with one texture size.
+
+    Returns:
+        Vertices [V, 3], faces [F, 3] and textures [F, T, T, T, 3] for `render`. Gradients reach the tensors of each
+        mesh; ``Mesh(*join(meshes))`` is an independent copy.
+
+    Raises:
+        TypeError, ValueError: An item is not a `Mesh`, or devices or texture sizes differ.
     """
     _check(meshes)
     firsts = itertools.accumulate((len(mesh.vertices) for mesh in meshes[:-1]), initial=0)
@@ -45,7 +63,7 @@ def join(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
-    """(vertices, faces, textures or None) of a `Mesh`, a list of them, or a tuple; TypeError for anything else."""
+    """Get (vertices, faces, textures or None) of a `Mesh`, a list of meshes, or a tuple; raise TypeError otherwise."""
     if isinstance(mesh, Mesh):
         return mesh.vertices, mesh.faces, mesh.textures
     if isinstance(mesh, list):

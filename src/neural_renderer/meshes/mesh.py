@@ -11,9 +11,11 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
-from ..io.formats import load_mesh, save_mesh
+from ..io.formats import load_mesh
+from ..io.mesh_writer import save_mesh
 from ..io.obj import load_obj
 from . import primitives
+from .bounds import bounding_box
 
 
 class Mesh(nn.Module):
@@ -122,9 +124,9 @@ class Mesh(nn.Module):
         """T, texels along a cube's edge."""
         return self.textures.shape[1]
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the mesh as OBJ, PLY or GLB (see `save_mesh`), its textures taken as colours and clamped to [0, 1]."""
-        save_mesh(path, self.vertices, self.faces, self.textures)
+        save_mesh(path, self.vertices, self.faces, self.textures, overwrite=overwrite)
 
     def normalize(self) -> Mesh:
         """A copy of the mesh with its bounding box centred at the origin and the box's longest side from -1 to 1.
@@ -169,11 +171,10 @@ class Mesh(nn.Module):
 def centred(vertices: Tensor) -> Tensor:
     """Vertices [V, 3] moved and scaled into [-1, 1] (see `Mesh.normalize`), detached, float64."""
     vertices = validate.vertices(validate.has_numbers("vertices", vertices)).detach().double()
-    low, high = vertices.min(dim=0).values, vertices.max(dim=0).values
-    longest = float((high - low).max())
-    if longest == 0:
+    center, half = bounding_box(vertices)
+    if half == 0:
         raise ValueError(f"vertices: expected a mesh to normalise, got {len(vertices)} vertices that all coincide")
-    return (vertices - (low + high) / 2) * (2 / longest)
+    return (vertices - center) / half
 
 
 def _as_tensor(value: Any) -> Any:

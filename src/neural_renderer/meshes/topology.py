@@ -26,7 +26,7 @@ class Topology:
     Example:
         >>> topology = Topology.of(torch.tensor([[0, 1, 2], [2, 1, 3]]))
         >>> topology.hinges.tolist()
-        [[1, 2, 0, 3]]
+        [[1, 2, 3, 0]]
     """
 
     edges: Tensor

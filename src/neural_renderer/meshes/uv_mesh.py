@@ -12,8 +12,8 @@ from torch.nn import functional
 
 from .. import validate
 from ..io.formats import read_mesh
+from ..io.mesh_writer import save_painted
 from ..io.surface_colors import Skin
-from ..io.textured_writer import save_painted
 from ..textures.gutters import fill_gutters
 from ..textures.sample_texture import checked_wrap, sampled
 from .mesh import centred
@@ -78,12 +78,21 @@ class UVMesh:
             wraps=wraps,
         )
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the mesh as OBJ, its materials and pictures beside it, or as GLB, where images repeat beyond [0, 1];
-        colours are clamped to [0, 1].
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the mesh as OBJ or as GLB, where images repeat beyond [0, 1]; colours are clamped to [0, 1].
 
-        The faces of each image come together; those without one get one together, with a tile for each. Raises
-        TypeError or ValueError for another suffix, NaN, and tensors that do not fit together.
+        Beside ``spot.obj`` come ``spot.mtl`` and ``spot_texture.png``, or ``spot_texture_1.png`` and so on. The faces
+        of each image come together; those without one get one together, with a tile for each.
+
+        Args:
+            path: Ends in ``.obj`` or ``.glb``; missing folders are made. A file of that name is replaced.
+            overwrite: Replace the files beside an OBJ whoever made them; otherwise only those that were written with
+                an OBJ of this name before. So a model from elsewhere keeps its materials and images.
+
+        Raises:
+            TypeError, ValueError: Another suffix, NaN, and tensors that do not fit together.
+            FileExistsError: A file beside an OBJ would be replaced that was not written with it.
+            OSError: The files cannot be written. All that was there before stays.
         """
         self._check(always=True)
         skin = Skin(
@@ -93,7 +102,7 @@ class UVMesh:
             [image.detach().float().cpu().numpy() for image in self.images],
             ["REPEAT" if wrap == "repeat" else "CLAMP_TO_EDGE" for wrap in self.wraps],
         )
-        save_painted(path, self.vertices, self.faces, skin)
+        save_painted(path, self.vertices, self.faces, skin, overwrite=overwrite)
 
     def shade(self, seen: Fragments) -> Tensor:
         """The albedo [B, H, W, 3] float32 of what is seen of this mesh, each image filtered by its mipmaps.

@@ -1,4 +1,4 @@
-"""Texture images between their charts: what no face shows, filled so that mipmaps find no other colour there."""
+"""Gutter filling: colours for the texels between charts, so that mipmaps show no seams."""
 
 from __future__ import annotations
 
@@ -10,25 +10,40 @@ from .. import validate
 from ..raster.rasterize import rasterize_images
 from .sample_texture import checked_wrap
 
-# Texels: a circle of this radius has a texel's centre in it wherever it lies.
+# A circle of this radius, in texels, always contains the centre of a texel.
 _HOLDS_A_CENTRE = 0.7072
-_MOST_PLACES = 1 << 22  # that are looked at one by one: a second's work
+_MOST_PLACES = 1 << 22  # sampled points on small faces: about a second of work
 
 
 def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wrap: str = "repeat") -> Tensor:
-    """The texture with every texel that no face shows replaced by a blend of those around it.
+    """Replace every texel that no face shows by a blend of the texels around it.
 
-    texture: [h, w, C] floating. uv: [F, 3, 2] floating, the faces' corners on it, v up.
-    known: [h, w] bool, where the texture has a colour: others are replaced too; None: everywhere. With no texel left to
-        begin from, nothing is replaced.
-    wrap: what lies beyond [0, 1], as in `sample_texture`. If the image repeats within a face, all of it is shown.
+    Mipmaps average across the borders of charts. If the gaps between charts are black, dark lines appear along every
+    seam. This function fills the gaps by the pull-push algorithm (Gortler et al., "The Lumigraph", 1996, section 3.4):
+    averages of the shown texels at coarser and coarser levels.
 
-    Mipmaps average over the borders of charts: with the gaps between them black, thin dark lines follow every seam.
-    The gaps are filled from coarser and coarser means of what is shown, each over its own part alone, as in the
-    pull-push algorithm (Gortler et al., "The Lumigraph", 1996, section 3.4). A face shows the texels whose centres it
-    covers; one that may cover none, as on palettes, where a face is a point, those that are blended within it.
+    A face shows the texels whose centres it covers. A face too small to cover a centre, as in colour palettes, shows
+    the texels that bilinear sampling reads within it.
 
-    Returns [h, w, C] float32; gradients reach the texture. Raises TypeError or ValueError for other types or shapes.
+    Args:
+        texture: [h, w, C] floating.
+        uv: [F, 3, 2] floating, texture coordinates of the faces' corners, v up.
+        known: [h, w] bool, texels that have a colour; others are replaced, too. None means all. If no texel is both
+            known and shown, the texture is returned as it is.
+        wrap: Wrapping beyond [0, 1], as in `sample_texture`. If the image repeats within a face, all of it is shown.
+
+    Returns:
+        [h, w, C] float32, differentiable in ``texture``.
+
+    Raises:
+        TypeError, ValueError: A type or shape does not fit.
+
+    Example:
+        >>> texture = torch.zeros(16, 16, 3)
+        >>> texture[8:, :8] = 1  # one white chart in the lower left corner
+        >>> uv = torch.tensor([[[0.0, 0.0], [0.5, 0.0], [0.5, 0.5]], [[0.0, 0.0], [0.5, 0.5], [0.0, 0.5]]])
+        >>> fill_gutters(texture, uv, wrap="clamp").min().item()
+        1.0
     """
     validate.floating("texture", texture, ("h", "w", "C"))
     validate.finite("uv", validate.floating("uv", uv, ("F", 3, 2)))
@@ -48,14 +63,14 @@ def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wr
 
 
 def _shown(uv: Tensor, height: int, width: int, repeat: bool) -> Tensor:
-    """Which texels faces show, [height, width] bool."""
+    """Find the texels that faces show, [height, width] bool."""
     if not uv.numel():
         return torch.zeros(height, width, dtype=torch.bool, device=uv.device)
     low = uv.amin(1, keepdim=True)
     if repeat and bool((uv.amax(1, keepdim=True) - low > 1).any()):
         return torch.ones(height, width, dtype=torch.bool, device=uv.device)
     uv = uv - low.floor() if repeat else uv
-    # A chart that begins in one repetition of the image may end in the next: it is drawn in all four.
+    # A chart can cross from one repetition of the image to the next, so it is drawn in all four.
     shifts = ((0, 0), (1, 0), (0, 1), (1, 1)) if repeat else ((0, 0),)
     corners = functional.pad(2 * torch.cat([uv - uv.new_tensor(shift) for shift in shifts]) - 1, (0, 1), value=1.0)
     drawn = {"two_sided": True, "perspective": False, "anti_aliasing": False, "near": 0.5, "far": 2.0}
@@ -63,7 +78,7 @@ def _shown(uv: Tensor, height: int, width: int, repeat: bool) -> Tensor:
     shown = alpha[0] > 0  # type: ignore[index]
 
     size = uv.new_tensor((width, height))
-    places = torch.stack((uv[..., 0], 1 - uv[..., 1]), 2) * size - 0.5  # whole numbers at texels' centres
+    places = torch.stack((uv[..., 0], 1 - uv[..., 1]), 2) * size - 0.5  # integers at the centres of texels
     if not repeat:
         outside = ((uv < 0) | (uv > 1)).any()
         shown[[0, -1]] |= outside
@@ -76,17 +91,17 @@ def _shown(uv: Tensor, height: int, width: int, repeat: bool) -> Tensor:
 
 
 def _small(places: Tensor) -> Tensor:
-    """Those of triangles [F, 3, 2] that may lie between the centres of texels."""
+    """Select the triangles of [F, 3, 2] that may contain no centre of a texel."""
     sides = places.roll(-1, 1) - places
     area = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).abs()
-    radius = area / sides.norm(dim=2).sum(1).clamp(min=1e-12)  # of the circle inside
+    radius = area / sides.norm(dim=2).sum(1).clamp(min=1e-12)  # of the inscribed circle
     return places[radius < _HOLDS_A_CENTRE]
 
 
 def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | None:
-    """The numbers of the texels that are blended on the sides and medians of triangles [F, 3, 2].
+    """Find the indices of texels that bilinear sampling reads on the sides and medians of triangles [F, 3, 2].
 
-    None if there are too many places to look at, as of a hundred thousand slivers across a whole image.
+    Returns None if that takes too many samples, such as for a hundred thousand slivers across a whole image.
     """
     begin = places.repeat(1, 2, 1)
     end = torch.cat((places.roll(-1, 1), (places.roll(-1, 1) + places.roll(-2, 1)) / 2), 1)
@@ -106,7 +121,7 @@ def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | 
 
 
 def _pull_push(image: Tensor, shown: Tensor) -> Tensor:
-    """image [1, C, h, w] with what is not shown [1, 1, h, w] filled from the level above."""
+    """Fill the texels of image [1, C, h, w] where ``shown`` [1, 1, h, w] is 0 from the next coarser level."""
     if image.shape[2:] == (1, 1) or not bool((shown == 0).any()):
         return image
     half = (-(-image.shape[2] // 2), -(-image.shape[3] // 2))

@@ -1,4 +1,4 @@
-"""Colour from an image by texture coordinates."""
+"""Texture lookup with bilinear filtering and mipmaps."""
 
 from __future__ import annotations
 
@@ -12,20 +12,32 @@ WRAPS = ("repeat", "clamp")
 
 
 def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None, *, wrap: str = "repeat") -> Tensor:
-    """The colours of a texture image at coordinates, bilinear, and trilinear between mipmaps.
+    """Sample a texture image at texture coordinates.
 
-    texture: [h, w, C] or [B or 1, h, w, C] floating, row 0 at the top, any number of channels.
-    uv: [B, H, W, 2] floating, u to the right and v up; (0, 0) is the lower left corner of the image, (1, 1) the upper
-        right: what `Fragments.interpolate` makes of an OBJ file's coordinates (glTF's v runs down: give 1 - v).
-    face_index: [B, H, W], of the `Fragments` that uv belongs to; with it, each pixel takes the mean over about as many
-        texels as it covers, by what uv changes between pixels of one face (Williams, "Pyramidal parametrics", 1983);
-        None: the texture itself, whose details flicker where they are smaller than a pixel. Where it is below 0 the
-        colour is 0.
-    wrap: beyond [0, 1] the image is repeated ("repeat") or its border goes on ("clamp").
+    With ``face_index``, filtering is trilinear: the mipmap level follows from the difference of uv between adjacent
+    pixels of one face (Williams, "Pyramidal parametrics", 1983). Without it, filtering is bilinear, and details smaller
+    than a pixel alias.
 
-    Returns [B, H, W, C] float32. Gradients reach texture and uv; the choice of the mipmap passes none on.
-    Raises TypeError or ValueError for other types, shapes, devices or names; while values are checked, also for numbers
-    that are not finite, but for uv where face_index is below 0.
+    Args:
+        texture: [h, w, C] or [B or 1, h, w, C] floating, row 0 at the top, any number of channels.
+        uv: [B, H, W, 2] floating, u to the right and v up. (0, 0) is the lower left corner of the image, (1, 1) the
+            upper right one. OBJ files use this convention; for glTF pass 1 − v.
+        face_index: [B, H, W] integer, `Fragments.face_index` of the pixels, or None. The colour is 0 where it is
+            negative.
+        wrap: "repeat" repeats the image beyond [0, 1], "clamp" extends its border.
+
+    Returns:
+        [B, H, W, C] float32, differentiable in ``texture`` and ``uv``. Level selection is not differentiated.
+
+    Raises:
+        TypeError, ValueError: A type, shape, device or name does not fit; while values are checked, also a number that
+            is not finite, except in uv where ``face_index`` is negative.
+
+    Example:
+        >>> texture = torch.rand(256, 256, 3, requires_grad=True)
+        >>> seen = nr.fragments(mesh, camera, 128)
+        >>> uv = seen.interpolate(0.5 + 0.5 * mesh.vertices[:, :2])  # any [V, 2] → [B, 256, 256, 2]
+        >>> image = seen.composite(sample_texture(texture, uv, seen.face_index))
     """
     validate.floating("texture", texture, ("h", "w", "C") if getattr(texture, "ndim", 4) == 3 else ("B", "h", "w", "C"))
     validate.floating("uv", uv, ("B", "H", "W", 2))
@@ -54,7 +66,7 @@ def sampled(image: Tensor, uv: Tensor, face_index: Tensor | None, wrap: str) -> 
 
 
 def checked_wrap(wrap: str) -> str:
-    """``wrap`` if it is one; ValueError otherwise."""
+    """Return ``wrap`` if it is a known mode; raise ValueError otherwise."""
     if not isinstance(wrap, str) or wrap not in WRAPS:
         raise ValueError(f"wrap: expected one of {', '.join(WRAPS)}, got {wrap!r}")
     return wrap

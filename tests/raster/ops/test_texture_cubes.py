@@ -12,6 +12,7 @@ from neural_renderer.raster.ops.coverage import coverage
 from neural_renderer.raster.ops.texture_cubes import sample_textures
 from neural_renderer.raster.reference.operators import sample_textures_reference
 from tests.raster.scenes import FAR, NEAR, examples, scenes
+from tests.rounding import relative, rounding
 
 
 def drawn(scene, device):
@@ -72,7 +73,8 @@ def test_textures_lie_flat_in_space(device, perspective):
         textures, ones, torch.zeros(1, 3, 32, 32, device=device), screen, index, weights, 0.0, perspective
     )
     inside = (index >= 0) & (weights.amax(-1) < 0.9)
-    torch.testing.assert_close(color[:, 2][inside], depth[inside], rtol=1e-4, atol=1e-4)
+    # Weights of a face of 30 pixels, then a place among 4 texels, of depths up to 4.
+    torch.testing.assert_close(color[:, 2][inside], depth[inside], **rounding(64, 4 * 4))
 
 
 def test_each_side_has_its_light(device):
@@ -84,5 +86,5 @@ def test_each_side_has_its_light(device):
     textures = torch.ones(1, 1, 2, 2, 2, 3, device=device)
     black = torch.zeros(2, 3, 4, 4, device=device)
     color = sample_textures(textures, light, black, faces, index, weights, 1e-3, True).cpu()
-    assert torch.allclose(color[0, :, index.cpu()[0] >= 0].T, torch.tensor([1.0, 2, 3]))
-    assert torch.allclose(color[1, :, index.cpu()[1] >= 0].T, torch.tensor([4.0, 5, 6]))
+    assert torch.allclose(color[0, :, index.cpu()[0] >= 0].T, torch.tensor([1.0, 2, 3]), **relative(32))
+    assert torch.allclose(color[1, :, index.cpu()[1] >= 0].T, torch.tensor([4.0, 5, 6]), **relative(32))

@@ -8,6 +8,7 @@ import torch
 import neural_renderer as nr
 from neural_renderer.raster.visibility.continuity import image_marks, texture_marks
 from neural_renderer.tasks.texels import Texels
+from tests.rounding import rounding
 
 
 def sewn(marks, faces):
@@ -118,4 +119,5 @@ def test_no_seam_is_found_in_a_texture_that_goes_on(device):
         rgb.square().sum().backward()
         found.append((rgb, moving.grad))
     assert torch.equal(found[0][0], found[1][0])
-    torch.testing.assert_close(found[0][1], found[1][1], rtol=1e-4, atol=1e-4 * float(found[0][1].abs().max()))
+    # A vertex gathers the pulls of some hundred pixels, in the one and in the other order.
+    torch.testing.assert_close(found[0][1], found[1][1], **rounding(64**2, float(found[0][1].abs().max())))

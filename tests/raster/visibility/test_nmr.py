@@ -11,6 +11,7 @@ from neural_renderer.raster.ops.coverage import coverage, silhouette
 from neural_renderer.raster.reference.operators import nmr_edges_reference
 from neural_renderer.raster.visibility.nmr import nmr_edges
 from tests.raster.scenes import FAR, NEAR, Scene, examples, scenes
+from tests.rounding import rounding
 
 KINDS = ("plain", "plain", "tiny", "huge", "outside", "point", "line", "copy", "flat")
 
@@ -25,7 +26,7 @@ def gradient(image, faces, index, eps, two_sided, binary, grad):
     return faces.grad.cpu()
 
 
-def rounding(faces: torch.Tensor, height: int, width: int, eps: float) -> torch.Tensor:
+def share_in_doubt(faces: torch.Tensor, height: int, width: int, eps: float) -> torch.Tensor:
     """By what share float32 may change each face's gradient; infinite where another pixel may be the nearest.
 
     It is 2^-24 of the pixel coordinates, grown by the edge's slope, over the distance to the nearest pixel.
@@ -73,7 +74,7 @@ def test_random_scenes(device, scene, channels, eps, ones):
     expected = nmr_edges_reference(grad, image, faces, index, eps, scene.two_sided)
     size = expected.abs().flatten(2).amax(2)
     # Pulls outward and inward partly cancel: twice the share.
-    error = (2 * rounding(faces, scene.height, scene.width, eps) + 1e-5) * size + 1e-5
+    error = (2 * share_in_doubt(faces, scene.height, scene.width, eps) + 1e-5) * size + 1e-5
     known = error < 0.1 * size + 1e-4
     assert known.float().mean() >= 0.3 or not size.any()
     for binary in (False, True) if ones else (False,):
@@ -94,7 +95,7 @@ def test_most_gradients_agree_closely(device):
         found = gradient(image, faces.to(device), index, 1e-3, scene.two_sided, False, grad)
         expected = nmr_edges_reference(grad, image, faces, index, 1e-3, scene.two_sided)
         drawn = expected.abs().flatten(2).amax(2) > 0
-        clear = drawn & (rounding(faces, 24, 31, 1e-3) < 2e-3)
+        clear = drawn & (share_in_doubt(faces, 24, 31, 1e-3) < 2e-3)
         difference = (found - expected).norm(dim=(2, 3)) / expected.norm(dim=(2, 3))
         assert (difference[clear] <= 2e-4).all()
         compared, total = compared + int(clear.sum()), total + int(drawn.sum())
@@ -109,7 +110,8 @@ def test_channels_without_a_gradient_have_no_part(device, live):
     grad[:, live:] = 0
     found = gradient(image, scene.faces.to(device), index, 1e-3, True, False, grad)
     alone = gradient(image[:, :live], scene.faces.to(device), index, 1e-3, True, False, grad[:, :live])
-    torch.testing.assert_close(found, alone, rtol=1e-5, atol=1e-6)
+    # A face's edges pass some 2 x (24 + 31) pixels, whose pulls may be summed in another order.
+    torch.testing.assert_close(found, alone, **rounding(2 * (24 + 31), float(alone.abs().max())))
     assert bool(found.any()) == (live > 0)
 
 
@@ -155,7 +157,7 @@ def crossing_case(scene, device, sign):
     grad = sign * scene.noise(*image.shape).abs().to(device)
     expected = nmr_edges_reference(grad, image, faces, index, 1e-3, scene.two_sided)
     found = gradient(image, faces.to(device), index, 1e-3, scene.two_sided, True, grad)
-    share = 10 * rounding(faces, scene.height, scene.width, 1e-3) + 1e-5
+    share = 10 * share_in_doubt(faces, scene.height, scene.width, 1e-3) + 1e-5
     difference = (found - expected).abs().flatten(2).amax(2)
     assert (difference <= share * expected.abs().flatten(2).amax(2) + 1e-5)[share < 0.1].all()
 
@@ -205,4 +207,5 @@ def test_size_does_not_depend_on_channels_that_do_not_change(device, binary):
     alone = gradient(image, faces, index, 1e-3, True, binary, grad)
     images = torch.cat((image, torch.ones_like(image), torch.randn_like(image)), 1)
     grads = torch.cat((grad, grad, torch.zeros_like(grad)), 1)
-    torch.testing.assert_close(gradient(images, faces, index, 1e-3, True, False, grads), alone, rtol=1e-5, atol=1e-5)
+    found = gradient(images, faces, index, 1e-3, True, False, grads)
+    torch.testing.assert_close(found, alone, **rounding(4 * 20, float(alone.abs().max())))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 
 from neural_renderer.tasks.editing.palette import Palette
+from tests.rounding import relative
 
-# A float32 sum of n terms, in any order, is off by at most n roundings of 2**-24 of the terms' size; here the terms are
-# positive, and two more roundings make a share of each.
-MEAN_ROUNDING = (40 * 50 + 2) * 2**-24
+# A mean of positive numbers: two roundings make a share of each, and then there is their sum.
+MEAN = relative(40 * 50 + 2)
 
 
 def painting() -> torch.Tensor:
@@ -23,7 +23,7 @@ def painting() -> torch.Tensor:
 def test_the_excess_is_mahalanobis_distance_beyond_two_and_a_half() -> None:
     colours = painting()[0].flatten(1).T.double()
     palette = Palette.of(painting(), torch.ones(1, 40, 50))
-    torch.testing.assert_close(palette.mean.double(), colours.mean(0), rtol=MEAN_ROUNDING, atol=0)
+    torch.testing.assert_close(palette.mean.double(), colours.mean(0), **MEAN)
     covariance = torch.cov(colours.T, correction=0) + 0.02**2 * torch.eye(3)
     covariance += 0.15**2 * torch.outer(palette.mean, palette.mean)
     points = torch.rand(4, 5, 3, generator=torch.Generator().manual_seed(1))
@@ -31,7 +31,7 @@ def test_the_excess_is_mahalanobis_distance_beyond_two_and_a_half() -> None:
     distance = torch.einsum("abi,ij,abj->ab", away, torch.linalg.inv(covariance), away).sqrt()
     # Rounding of the covariance's entries moves its smallest eigenvalue the most, by the ratio of the largest to it;
     # the excess is rounded off by 0.1 where it begins.
-    rounding = MEAN_ROUNDING * float(torch.linalg.cond(covariance))
+    rounding = MEAN["rtol"] * float(torch.linalg.cond(covariance))
     expected = (distance - 2.5).clamp(min=0)
     torch.testing.assert_close(palette.excess(points).double(), expected, rtol=rounding, atol=0.1 + 2.5 * rounding)
 
@@ -53,7 +53,7 @@ def test_masks_and_paintings_of_one_colour() -> None:
     other = painting()
     other[..., 25:] = 0
     one, two = Palette.of(painting(), half), Palette.of(other, half)
-    torch.testing.assert_close(one.mean, two.mean, rtol=2 * MEAN_ROUNDING, atol=0)
+    torch.testing.assert_close(one.mean, two.mean, **relative(2 * (40 * 50 + 2)))
     plain = Palette.of(torch.full((1, 3, 8, 8), 0.5), torch.ones(1, 8, 8))
     for allowed in ([0.52, 0.5, 0.49], [0.4, 0.4, 0.4], [0.62, 0.62, 0.62]):  # another light is no other colour
         assert plain.excess(torch.tensor(allowed)) == 0

@@ -61,7 +61,7 @@ class FitOptions:
     """Half of the vertical field of view in degrees, for --recover camera (above 0, below 90)."""
     gradient: Literal["edge", "nmr"] = "edge"
     """The renderer's gradient through visibility."""
-    colour_from: float = 1.0
+    color_from: Annotated[float, tyro.conf.arg(aliases=["--colour-from"])] = 1.0
     """The part of the steps (0 to 1) after which colours move the shape too: 0.3 finds some hollows that silhouettes do
     not show, in twice the time."""
     weights: FitWeights = field(default_factory=FitWeights)
@@ -75,5 +75,7 @@ class FitOptions:
     resume: bool = False
     """Go on from the checkpoint in the output folder, if there is one. It must be of the same images and options, but
     for the numbers of steps."""
+    force: bool = False
+    """Replace mesh.mtl and mesh_texture.png in the output folder even if something else wrote them."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute; auto is CUDA where there is one."""
