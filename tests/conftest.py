@@ -10,6 +10,24 @@ import torch
 
 
 @pytest.fixture(scope="session")
+def golden() -> Path:
+    """The folder of golden vectors: see its README."""
+    return Path(__file__).parent / "golden"
+
+
+@pytest.fixture(scope="session")
+def references() -> Path:
+    """The folder of references that others made: see its README."""
+    return Path(__file__).parent / "references"
+
+
+@pytest.fixture(scope="session")
+def teapot_file() -> Path:
+    """The teapot of the examples."""
+    return Path(__file__).resolve().parents[1] / "examples" / "data" / "teapot.obj"
+
+
+@pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of real files beside the project; a test that needs it is skipped where it is missing."""
     folder = Path(__file__).resolve().parents[2] / "shared"

@@ -15,15 +15,15 @@ Run = Callable[..., str]
 
 
 @pytest.fixture
-def run(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+def run(teapot_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
     """Run an example on the CPU; returns what it prints."""
-    data = shared / "data" / "references" / "neural_renderer"
+    data = teapot_file.parent
 
     def run(number: int, iterations: int | None = None) -> str:
         output = tmp_path / "out.gif"
-        arguments = ["-i", str(data / "teapot.obj"), "-o", str(output), "-d", "cpu"]
+        arguments = ["-i", str(teapot_file), "-o", str(output), "-d", "cpu"]
         if number > 1:
-            arguments += ["-r", str(data / "examples" / f"example{number}_ref.png")]
+            arguments += ["-r", str(data / f"example{number}_ref.png")]
         if iterations is not None:
             arguments += ["-n", str(iterations)]
         script = EXAMPLES / f"example{number}.py"

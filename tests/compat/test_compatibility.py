@@ -13,19 +13,14 @@ import neural_renderer as nr
 from tests.rounding import EPS, STEP, relative, rounding
 
 
-@pytest.fixture
-def references(shared):
-    return shared / "data" / "references" / "neural_renderer"
-
-
 def to_batch(data: torch.Tensor) -> torch.Tensor:
     """As the published tests do: the data third of four, the others zero, so that empty meshes must draw nothing."""
     return torch.stack((torch.zeros_like(data),) * 2 + (data,) + (torch.zeros_like(data),))
 
 
 @pytest.fixture
-def teapot(references, device):
-    vertices, faces = nr.load_obj(references / "teapot.obj")
+def teapot(teapot_file, device):
+    vertices, faces = nr.load_obj(teapot_file)
     textures = torch.ones(len(faces), 4, 4, 4, 3)
     return tuple(to_batch(t.to(device)) for t in (vertices, faces, textures))
 
@@ -145,18 +140,18 @@ def test_lighting_runs(device):
     assert nr.lighting(faces, textures).shape == textures.shape
 
 
-def test_load_obj(references):
+def test_load_obj(references, teapot_file):
     expected = torch.tensor([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]])
     vertices, faces = nr.load_obj(references / "tetrahedron.obj", normalization=False)
     assert torch.equal(vertices, expected) and faces.dtype == torch.int32
     assert faces.tolist() == [[1, 3, 2], [3, 1, 0], [2, 0, 1], [0, 2, 3]]
     assert torch.equal(nr.load_obj(references / "tetrahedron.obj")[0], expected * 2 - 1)
-    vertices, faces = nr.load_obj(references / "teapot.obj")
+    vertices, faces = nr.load_obj(teapot_file)
     assert (len(vertices), len(faces)) == (1292, 2464)
 
 
-def test_save_obj(references, tmp_path):
-    vertices, faces = nr.load_obj(references / "teapot.obj")
+def test_save_obj(teapot_file, tmp_path):
+    vertices, faces = nr.load_obj(teapot_file)
     nr.save_obj(tmp_path / "teapot.obj", vertices, faces)
     again, same = nr.load_obj(tmp_path / "teapot.obj", normalization=False)
     assert torch.equal(again, vertices) and torch.equal(same, faces)

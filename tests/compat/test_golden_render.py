@@ -22,8 +22,8 @@ def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_case(shared, device, case):
-    data = np.load(shared / "golden" / f"render_{case}.npz")
+def test_case(golden, device, case):
+    data = np.load(golden / f"render_{case}.npz")
 
     def get(name: str) -> torch.Tensor:
         return torch.from_numpy(data[name]).to(device)

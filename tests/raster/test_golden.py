@@ -19,8 +19,8 @@ def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_case(shared, device, case):
-    data = np.load(shared / "golden" / f"raster_{case}.npz")
+def test_case(golden, device, case):
+    data = np.load(golden / f"raster_{case}.npz")
 
     def get(name: str) -> torch.Tensor:
         """A map, turned so that its row 0 is at the top; or another array."""

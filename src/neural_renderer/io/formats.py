@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,6 +24,9 @@ from .surface_colors import Skin
 
 if TYPE_CHECKING:
     import trimesh
+
+# trimesh logs the traceback of an image that is missing, and tells of it here: what nobody asks for is not printed.
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 _READABLE = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 
@@ -95,7 +99,8 @@ def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarr
     offset = 0
     for part, matrix in parts:
         corners = np.asarray(part.faces, dtype=np.int64)
-        points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        with np.errstate(over="ignore", invalid="ignore"):
+            points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         good = fits_float32(points)
         if not good.all():
             raise ValueError(
