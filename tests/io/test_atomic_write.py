@@ -48,13 +48,13 @@ SAVES: dict[str, Callable[[Path], None]] = {
     "uv.glb": save_uv_mesh,
     "old.obj": lambda path: nr.save_obj(path, VERTICES, FACES, torch.ones(len(FACES), 2, 2, 2, 3)),
     "a.txt": lambda path: write_file(path, "text" * 1000),
-    "a.npy": lambda path: save_array(path),
+    "a.npz": lambda path: save_array(path),
 }
 
 
 def save_array(path: Path) -> None:
     with replacing(path) as fresh:
-        np.save(fresh, NOISE.numpy())
+        np.savez(fresh, NOISE.numpy())
 
 
 @pytest.mark.parametrize("name", SAVES)
