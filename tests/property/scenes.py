@@ -77,6 +77,7 @@ class Scene:
             "background": noise(b, 3).sigmoid(),
             "picture": noise(b, 3, *self.size).sigmoid(),
             "eye": 2.7 * torch.nn.functional.normalize(noise(b, 3), dim=-1),
+            "angle": 30 + 10 * noise(b).tanh(),
             "direction": noise(b, 3),
             "harmonics": noise(b, 9, 3),
             "shift": 0.1 * noise(b, 2),
@@ -85,7 +86,7 @@ class Scene:
             "colors": noise(f, 3, 3).sigmoid(),
             "attributes": noise(b, self.vertices, 4),
         }
-        wide = {"eye", "direction", "harmonics", "shift", "background", "picture"}
+        wide = {"eye", "angle", "direction", "harmonics", "shift", "background", "picture"}
         result = {}
         for name, value in made.items():
             value = value.to(device, torch.float32 if name in wide else self.dtype)
@@ -137,7 +138,7 @@ class Scene:
             return nr.Camera.look_at(eye, orthographic=True, scale=0.8)
         if self.camera == "mirrored":
             return nr.Camera.look(eye, -eye, mirrored=True, viewing_angle=25.0)
-        camera = nr.Camera.look_at(eye)
+        camera = nr.Camera.look_at(eye, viewing_angle=pick(leaves["angle"]))
         if self.camera == "projection":
             lens = torch.tensor([[9.0, 0.1, 5.0], [0.0, 8.0, 4.0], [0.0, 0.0, 1.0]])
             turn = camera.rotation * eye.new_tensor([1.0, -1.0, 1.0])[:, None]  # y down, as in OpenCV

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -126,6 +127,9 @@ def check(function: Any, s: Scene, device: str) -> None:
         assert image.dtype == torch.float32 and image.isfinite().all(), name
         low, high = {"alpha": (0, 1), "weights": (0, 1), "depth": (near, far)}.get(name, (-torch.inf, torch.inf))
         assert not image.numel() or (image.min() >= low and image.max() <= high), name
+    if s.strided:  # strides change no bit
+        contiguous = drawn(function, s, replace(s, strided=False).leaves(device), lambda t: t)
+        assert all(torch.equal(contiguous[name], image) for name, image in images.items())
     # Alone as among others, to the bit: nothing is summed over the batch.
     for n in range(s.batch):
         alone = drawn(function, s, leaves, lambda t, n=n: t[n : n + 1])
