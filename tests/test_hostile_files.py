@@ -37,7 +37,7 @@ from neural_renderer.tasks.reconstruction.networks.checkpoint import load_model,
 from neural_renderer.tasks.reconstruction.networks.make_network import make_network
 from tests.mutations import archive, damage, glb, plain, png
 from tests.tasks.editing.networks import vgg_weights
-from tests.tasks.reconstruction.fake import SMALL
+from tests.tasks.reconstruction.synthetic import SMALL
 
 SECONDS, GIGABYTES = 60, 2
 LATE = f"still reading after {SECONDS} s"

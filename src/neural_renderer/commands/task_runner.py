@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import time
 import zlib
 from collections.abc import Callable
@@ -12,7 +13,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from ..io.atomic_write import replacing
+from ..io.atomic_write import write_file
 from ..io.files import load_tensors, why_not_loaded
 from .common import interruption
 
@@ -93,8 +94,9 @@ class Run:
         """A preview and a checkpoint; whoever looks at the files meanwhile never finds half of one."""
         self._preview(self._folder / "preview.png")
         state = {"task": self._task.state_dict(), "history": self.history, "seconds": self.seconds}
-        with replacing(self._checkpoint) as fresh:
-            torch.save({**state, "inputs": self._inputs}, fresh)
+        file = io.BytesIO()  # since torch.save does not say why it cannot write
+        torch.save({**state, "inputs": self._inputs}, file)
+        write_file(self._checkpoint, file.getbuffer())
 
     def _restore(self) -> None:
         try:

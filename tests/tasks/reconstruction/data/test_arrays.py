@@ -1,4 +1,4 @@
-"""The published files as memory-mapped arrays: what is in them comes out, in little memory; nothing broken passes."""
+"""Published files as memory-mapped arrays: contents, memory use, broken files."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
+from tests.faults import contents, full_disk
 
 
 def write(folder: Path, name: str = "chair", split: str = "test", count: int = 2, **other: Any) -> np.ndarray:
@@ -100,10 +101,10 @@ def cut(path: Path, share: float) -> None:
 @pytest.mark.parametrize(
     ("spoil", "name", "sentence"),
     [
-        (lambda f: cut(f / "chair_test_images.npz", 0.5), "images.npz", "broken or cut off"),
-        (lambda f: (f / "chair_test_images.npz").write_text("text"), "images.npz", "broken or cut off"),
-        (lambda f: (f / "chair_test_images.npz").write_bytes(b""), "images.npz", "broken or cut off"),
-        (lambda f: np.savez(f / "chair_test_images.npz"), "images.npz", "broken or cut off"),
+        (lambda f: cut(f / "chair_test_images.npz", 0.5), "images.npz", "broken or truncated"),
+        (lambda f: (f / "chair_test_images.npz").write_text("text"), "images.npz", "broken or truncated"),
+        (lambda f: (f / "chair_test_images.npz").write_bytes(b""), "images.npz", "broken or truncated"),
+        (lambda f: np.savez(f / "chair_test_images.npz"), "images.npz", "broken or truncated"),
         (lambda f: write(f, images=np.zeros((2, 24, 3, 64, 64), np.uint8)), "images.npz", r"\(N, 24, 4, 64, 64\), got"),
         (lambda f: write(f, images=np.zeros((2, 24, 4, 64, 64))), "images.npz", "got float64"),
         (lambda f: write(f, images=np.array({}, dtype=object)), "images.npz", "got object"),
@@ -133,7 +134,7 @@ def test_a_damaged_byte_is_found(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 255
     path.write_bytes(data)
-    with pytest.raises(ValueError, match=r"images\.npz: .*broken or cut off"):
+    with pytest.raises(ValueError, match=r"images\.npz: .*broken or truncated"):
         open_split(tmp_path, "test")
 
 
@@ -164,8 +165,8 @@ ONE = b"{'descr': '|u1', 'fortran_order': False, 'shape': (1, 24, 4, 64, 64), }\
 @pytest.mark.parametrize(
     ("header", "numbers", "sentence"),
     [
-        (ONE, 1 << 25, "expected 393216 numbers as its header says, got 33554432"),
-        (ONE, 100, "expected 393216 numbers as its header says, got 100"),
+        (ONE, 1 << 25, "expected 393216 numbers according to its header, got 33554432"),
+        (ONE, 100, "expected 393216 numbers according to its header, got 100"),
         (ONE.replace(b"(1,", b"(-1,"), 393216, "expected -393216 numbers"),
         (ONE[:-4], 393216, r"expected uint8 \(N, 24, 4, 64, 64\), got no array"),
         (b"(" * 500, 393216, r"expected uint8 \(N, 24, 4, 64, 64\), got no array"),
@@ -212,10 +213,14 @@ def test_names(tmp_path: Path) -> None:
 
 def test_a_full_disk_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path)
-    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1000))
-    with pytest.raises(OSError, match=r"chair_test_images\.npy: expected room to unpack .* No space left on device"):
+    before = contents(tmp_path)
+    full = r"chair_test_images\.npy: expected to write it, got: "
+    with full_disk(10_000), pytest.raises(OSError, match=full + "File too large"):
         open_split(tmp_path, "test")
-    assert not [path for path in tmp_path.iterdir() if path.suffix == ".npy"]
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1000))
+    with pytest.raises(OSError, match=full + "No space left on device"):
+        open_split(tmp_path, "test")
+    assert contents(tmp_path) == before
 
 
 def test_images_without_objects(tmp_path: Path) -> None:
@@ -224,5 +229,5 @@ def test_images_without_objects(tmp_path: Path) -> None:
         images = arrays["arr_0"].copy()
     images[:, :, 3] = 0
     np.savez(tmp_path / "chair_test_images.npz", images)
-    with pytest.raises(ValueError, match=r"chair_test_images.npz: expected objects with transparency around"):
+    with pytest.raises(ValueError, match=r"chair_test_images.npz: expected images of objects, got"):
         open_split(tmp_path, "test")
