@@ -212,6 +212,20 @@ def test_changed_models_are_rendered_again(models: Path, tmp_path: Path) -> None
     assert np.load(path)["images"].shape == (24, 4, 64, 64)
 
 
+def test_images_in_a_sibling_folder(models: Path, tmp_path: Path) -> None:
+    """As those of ShapeNetCore.v2; what is finished with them is not what is finished without."""
+    path = models / "ball" / "big.obj"
+    path.write_text("mtllib ../paint.mtl\nusemtl paint\n" + path.read_text())
+    (models / "paint.mtl").write_text("newmtl paint\nKd 0.1 0.9 0.1\n")
+    found = [Model("ball", "big", path)]
+    [(_, problem, _)] = make_objects(found, tmp_path, SMALL, 0)
+    assert problem is not None and "--allow-outside" in problem
+    [(_, problem, notes)] = make_objects(found, tmp_path, SMALL, 0, allow_outside=True)
+    assert problem is None and not notes
+    [(_, problem, _)] = make_objects(found, tmp_path, SMALL, 0)
+    assert problem is not None
+
+
 def test_changed_materials_and_their_warnings(models: Path, tmp_path: Path) -> None:
     path = models / "ball" / "big.obj"
     path.write_text("mtllib paint.mtl\nusemtl paint\n" + path.read_text())

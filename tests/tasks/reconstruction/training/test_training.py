@@ -6,6 +6,7 @@ import csv
 import errno
 import itertools
 import shutil
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,7 @@ from typing import Any
 import pytest
 import torch
 
-from neural_renderer.features import googlenet
+from neural_renderer.features import googlenet, load_features
 from neural_renderer.tasks.reconstruction.networks import configs
 from neural_renderer.tasks.reconstruction.networks.checkpoint import load_model, read_checkpoint, save_model
 from neural_renderer.tasks.reconstruction.networks.configs import Config
@@ -173,6 +174,34 @@ def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:
     torch.save(content, path)
     with pytest.raises(ValueError, match=r"x.ckpt: expected finite weights, got NaN or infinity"):
         load_model(path)
+
+
+@pytest.mark.parametrize("lie", [{"width": 1 << 28}, {"hidden": [1 << 30, 1 << 30]}, {"hidden": [4096] * 1000}])
+def test_a_header_of_a_larger_network_takes_no_memory(tmp_path: Path, lie: dict[str, Any]) -> None:
+    path = tmp_path / "x.ckpt"
+    save_model(path, make_network("mesh", SMALL), ["box"])
+    content = torch.load(path, weights_only=True)
+    content["reconstruction"]["config"] |= lie
+    torch.save(content, path)
+    with pytest.raises(
+        ValueError, match=r"x\.ckpt: expected the weights that its header .*at least \d+ numbers, got \d+"
+    ):
+        load_model(path)
+
+
+def test_a_checkpoint_that_unpacks_to_more_than_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "x.ckpt"
+    torch.save({"state_dict": {"zeros": torch.zeros(1 << 20)}}, path)
+    with zipfile.ZipFile(path) as source:
+        members = {info.filename: source.read(info) for info in source.infolist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, content in members.items():
+            packed.writestr(name, content)
+    assert path.stat().st_size < 1 << 16
+    with pytest.raises(ValueError, match=r"x\.ckpt: expected a checkpoint, got a file that is broken"):
+        load_model(path)
+    with pytest.raises(ValueError, match=r"x\.ckpt: .*it is compressed"):
+        load_features(path)
 
 
 def test_code_in_a_checkpoint_is_not_run(tmp_path: Path) -> None:
