@@ -1,4 +1,4 @@
-"""The gallery of docs/editing.md: two meshes in the style of five paintings, and what a network dreams of them.
+"""The gallery of docs/tools/editing.md: two meshes in the style of five paintings, and what a network dreams of them.
 
     python -m benchmarks.editing_gallery MESHES PAINTINGS --vgg VGG --googlenet GOOGLENET --uv MESH MESH MESH -o gallery
 

@@ -18,6 +18,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "argument_lists",
+    "module_map",
     "public_names",
 ]
 exclude_patterns = ["_*", "README.md"]

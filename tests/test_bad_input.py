@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
@@ -104,6 +105,10 @@ RENDERER = {
     "far without a number": ("far", torch.ones((), device="meta"), TypeError),
     "far as two numbers": ("far", torch.ones(2), TypeError),
     "far infinite": ("far", INF, ValueError),
+    "far with too many digits": ("far", 10**400, ValueError),
+    "far beyond the sum of four": ("far", 3e38, ValueError),
+    "light that float32 does not hold": ("light_intensity_ambient", 1e39, ValueError),
+    "light of too many digits": ("light_intensity_directional", 10**400, ValueError),
     "an unknown estimator": ("gradient", "exact", ValueError),
     "a background of two colours": ("background_color", [0, 1], ValueError),
     "a background of words": ("background_color", ["red"], TypeError),
@@ -145,9 +150,12 @@ def test_modes_and_outputs(device):
     with pytest.raises(TypeError, match=r"^camera_mode: expected"):
         nr.Renderer(camera_mode=3)
     corners = torch.rand(1, 4, 3, 3, device=device)
-    for outputs in ((), "normals", ("alpha", "normals")):
+    for outputs in ((), "normals", ("alpha", "normals"), [3], torch.ones(2)):
         with pytest.raises(ValueError, match=r"^outputs: expected"):
             nr.rasterize_images(corners, 8, outputs=outputs)
+    with pytest.raises(TypeError, match=r"^outputs: expected .*got Tensor"):
+        nr.rasterize_images(corners, 8, outputs=torch.tensor(NAN))
+    assert nr.rasterize_images(corners, 8, outputs=np.array(["alpha", "depth"])).depth is not None
 
 
 @pytest.mark.parametrize(
@@ -196,6 +204,70 @@ def test_empty_batch_and_empty_mesh_show_the_background(device, batch, count):
             assert torch.allclose(rgb, torch.tensor([0.1, 0.2, 0.3], device=device)[:, None, None].expand_as(rgb))
         (rgb.sum() + depth.sum() + alpha.sum()).backward()
         assert bool(vertices.grad.any()) == bool(batch and count)
+
+
+def test_images_without_faces(device):
+    """However many images a mesh without faces has, it shows the background."""
+    camera, none = nr.Camera.look_at((0, 0, 3)), torch.zeros(0, 3, dtype=torch.int32, device=device)
+    for count in range(4):
+        images = (torch.rand(2, 2, 3, device=device),) * count
+        empty = torch.zeros(0, 3, 3, device=device), none[:, 0].long()
+        mesh = nr.UVMesh(VERTICES.to(device), none, empty[0][..., :2], empty[1], images, empty[0], ("repeat",) * count)
+        found = nr.render(mesh, camera, 8, background=(0.1, 0.2, 0.3))
+        assert not found.alpha.any() and torch.equal(found.rgb[0, :, 4, 4].cpu(), torch.tensor([0.1, 0.2, 0.3]))
+
+
+def test_what_is_interpolated_or_sampled_has_to_be_finite(device):
+    """But where no face is seen, nothing is looked at."""
+    seen = nr.fragments((VERTICES.to(device), FACES.to(device)), nr.Camera.look_at((0, 0, 3)), 8)
+    colors, texture, uv = torch.rand(1, 16, 16, 3), torch.rand(4, 4, 3), torch.rand(1, 16, 16, 2)
+    colors, texture, uv = (t.to(device) for t in (colors, texture, uv))
+    calls = {
+        "attributes": lambda value: seen.interpolate(torch.full((12, 3), value, device=device)),
+        "colors": lambda value: seen.composite(torch.full_like(colors, value)),
+        "texture": lambda value: nr.sample_texture(torch.full_like(texture, value), uv),
+        "uv": lambda value: nr.sample_texture(texture, torch.full_like(uv, value), seen.face_index),
+        "light": lambda value: nr.rasterize_images(
+            seen.corners, 8, textures=torch.rand(1, 20, 2, 2, 2, 3, device=device),
+            light=torch.full((1, 2, 20, 3), value, device=device),
+        ),
+        "corners": lambda value: nr.Light().two_sided(torch.full((1, 4, 3, 3), value)),
+        "normals": lambda value: nr.SphericalHarmonicLight(torch.ones(9, 3)).on(torch.full((1, 4, 3), value)),
+    }  # fmt: skip
+    for name, call in calls.items():
+        call(0.5)
+        for value in (NAN, INF, -INF):
+            with pytest.raises(ValueError, match=f"^{name}: expected finite numbers, got"):
+                call(value)
+    empty = ~seen.mask
+    expected = seen.composite(colors), nr.sample_texture(texture, uv, seen.face_index)
+    colors[empty], uv[empty] = NAN, NAN
+    assert torch.equal(seen.composite(colors), expected[0])
+    assert torch.equal(nr.sample_texture(texture, uv, seen.face_index), expected[1])
+
+
+def test_the_faces_that_uv_belongs_to(device):
+    texture, uv = torch.rand(4, 4, 3, device=device), torch.rand(1, 2, 2, 2, device=device)
+    for index, error in ((0, TypeError), (torch.full((1, 2, 2), 0.5), ValueError), (FACES[:2], ValueError)):
+        with pytest.raises(error, match=r"^face_index: expected .*got"):
+            nr.sample_texture(texture, uv, index.to(device) if isinstance(index, torch.Tensor) else index)
+    for wrap in ("mirror", 3, np.array(["repeat", "clamp"])):
+        with pytest.raises(ValueError, match=r"^wrap: expected one of repeat, clamp, got"):
+            nr.sample_texture(texture, uv, wrap=wrap)
+
+
+@pytest.mark.parametrize("size", [1e5, 1e10, 1e19, 1e38])
+def test_normals_of_large_meshes(device, size):
+    """Areas overflow from 1e10 on, and their gradients were NaN."""
+    corners = nr.vertices_to_faces(VERTICES[None].to(device), FACES.to(device))
+    vertices = (size * VERTICES).to(device).requires_grad_()
+    normals = nr.vertex_normals(vertices, FACES.to(device))
+    torch.testing.assert_close(normals[0], VERTICES.to(device), rtol=0, atol=1e-6)
+    direction = torch.tensor([0.3, 0.5, -0.1], device=device, requires_grad=True)
+    light = nr.Light(direction=direction).two_sided(nr.vertices_to_faces(vertices[None], FACES.to(device)))
+    torch.testing.assert_close(light, nr.Light(direction=direction).two_sided(corners), rtol=0, atol=1e-6)
+    (normals.sum() + light.sum()).backward()
+    assert vertices.grad.isfinite().all() and direction.grad.isfinite().all()
 
 
 def test_no_vertices_and_no_faces(device):

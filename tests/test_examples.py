@@ -10,18 +10,20 @@ from pathlib import Path
 
 import pytest
 
-from tests.paths import EXAMPLES
-
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 Run = Callable[..., str]
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+def run(teapot_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
     """Run an example on the CPU; returns what it prints."""
+    data = teapot_file.parent
 
     def run(number: int, iterations: int | None = None) -> str:
         output = tmp_path / "out.gif"
-        arguments = ["-o", str(output), "-d", "cpu"]
+        arguments = ["-i", str(teapot_file), "-o", str(output), "-d", "cpu"]
+        if number > 1:
+            arguments += ["-r", str(data / f"example{number}_ref.png")]
         if iterations is not None:
             arguments += ["-n", str(iterations)]
         script = EXAMPLES / f"example{number}.py"

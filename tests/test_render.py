@@ -206,9 +206,8 @@ def test_wrong_arguments():
             nr.render((mesh.vertices, mesh.faces, textures), camera, 8)
     with pytest.raises(ValueError, match=r"^textures: expected shape \[B, F, T, T, T, 3\], got \[3\]"):
         nr.render((mesh.vertices, mesh.faces, torch.ones(3)), camera, 8)
-    for vertices, eye in ((mesh.vertices.double() * 1e39, (0, 0, 3)), (mesh.vertices.half() * 60000, (0, 0, 0.1))):
-        with pytest.raises(ValueError, match=r"^vertices on the screen, in float32: expected finite numbers, got"):
-            nr.render((vertices, mesh.faces), nr.Camera.look_at(eye), 8, outputs="alpha")
+    with pytest.raises(ValueError, match=r"^vertices on the screen, in float32: expected finite numbers, got"):
+        nr.render((mesh.vertices.double() * 1e39, mesh.faces), nr.Camera.look_at((0, 0, 3)), 8, outputs="alpha")
     with pytest.raises(TypeError, match=r"^light: expected"):
         nr.render(mesh, camera, light=(0, 1, 0))
     with pytest.raises(ValueError, match="batch"):

@@ -118,7 +118,7 @@ def _sentence(error: Exception) -> str:
     """What went wrong, on one line; an error that nobody foresaw is named and says how to learn more."""
     message = " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        return f"{os.fsdecode(error.filename)}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, (ValueError, TypeError, OSError)) and message:
         return message
     return f"{type(error).__name__}: {message} (--debug shows where)"

@@ -59,6 +59,7 @@ class Fragments:
         validate.floating("attributes", attributes, shape)
         triangles = self.triangles if triangles is None else checked_faces(triangles)
         validate.same_device(attributes=attributes, triangles=triangles, faces=self.corners)
+        validate.finite("attributes", attributes)
         attributes = attributes if attributes.dim() == 3 else attributes[None]
         triangles = triangles if triangles.dim() == 3 else triangles[None]
         batch, count = self.corners.shape[:2]
@@ -92,6 +93,7 @@ class Fragments:
         channels = colors.shape[3]
         behind = behind_image(background, batch, channels, self.settings, colors.device)
         image = torch.where(self.mask[:, None], colors.float().permute(0, 3, 1, 2), behind)
+        validate.finite("colors", image)
         image = self.settings.through_visibility(image, self.corners, self.face_index, validate.flag("seams", seams))
         return halve(image) if self.settings.anti_aliasing else image.contiguous()
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import reprlib
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -181,19 +183,23 @@ def in_range(name: str, value: Tensor, size: int, always: bool = False) -> None:
             raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
 
 
-def number(name: str, value: Any) -> float:
-    """``value`` as a finite float; TypeError or ValueError otherwise."""
-    if not isinstance(value, (int, float)):
-        try:
-            if isinstance(value, str):  # which float() would read
-                raise TypeError
-            value = float(value.item() if isinstance(value, Tensor) else value)
-        except (TypeError, ValueError, RuntimeError):
-            got = shape_of(value) if isinstance(value, Tensor) else type(value).__name__
-            raise TypeError(f"{name}: expected a number, got {got}") from None
-    if not -math.inf < value < math.inf:
-        raise ValueError(f"{name}: expected a finite number, got {value}")
-    return float(value)
+def number(name: str, value: Any, dtype: torch.dtype = torch.float64) -> float:
+    """``value`` as a float that is finite in ``dtype``; TypeError or ValueError otherwise."""
+    try:
+        if isinstance(value, str):  # which float() would read
+            raise TypeError
+        found = float(value.item() if isinstance(value, Tensor) else value)
+    except OverflowError:  # a whole number, of too many digits to show
+        raise ValueError(f"{name}: expected a finite number, got one beyond {sys.float_info.max:.0e}") from None
+    except (TypeError, ValueError, RuntimeError):
+        got = shape_of(value) if isinstance(value, Tensor) else type(value).__name__
+        raise TypeError(f"{name}: expected a number, got {got}") from None
+    if not -math.inf < found < math.inf:
+        raise ValueError(f"{name}: expected a finite number, got {found}")
+    most = torch.finfo(dtype).max
+    if not -most <= found <= most:
+        raise ValueError(f"{name}: expected a number that {str(dtype).removeprefix('torch.')} holds, got {found:g}")
+    return found
 
 
 def positive(name: str, value: Any) -> float:
@@ -215,7 +221,7 @@ def not_negative(name: str, value: Any) -> float:
 def flag(name: str, value: Any) -> bool:
     """``value`` if it is True or False (0 and 1 pass too); TypeError otherwise."""
     if not isinstance(value, (bool, int, np.bool_, np.integer)) or value not in (0, 1):
-        raise TypeError(f"{name}: expected True or False, got {value!r}")
+        raise TypeError(f"{name}: expected True or False, got {reprlib.repr(value)}")
     return bool(value)
 
 

@@ -195,6 +195,8 @@ def test_camera_batches_aspect_and_to():
         camera(points(3, 5).float())
     with pytest.raises(ValueError, match="aspect"):
         camera(vertices, aspect=0)
+    for none in (Camera.look_at(torch.ones(0, 3)), Camera.look_at((0, 0, 3), up=torch.ones(0, 3))):
+        assert len(none) == 0 and none(vertices).shape == (0, 5, 3)
 
 
 def test_gradients_of_the_camera_are_right():
@@ -296,7 +298,7 @@ def test_without_numbers_only_shapes_are_computed():
         lambda v: nr.perspective(v, eye[:, 0]),
         lambda v: nr.projection(v, torch.eye(3, device="meta"), np.eye(3), [0, 0, 1]),
         lambda v: Camera.look_at((0, 0, 3), viewing_angle=eye[0, 0])(v),
-        lambda v: Camera.projection(np.eye(3), np.eye(3), eye)(v),
+        lambda v: Camera.projection(np.eye(3), np.eye(3), eye, orig_size=2)(v),
     ):
         with pytest.raises(ValueError, match="expected a tensor with numbers, got one on the device"):
             call(points(4).float())
@@ -323,6 +325,15 @@ def test_without_numbers_only_shapes_are_computed():
         (lambda v: nr.look_at(v.to(torch.float8_e5m2), [0, 0, 1]), TypeError, r"vertices: .* of 16 to 64 bits, got"),
         (lambda v: nr.look_at(v.to_sparse(), [0, 0, 1]), TypeError, "vertices: expected a dense tensor"),
         (lambda v: nr.get_points_from_angles("far", 0, 0), TypeError, "distance: expected numbers, got str"),
+        (lambda v: nr.get_points_from_angles(10**400, 0, 0), ValueError, r"distance: .* got one beyond 2e\+308"),
+        (lambda v: nr.get_points_from_angles(torch.ones(2), 0, [10**400]), TypeError, "azimuth: expected numbers"),
+        (lambda v: nr.orthographic(v, 1e39), ValueError, r"scale: expected a number that float32 holds, got 1e\+39"),
+        (lambda v: nr.orthographic(v, torch.tensor(1e39).double()), ValueError, "scale: expected finite numbers"),
+        (
+            lambda v: Camera.weak_perspective(1.0, np.eye(3), distance=1e39),
+            ValueError,
+            "distance: expected a number that",
+        ),
         (lambda v: nr.perspective(v, 90), ValueError, r"angle: expected degrees in \(0, 90\)"),
         (lambda v: nr.perspective(v, torch.tensor([30.0, -1.0])), ValueError, "angle: expected degrees"),
         (lambda v: nr.projection(v, np.eye(4), np.eye(3), [0, 0, 1]), ValueError, "K: expected shape"),
@@ -332,6 +343,98 @@ def test_without_numbers_only_shapes_are_computed():
 def test_mistakes_are_named(call, error, message):
     with pytest.raises(error, match=message):
         call(points(4).float())
+
+
+LENS, TURN, BACK = np.array([[8.0, 0, 4], [0, 8, 4], [0, 0, 1]]), np.eye(3), (0.0, 0.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((LENS, TURN, BACK), r"^orig_size: expected the side or \(height, width\) .*got None"),
+        ((LENS, TURN, BACK, None, (4, 0)), r"^orig_size: expected positive"),
+        ((2 * LENS, TURN, BACK, None, 8), r"^K: expected the third row \(0, 0, 1\), got \(0.0, 0.0, 2.0\)"),
+        (
+            (np.stack((LENS, LENS[[2, 1, 0]])), TURN, BACK, None, 8),
+            r"^K: expected the third row \(0, 0, 1\), got \(8.0, 0.0, 4.0\)",
+        ),
+        ((LENS, 2 * TURN, BACK, None, 8), r"^R: expected a rotation, with R Rᵀ = 1, got R Rᵀ off by 3"),
+        ((LENS, np.stack((TURN, 0.9 * TURN)), BACK, None, 8), r"^R: expected a rotation, .*off by 0.19"),
+        ((LENS, np.diag((1, 1, -1)), BACK, None, 8), r"^R: expected a rotation, got a reflection"),
+        ((LENS, TURN, (0.0, 3.0), None, 8), r"^t: expected shape \[3\]"),
+        ((LENS, TURN, [[0.0], [0.0], [3.0]], None, 8), r"^t: expected shape \[3\]"),
+        ((LENS, TURN, [[[0.0], [0.0], [3.0]]], None, 8), r"^t: expected shape \[3\], \[B, 3\] or \[B, 1, 3\]"),
+    ],
+)
+def test_calibrations_that_cannot_be_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Camera.projection(*arguments)
+
+
+def test_what_cameras_check_the_old_function_takes():
+    """The first packages' `projection` has a default size and takes any matrix: programs count on both."""
+    vertices = points(4)
+    expected = nr.projection(vertices, LENS, TURN, BACK, orig_size=1024)
+    assert torch.equal(nr.projection(vertices, LENS, TURN, BACK), expected)
+    turned = nr.projection(vertices, LENS, -2 * TURN, BACK, orig_size=8)
+    torch.testing.assert_close(turned, nr.projection(-2 * vertices, LENS, TURN, BACK, orig_size=8))
+
+
+def test_rotations_may_be_rounded():
+    """To three digits, or to bfloat16."""
+    R = torch.linalg.qr(points(20, 3))[0]
+    R = R * torch.linalg.det(R)[:, None, None]
+    for rounded in ((1000 * R).round() / 1000, R.bfloat16().double()):
+        assert (
+            len(Camera.projection(LENS, rounded, BACK, orig_size=8)) == len(Camera.weak_perspective(1.0, rounded)) == 20
+        )
+    for wrong, message in ((2 * R, "off by 3"), (-R, "a reflection")):
+        with pytest.raises(ValueError, match=f"^R: expected a rotation, .*{message}"):
+            Camera.weak_perspective(1.0, wrong)
+    for scale in (0.0, -1.0, torch.tensor([1.0, 0.0])):
+        with pytest.raises(ValueError, match=r"^scale: expected a number above 0"):
+            Camera.weak_perspective(scale, R[:2])
+    validate.check_values(False)
+    try:
+        assert len(Camera.projection(2 * LENS, -2 * R, BACK, orig_size=8)) == 20
+    finally:
+        validate.check_values(True)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_precision_is_computed_in_float32(dtype):
+    """Beside the camera neither 1 / z nor r⁶ fits into float16."""
+    near = torch.tensor([[1.0, 2.0, -3.0], [30.0, -20.0, -2.998], [0.5, 0.0, 0.0]]).to(dtype)
+    dist = (0.1, -0.2, 0.01, 0.02, 0.3)
+    cameras = [Camera.projection(LENS, TURN, BACK, dist, 8), Camera.projection(LENS, TURN, BACK, None, 8)]
+    for camera in [*cameras, Camera.look_at((0, 0, -3.0)), Camera.look_at((0, 0, 3.0), orthographic=True)]:
+        found = camera(near)
+        assert found.dtype == torch.float32 and found.isfinite().all()
+        assert torch.equal(found, camera(near.float()))
+    inside = points(5).to(dtype)
+    for lens in (dist, None):
+        found = nr.projection(inside, LENS, TURN, BACK, lens, 8)
+        assert found.dtype == dtype
+        exact = nr.projection(inside.double(), LENS, TURN, BACK, lens, 8)
+        # Vertices, R X + t and the results are rounded to the type; pixels are 8 times x, over 4, and depth is 3.
+        torch.testing.assert_close(found.double(), exact, rtol=0, atol=8 * torch.finfo(dtype).eps)
+
+
+def test_a_view_alone_is_the_same_among_others():
+    """To the bit: nothing is summed in an order that depends on the batch."""
+    eyes, ats, ups = 3 * points(33), points(33, seed=1) / 9, points(33, seed=2) + torch.tensor([0, 2, 0])
+    for kind in (torch.float32, torch.float64):
+        eye, at, up = (v.to(kind) for v in (eyes, ats, ups))
+        together = Camera.look_at(eye, at, up, eye.new_tensor(range(10, 43)))(points(7).to(kind))
+        for i in range(33):
+            alone = Camera.look_at(eye[i], at[i], up[i], eye.new_tensor(10 + i))(points(7).to(kind))
+            assert torch.equal(together[i], alone[0])
+
+
+@pytest.mark.parametrize("far", [1e19, 1e30, 1e38])
+def test_eyes_may_be_far_away(far):
+    near, away = Camera.look_at((1.0, 2.0, 3.0)), Camera.look_at((far, 2 * far, 3 * far))
+    torch.testing.assert_close(near.rotation, away.rotation)
 
 
 def test_the_checks_leave_torch_func_alone():
@@ -364,6 +467,7 @@ def test_weak_perspective():
     generator = torch.Generator().manual_seed(0)
     points = torch.randn(2, 5, 3, generator=generator, dtype=torch.float64)
     R = torch.linalg.qr(torch.randn(2, 3, 3, generator=generator, dtype=torch.float64))[0]
+    R = R * torch.linalg.det(R)[:, None, None]
     scale, shift = torch.tensor([0.5, 0.9]).double(), torch.tensor([[0.1, -0.2], [0.0, 0.3]]).double()
     turned = points @ R.transpose(1, 2)
     screen = nr.Camera.weak_perspective(scale, R, shift, distance=7)(points)

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import shutil
+import struct
+import tracemalloc
 import warnings
+import zlib
+from pathlib import Path
 
-import imageio.v2 as imageio
+import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
+import trimesh
 from PIL import Image
 
+from neural_renderer.io.formats import load_mesh
 from neural_renderer.io.images import load_image, save_animation, save_image
+from neural_renderer.meshes.uv_mesh import UVMesh
 from tests.rounding import relative
 
 
@@ -65,6 +73,11 @@ def test_errors(tmp_path):
         save_animation(tmp_path / "a.gif", [])
     with pytest.raises(ValueError, match=r"frames\[1\]: expected 8 x 6 pixels like the first frame, got 8 x 5"):
         save_animation(tmp_path / "a.gif", [torch.zeros(6, 8), torch.zeros(5, 8, 3)])
+    wide = np.zeros((1, 65536, 3), np.uint8)
+    with pytest.raises(ValueError, match=r"image: expected at most 65500 pixels a side for 'a\.jpg', got 65536"):
+        save_image(tmp_path / "a.jpg", wide)
+    with pytest.raises(ValueError, match=r"frames: expected at most 65535 pixels a side for 'a\.gif', got 65536"):
+        save_animation(tmp_path / "a.gif", [wide])
     with pytest.raises(ValueError, match="fps: expected a finite number above 0, got 0"):
         save_animation(tmp_path / "a.gif", torch.zeros(2, 3, 8, 8), fps=0)
     with pytest.raises(TypeError, match="fps: expected a number, got str"):
@@ -75,6 +88,58 @@ def test_errors(tmp_path):
         save_image(tmp_path / "a.png", torch.zeros(3, 8, 8, device="meta"))
     with pytest.raises(TypeError, match="image: expected a dense tensor"):
         save_image(tmp_path / "a.png", torch.ones(3, 8, 8).to_sparse())
+
+
+def zeros_png(path: Path, width: int, height: int, rows: int) -> Path:
+    """A PNG of black pixels, as small as can be, whose header tells of more rows than it may have."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    packed = zlib.compressobj(9)
+    data = b"".join(packed.compress(bytes(1 + 3 * width)) for _ in range(rows)) + packed.flush()
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", data) + chunk(b"IEND", b""))
+    return path
+
+
+LARGE = r"bomb\.png: expected a picture of at most [\d,]+ pixels, got 10000 x 10000; .*PIL\.Image\.MAX_IMAGE_PIXELS"
+
+
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_a_picture_is_measured_before_it_is_unpacked(tmp_path):
+    path = zeros_png(tmp_path / "bomb.png", 10_000, 10_000, 1)
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=LARGE):
+        load_image(path)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
+    (tmp_path / "m.mtl").write_text("newmtl m\nmap_Kd bomb.png\n")
+    uv = "vt 0 0\nvt 1 0\nvt 0 1\n"
+    (tmp_path / "m.obj").write_text(f"mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\n{uv}usemtl m\nf 1/1 2/2 3/3\n")
+    for load in (load_mesh, UVMesh.load):
+        with pytest.raises(ValueError, match=LARGE):
+            load(tmp_path / "m.obj")
+    picture = Image.open(path)
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.new("RGB", (64, 64)))
+    visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [0, 1]], material=material)
+    mesh = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], visual=visual, process=False)
+    mesh.export(tmp_path / "m.glb")
+    picture.close()
+    assert load_mesh(tmp_path / "m.glb")[2] is not None
+
+
+def test_the_limit_of_a_program_counts(tmp_path, monkeypatch):
+    save_image(tmp_path / "a.png", torch.zeros(20, 30))
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 599)
+    with (
+        pytest.warns(Image.DecompressionBombWarning),
+        pytest.raises(ValueError, match="at most 599 pixels, got 30 x 20"),
+    ):
+        load_image(tmp_path / "a.png")
+    for limit in (600, None):
+        monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", limit)
+        assert load_image(tmp_path / "a.png").shape == (20, 30, 3)
 
 
 def moving_square(size: tuple[int, int]) -> torch.Tensor:
@@ -110,8 +175,19 @@ def test_mp4_of_odd_size(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         save_animation(tmp_path / "new/a.mp4", (frame for frame in frames), fps=12)
-    with imageio.get_reader(tmp_path / "new/a.mp4") as reader:
-        assert reader.get_meta_data()["fps"] == 12 and reader.get_meta_data()["pix_fmt"].startswith("yuv420p")
-        video = np.stack(list(reader.iter_data())) / 255
-    assert video.shape == (6, 64, 50, 3)
+    reader = imageio_ffmpeg.read_frames(tmp_path / "new/a.mp4")
+    facts = next(reader)
+    assert facts["fps"] == 12 and facts["pix_fmt"].startswith("yuv420p") and facts["size"] == (50, 64)
+    video = np.stack([np.frombuffer(frame, np.uint8).reshape(64, 50, 3) for frame in reader]) / 255
+    assert len(video) == 6
     assert np.abs(video[:, :63, :49] - frames.movedim(1, 3).numpy()).mean() < 0.03
+
+
+@pytest.mark.parametrize("encoder", ["false", "true"])
+def test_an_encoder_that_fails_or_writes_nothing(tmp_path, monkeypatch, encoder):
+    save_animation(tmp_path / "a.mp4", moving_square((16, 16)))
+    before = (tmp_path / "a.mp4").read_bytes()
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", shutil.which(encoder))
+    with pytest.raises(OSError, match=r"a\.mp4: expected to write it, got: "):
+        save_animation(tmp_path / "a.mp4", moving_square((16, 16)))
+    assert (tmp_path / "a.mp4").read_bytes() == before and len(list(tmp_path.iterdir())) == 1

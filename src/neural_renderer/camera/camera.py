@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -10,8 +11,17 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .lens import calibration, image_size, in_parallel, in_perspective, pixels_to_screen, viewing_angle
-from .parameters import Array, Scalar, batch_of, batch_size, common_device, float_type, parameter, scalar
+from .lens import (
+    calibration,
+    check_intrinsics,
+    check_rotation,
+    image_size,
+    in_parallel,
+    in_perspective,
+    pixels_to_screen,
+    viewing_angle,
+)
+from .parameters import Array, Scalar, batch_of, batch_size, common_device, float_type, outside, parameter, scalar, wide
 from .view import look_at_frame, look_frame, transform
 
 
@@ -116,14 +126,28 @@ class Camera:
         R: Array,
         t: Array,
         dist_coeffs: Array | None = None,
-        orig_size: float | Sequence[float] = 1024,
+        orig_size: float | Sequence[float] | None = None,
     ) -> Camera:
-        """Calibrated cameras in the conventions of OpenCV; the arguments are those of the function `projection`.
+        """Calibrated cameras in the conventions of OpenCV: see the function `projection`.
 
-        The image is that of ``orig_size``, whatever size it is rendered at: another aspect stretches it.
+        Args:
+            K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels, with the third row (0, 0, 1).
+            R: [3, 3] or [B, 3, 3], world-to-camera rotation.
+            t: [3], [B, 3] or [B, 1, 3], world-to-camera translation.
+            dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3); None is no distortion.
+            orig_size: Side or (height, width) in pixels of the image that K describes; it has no default. A render of
+                any size shows this whole image, stretched if its aspect is another.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit, or ``orig_size`` is missing or not positive; while
+                values are checked, also numbers that are not finite, another third row of K, and R that is no rotation.
         """
+        if orig_size is None:
+            raise ValueError("orig_size: expected the side or (height, width) of the image that K describes, got None")
         given = (K, R, t, dist_coeffs)
         K, R, t, dist_coeffs = calibration(*given, float_type(*given), common_device(*given))
+        check_intrinsics(K)
+        check_rotation(R)
         batch = batch_size(K=batch_of(K, 2), R=batch_of(R, 2), t=batch_of(t, 1), dist_coeffs=batch_of(dist_coeffs, 1))
         t = t.expand(batch, 3)
         return cls(
@@ -144,7 +168,7 @@ class Camera:
 
         Args:
             scale: a number above 0, or a tensor [] or [B].
-            R: [3, 3] or [B, 3, 3], rotations.
+            R: [3, 3] or [B, 3, 3], rotation.
             shift: [2] or [B, 2], to the right and down.
             distance: what puts the mesh between ``near`` and ``far``; the picture does not depend on it.
 
@@ -154,11 +178,15 @@ class Camera:
         dtype = float_type(scale, R, shift)
         device = common_device(scale, R, shift)
         scale = scalar("scale", scale, dtype, device)
+        if outside(scale, 0.0, math.inf):
+            raise ValueError(f"scale: expected a number above 0, got {scale}")
         R, shift = parameter("R", R, (3, 3), dtype, device), parameter("shift", shift, (2,), dtype, device)
+        check_rotation(R)
+        distance = validate.number("distance", distance, dtype)
         batch = batch_size(R=batch_of(R, 2), scale=batch_of(scale, 0), shift=batch_of(shift, 1))
         R, shift = R.expand(batch, 3, 3), shift.expand(batch, 2)
         across = scale[:, None] if isinstance(scale, Tensor) and scale.ndim else scale
-        place = torch.cat((shift / across, shift.new_full((batch, 1), validate.number("distance", distance))), 1)
+        place = torch.cat((shift / across, shift.new_full((batch, 1), distance)), 1)
         origin = -(R.transpose(1, 2) @ place[..., None])[..., 0]
         up = R * R.new_tensor([1.0, -1.0, 1.0])[:, None]
         return cls(rotation=up, origin=origin, translation=torch.zeros_like(origin), scale=scale)
@@ -178,7 +206,7 @@ class Camera:
         image; z is the depth along the viewing direction in world units, negative behind the camera.
 
         Args:
-            vertices: floating; float32 or float64 decides the precision of the result.
+            vertices: floating; the result is float64 for float64, and float32 for all others.
             aspect: width / height of the image, by which x is divided so that pixels are square. Not used by
                 `Camera.projection`, whose ``orig_size`` says it.
 
@@ -186,7 +214,7 @@ class Camera:
             TypeError, ValueError: wrong types or shapes, batches that do not fit, an aspect that is not positive;
                 vertices that are not finite if values are checked.
         """
-        validate.vertices(vertices)
+        vertices = wide(validate.vertices(vertices))
         aspect = validate.positive("aspect", aspect)
         points = transform(vertices, self.rotation, self.origin)
         if self.K is not None and self.orig_size is not None:
@@ -220,6 +248,6 @@ class Camera:
         else:
             lens = {"viewing_angle": viewing_angle("viewing_angle", angle, eye.dtype)}
         sizes = {name: batch_of(value, 0) for name, value in lens.items()}
-        batch = batch_size(camera=max(batch_of(rotation, 2), batch_of(eye, 1)), **sizes)
+        batch = batch_size(camera=batch_of(rotation, 2), eye=batch_of(eye, 1), **sizes)
         origin = eye.expand(batch, 3)
         return cls(rotation.expand(batch, 3, 3), origin, torch.zeros_like(origin), mirrored=mirrored, **lens)

@@ -9,10 +9,12 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, parameter, scalar
+from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, outside, parameter, scalar, wide
 from .view import rotate
 
 _NEAREST = 1e-6  # |z| by which x and y are divided at the least, in world units
+_TWO_DIGITS = 0.02  # in R Rᵀ and in K's third row: what matrices typed in with three digits, or in bfloat16, are off by
+_FARTHEST = 1e9  # |x| and |y| (at z = 1) up to which tangential distortion is followed
 _WIDEST = 1e4  # x² + y² (at z = 1) up to which the radial polynomial is followed: 89.4° off the axis
 
 
@@ -111,7 +113,9 @@ def calibration(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """The arguments of `projection` as tensors: [3, 3], [3, 3], [3] and [5] or None, each with or without a batch."""
     t = as_tensor("t", t, dtype)
-    if t.ndim == 3 and t.shape[1] == 1:
+    if t.ndim == 3:
+        if t.shape[1:] != (1, 3):
+            raise ValueError(f"t: expected shape [3], [B, 3] or [B, 1, 3], got {validate.shape_of(t)}")
         t = t[:, 0]
     K, R = parameter("K", K, (3, 3), dtype, device), parameter("R", R, (3, 3), dtype, device)
     t = parameter("t", t, (3,), dtype, device)
@@ -120,21 +124,50 @@ def calibration(
     return K, R, t, dist_coeffs
 
 
+def check_intrinsics(K: Tensor) -> None:
+    """ValueError unless the third row of K [3, 3] or [B, 3, 3] is (0, 0, 1), if values are checked."""
+    if not validate.values_are_checked(K):
+        return
+    rows = K.detach()[..., 2, :].reshape(-1, 3)
+    wrong = ((rows - rows.new_tensor([0.0, 0.0, 1.0])).abs() > _TWO_DIGITS).any(1)
+    if bool(wrong.any()):
+        raise ValueError(f"K: expected the third row (0, 0, 1), got {tuple(rows[wrong][0].tolist())}")
+
+
+def check_rotation(R: Tensor) -> None:
+    """ValueError unless R [3, 3] or [B, 3, 3] is a rotation, if values are checked."""
+    if not validate.values_are_checked(R):
+        return
+    turns = R.detach().double().reshape(-1, 3, 3)
+    product = turns[:, :, None] * turns[:, None]  # not matmul: TF32 has three digits
+    off = (product.sum(-1) - torch.eye(3, dtype=turns.dtype, device=turns.device)).abs().amax((1, 2))
+    mirrors = torch.linalg.det(turns) < 0
+    if bool((off > _TWO_DIGITS).any()):
+        raise ValueError(f"R: expected a rotation, with R Rᵀ = 1, got R Rᵀ off by {float(off.max()):.2g}")
+    if bool(mirrors.any()):
+        raise ValueError("R: expected a rotation, got a reflection (determinant -1)")
+
+
 def pixels_to_screen(
     points: Tensor, K: Tensor, dist_coeffs: Tensor | None, size: tuple[float, float], eps: float = 1e-9
 ) -> Tensor:
     """The part of `projection` after R and t: camera coordinates [..., V, 3] to the screen; size = (height, width)."""
+    if wide(points) is not points:  # half precision has no r⁶
+        dist_coeffs = None if dist_coeffs is None else wide(dist_coeffs)
+        return pixels_to_screen(wide(points), wide(K), dist_coeffs, size, eps).to(points.dtype)
     z = points[..., 2]
     near = _away_from_zero(z + eps)
     x, y = points[..., 0] / near, points[..., 1] / near
     if dist_coeffs is not None:
         k1, k2, p1, p2, k3 = dist_coeffs[..., None].unbind(-2)
-        r2 = x * x + y * y
-        bounded = r2.clamp(max=_WIDEST)  # r⁶ would overflow for points beside the camera, which no image shows
+        # Squares and r⁶ would overflow for points beside the camera, which no image shows.
+        a, b = x.clamp(-_FARTHEST, _FARTHEST), y.clamp(-_FARTHEST, _FARTHEST)
+        r2 = a * a + b * b
+        bounded = r2.clamp(max=_WIDEST)
         radial = 1 + bounded * (k1 + bounded * (k2 + bounded * k3))
         x, y = (
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+            x * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a),
+            y * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b,
         )
     u, v, _ = rotate(K, torch.stack((x, y, torch.ones_like(x)), dim=-1)).unbind(-1)
     height, width = size
@@ -155,11 +188,7 @@ def image_size(orig_size: Any) -> tuple[float, float]:
 def viewing_angle(name: str, angle: Any, dtype: torch.dtype, device: torch.device | None = None) -> Scalar:
     """Half a field of view in degrees, checked to be in (0, 90): a number, or a tensor [] or [B]."""
     value = scalar(name, angle, dtype, device)
-    if isinstance(value, Tensor):
-        outside = validate.values_are_checked(value) and not bool(((value > 0) & (value < 90)).all())
-    else:
-        outside = not 0 < value < 90
-    if outside:
+    if outside(value, 0.0, 90.0):
         raise ValueError(f"{name}: expected degrees in (0, 90), half the field of view, got {angle}")
     return value
 

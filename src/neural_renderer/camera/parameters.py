@@ -33,10 +33,11 @@ def parameter(
         raise ValueError(f"{name}: expected shape [{sizes}] or [{batched}], got {validate.shape_of(tensor)}")
     if tensor.is_floating_point() or tensor.is_complex():
         validate.real(name, tensor)
-        validate.finite(name, tensor)  # before the move: what was given on the CPU is read there, without a wait
+    tensor = tensor.to(dtype)
+    validate.finite(name, tensor)  # before the move: what was given on the CPU is read there, without a wait
     if device is not None and device.type != "meta":
         validate.has_numbers(name, tensor)
-    return tensor.to(device=device, dtype=dtype)
+    return tensor.to(device=device)
 
 
 def as_tensor(name: str, value: Any, dtype: torch.dtype) -> Tensor:
@@ -45,15 +46,27 @@ def as_tensor(name: str, value: Any, dtype: torch.dtype) -> Tensor:
         return validate.dense(name, value)
     try:
         return torch.as_tensor(value, dtype=dtype, device="cpu")  # whatever torch.set_default_device says
-    except (TypeError, ValueError, RuntimeError):
+    except (TypeError, ValueError, RuntimeError, OverflowError):
         raise TypeError(f"{name}: expected numbers, got {type(value).__name__}") from None
 
 
 def scalar(name: str, value: Any, dtype: torch.dtype, device: torch.device | None = None) -> Scalar:
     """A Python number as it is; anything else as a tensor [] or [B] of ``dtype`` on ``device`` (see `parameter`)."""
     if isinstance(value, (int, float)):
-        return validate.number(name, value)
+        return validate.number(name, value, dtype)
     return parameter(name, value, (), dtype, device)
+
+
+def wide(vertices: Tensor) -> Tensor:
+    """float16 and bfloat16 as float32, in which cameras compute; float32 and float64 as they are."""
+    return vertices if vertices.dtype in (torch.float32, torch.float64) else vertices.float()
+
+
+def outside(value: Scalar, low: float, high: float) -> bool:
+    """Whether a number lies outside (low, high), or one of a tensor's if values are checked."""
+    if isinstance(value, Tensor):
+        return validate.values_are_checked(value) and not bool(((value > low) & (value < high)).all())
+    return not low < value < high
 
 
 def float_type(*values: Any) -> torch.dtype:

@@ -7,13 +7,13 @@ from numbers import Real
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from .. import validate
-from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter
+from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter, wide
 
 _FLOOR = 1e-5  # lengths below it count as zero, as in the published code
+_LARGE = 1e4  # coordinates up to which lengths are computed as they are
 
 
 def look_at(vertices: Tensor, eye: Array, at: Array | None = None, up: Array | None = None) -> Tensor:
@@ -130,13 +130,25 @@ def _vectors(dtype: torch.dtype, **values: Any) -> list[Tensor]:
 
 
 def _axes(forward: Tensor, up: Tensor, mirrored: bool, problem: str) -> Tensor:
-    z = F.normalize(forward, dim=-1, eps=_FLOOR)
-    side = torch.linalg.cross(*torch.broadcast_tensors(F.normalize(up, dim=-1, eps=_FLOOR), z), dim=-1)
+    z = _normalized(forward)
+    side = torch.linalg.cross(*torch.broadcast_tensors(_normalized(up), z), dim=-1)
     if validate.values_are_checked(side):
         if not bool((forward.detach().norm(dim=-1) >= _FLOOR).all()):
             raise ValueError(problem)
         if not bool((side.detach().norm(dim=-1) >= _FLOOR).all()):
             raise ValueError("up: expected a vector across the viewing direction, got one along it or of no length")
-    x = F.normalize(side, dim=-1, eps=_FLOOR)
-    y = F.normalize(torch.linalg.cross(*torch.broadcast_tensors(z, x), dim=-1), dim=-1, eps=_FLOOR)
+    x = _normalized(side)
+    y = _normalized(torch.linalg.cross(*torch.broadcast_tensors(z, x), dim=-1))
     return torch.stack(torch.broadcast_tensors(x if mirrored else -x, y, z), dim=-2)
+
+
+def _normalized(vectors: Tensor) -> Tensor:
+    """Vectors [..., 3] over their lengths, or over `_FLOOR` where they are shorter.
+
+    As `torch.nn.functional.normalize`, but the same to the bit for one vector and for it among others, and for vectors
+    whose squares overflow.
+    """
+    largest = vectors.detach().abs().amax(-1, keepdim=True)
+    v = wide(vectors / (largest / _LARGE).clamp(min=1))
+    x, y, z = v[..., :1], v[..., 1:2], v[..., 2:]
+    return (v / (x * x + y * y + z * z).clamp(min=_FLOOR**2).sqrt()).to(vectors.dtype)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
 import torch
+
+from ..io.named_files import names_file
 
 
 def chosen_device(name: str) -> torch.device:
@@ -38,6 +40,22 @@ def output_folder(option: str, folder: Path) -> Path:
     if reason:
         raise OSError(f"{option}: expected a folder that can be written, got {folder} ({reason})")
     return folder
+
+
+def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
+    """Raise ValueError if a file that is to be written is one of ``inputs``, or one that they name, such as a texture.
+
+    What does not exist is in nobody's way, and None stands for an input that is not given.
+    """
+    given = [path for path in inputs if path is not None and path.is_file()]
+    read = {(status.st_dev, status.st_ino) for status in map(Path.stat, given)}
+    for output in filter(Path.exists, outputs):
+        status = output.stat()
+        if (status.st_dev, status.st_ino) in read:
+            raise ValueError(f"--output: expected a file that may be replaced, got {output}, which is an input")
+        for path in given:
+            if names_file(path, output):
+                raise ValueError(f"--output: expected a file that may be replaced, got {output}, which {path} uses")
 
 
 @contextmanager

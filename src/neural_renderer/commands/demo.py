@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
 from ..io import save_animation, save_image
+from ..io.obj_writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.primitives import icosphere
 from ..pictures.photograph import lowest, photograph, sheet
@@ -33,6 +34,7 @@ class Demo(DemoOptions):
         limits = {"frames": 1, "size": 32, "iterations": 1, "views": 1, "view_size": 16}
         for name, least in limits.items():
             checked_count(name, getattr(self, name), least)
+        check_own(self.output / "fitted.obj", None, "-o names another folder")
         device = chosen_device(self.device)
         console = Console()
         torch.manual_seed(self.seed)

@@ -12,6 +12,8 @@ from rich.console import Console
 from .. import validate
 from ..features import FeatureNetwork, load_features
 from ..io import load_mesh, save_image
+from ..io.atomic_write import write_file
+from ..io.obj_writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..pictures.curve import curve
@@ -20,12 +22,14 @@ from ..tasks.editing.edit import Objective
 from ..tasks.editing.edit_pictures import preview, six_views, turntable
 from ..tasks.editing.paint import check_cubes, check_images
 from ..version import __version__
-from .common import checked_count, chosen_device
+from .common import check_outputs, checked_count, chosen_device
 from .options.edit import EditOptions
 from .task_runner import Run, fingerprint
 
 # What may change when an edit goes on.
-_FREE = ("output", "iterations", "preview", "turntable", "allow_outside", "resume", "device")
+_FREE = ("output", "iterations", "preview", "turntable", "allow_outside", "resume", "force", "device")
+_PICTURES = ("preview.png", "views.png", "loss.png", "turntable.mp4", "turntable.gif")
+_RESULTS = ("mesh.obj", "mesh.glb", *_PICTURES, "report.json")
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
 
@@ -63,13 +67,19 @@ class Edit(EditOptions):
         return load_features(published if self.weights is None else self.weights).to(chosen_device(self.device))
 
     def checked(self) -> None:
-        """Raises ValueError for options out of range, before anything is read or fetched."""
+        """Raise ValueError for options out of range and FileExistsError for outputs that are no results of ours, before
+        anything is read or fetched.
+        """
         limits = {"batch": 1, "size": 32, "texture_size": 1, "preview": 1, "turntable": 0, "seed": 0}
         for name, least in limits.items():
             checked_count(name, getattr(self, name), least)
         for name, least in {"iterations": 1, "uv": 16}.items():
             if getattr(self, name) is not None:
                 checked_count(name, getattr(self, name), least)
+        inputs = [self.mesh, self.weights, getattr(self, "painting", None)]
+        check_outputs([self.output / name for name in _RESULTS], inputs)
+        if not self.force:
+            check_own(self.output / "mesh.obj", None, "--force replaces it")
 
     def loaded(self) -> tuple[Mesh | UVMesh, bool]:
         """The mesh and whether it has colours of its own."""
@@ -126,13 +136,14 @@ class Edit(EditOptions):
         with validate.called(steps="--iterations"):
             finished = run.work(self.resume)
         result = edit.mesh()
-        result.save(self.output / "mesh.obj")
+        result.save(self.output / "mesh.obj", overwrite=self.force)
         result.save(self.output / "mesh.glb")
         save_image(self.output / "views.png", six_views(mesh, result))
         if self.turntable:
             turntable(self.output, result, self.turntable)
         main = next(name for name in run.history[-1] if name not in ("phase", "loss")) if run.history else "loss"
-        curve(run.history, main, "loss", logarithmic=main == "style").save(self.output / "loss.png")
+        losses = curve(run.history, main, "loss", logarithmic=main == "style")
+        save_image(self.output / "loss.png", losses)
         self._report(edit, run, finished, mesh, settings)
         return 0 if finished else 130
 
@@ -144,7 +155,7 @@ class Edit(EditOptions):
         report |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces), "settings": settings}
         report |= {"held_out": {"before": edit.before, "after": after}, "moved": moved}
         report |= {"seconds": round(run.seconds, 1), "share_of_time": share, "history": run.history}
-        (self.output / "report.json").write_text(json.dumps(report, indent=1, default=str) + "\n", encoding="utf-8")
+        write_file(self.output / "report.json", json.dumps(report, indent=1, default=str) + "\n")
         console = Console()
         change = f"{edit.before:.4g} → {after:.4g} on views that no step saw, vertices moved by {moved['mean']:.2%}"
         console.print(f"[bold]{change}[/bold] of the mesh's size on average", highlight=False, soft_wrap=True)

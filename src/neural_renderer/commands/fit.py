@@ -12,17 +12,21 @@ from rich.console import Console
 from torch import Tensor
 
 from ..io import save_image
+from ..io.atomic_write import write_file
+from ..io.obj_writer import check_own
 from ..meshes.mesh import Mesh
 from ..pictures.curve import curve
 from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
 from ..tasks.fit.fit_pictures import comparison, turntable
+from ..tasks.fit.load import camera_file
 from ..version import __version__
-from .common import checked_count, chosen_device, output_folder
+from .common import check_outputs, checked_count, chosen_device, output_folder
 from .options.fit import FitOptions
 from .task_runner import Run, fingerprint
 
 # What may change when a fit goes on; of the images only what is in them counts.
-_FREE = ("images", "output", "steps", "texture_steps", "turntable", "allow_outside", "resume", "device")
+_FREE = ("images", "output", "steps", "texture_steps", "turntable", "allow_outside", "resume", "force", "device")
+_RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png", "turntable.gif", "report.json")
 
 
 @dataclass(frozen=True)
@@ -36,9 +40,13 @@ class Fit(FitOptions):
             checked_count(name, getattr(self, name), least)
         if self.recover != "shape" and self.mesh is None:
             raise ValueError(f"--mesh: expected the mesh whose {self.recover} is looked for, got none")
+        images = self.images if self.recover == "camera" else camera_file(self.images)
+        check_outputs([self.output / name for name in _RESULTS], [images, self.mesh])
         return self._camera() if self.recover == "camera" else self._mesh()
 
     def _mesh(self) -> int:
+        if not self.force:
+            check_own(self.output / "mesh.obj", None, "--force replaces it")
         device = chosen_device(self.device)
         views = load_views(
             self.images,
@@ -67,7 +75,7 @@ class Fit(FitOptions):
         run = self._run(fit, (seen.masks, seen.photos, *camera), lambda: (fit.views, fit.shape))
         finished = run.work(self.resume)
         mesh = fit.mesh()
-        mesh.save(self.output / "mesh.obj")
+        mesh.save(self.output / "mesh.obj", overwrite=self.force)
         mesh.save(self.output / "mesh.glb")
         save_image(self.output / "comparison.png", comparison(fit.views, fit.shape))
         found: dict[str, Any] = {"views": len(seen), "vertices": mesh.num_vertices, "faces": mesh.num_faces}
@@ -152,9 +160,9 @@ class Fit(FitOptions):
     def _report(self, run: Run, found: dict[str, Any], finished: bool) -> int:
         report = {"version": __version__, "recover": self.recover, "gradient": self.gradient, "finished": finished}
         report |= {"seconds": round(run.seconds, 1), **found, "history": run.history}
-        (self.output / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_file(self.output / "report.json", json.dumps(report, indent=1) + "\n")
         if run.history:
-            curve(run.history, "loss", "iou").save(self.output / "loss.png")
+            save_image(self.output / "loss.png", curve(run.history, "loss", "iou"))
         console = Console()
         for name in ("fitted", "held_out"):
             if name in found:

@@ -21,7 +21,7 @@ from ..pictures.photograph import corner_cubes
 from ..raster.settings import image_size
 from ..rendering import render
 from ..shading.lights import Light
-from .common import checked_count, chosen_device
+from .common import check_outputs, checked_count, chosen_device
 from .options.render import RenderOptions
 
 _LAMP = (-0.4, 0.6, 0.7)  # towards the light: to the viewer's right, up, and from the scene to the viewer
@@ -37,6 +37,7 @@ class Render(RenderOptions):
     def run(self) -> int:
         """Draw; returns the exit code 0. Raises ValueError, TypeError or OSError with a sentence."""
         self._check()
+        check_outputs([self.output], [self.mesh])
         device = chosen_device(self.device)
         mesh = self._loaded().to(device)
         mesh = mesh.normalize() if self.normalize else mesh

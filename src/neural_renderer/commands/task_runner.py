@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import time
 import zlib
 from collections.abc import Callable
@@ -12,8 +13,8 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from ..io.atomic_write import replacing
-from ..io.files import why_not_loaded
+from ..io.atomic_write import write_file
+from ..io.files import load_tensors, why_not_loaded
 from .common import interruption
 
 _SECONDS = 4.0  # from one preview and checkpoint to the next
@@ -42,7 +43,7 @@ class Run:
         folder: where ``preview.png`` and ``checkpoint.pt`` go.
         task: what takes the steps.
         inputs: plain values that tell what the task works on; a checkpoint is used if they are the same.
-        preview: the picture to show meanwhile, written to the path that it is given.
+        preview: writes the picture to show meanwhile to the path that it is given, by `save_image`.
         every: steps from one preview and checkpoint to the next; None: a few seconds.
         device: where the task computes; a checkpoint may come from another.
     """
@@ -91,15 +92,15 @@ class Run:
 
     def _save(self) -> None:
         """A preview and a checkpoint; whoever looks at the files meanwhile never finds half of one."""
-        with replacing(self._folder / "preview.png") as fresh:
-            self._preview(fresh)
+        self._preview(self._folder / "preview.png")
         state = {"task": self._task.state_dict(), "history": self.history, "seconds": self.seconds}
-        with replacing(self._checkpoint) as fresh:
-            torch.save({**state, "inputs": self._inputs}, fresh)
+        file = io.BytesIO()  # since torch.save does not say why it cannot write
+        torch.save({**state, "inputs": self._inputs}, file)
+        write_file(self._checkpoint, file.getbuffer())
 
     def _restore(self) -> None:
         try:
-            state = torch.load(self._checkpoint, map_location=self._device, weights_only=True)
+            state = load_tensors(self._checkpoint, self._device)
             inputs, task = state["inputs"], state["task"]
             self.history, self.seconds = state["history"], state["seconds"]
         except Exception as error:  # whatever torch says of a file that is none of ours

@@ -157,7 +157,7 @@ class Rasterize(nn.Module):
         )
         rgb, alpha, depth = images["rgb"], images["alpha"], images["depth"]
         return (
-            None if rgb is None else rgb.flip(2).permute(0, 2, 3, 1),
+            None if rgb is None else rgb.flip(2).permute(0, 2, 3, 1).contiguous(),
             None if alpha is None else alpha.flip(1),
             None if depth is None else depth.flip(1),
         )

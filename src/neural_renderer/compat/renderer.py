@@ -13,7 +13,7 @@ from .. import validate
 from ..camera import look, look_at, projection
 from ..camera.lens import in_perspective
 from ..camera.lens import viewing_angle as checked_angle
-from ..camera.parameters import as_tensor, common_device, scalar
+from ..camera.parameters import as_tensor, common_device, scalar, wide
 from ..raster.rasterize import Images, checked_faces, rasterize_images, vertices_to_faces, world_corners
 from ..raster.settings import image_size
 from ..shading.lights import Light
@@ -57,8 +57,7 @@ class Renderer(nn.Module):
 
     Attributes:
         eye: the camera's position, [3] or [B, 3].
-        rasterizer_eps: eps of colour renders, 1e-3 (see `rasterize_images`); that of silhouettes is 1e-4, as it always
-            was.
+        rasterizer_eps: eps of colour renders, 1e-3 (see `rasterize_images`); that of silhouettes is always 1e-4.
 
     Raises:
         TypeError, ValueError: with a sentence, here for what cannot be kept, and at each call for what is used.
@@ -101,7 +100,7 @@ class Renderer(nn.Module):
         self.background_color = _own(background_color)
         self.fill_back = fill_back
         self.camera_mode = _mode(camera_mode)
-        self.K, self.R, self.t = (_as_tensor(name, value) for name, value in (("K", K), ("R", R), ("t", t)))
+        self.K, self.R, self.t = _as_tensor("K", K), _as_tensor("R", R), _as_tensor("t", t)
         none = torch.zeros((1, 5), device=common_device(K, R, t))
         self.dist_coeffs = none if dist_coeffs is None else _as_tensor("dist_coeffs", dist_coeffs)
         self.orig_size = orig_size
@@ -145,6 +144,10 @@ class Renderer(nn.Module):
         if name in getattr(self, "_parameters", ()) and not isinstance(value, nn.Parameter):
             del self._parameters[name]
         super().__setattr__(name, value)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # Pickles of the first packages and of earlier versions lack some attributes: these get their defaults.
+        super().__setstate__({**vars(Renderer()), **state})
 
     def forward(
         self,
@@ -210,7 +213,7 @@ class Renderer(nn.Module):
     ) -> Images:
         validate.floating("vertices", vertices, ("B", "V", 3))
         faces = checked_faces(faces)
-        screen, perspective = self._project(vertices, *camera)
+        screen, perspective = self._project(wide(vertices), *camera)
         screen = validate.in_float32("vertices on the screen", screen)
         light = None
         if "rgb" in outputs:

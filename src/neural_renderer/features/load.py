@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..io.files import existing, why_not_loaded
+from ..io.files import existing, load_tensors, reason, why_not_loaded
 from .googlenet import googlenet, is_googlenet
 from .network import FeatureNetwork, Plan
 from .vgg import is_vgg, vgg
@@ -87,12 +87,12 @@ def _read(path: Path) -> dict[str, Any]:
             return load_file(path)
         except Exception as error:  # its own kinds, and whatever a broken header leads to
             raise ValueError(
-                f"{path}: expected a whole .safetensors file, got one that cannot be read ({error})"
+                f"{path}: expected a whole .safetensors file, got one that cannot be read ({reason(error)})"
             ) from None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of pickle's version, in files that are refused anyway
-            weights = torch.load(path, map_location="cpu", weights_only=True)
+            weights = load_tensors(path)
     except Exception as error:  # torch has many words for files that are not its own
         raise ValueError(
             f"{path}: expected a whole checkpoint of torch, got a file that cannot be read ({why_not_loaded(error)})"

@@ -1,7 +1,9 @@
 """Files: meshes in and out (OBJ with materials by our own reader, others through trimesh), images, animations."""
 
-from .formats import load_mesh, save_mesh
+from .formats import load_mesh
 from .images import load_image, save_animation, save_image
-from .obj import load_obj, save_obj
+from .mesh_writer import save_mesh
+from .obj import load_obj
+from .obj_writer import save_obj
 
 __all__ = ["load_image", "load_mesh", "load_obj", "save_animation", "save_image", "save_mesh", "save_obj"]

@@ -6,6 +6,7 @@ import codecs
 import os
 import sys
 import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +98,19 @@ def _on_host(name: str, value: Any) -> Any:
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
     return validate.has_numbers(name, value).detach().cpu().resolve_neg() if isinstance(value, Tensor) else value
+
+
+def load_tensors(path: str | os.PathLike[str], device: torch.device | str = "cpu") -> Any:
+    """What torch.save has written: tensors and plain values; no code of the file is run.
+
+    Raises whatever torch does (see `why_not_loaded`), and ValueError for an archive that unpacks to more than its size:
+    torch compresses nothing.
+    """
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > os.path.getsize(path):
+                raise ValueError("it is compressed")
+    return torch.load(path, map_location=device, weights_only=True)
 
 
 def why_not_loaded(error: Exception) -> str:

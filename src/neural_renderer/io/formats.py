@@ -1,7 +1,8 @@
-"""Meshes in any common format: OBJ by our own reader and writer, the others through trimesh."""
+"""Meshes read from any common format: OBJ by our own reader, the others through trimesh."""
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,24 +12,23 @@ from urllib.parse import unquote
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
-from .atlas import build_atlas, coordinates
 from .cubes import check_size
-from .files import existing, fits_float32, mesh_to_write, read_bytes, reason, short, warn
+from .files import existing, fits_float32, read_bytes, reason, short, warn
 from .images import unpack
 from .named_files import find_file
-from .obj import obj_skin, save_obj
+from .obj import obj_skin
 from .parse import read_obj
 from .surface_colors import Skin
-from .textured_writer import with_picture
 
 if TYPE_CHECKING:
     import trimesh
 
+# trimesh logs the traceback of an image that is missing, and tells of it here: what nobody asks for is not printed.
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
+
 _READABLE = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
-_WRITABLE = (".obj", ".ply", ".glb")
 
 
 def load_mesh(
@@ -99,7 +99,8 @@ def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarr
     offset = 0
     for part, matrix in parts:
         corners = np.asarray(part.faces, dtype=np.int64)
-        points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        with np.errstate(over="ignore", invalid="ignore"):
+            points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         good = fits_float32(points)
         if not good.all():
             raise ValueError(
@@ -235,57 +236,3 @@ def _srgb(colours: np.ndarray, linear: bool) -> np.ndarray:
 
 def _unsrgb(colours: np.ndarray) -> np.ndarray:
     return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
-
-
-def save_mesh(path: str | os.PathLike[str], vertices: Any, faces: Any, textures: Any = None) -> None:
-    """Write a mesh, its format told by the suffix; missing folders are made.
-
-    OBJ is `save_obj`. PLY (binary) keeps vertices and faces and has one colour a vertex: the mean, over the faces
-    around it, of the texture at that corner. GLB shows the textures as they are, as one picture, matt and two-sided;
-    it has three vertices of its own for each face, because texture coordinates belong to vertices there.
-
-    Args:
-        path: Ends in ``.obj``, ``.ply`` or ``.glb``.
-        vertices: [V, 3] float tensor or array, on any device.
-        faces: [F, 3], whole numbers of any real dtype.
-        textures: [F, T, T, T, 3] in [0, 1] (clamped), or None.
-
-    Raises:
-        TypeError, ValueError: As told for each argument, and for another suffix.
-    """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in _WRITABLE:
-        raise ValueError(f"path: expected a name that ends in {', '.join(_WRITABLE)}, got {path.name!r}")
-    if suffix == ".obj":
-        return save_obj(path, vertices, faces, textures)
-    import trimesh
-
-    points, corners, cubes = mesh_to_write(vertices, faces, textures)
-    if cubes is None:
-        mesh = trimesh.Trimesh(points, corners, process=False)
-    elif suffix == ".ply":
-        colours = _vertex_colours(len(points), corners, cubes)
-        mesh = trimesh.Trimesh(points, corners, vertex_colors=colours, process=False)
-    else:
-        mesh = _with_atlas(points, corners, cubes)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    mesh.export(path, file_type=suffix[1:])
-    return None
-
-
-def _vertex_colours(count: int, corners: np.ndarray, cubes: np.ndarray) -> np.ndarray:
-    last = cubes.shape[1] - 1
-    at_corners = np.stack([cubes[:, last, 0, 0], cubes[:, 0, last, 0], cubes[:, 0, 0, last]], axis=1)
-    total, faces = np.zeros((count, 3)), np.zeros((count, 1))
-    np.add.at(total, corners.reshape(-1), at_corners.reshape(-1, 3))
-    np.add.at(faces, corners.reshape(-1), 1)
-    colours = np.where(faces > 0, total / faces.clip(1), 0.5)
-    return (np.concatenate([colours, np.ones((count, 1))], axis=1) * 255 + 0.5).astype(np.uint8)
-
-
-def _with_atlas(points: np.ndarray, corners: np.ndarray, cubes: np.ndarray) -> trimesh.Trimesh:
-    picture, pixels = build_atlas(cubes)
-    uv = coordinates(pixels.reshape(-1, 2), picture)
-    own = np.arange(corners.size).reshape(-1, 3)
-    return with_picture(points[corners].reshape(-1, 3), own, uv, Image.fromarray(picture))

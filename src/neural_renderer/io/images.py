@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import io
 import os
+import subprocess
+import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import imageio.v2 as imageio
+import imageio_ffmpeg
 import numpy as np
 import torch
 from PIL import Image, ImageOps
 from torch import Tensor
 
 from .. import validate
+from .atomic_write import replacing, write_file
 from .files import existing, reason
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
+_MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535}  # along a side
 
 
 def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor:
@@ -76,18 +82,21 @@ def save_image(path: str | os.PathLike[str], image: Tensor | np.ndarray) -> None
     """Write a picture as PNG or JPEG, chosen by the suffix; missing folders are made.
 
     ``image`` is a tensor or array, [H, W], [H, W, 1 | 3 | 4] or, as the renderer returns it, [1 | 3 | 4, H, W]; floats
-    in [0, 1] are clamped, uint8 is taken as it is. JPEG shows a transparent picture on white. Raises ValueError for
-    another suffix or shape and for NaN, TypeError for no array.
+    in [0, 1] are clamped, uint8 is taken as it is. JPEG shows a transparent picture on white, and has at most 65,500
+    pixels a side. Raises ValueError for another suffix or shape and for NaN, TypeError for no array, OSError where the
+    file cannot be written; then a file that was there before stays.
     """
     path = Path(path)
     if path.suffix.lower() not in _IMAGE_SUFFIXES:
         raise ValueError(f"path: expected a name that ends in {', '.join(_IMAGE_SUFFIXES)}, got {path.name!r}")
     pixels = _pixels("image", image)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    _check_side("image", path, pixels)
+    file = io.BytesIO()
     if path.suffix.lower() == ".png":
-        Image.fromarray(pixels).save(path)
+        Image.fromarray(pixels).save(file, "PNG")
     else:
-        Image.fromarray(_opaque(pixels)).save(path, quality=95)
+        Image.fromarray(_opaque(pixels)).save(file, "JPEG", quality=95)
+    write_file(path, file.getvalue())
 
 
 def save_animation(
@@ -98,7 +107,8 @@ def save_animation(
     ``frames`` is anything that gives pictures as `save_image` takes them, all of one size, for example a tensor
     [N, 3, H, W]. Transparent ones are shown on white. GIF times are multiples of 1/100 s, at least 2/100. MP4 pictures
     of odd width or height get their last column or row twice, because the format wants even ones. Raises ValueError
-    for another suffix, fps not above 0, no frames, and frames of different sizes; TypeError for other types.
+    for another suffix, fps not above 0, no frames, and frames of different sizes; TypeError for other types; OSError
+    where the file cannot be written, and then a file that was there before stays.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -118,28 +128,48 @@ def save_animation(
         pictures.append(picture)
     if not pictures:
         raise ValueError("frames: expected at least one, got none")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    _check_side("frames", path, pictures[0])
     if suffix == ".gif":
-        _save_gif(path, pictures, fps)
+        write_file(path, _gif(pictures, fps))
     else:
-        _save_mp4(path, pictures, fps)
+        with replacing(path) as fresh:
+            _save_mp4(fresh, pictures, fps)
 
 
-def _save_gif(path: Path, pictures: list[np.ndarray], fps: float) -> None:
+def _check_side(name: str, path: Path, pixels: np.ndarray) -> None:
+    side, most = max(pixels.shape[:2]), _MOST_PIXELS.get(path.suffix.lower())
+    if most is not None and side > most:
+        raise ValueError(f"{name}: expected at most {most} pixels a side for {path.name!r}, got {side}")
+
+
+def _gif(pictures: list[np.ndarray], fps: float) -> bytes:
     # Each picture gets its own 256 colours; without dithering, whose noise would crawl over a still background.
     images = [Image.fromarray(p).quantize(256, dither=Image.Dither.NONE) for p in pictures]
-    duration = 10 * max(2, round(100 / fps))
-    images[0].save(path, save_all=True, append_images=images[1:], duration=duration, loop=0, disposal=1)
+    duration, file = 10 * max(2, round(100 / fps)), io.BytesIO()
+    images[0].save(file, "GIF", save_all=True, append_images=images[1:], duration=duration, loop=0, disposal=1)
+    return file.getvalue()
 
 
 def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
-    height, width = pictures[0].shape[:2]
-    writer = imageio.get_writer(
-        path, format="FFMPEG", mode="I", fps=fps, codec="libx264", pixelformat="yuv420p", quality=8, macro_block_size=2
-    )  # type: ignore[call-overload, unused-ignore]
-    with writer:
-        for picture in pictures:
-            writer.append_data(np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
+    """Run the encoder; OSError says what it said unless it succeeded and every picture is found in the file."""
+    height, width = (side + side % 2 for side in pictures[0].shape[:2])
+    rate = str(Fraction(fps).limit_denominator())
+    form = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", rate]
+    coding = ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "10"]
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", *form, "-i", "-", *coding, str(path)]
+    pads = [(0, height - len(pictures[0])), (0, width - pictures[0].shape[1]), (0, 0)]
+    with tempfile.TemporaryFile() as told:  # a pipe could fill up
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=told) as encoder:
+            with suppress(BrokenPipeError):  # it has ended, and says why
+                for picture in pictures:
+                    encoder.stdin.write(np.pad(picture, pads, mode="edge").tobytes())  # type: ignore[union-attr]
+            encoder.communicate()
+        told.seek(0)
+        said = told.read().decode(errors="replace").strip().rpartition("\n")[2].rpartition("] ")[2]
+    if encoder.returncode:
+        raise OSError(f"the encoder failed ({said or f'exit status {encoder.returncode}'})")
+    if imageio_ffmpeg.count_frames_and_secs(str(path))[0] != len(pictures):
+        raise OSError("the encoder wrote a file that cannot be played")
 
 
 def _pixels(name: str, image: Any) -> np.ndarray:

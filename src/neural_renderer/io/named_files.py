@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import unquote
 
-from .files import short
+from .files import read_text, short
+
+_NAMING = (".obj", ".mtl", ".ply", ".gltf", ".glb", ".json", ".csv")  # files that name others
 
 
 def find_file(source: Path, name: str, *folders: Path, allow_outside: bool = False) -> Path | None:
@@ -82,3 +87,40 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
+
+
+def names_file(path: Path, other: Path, *folders: Path) -> bool:
+    """Whether a mesh, its material files, or a file of cameras, name the file ``other``.
+
+    Names are relative to the folder of the file and to ``folders``, as written or by their last part alone, with or
+    without a suffix, whatever their case. What may be a name counts as one.
+    """
+    suffix, folders = path.suffix.lower(), (path.parent, *folders)
+    if suffix not in _NAMING:
+        return False
+    known = other.resolve(), other.parent.resolve() / other.name  # the same unless it is a link
+    wanted, stems = {str(file).lower() for file in known}, {file.stem.lower() for file in known}
+    wanted |= {name.removesuffix(other.suffix.lower()) for name in wanted}
+    roots = [str(folder.resolve()).lower() for folder in folders]
+    for line in read_text(path).split("\n"):
+        keyword, _, rest = line.strip().partition(" ")
+        if suffix == ".obj" and keyword.lower() == "mtllib":
+            names = rest, *rest.split()
+            libraries = {find_file(path, name.strip('"'), *folders, allow_outside=True) for name in names}
+            if any(names_file(library, other, *folders) for library in libraries if library):
+                return True
+        line = (unquote(line) if suffix in (".gltf", ".glb") else line).lower().replace("\\", "/")
+        if any(stem in line for stem in stems):
+            paths = (os.path.normpath(os.path.join(root, name)) for root in roots for name in _names(line))
+            if any(named in wanted for named in paths):
+                return True
+    return False
+
+
+def _names(line: str) -> Iterator[str]:
+    """What may be the name of a file in a line: its last words, parts in quotes and between commas."""
+    words = line.split()
+    names = [" ".join(words[start:]).strip('"') for start in range(len(words))]
+    for name in (*names, *re.findall(r'"([^"]*)"', line), *line.split(",")):
+        if len(name) < 4096:  # longer ones are data
+            yield from (name, os.path.basename(name))

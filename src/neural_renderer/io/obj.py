@@ -1,4 +1,4 @@
-"""Wavefront OBJ with its materials: `load_obj` and `save_obj`."""
+"""Wavefront OBJ files with their materials, read by `load_obj`."""
 
 from __future__ import annotations
 
@@ -6,16 +6,13 @@ import functools
 import os
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
-from .atlas import build_atlas
 from .cubes import WRAPPINGS
-from .files import existing, fits_float32, mesh_to_write, short, warn
+from .files import existing, fits_float32, short, warn
 from .images import load_image
 from .mtl import Material, read_mtl
 from .named_files import find_file
@@ -126,7 +123,7 @@ def obj_skin(
         if material.image is not None and len(chosen):
             path = find_file(obj.path, material.image, material.folder, obj.path.parent, allow_outside=allow_outside)
             if path is None:
-                _warn_missing(obj, "image", material.image)
+                _warn_missing(obj, "image", material.image, allow_outside)
                 continue
             _paint(skin, chosen, material, obj, load(path), wrapping)
             coloured = True
@@ -160,62 +157,13 @@ def _materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
         for name in re.split(r"(?<!\\)\s+", text):
             path = find(name.replace("\\ ", " "))
             if path is None:
-                _warn_missing(obj, "material file", name)
+                _warn_missing(obj, "material file", name, allow_outside)
             else:
                 materials |= read_mtl(path)
     return materials
 
 
-def _warn_missing(obj: ObjFile, what: str, name: str) -> None:
-    elsewhere = (
-        " in its folder (allow_outside=True looks where its path leads, too)" if Path(name).is_absolute() else ""
-    )
-    warn(f"{obj.path}: its {what} {short(name)} is missing{elsewhere}")
-
-
-def save_obj(filename: str | os.PathLike[str], vertices: Any, faces: Any, textures: Any = None) -> None:
-    """Write a mesh as OBJ, with its colours as MTL and PNG beside it under the same name.
-
-    Args:
-        filename: Ends in ``.obj``; missing folders are made.
-        vertices: [V, 3] float tensor or array, on any device; written so that float32 is read back exactly.
-        faces: [F, 3], whole numbers of any real dtype.
-        textures: [F, T, T, T, 3] in [0, 1] (clamped), or None. Each face gets a tile of 15 × 15 to
-            50 × 50 pixels (fewer above 290,000 faces) in the PNG, which holds what the renderer shows of its cube.
-
-    Raises:
-        TypeError, ValueError: As told for each argument; another suffix; too many faces for one picture.
-    """
-    path = Path(filename)
-    if path.suffix.lower() != ".obj":
-        raise ValueError(f"filename: expected a name that ends in .obj, got {path.name!r}")
-    points, corners, cubes = mesh_to_write(vertices, faces, textures)
-    text = [f"# {path.name}\n#\n\n"]
-    if cubes is not None:
-        picture, pixels = build_atlas(cubes)
-        height, width = picture.shape[:2]
-        uv = pixels / [width - 1, height - 1] * [1, -1] + [0, 1]
-        text.append(f"mtllib {path.stem}.mtl\n\n")
-    text.append(format_lines("v %.9g %.9g %.9g\n", points))
-    if cubes is None:
-        text.append("\n" + format_lines("f %d %d %d\n", corners + 1))
-    else:
-        text.append("\n" + format_lines("vt %.8f %.8f\n", uv.reshape(-1, 2)))
-        order = np.arange(3 * len(corners)).reshape(-1, 3)
-        text.append("\nusemtl material_1\n")
-        text.append(format_lines("f %d/%d %d/%d %d/%d\n", np.stack([corners, order], axis=2).reshape(-1, 6) + 1))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if cubes is not None:
-        Image.fromarray(picture).save(path.with_suffix(".png"))
-        path.with_suffix(".mtl").write_text(format_material(1, f"{path.stem}.png"), encoding="utf-8")
-    path.write_text("".join(text), encoding="utf-8")
-
-
-def format_material(number: int, picture: str, clamp: bool = False) -> str:
-    """The material ``material_<number>`` of an MTL file, which shows a picture as it is."""
-    option = "-clamp on " if clamp else ""
-    return f"newmtl material_{number}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {option}{picture}\n"
-
-
-def format_lines(form: str, rows: np.ndarray) -> str:
-    return (form * len(rows)) % tuple(rows.reshape(-1).tolist())
+def _warn_missing(obj: ObjFile, what: str, name: str, allow_outside: bool) -> None:
+    unseen = Path(name).is_absolute() and not allow_outside
+    hint = " in its folder; allow_outside=True (--allow-outside) looks where its path leads, too" if unseen else ""
+    warn(f"{obj.path}: its {what} {short(name)} is missing{hint}")

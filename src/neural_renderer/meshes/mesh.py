@@ -11,7 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
-from ..io.formats import load_mesh, save_mesh
+from ..io.formats import load_mesh
+from ..io.mesh_writer import save_mesh
 from ..io.obj import load_obj
 from . import primitives
 
@@ -122,9 +123,9 @@ class Mesh(nn.Module):
         """T, texels along a cube's edge."""
         return self.textures.shape[1]
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the mesh as OBJ, PLY or GLB (see `save_mesh`), its textures taken as colours and clamped to [0, 1]."""
-        save_mesh(path, self.vertices, self.faces, self.textures)
+        save_mesh(path, self.vertices, self.faces, self.textures, overwrite=overwrite)
 
     def normalize(self) -> Mesh:
         """A copy of the mesh with its bounding box centred at the origin and the box's longest side from -1 to 1.

@@ -9,6 +9,8 @@ from torch.nn import functional
 from .. import validate
 from ..raster.rasterize import checked_faces, vertices_to_faces
 
+_LARGE = 1e4  # coordinates up to which normals are computed as they are; in float16 even less has no squares
+
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     """Compute area-weighted vertex normals.
@@ -36,7 +38,7 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     faces = checked_faces(faces)
     corners = vertices_to_faces(points if points.dim() == 3 else points[None], faces)
     batch, count = len(corners), vertices.shape[-2]
-    v0, v1, v2 = corners.unbind(2)
+    v0, v1, v2 = _in_range(corners, (1, 2, 3)).unbind(2)
     normals = torch.linalg.cross(v1 - v0, v2 - v0)  # of length twice the area
     faces = faces.expand(batch, -1, -1).long().clamp(min=0)
     first = count * torch.arange(batch, device=faces.device)
@@ -57,7 +59,7 @@ def face_normals(corners: Tensor) -> Tensor:
     Returns:
         [..., 3], differentiable.
     """
-    v0, v1, v2 = corners.unbind(-2)
+    v0, v1, v2 = _in_range(corners, (-2, -1)).unbind(-2)
     a, b = v0 - v1, v2 - v1
     normal = torch.linalg.cross(a, b, dim=-1)
     # The first packages divide by max(area, 1e-5), which darkens the small faces of a fine mesh. Here the floor is
@@ -65,3 +67,9 @@ def face_normals(corners: Tensor) -> Tensor:
     size = torch.maximum((a * a).sum(-1, keepdim=True), (b * b).sum(-1, keepdim=True)).detach()
     floor = 1e-5 * size.clamp(1e-12, 1)
     return normal / torch.maximum(torch.linalg.vector_norm(normal, dim=-1, keepdim=True), floor)
+
+
+def _in_range(corners: Tensor, dims: tuple[int, ...]) -> Tensor:
+    """Corners divided by a common scale over ``dims`` where they are so large that squared areas overflow."""
+    largest = corners.detach().abs().amax(dims, keepdim=True) if corners.numel() else corners.new_ones(())
+    return corners / (largest / _LARGE).clamp(min=1)

@@ -12,10 +12,10 @@ from torch.nn import functional
 
 from .. import validate
 from ..io.formats import read_mesh
+from ..io.mesh_writer import save_painted
 from ..io.surface_colors import Skin
-from ..io.textured_writer import save_painted
 from ..textures.gutters import fill_gutters
-from ..textures.sample_texture import checked_wrap, sample_texture
+from ..textures.sample_texture import checked_wrap, sampled
 from .mesh import centred
 
 if TYPE_CHECKING:
@@ -78,12 +78,21 @@ class UVMesh:
             wraps=wraps,
         )
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the mesh as OBJ, its materials and pictures beside it, or as GLB, where images repeat beyond [0, 1];
-        colours are clamped to [0, 1].
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the mesh as OBJ or as GLB, where images repeat beyond [0, 1]; colours are clamped to [0, 1].
 
-        The faces of each image come together; those without one get one together, with a tile for each. Raises
-        TypeError or ValueError for another suffix, NaN, and tensors that do not fit together.
+        Beside ``spot.obj`` come ``spot.mtl`` and ``spot_texture.png``, or ``spot_texture_1.png`` and so on. The faces
+        of each image come together; those without one get one together, with a tile for each.
+
+        Args:
+            path: Ends in ``.obj`` or ``.glb``; missing folders are made. A file of that name is replaced.
+            overwrite: Replace the files beside an OBJ whoever made them; otherwise only those that were written with
+                an OBJ of this name before. So a model from elsewhere keeps its materials and images.
+
+        Raises:
+            TypeError, ValueError: Another suffix, NaN, and tensors that do not fit together.
+            FileExistsError: A file beside an OBJ would be replaced that was not written with it.
+            OSError: The files cannot be written. All that was there before stays.
         """
         self._check(always=True)
         skin = Skin(
@@ -93,7 +102,7 @@ class UVMesh:
             [image.detach().float().cpu().numpy() for image in self.images],
             ["REPEAT" if wrap == "repeat" else "CLAMP_TO_EDGE" for wrap in self.wraps],
         )
-        save_painted(path, self.vertices, self.faces, skin)
+        save_painted(path, self.vertices, self.faces, skin, overwrite=overwrite)
 
     def shade(self, seen: Fragments) -> Tensor:
         """The albedo [B, H, W, 3] float32 of what is seen of this mesh, each image filtered by its mipmaps.
@@ -111,10 +120,13 @@ class UVMesh:
             parts.append(seen.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
         if self.images:
             uv = seen.interpolate(self.uv.reshape(-1, 2), corners)
-            shown = self.image_index[seen.face_index.clamp(min=0).long()] if len(self.images) > 1 or parts else None
+            shown = None
+            if len(self.images) > 1 or parts:
+                # One more than there are faces: -1, which is no face, finds the last.
+                shown = torch.cat((self.image_index, self.image_index.new_tensor([-1])))[seen.face_index.long()]
             for number, (image, wrap) in enumerate(zip(self.images, self.wraps, strict=True)):
                 own = seen.face_index if shown is None else torch.where(shown == number, seen.face_index, -1)
-                parts.append(sample_texture(image, uv, own, wrap=wrap))
+                parts.append(sampled(image[None].float(), uv, own, wrap))
         return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
 
     def _check(self, always: bool = False) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
@@ -18,8 +19,8 @@ def curve(
     right: str,
     logarithmic: bool = True,
     size: tuple[int, int] = (420, 720),
-) -> Image.Image:
-    """Two numbers of a run over its steps; each phase begins at a line.
+) -> np.ndarray:
+    """Draw two numbers of a run over its steps, [H, W, 3] uint8; each phase begins at a line.
 
     Args:
         history: a row for each step, with its ``phase`` and with numbers; not every row needs to have both.
@@ -56,4 +57,4 @@ def curve(
         draw.text((side, top), f"{float(values.max()):.3g}", ink, font)
         draw.text((side, bottom - 14), f"{float(values.min()):.3g}", ink, font)
     draw.text((low_x, bottom + 10), f"{len(history)} steps", (120, 120, 120), font)
-    return image
+    return np.asarray(image)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
@@ -184,10 +185,10 @@ def checked_faces(faces: Any) -> Tensor:
 
 
 def checked_outputs(outputs: Collection[str]) -> Collection[str]:
-    if not isinstance(outputs, Collection):
+    if not isinstance(outputs, Collection) or getattr(outputs, "ndim", 1) != 1:
         raise TypeError(f"outputs: expected some of {', '.join(OUTPUTS)}, got {type(outputs).__name__}")
     names = (outputs,) if isinstance(outputs, str) else tuple(outputs)
-    if not names or any(name not in OUTPUTS for name in names):
+    if not names or any(not isinstance(name, str) or name not in OUTPUTS for name in names):
         raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)}, got {', '.join(map(str, names)) or 'none'}")
     return names
 
@@ -212,6 +213,7 @@ def _checked_light(light: Tensor | None, batch: int, count: int, device: torch.d
     validate.same_device(faces=torch.empty(0, device=device), light=light)
     if light.shape[0] not in (1, batch):
         raise ValueError(f"light: expected parameters for {batch} images or for all, got {light.shape[0]}")
+    validate.finite("light", light)
     return light.float()
 
 
@@ -221,10 +223,10 @@ def behind_image(background: Any, batch: int, channels: int, settings: Settings,
     if not isinstance(background, Tensor):
         try:
             background = torch.as_tensor(background, dtype=torch.float32, device=device)
-        except (TypeError, ValueError, RuntimeError):
+        except (TypeError, ValueError, RuntimeError, OverflowError):
             raise TypeError(
                 f"background: expected a number, a colour [{channels}] or [B, {channels}], or an image, "
-                f"got {background!r}"
+                f"got {reprlib.repr(background)}"
             ) from None
     elif background.dtype == torch.uint8:  # an image as it comes from a file, most likely
         raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")

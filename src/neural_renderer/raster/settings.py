@@ -16,6 +16,7 @@ from .visibility.edge import boundaries
 from .visibility.nmr import nmr_edges
 
 GRADIENTS = ("nmr", "edge")
+FARTHEST = 1e37  # so that the sum of four depths is finite in float32
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,8 @@ class Settings:
         if not isinstance(gradient, str) or gradient not in GRADIENTS:
             raise ValueError(f"gradient: expected one of {', '.join(GRADIENTS)}, got {gradient!r}")
         near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
-        if not 0 <= near < far:
-            raise ValueError(f"near, far: expected 0 <= near < far, got near {near}, far {far}")
+        if not 0 <= near < far <= FARTHEST:
+            raise ValueError(f"near, far: expected 0 <= near < far <= {FARTHEST:g}, got near {near}, far {far}")
         if not 0 <= eps < 1:
             raise ValueError(f"eps: expected 0 <= eps < 1, got {eps}")
         return cls(height, width, near, far, eps, anti_aliasing, two_sided, bool(perspective), gradient)

@@ -62,7 +62,7 @@ class Light:
 
     def _facing(self, corners: Tensor) -> Tensor:
         """Compute n · direction of each face, [B, F], with the orientation of `face_normals`."""
-        validate.floating("corners", corners, ("B", "F", 3, 3))
+        validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
         if isinstance(self.directional, (int, float)) and self.directional == 0:
             return corners.new_zeros(corners.shape[:2])
         direction = parameter("direction", self.direction, (3,), corners.dtype, corners.device)

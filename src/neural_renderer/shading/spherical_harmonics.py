@@ -41,7 +41,7 @@ class SphericalHarmonicLight:
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
         """Compute the light on both sides of each face, [B, 2, F, 3]; see `Light.two_sided`."""
-        validate.floating("corners", corners, ("B", "F", 3, 3))
+        validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
         normals = face_normals(corners)
         if not mirrored:
             normals = -normals
@@ -57,6 +57,7 @@ class SphericalHarmonicLight:
             [B, ..., 3], one value for each colour channel, ≥ 0.
         """
         validate.floating("normals", normals, ("B",) + ("N",) * max(1, getattr(normals, "ndim", 3) - 2) + (3,))
+        validate.finite("normals", normals)
         values = parameter("coefficients", self.coefficients, (9, 3), normals.dtype, normals.device)
         batch_size(normals=normals.shape[0], coefficients=batch_of(values, 2))
         kept = values.reshape(-1, 9, 3) * _BANDS.to(values)[:, None]

@@ -30,7 +30,8 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
         [B, H, W, C] float32, differentiable in ``texture`` and ``uv``. Level selection is not differentiated.
 
     Raises:
-        TypeError, ValueError: A type, shape, device or name does not fit.
+        TypeError, ValueError: A type, shape, device or name does not fit; while values are checked, also a number that
+            is not finite, except in uv where ``face_index`` is negative.
 
     Example:
         >>> texture = torch.rand(256, 256, 3, requires_grad=True)
@@ -40,26 +41,32 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
     """
     validate.floating("texture", texture, ("h", "w", "C") if getattr(texture, "ndim", 4) == 3 else ("B", "h", "w", "C"))
     validate.floating("uv", uv, ("B", "H", "W", 2))
+    if face_index is not None:
+        face_index = validate.indices("face_index", face_index, tuple(uv.shape[:3]))
     validate.same_device(texture=texture, uv=uv, face_index=face_index)
     checked_wrap(wrap)
-    image = (texture if texture.dim() == 4 else texture[None]).float().permute(0, 3, 1, 2)
+    image, uv = (texture if texture.dim() == 4 else texture[None]).float(), uv.float()
     if len(image) not in (1, len(uv)):
         raise ValueError(f"texture: expected a batch of 1 or {len(uv)} like uv, got {len(image)}")
     if 0 in image.shape:
         raise ValueError(f"texture: expected at least one texel and channel, got {validate.shape_of(texture)}")
-    height, width = image.shape[2:]
+    validate.finite("texture", image)
+    validate.finite("uv", uv if face_index is None else torch.where(face_index[..., None] < 0, 0.0, uv))
+    return sampled(image, uv, face_index, wrap)
+
+
+def sampled(image: Tensor, uv: Tensor, face_index: Tensor | None, wrap: str) -> Tensor:
+    """`sample_texture` of arguments that are checked already: image [B or 1, h, w, C] float32, uv float32."""
+    height, width = image.shape[1:3]
     if face_index is None:
-        everywhere = torch.zeros(uv.shape[:3], dtype=torch.int32, device=uv.device)
-        return sample_mipmaps(
-            image.flatten(2).transpose(1, 2), height, width, uv.float(), everywhere, False, wrap == "repeat"
-        )
-    if face_index.shape != uv.shape[:3]:
-        raise ValueError(f"face_index: expected {list(uv.shape[:3])} like uv, got {list(face_index.shape)}")
-    return sample_mipmaps(pyramid(image), height, width, uv.float(), face_index.int(), True, wrap == "repeat")
+        face_index = torch.zeros(uv.shape[:3], dtype=torch.int32, device=uv.device)
+        return sample_mipmaps(image.flatten(1, 2), height, width, uv, face_index, False, wrap == "repeat")
+    texels = pyramid(image.permute(0, 3, 1, 2))
+    return sample_mipmaps(texels, height, width, uv, face_index.int(), True, wrap == "repeat")
 
 
 def checked_wrap(wrap: str) -> str:
     """Return ``wrap`` if it is a known mode; raise ValueError otherwise."""
-    if wrap not in WRAPS:
+    if not isinstance(wrap, str) or wrap not in WRAPS:
         raise ValueError(f"wrap: expected one of {', '.join(WRAPS)}, got {wrap!r}")
     return wrap

@@ -19,7 +19,8 @@ from neural_renderer.tasks.editing import edit_pictures as results
 from tests.tasks.editing.networks import saved_vgg
 
 SMALL = ["--size", "32", "--batch", "2", "--turntable", "2"]
-FILES = ("mesh.obj", "mesh.mtl", "mesh.png", "mesh.glb", "views.png", "loss.png", "turntable.mp4", "turntable.gif")
+MESH = ("mesh.obj", "mesh.mtl", "mesh_texture.png", "mesh.glb")
+FILES = (*MESH, "views.png", "loss.png", "turntable.mp4", "turntable.gif")
 
 
 @pytest.fixture(autouse=True)

@@ -67,5 +67,7 @@ class EditOptions:
     """Read materials and images outside the mesh's folder too, if its file names such; for files that you trust."""
     resume: bool = False
     """Go on from the checkpoint in the output folder, if there is one, which must be of the same files and settings."""
+    force: bool = False
+    """Replace mesh.mtl and mesh_texture.png in the output folder even if something else wrote them."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute; auto is CUDA where there is one."""

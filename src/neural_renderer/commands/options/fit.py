@@ -75,5 +75,7 @@ class FitOptions:
     resume: bool = False
     """Go on from the checkpoint in the output folder, if there is one. It must be of the same images and options, but
     for the numbers of steps."""
+    force: bool = False
+    """Replace mesh.mtl and mesh_texture.png in the output folder even if something else wrote them."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to compute; auto is CUDA where there is one."""

@@ -21,7 +21,7 @@ class RenderOptions:
     mesh: tyro.conf.Positional[Path]
     """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Picture to write: .png or .jpg; .gif or .mp4 for a turntable."""
+    """Picture to write: .png or .jpg; .gif or .mp4 for a turntable. It may not be an image of the mesh."""
     size: int | tuple[int, int] = 512
     """Side of the picture, or height and width, in pixels (1 to 32768)."""
     azimuth: float = 150.0

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ...io import save_image
-from ...io.atomic_write import replacing
+from ...io.atomic_write import write_file
 from ...tasks.reconstruction.data.arrays import Split, open_split
 from ...tasks.reconstruction.evaluation.check_axes import agreement
 from ...tasks.reconstruction.evaluation.evaluate import Scores, evaluate
@@ -111,8 +111,7 @@ class Evaluate(EvaluateOptions):
             "methods": {label: scores.to_dict() for label, scores in methods.items()},
         }
         for name, text in {"scores.json": json.dumps(report, indent=1) + "\n", "table.md": markdown(methods)}.items():
-            with replacing(folder / name) as fresh:
-                fresh.write_text(text, encoding="utf-8")
+            write_file(folder / name, text)
         for table in terminal(methods, width=console.width):
             console.print(table)
         for label, scores in methods.items():

@@ -11,7 +11,6 @@ from rich.progress import track
 from torch import Tensor
 
 from ...io import load_image, save_animation, save_image, save_mesh
-from ...io.atomic_write import replacing
 from ...meshes.mesh import Mesh
 from ...pictures.photograph import photograph
 from ...tasks.reconstruction.data.drawing import CLAY
@@ -20,7 +19,7 @@ from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshe
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
 from ...tasks.reconstruction.evaluation.refine import chosen_steps
 from ...tasks.reconstruction.networks.checkpoint import load_model
-from ..common import checked_count, chosen_device
+from ..common import check_outputs, checked_count, chosen_device
 from ..options.reconstruct.predict import PredictOptions
 
 _SUFFIXES = (".obj", ".glb", ".ply")
@@ -39,10 +38,9 @@ class Predict(PredictOptions):
         if not 0 < self.threshold < 1:
             raise ValueError(f"--threshold: expected a number above 0 and below 1, got {self.threshold}")
         targets = self._targets()
-        for target in targets.values():
-            for path in (target, _beside(target, "sheet.png"), _beside(target, "turntable.gif")):
-                if path.exists() and any(path.samefile(image) for image in self.images if image.exists()):
-                    raise ValueError(f"--output: expected another file than the picture {path}")
+        others = [_beside(target, name) for target in targets.values() for name in ("sheet.png", "turntable.gif")]
+        masks = list(self.mask.iterdir()) if self.mask is not None and self.mask.is_dir() else [self.mask]
+        check_outputs([*targets.values(), *others], [*self.images, *masks, self.checkpoint])
         if self.mask is not None and len(self.images) > 1 and not self.mask.is_dir():
             raise ValueError(f"--mask: expected a folder of masks for {len(self.images)} pictures, got {self.mask}")
         device = chosen_device(self.device)
@@ -104,17 +102,13 @@ class Predict(PredictOptions):
         raise ValueError(f"{folder}: expected a mask {path.stem}.png, got none")
 
     def _write(self, target: Path, picture: Tensor, image: Tensor, vertices: Tensor, faces: Tensor) -> None:
-        with replacing(target) as fresh:
-            save_mesh(fresh, vertices, faces)
+        save_mesh(target, vertices, faces)
         if self.sheet:
-            sheet = prediction_picture(picture, image, vertices, faces)
-            with replacing(_beside(target, "sheet.png")) as fresh:
-                save_image(fresh, sheet)
+            save_image(_beside(target, "sheet.png"), prediction_picture(picture, image, vertices, faces))
         if self.turntable:
             upright = Mesh(vertices, faces, torch.tensor(CLAY).expand(len(faces), 2, 2, 2, 3)).normalize()
             frames = (photograph(upright, 145 + 360 * i / self.turntable, size=256) for i in range(self.turntable))
-            with replacing(_beside(target, "turntable.gif")) as fresh:
-                save_animation(fresh, frames, fps=15)
+            save_animation(_beside(target, "turntable.gif"), frames, fps=15)
 
 
 def _beside(target: Path, name: str) -> Path:

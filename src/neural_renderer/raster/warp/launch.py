@@ -20,6 +20,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from .kernel_cache import load_module
+
 # Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
 _PIECES = 4
 
@@ -79,7 +81,7 @@ def load_kernel(kernel: wp.Kernel, device: str) -> None:
             try:
                 with _quiet():
                     wp.init()
-                wp.load_module(kernel.module, device=device)
+                load_module(kernel, device)
             except OSError as error:
                 raise OSError(
                     f"{wp.config.kernel_cache_dir}: expected a folder to keep compiled kernels in, got: {error}; "

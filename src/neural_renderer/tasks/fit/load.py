@@ -77,8 +77,8 @@ def load_views(
     """
     size = validate.whole("size", size, 16)
     _check_background(background)
-    camera_file = _camera_file(Path(path))
-    common, frames = _frames(camera_file, allow_outside)
+    source = camera_file(Path(path))
+    common, frames = _frames(source, allow_outside)
     images: list[Tensor] = []
     masks: list[Tensor] = []
     full = (0, 0)
@@ -90,7 +90,7 @@ def load_views(
         images.append(colours)
         masks.append(mask)
     make = _nerf_camera if "frames" in common else _angles_camera
-    camera = make(camera_file, common, frames, full)
+    camera = make(source, common, frames, full)
     return Views(camera, torch.stack(masks), torch.stack(images) if photos else None)
 
 
@@ -131,7 +131,8 @@ def _check_background(background: tuple[float, float, float] | None) -> None:
             raise ValueError(f"background: expected red, green and blue in [0, 1], got {background}")
 
 
-def _camera_file(path: Path) -> Path:
+def camera_file(path: Path) -> Path:
+    """The file of the cameras that ``path`` is, or that is in the folder ``path``; FileNotFoundError if none is."""
     if path.is_file():
         return path
     if not path.is_dir():

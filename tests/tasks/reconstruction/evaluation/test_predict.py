@@ -169,6 +169,7 @@ def test_masks_in_a_folder(pictures: Path) -> None:
         (["wall.jpg"], ["-o", "a.obj", "--threshold", "2"], "--threshold: expected a number above 0 and below 1"),
         (["wall.jpg"], ["-o", "a.obj", "--mask", "nowhere.png"], "nowhere.png: expected a file, got nothing there"),
         (["nothing.png"], ["-o", "a.obj"], "nothing.png: expected an object, got a picture without one"),
+        (["a_sheet.png"], ["-o", "a.obj"], "--output: expected a file that may be replaced, got a_sheet.png, which is"),
         (
             ["cut.png", "wall.jpg"],
             ["-o", "out", "--mask", "m.png"],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import errno
 import itertools
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,8 +19,10 @@ from neural_renderer.tasks.reconstruction.networks import configs
 from neural_renderer.tasks.reconstruction.networks.checkpoint import load_model, read_checkpoint, save_model
 from neural_renderer.tasks.reconstruction.networks.configs import Config
 from neural_renderer.tasks.reconstruction.networks.make_network import make_network
+from neural_renderer.tasks.reconstruction.training.callbacks import Keep
 from neural_renderer.tasks.reconstruction.training.train import fit
 from neural_renderer.tasks.reconstruction.training.training import Training, schedule
+from tests.faults import contents, full_disk
 from tests.features.test_features import torchvision_googlenet, torchvision_vgg
 from tests.programs import run_python
 from tests.tasks.reconstruction.fake import SMALL, fake_split, write_split
@@ -111,31 +114,38 @@ def test_a_loss_that_is_no_number(tmp_path: Path) -> None:
         train(tmp_path, config=replace(SMALL, laplacian=float("nan")))
 
 
-def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk(tmp_path: Path) -> None:
     path = tmp_path / "best.ckpt"
     network = make_network("mesh", SMALL)
     save_model(path, network, ["box"])
     before = path.read_bytes()
-
-    def full(content: Any, file: Path) -> None:
-        Path(file).write_bytes(b"half of it")
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(torch, "save", full)
-    with pytest.raises(OSError, match=r"best.ckpt: expected to write it, got: No space left on device"):
+    with pytest.raises(OSError, match=r"best.ckpt: expected to write it, got: File too large"), full_disk(1000):
         save_model(path, network, ["box"])
-    assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+    assert contents(tmp_path) == {"best.ckpt": before}
 
 
 def test_a_disk_that_is_full_for_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(path: Path, image: Any) -> None:
-        path.write_bytes(b"half")
-        raise OSError(errno.ENOSPC, "No space left on device")
+    write = Path.write_bytes
 
-    monkeypatch.setattr("neural_renderer.tasks.reconstruction.training.callbacks.save_image", full)
+    def full(path: Path, content: bytes) -> int:
+        if path.suffix == ".png":
+            write(path, content[:100])
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(OSError, match=r"00000003.png: expected to write it, got: No space left on device"):
         train(tmp_path)
     assert not list((tmp_path / "pictures").iterdir())
+
+
+def test_an_output_folder_that_is_deleted_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def ending(*_: Any) -> None:
+        shutil.rmtree(tmp_path / "out")
+
+    monkeypatch.setattr(Keep, "on_train_epoch_end", ending)
+    with pytest.raises(OSError, match=r"out/log\.csv: expected to write it, got: No such file or directory"):
+        train(tmp_path / "out")
 
 
 def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:

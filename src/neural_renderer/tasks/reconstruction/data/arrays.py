@@ -7,21 +7,24 @@ names. An npz cannot be mapped into memory, so that each is unpacked once, piece
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import hashlib
 import json
+import math
 import os
 import re
 import shutil
-import tempfile
 import zipfile
-import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
+from ....io.atomic_write import replacing
+from ....io.files import reason, short
 from .framing import GRID, SIZE, VIEWS
 
 SPLITS = ("train", "val", "test")
@@ -118,19 +121,22 @@ def _described(folder: Path, split: str) -> dict[str, list[str]]:
     try:
         names = json.loads(path.read_text(encoding="utf-8"))["names"].get(split, {})
         return {str(name): list(rows) for name, rows in names.items()}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f'{path}: expected JSON with "names" by split and class, got another file ({error})') from None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(
+            f'{path}: expected JSON with "names" by split and class, got another file ({reason(error)})'
+        ) from None
 
 
 def _opened(source: Path, kind: str) -> np.ndarray:
     """The first array of an npz, mapped from its unpacked copy."""
     copy = _unpacked(source, kind)
-    try:
+    dtype, trailing = _KINDS[kind]
+    with contextlib.suppress(Exception):  # a copy that somebody has cut off or written over
         array = np.load(copy, mmap_mode="r")
-    except ValueError:  # a copy that somebody has cut off
-        copy.unlink()
-        array = np.load(_unpacked(source, kind), mmap_mode="r")
-    return array
+        if array.dtype == dtype and array.ndim == 1 + len(trailing) and array.shape[1:] == trailing:
+            return array
+    copy.unlink()
+    return np.load(_unpacked(source, kind), mmap_mode="r")
 
 
 def _unpacked(source: Path, kind: str) -> Path:
@@ -140,18 +146,10 @@ def _unpacked(source: Path, kind: str) -> Path:
     for target in (source.with_suffix(".npy"), folder / f"{source.stem}.npy"):
         if target.is_file() and target.stat().st_mtime_ns == stamp:
             return target
-    # Under a name of its own, so that processes which unpack at once do not meet, and renamed when it is whole.
-    handle, fresh = tempfile.mkstemp(dir=folder, prefix=f".{source.stem}.", suffix=".npy")
-    try:
-        with os.fdopen(handle, "wb") as out:
-            _unpack(source, kind, out)
+    with replacing(target) as fresh:
+        with fresh.open("wb") as out:
+            _unpack(source, kind, out, folder)
         os.utime(fresh, ns=(stamp, stamp))
-        os.chmod(fresh, source.stat().st_mode & 0o777)
-        os.replace(fresh, target)
-    except OSError as error:
-        raise OSError(f"{target}: expected room to unpack {source.name}, got: {error.strerror or error}") from error
-    finally:
-        Path(fresh).unlink(missing_ok=True)
     return target
 
 
@@ -166,33 +164,49 @@ def cache_folder(source: Path) -> Path:
     return folder
 
 
-def _unpack(source: Path, kind: str, out: IO[bytes]) -> None:
+def _unpack(source: Path, kind: str, out: IO[bytes], folder: Path) -> None:
+    with contextlib.ExitStack() as opened:
+        with _reading(source):
+            archive = opened.enter_context(zipfile.ZipFile(source))
+            info = archive.infolist()[0]
+            member = opened.enter_context(archive.open(info))
+        shape = _checked_header(source, kind, member)
+        # An npz may unpack to a thousand times its size: what does not belong there is not written anywhere.
+        expected, found = math.prod(shape), info.file_size - member.tell()  # numbers of one byte
+        if found != expected:
+            raise ValueError(f"{source}: expected {expected} numbers as its header says, got {found}")
+        if expected > shutil.disk_usage(folder).free:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        header = {"descr": np.dtype(_KINDS[kind][0]).str, "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(out, header)
+        piece = b"begin"
+        while piece:
+            with _reading(source):
+                piece = member.read(_PIECE)
+            out.write(piece)
+
+
+@contextlib.contextmanager
+def _reading(source: Path, expected: str = "an npz, got a file that is broken or cut off") -> Iterator[None]:
+    """The errors of zipfile and numpy for broken files, which are of many kinds, as ValueError."""
     try:
-        with zipfile.ZipFile(source) as archive, archive.open(archive.namelist()[0]) as member:
-            shape = _checked_header(source, kind, member)
-            np.lib.format.write_array_header_1_0(
-                out, {"descr": np.dtype(_KINDS[kind][0]).str, "fortran_order": False, "shape": shape}
-            )
-            begin = out.tell()
-            shutil.copyfileobj(member, out, _PIECE)
-            expected, got = int(np.prod(shape)), out.tell() - begin
-    except (zipfile.BadZipFile, zlib.error, EOFError, IndexError, NotImplementedError, RuntimeError) as error:
-        raise ValueError(f"{source}: expected an npz, got a file that is broken or cut off ({error})") from error
-    if got != expected:
-        raise ValueError(f"{source}: expected {expected} numbers as its header says, got {got}")
+        yield
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            raise
+        raise ValueError(f"{source}: expected {expected} ({reason(error)})") from error
 
 
 def _checked_header(source: Path, kind: str, member: IO[bytes]) -> tuple[int, ...]:
     """The array's shape, if it is such as the published files have."""
     dtype, trailing = _KINDS[kind]
     wanted = f"{dtype} (N, {', '.join(map(str, trailing))})"
-    try:
+    with _reading(source, f"{wanted}, got no array"):
         version = np.lib.format.read_magic(member)
-        reader = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, found = reader(member)
-    except ValueError as error:
-        raise ValueError(f"{source}: expected {wanted}, got no array ({error})") from None
-    if found != np.dtype(dtype) or tuple(shape[1:]) != trailing or not shape or fortran:
+        if version != (1, 0):  # others may have headers of any length
+            raise ValueError(f"version {version} of its format")
+        shape, fortran, dtype_found = np.lib.format.read_array_header_1_0(member)
+    if dtype_found != np.dtype(dtype) or tuple(shape[1:]) != trailing or not shape or fortran:
         order = ", column by column" if fortran else ""
-        raise ValueError(f"{source}: expected {wanted}, got {found} {tuple(shape)}{order}")
+        raise ValueError(f"{source}: expected {wanted}, got {dtype_found} {short(tuple(shape))}{order}")
     return tuple(shape)

@@ -25,7 +25,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....io import load_mesh
-from ....io.atomic_write import replacing
+from ....io.atomic_write import replacing, write_file
 from ....rendering import render
 from ....version import __version__
 from .arrays import DESCRIPTION, SPLITS
@@ -202,7 +202,7 @@ def _made(model: Model, folder: Path, key: str) -> list[str] | None:
     try:
         with np.load(object_file(model, folder)) as arrays:
             return arrays["notes"].tolist() if str(arrays["key"]) == key else None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+    except Exception:  # none, or broken in any way
         return None
 
 
@@ -249,15 +249,14 @@ def assemble(
         "versions": {"neural_renderer": __version__, "torch": torch.__version__, "numpy": np.__version__},
         "broken": broken,
     }
-    with replacing(folder / DESCRIPTION) as fresh:
-        fresh.write_text(json.dumps(description, indent=1) + "\n", encoding="utf-8")
+    write_file(folder / DESCRIPTION, json.dumps(description, indent=1) + "\n")
 
 
 def names_before(folder: Path) -> dict[str, dict[str, list[str]]]:
     """The names of the objects by split and class that a folder of data holds already."""
     try:
         return json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["names"]
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return {}
 
 
@@ -272,7 +271,7 @@ def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
             try:
                 with np.load(path) as arrays:
                     array = arrays[kind]
-            except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            except Exception as error:  # numpy's and zipfile's errors for broken files are of many kinds
                 raise ValueError(
                     f"{path}: expected a finished object, got a broken file; without it, it is made anew"
                 ) from error

@@ -7,7 +7,7 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from ....io.files import existing, read_text
+from ....io.files import existing, read_text, short
 from .arrays import SPLITS
 
 _SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")  # the first that is there is taken
@@ -87,13 +87,16 @@ def read_splits(path: Path) -> dict[tuple[str, str], str]:
 
     Raises FileNotFoundError for no such file and ValueError, with the line, for what cannot be read as such.
     """
-    rows = list(csv.reader(read_text(existing(path)).splitlines()))
+    try:
+        rows = list(csv.reader(read_text(existing(path)).splitlines()))
+    except csv.Error as error:
+        raise ValueError(f"{path}: expected CSV, got a file that cannot be read as such ({error})") from None
     header = [cell.strip().lower() for cell in rows[0]] if rows else []
     column = {}
     for wanted, names in _COLUMNS.items():
         column[wanted] = next((header.index(name) for name in names if name in header), -1)
         if column[wanted] < 0:
-            raise ValueError(f"{path}: expected a column {wanted!r}, got {', '.join(header) or 'an empty file'}")
+            raise ValueError(f"{path}: expected a column {wanted!r}, got {', '.join(header)[:80] or 'an empty file'}")
     splits: dict[tuple[str, str], str] = {}
     for number, row in enumerate(rows[1:], 2):
         if not any(row):
@@ -103,7 +106,7 @@ def read_splits(path: Path) -> dict[tuple[str, str], str]:
         category, name, split = (row[column[key]].strip() for key in ("category", "model", "split"))
         split = _SYNONYMS.get(split.lower(), split.lower())
         if split not in SPLITS:
-            raise ValueError(f"{path}, line {number}: expected a split of {', '.join(SPLITS)}, got {split!r}")
+            raise ValueError(f"{path}, line {number}: expected a split of {', '.join(SPLITS)}, got {short(split)}")
         splits[category, name] = split
     return splits
 

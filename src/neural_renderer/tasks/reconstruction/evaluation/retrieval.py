@@ -5,6 +5,7 @@ As in the paper (section 5.1), which compares VGG's layer fc6; GoogLeNet's last 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 from collections.abc import Iterator
@@ -64,7 +65,7 @@ class Retrieval:
             images = self._split.images[name]
             source = self._split.folder / f"{name}_{self._split.split}_images.npz"
             target = cache_folder(source) / f"{source.stem}_{stamp}.npy"
-            features = _cached(target, source)
+            features = _cached(target, source, VIEWS * len(images))
             if features is None:
                 rows = []
                 for index in range(len(images)):
@@ -108,12 +109,14 @@ class Retrieval:
         return predict
 
 
-def _cached(target: Path, source: Path) -> np.ndarray | None:
-    """Features in a file that are those of the images in another; None for a file that is older or broken."""
-    try:
-        return np.load(target, mmap_mode="r") if target.stat().st_mtime_ns == source.stat().st_mtime_ns else None
-    except (OSError, ValueError, EOFError):
-        return None
+def _cached(target: Path, source: Path, count: int) -> np.ndarray | None:
+    """Features [count, D] in a file that are those of the images in another; None for one that is older or broken."""
+    with contextlib.suppress(Exception):
+        features = np.load(target, mmap_mode="r")
+        fresh = target.stat().st_mtime_ns == source.stat().st_mtime_ns
+        if fresh and features.dtype == np.float16 and features.ndim == 2 and len(features) == count:
+            return features
+    return None
 
 
 def _device(network: FeatureNetwork) -> torch.device:

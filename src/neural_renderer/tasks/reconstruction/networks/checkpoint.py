@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import io
+import math
 import os
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from ....features import features_like
-from ....io.atomic_write import replacing
+from ....features.network import Plan
+from ....io.atomic_write import write_file
+from ....io.files import load_tensors, reason, short
 from ....version import __version__
 from .configs import Config
-from .encoders import FeatureEncoder
+from .encoders import FEATURES, FeatureEncoder
 from .make_network import Model, make_network
 
 HEADER = "reconstruction"
@@ -43,8 +49,9 @@ def header(model: Model, classes: Sequence[str], weights: str) -> dict[str, Any]
 def save_model(path: str | os.PathLike[str], model: Model, classes: Sequence[str], **facts: float) -> None:
     """Write a network, without the state of its training, and ``facts`` about it; OSError where that fails."""
     content = {HEADER: header(model, classes, "") | {"facts": facts}, "state_dict": model.state_dict()}
-    with replacing(path) as fresh:
-        torch.save(content, fresh)
+    file = io.BytesIO()  # since torch.save does not say why it cannot write
+    torch.save(content, file)
+    write_file(path, file.getbuffer())
 
 
 def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu") -> Model:
@@ -60,17 +67,30 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
     content = read_checkpoint(path)
     head, weights = content[HEADER], content["state_dict"]
     try:
+        config = Config.from_dict(head["config"])
+        _check_size(head["kind"], config, head.get("features", {}), weights)
         features = features_like(head["features"]) if "features" in head else None
-        network = make_network(head["kind"], Config.from_dict(head["config"]), features)
+        network = make_network(head["kind"], config, features)
         prefix = head["weights"]
         found = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
         network.load_state_dict(found)
-    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise ValueError(f"{path}: expected a network's weights, got others than its header says ({reason})") from None
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError) as error:
+        raise ValueError(
+            f"{path}: expected a network's weights, got others than its header says ({reason(error)})"
+        ) from None
     if not all(bool(value.isfinite().all()) for value in found.values()):
         raise ValueError(f"{path}: expected finite weights, got some that are NaN or infinite")
     return network.to(device).eval().requires_grad_(False)
+
+
+def _check_size(kind: str, config: Config, features: Plan, weights: dict[str, Tensor]) -> None:
+    """ValueError for a header of a larger network than the weights are of, before memory is taken for it."""
+    widths = (FEATURES, *config.hidden) if kind == "mesh" else ()
+    needed = config.width**2 + sum(math.prod(pair) for pair in pairwise(widths))
+    needed += sum(math.prod(shape) for shape in features.values())
+    found = sum(value.numel() for value in weights.values())
+    if needed > found:
+        raise ValueError(f"expected at least {needed} numbers, got {found}")
 
 
 def read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -81,14 +101,15 @@ def read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
             f"{path}: expected a checkpoint, got {'a folder' if path.is_dir() else 'nothing there'}"
         )
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except OSError:
-        raise
-    except Exception:  # whatever torch says of a file that is none of its own, or cut off
+        content = load_tensors(path)
+    except Exception as error:  # whatever torch says of a file that is none of its own, or cut off
+        if isinstance(error, OSError) and error.filename is not None:
+            raise
         raise ValueError(f"{path}: expected a checkpoint, got a file that is broken or none") from None
     head = content.get(HEADER) if isinstance(content, dict) else None
     if not isinstance(head, dict) or "state_dict" not in content:
         raise ValueError(f"{path}: expected a checkpoint of a reconstruction network, got one of something else")
     if head.get("version") != VERSION:
-        raise ValueError(f"{path}: expected a checkpoint of version {VERSION}, got version {head.get('version')}")
+        found = short(head.get("version"))
+        raise ValueError(f"{path}: expected a checkpoint of version {VERSION}, got version {found}")
     return content

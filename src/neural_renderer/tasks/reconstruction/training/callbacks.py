@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,8 @@ class Record(lightning.Callback):
         rows = []
         if module.steps_done and path.is_file():  # what came after the checkpoint is to be done again
             with path.open(newline="", encoding="utf-8") as file:
-                rows = [row for row in csv.DictReader(file) if int(row["step"]) <= module.steps_done]
+                whole = [row for row in csv.DictReader(file) if None not in row.values()]  # a kill may cut a row off
+                rows = [row for row in whole if int(row["step"]) <= module.steps_done]
         with replacing(path) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, self._COLUMNS, extrasaction="ignore", lineterminator="\n")
             writer.writeheader()
@@ -106,8 +108,7 @@ class Record(lightning.Callback):
         self._write(trainer, module, ("val_iou",))
         predict = network_predictor(module.model)
         sheet = training_sheet(lambda images: predict(images.to(module.device)), module.val_split)
-        with replacing(self._folder / "pictures" / f"{module.steps_done:08d}.png") as fresh:
-            save_image(fresh, sheet)
+        save_image(self._folder / "pictures" / f"{module.steps_done:08d}.png", sheet)
         for logger in trainer.loggers:
             with writing(self._folder / "tensorboard"):
                 logger.experiment.add_image("predictions", sheet, module.steps_done)  # type: ignore[attr-defined]
@@ -128,7 +129,8 @@ class Record(lightning.Callback):
         row = {"step": module.steps_done, "seconds": round(module.seconds, 2), "rate": f"{rate:.3g}"}
         row |= {name: round(module.latest[name], 6) for name in names}
         path = self._folder / "log.csv"
-        with writing(path), path.open("a", newline="", encoding="utf-8") as file:
+        with writing(path), path.open("r+", newline="", encoding="utf-8") as file:  # "a" would make one without a head
+            file.seek(0, os.SEEK_END)
             csv.DictWriter(file, self._COLUMNS, lineterminator="\n").writerow(row)
         values = {name: module.latest[name] for name in names} | {"rate": rate}
         for logger in trainer.loggers:

@@ -1,0 +1,78 @@
+"""Warp's folder of compiled kernels: damaged ones are compiled again, what a killed process left is removed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import shutil
+import time
+import warnings
+from contextlib import suppress
+from pathlib import Path
+
+import warp as wp
+
+_ROOM = 1 << 20  # bytes, more than any module takes: where a disk is full, LLVM ends the whole process
+_LEFT_BEHIND = re.compile(r"wp_neural_renderer\..*_p\d+_t\d+")
+_ATTEMPTS = 2
+_HOUR = 3600.0  # seconds; no module takes so long to compile
+
+
+def load_module(kernel: wp.Kernel, device: str) -> None:
+    """Load the kernel's module from the cache; compile it first if it is not there or damaged.
+
+    Raises OSError, with the folder's name, for a disk without room and for damage that cannot be removed.
+    """
+    removed = 0
+    while True:
+        if not _is_known(kernel.module):
+            _prepare()
+        try:
+            return _load(kernel, device)
+        except Exception as error:
+            # As a full disk or a power cut leaves it. Another process may remove the same, and what this one has made.
+            folder = _cache() / kernel.module.get_module_identifier(1 if device == "cpu" else None)
+            gone = isinstance(error, FileNotFoundError)
+            damaged = gone or (not isinstance(error, OSError) and (folder.exists() or removed))
+            if not damaged or removed == _ATTEMPTS:
+                raise
+            _remove(folder, error)
+            kernel.module.unload()
+            removed += 1
+
+
+def _remove(folder: Path, error: Exception) -> None:
+    if folder.exists():
+        shutil.rmtree(folder, ignore_errors=True)
+        if folder.exists():
+            raise OSError(f"a damaged kernel ({error}); delete {folder}") from error
+        warnings.warn(f"{folder}: expected a compiled kernel, got a damaged one; it is compiled again", stacklevel=2)
+
+
+def _load(kernel: wp.Kernel, device: str) -> None:
+    wp.load_module(kernel.module, device=device)
+    # A file of zeros loads too, and has no kernels.
+    for loaded in getattr(kernel.module, "execs", {}).values():
+        if loaded.get_kernel_hooks(kernel).forward is None:
+            raise RuntimeError(f"no kernel {kernel.key} in it")
+
+
+def _cache() -> Path:
+    return Path(str(wp.config.kernel_cache_dir))
+
+
+def _is_known(module: wp.Module) -> bool:
+    """Whether the cache has the module, perhaps with other code."""
+    name = re.compile(rf"wp_{re.escape(module.name)}_[0-9a-f]+")
+    return any(name.fullmatch(path.name) for path in _cache().iterdir())
+
+
+def _prepare() -> None:
+    """Look for room to compile, and remove folders of processes that were killed while they did."""
+    for path in _cache().iterdir():
+        with suppress(OSError):  # another process may be at the same
+            if _LEFT_BEHIND.fullmatch(path.name) and time.time() - path.stat().st_mtime > _HOUR:
+                shutil.rmtree(path)
+    if shutil.disk_usage(_cache()).free < _ROOM:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
