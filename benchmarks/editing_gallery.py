@@ -19,7 +19,7 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.tasks.editing.edit_pictures import framed, photographs
+from neural_renderer.tasks.editing.edit_pictures import normalized_like, photographs
 
 MESHES = {"bunny_kato": "4", "teapot_kato": "6"}  # and texels along an edge: the teapot has half as many faces
 PAINTINGS = {
@@ -104,7 +104,7 @@ def _tell(mesh: str, name: str, report: dict[str, Any]) -> None:
 
 
 def _picture(mesh: nr.Mesh | nr.UVMesh, start: nr.Mesh | nr.UVMesh, azimuth: float) -> torch.Tensor:
-    return next(photographs(framed(mesh, start), [azimuth], _SIDE))
+    return next(photographs(normalized_like(mesh, start), [azimuth], _SIDE))
 
 
 def _painting(path: Path) -> torch.Tensor:

@@ -78,7 +78,7 @@ def shape(name: str, mesh: nr.Mesh, gradient: str, start: str, options: argparse
     while not fit.done:
         fit.advance()
     seconds, work = time.perf_counter() - begun[0], time.process_time() - begun[1]
-    seen_quality, quality = fit.views.quality(fit.shape), fit.placed(unseen).quality(fit.shape)
+    seen_quality, quality = fit.views.quality(fit.shape), fit.normalize(unseen).quality(fit.shape)
     if options.save:
         fit.mesh().save(options.save / f"{Path(name).stem}_{start}_{gradient}.glb")
     return {

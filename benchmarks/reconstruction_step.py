@@ -19,9 +19,9 @@ from neural_renderer.features import load_features
 from neural_renderer.losses import silhouette_iou_loss
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
 from neural_renderer.tasks.reconstruction.networks.configs import make_config
-from neural_renderer.tasks.reconstruction.training.sampling import prepared
+from neural_renderer.tasks.reconstruction.training.sampling import prepare_batch
 from neural_renderer.tasks.reconstruction.training.train import has_bfloat16
-from neural_renderer.tasks.reconstruction.training.training import Training, beside_views, sized_like
+from neural_renderer.tasks.reconstruction.training.training import Training, downsample_like, pair_with_views
 from neural_renderer.tasks.settings import ConfigName, ModelName
 
 
@@ -56,17 +56,17 @@ def main(
 
     for step in range(steps):
         clock = now_is()
-        images, alpha, views = prepared(batches[step], recipe.inputs)
+        images, alpha, views = prepare_batch(batches[step], recipe.inputs)
         clock = took("data", clock)
         low = recipe.low_precision and has_bfloat16()
         with torch.autocast("cpu", torch.bfloat16, enabled=low):
             shapes = network(images.flatten(0, 1).contiguous(memory_format=torch.channels_last))
         clock = took("network, forward", clock)
         leaf = shapes.detach().requires_grad_()
-        seen, looks, target = beside_views(leaf, alpha, views)
-        drawn = network.silhouettes(seen, looks)
+        paired, paired_views, target = pair_with_views(leaf, alpha, views)
+        drawn = network.silhouettes(paired, paired_views)
         clock = took("renderer, forward", clock)
-        error = silhouette_iou_loss(drawn, sized_like(drawn, target))
+        error = silhouette_iou_loss(drawn, downsample_like(drawn, target))
         (pull,) = torch.autograd.grad(error, drawn, retain_graph=True)
         regulariser = network.regulariser(leaf)
         (rest,) = torch.autograd.grad(regulariser, leaf) if regulariser.requires_grad else (0.0,)

@@ -6,9 +6,11 @@ import torch
 from PIL import Image
 
 from neural_renderer import Mesh
-from neural_renderer.commands.demo import around, ball, clay
+from neural_renderer.commands.demo import around, ball
 from neural_renderer.commands.demo_models import duck, knot
-from neural_renderer.pictures.photograph import lowest, photograph, sheet
+from neural_renderer.pictures.clay import clay_mesh
+from neural_renderer.pictures.photograph import lowest_point, photograph
+from neural_renderer.pictures.sheet import sheet
 from neural_renderer.tasks.fit import TextureFit, Views
 
 SIDE = 256
@@ -19,16 +21,16 @@ def main() -> None:
     target, ring = duck(), knot(texture_size=8)
     cameras = around(24, torch.device("cpu"))
     fit = ball(Views.of(target, cameras, 96), 300)
-    stages = [clay(*fit.shape)]
+    stages = [clay_mesh(*fit.shape[:2])]
     while not fit.done:
         fit.advance()
         if fit.step in (30, 90):
-            stages.append(clay(*fit.shape))
+            stages.append(clay_mesh(*fit.shape[:2]))
     paint = TextureFit(Views.of(target, cameras, 192), *fit.shape, size=8, batch=8)
     while not paint.done:
         paint.advance()
     stages += [Mesh(*paint.shape), target]
-    floor = lowest(target)
+    floor = lowest_point(target)
     top = [photograph(mesh, 145, size=2 * SIDE, floor=floor) for mesh in stages]
     bottom = [photograph(ring, 180 + angle, size=2 * SIDE) for angle in (0, 36, 72, 108, 144)]
     whole = Image.fromarray(sheet([top, bottom]).numpy()).resize((5 * SIDE, 2 * SIDE), Image.Resampling.LANCZOS)

@@ -14,7 +14,8 @@ from neural_renderer import cli
 from neural_renderer.commands.demo_models import duck, knot
 from neural_renderer.meshes.isosurface import isosurface
 from neural_renderer.meshes.topology import Topology
-from neural_renderer.pictures.photograph import photograph, sheet
+from neural_renderer.pictures.photograph import photograph
+from neural_renderer.pictures.sheet import sheet
 
 
 def test_demo_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Feature networks: what they compute, from which checkpoints, and what they refuse."""
+"""Feature networks: activations, checkpoints and rejected files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BLOCKS = ("3a", "3b", "4a", "4b", "4c", "4d", "4e", "5a", "5b")
 
 
 def torchvision_vgg(depth: int, classes: int | None = 7, width: int = 4) -> dict[str, Tensor]:
-    """Random weights of a narrow VGG under torchvision's names."""
+    """Make random weights of a narrow VGG under torchvision's names."""
     generator = torch.Generator().manual_seed(0)
     found: dict[str, Tensor] = {}
     index, inputs = 0, 3
@@ -37,7 +37,7 @@ def torchvision_vgg(depth: int, classes: int | None = 7, width: int = 4) -> dict
 
 
 def torchvision_googlenet() -> dict[str, Tensor]:
-    """Random weights of a narrow GoogLeNet under torchvision's names."""
+    """Make random weights of a narrow GoogLeNet under torchvision's names."""
     generator = torch.Generator().manual_seed(0)
     found: dict[str, Tensor] = {}
 
@@ -214,7 +214,7 @@ def test_files_that_are_refused(tmp_path: Path) -> None:
         "empty.pth": b"",
     }.items():
         (tmp_path / name).write_bytes(data)
-        with pytest.raises(ValueError, match=rf"{name}: expected a whole .* cannot be read"):
+        with pytest.raises(ValueError, match=rf"{name}: expected a (PyTorch checkpoint|\.safetensors file), .* cannot"):
             load_features(tmp_path / name)
     for name, content, sentence in (
         ("other", {"layer1.0.conv1.weight": torch.ones(3)}, "expected the weights of a VGG .* got tensors with other"),
@@ -224,7 +224,7 @@ def test_files_that_are_refused(tmp_path: Path) -> None:
         ("half", {k: v for k, v in weights.items() if k != "features.5.bias"}, "a weight and a bias for each"),
         ("bn", weights | {"features.1.running_mean": torch.ones(4)}, "VGG without batch normalisation"),
         ("fc", {k: v for k, v in weights.items() if k != "classifier.3.bias"}, "classifier.3 with 6 inputs"),
-        ("nan", weights | {"features.5.bias": torch.full((4,), torch.nan)}, "got NaN or infinite ones in conv2_1"),
+        ("nan", weights | {"features.5.bias": torch.full((4,), torch.nan)}, "got NaN or infinity in conv2_1"),
     ):
         torch.save(content, tmp_path / f"{name}.pth")
         with pytest.raises(ValueError, match=rf"{name}.pth: .*{sentence}"):
@@ -233,7 +233,7 @@ def test_files_that_are_refused(tmp_path: Path) -> None:
     for name, content, sentence in (
         ("g1", {k: v for k, v in google.items() if "inception4c.branch2.1.bn" not in k}, "inception4c.branch2.1 with"),
         ("g2", google | {"conv3.conv.weight": torch.ones(6, 5, 3, 3)}, "conv2.3x3.weight of shape"),
-        ("g3", {k: v for k, v in google.items() if k != "fc.weight"}, "loss3.classifier, which are missing"),
+        ("g3", {k: v for k, v in google.items() if k != "fc.weight"}, "weight and bias of loss3.classifier, got"),
     ):
         torch.save(content, tmp_path / f"{name}.pth")
         with pytest.raises(ValueError, match=rf"{name}.pth: .*{sentence}"):
@@ -270,13 +270,13 @@ def test_published_checkpoints(monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError("no route to host")
 
     monkeypatch.setattr(torch.hub, "load_state_dict_from_url", offline)
-    with pytest.raises(ConnectionError, match=r"googlenet-1378be20.pth cannot be fetched .* name the file instead"):
+    with pytest.raises(ConnectionError, match=r"googlenet-1378be20.pth cannot be downloaded .* the path of the file"):
         load_features("googlenet")
 
 
 @pytest.mark.parametrize("weights", [torchvision_googlenet(), torchvision_vgg(16), torchvision_vgg(16, classes=None)])
 def test_a_part_and_a_plan(weights: dict[str, Tensor], tmp_path: Path) -> None:
-    """The part up to a layer, written and read again without the file that the network came from."""
+    """A truncated network is rebuilt from its plan and state_dict, without the original file."""
     network = load(weights, tmp_path)
     layer = network.layers[6]
     part = network.until(layer)

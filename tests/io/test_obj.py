@@ -89,12 +89,11 @@ def test_teapot(teapot_file):
     assert (vertices.max(0).values + vertices.min(0).values).abs().max() <= 2 * EPS and vertices.max() == 1
 
 
-def test_every_nasty_file_loads_or_is_refused(shared):
-    folder = shared / "data/meshes/nasty"
-    paths = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() == ".obj"]
-    assert len(paths) > 90
+def test_every_nasty_file_loads_or_is_refused(nasty):
+    paths = [path for path in sorted(nasty.rglob("*")) if path.suffix.lower() == ".obj"]
+    assert len(paths) > 80
     for path in paths:
-        name = path.relative_to(folder).as_posix()
+        name = path.relative_to(nasty).as_posix()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             if name in REFUSED:
@@ -117,8 +116,8 @@ def test_warnings_point_at_the_caller(tmp_path):
         assert {warning.filename for warning in found} == {__file__}
 
 
-def test_missing_files_are_named_and_grey(tmp_path, shared):
-    folder = shared / "data/meshes/nasty/pytorch3d"
+def test_missing_files_are_named_and_grey(tmp_path, references):
+    folder = references / "nasty/pytorch3d"
     with pytest.warns(UserWarning, match=r"model2\.mtl"):
         assert (load_obj(folder / "missing_files_obj/model2.obj", load_texture=True)[2] == 0.5).all()
     with pytest.warns(UserWarning, match=r"material_1\.png"):
@@ -213,8 +212,8 @@ def test_polygons(tmp_path):
         assert torch.equal(areas.sum(0), whole) and areas.norm(dim=1).sum() == whole.norm()  # halves of whole numbers
 
 
-def test_concave_polygon_with_a_bridge(shared):
-    vertices, faces = load_obj(shared / "data/meshes/nasty/assimp_OBJ/concave_polygon.obj", False)
+def test_concave_polygon_with_a_bridge(references):
+    vertices, faces = load_obj(references / "nasty/assimp_OBJ/concave_polygon.obj", False)
     a, b, c = vertices[faces.long()].unbind(1)
     areas = torch.linalg.cross(b - a, c - a) / 2
     assert torch.allclose(areas.norm(dim=1).sum(), areas.sum(0).norm(), rtol=1e-4)  # nothing overlaps; float32

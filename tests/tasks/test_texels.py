@@ -1,4 +1,4 @@
-"""Shared texels: what they are shared by, and that no seam is left."""
+"""Shared texels: their number, their continuity, and their values from cubes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BALL = nr.icosphere(1)[1]
 
 
 def at(cubes: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-    """What the renderer reads of cubes [F, T, T, T, 3] at barycentric weights [F, N, 3]: trilinear at w · (T - 1)."""
+    """Sample cubes [F, T, T, T, 3] as the renderer does: trilinear at w · (T − 1) for weights w [F, N, 3]."""
     size = cubes.shape[1]
     place = weights.double() * (size - 1)
     low = place.floor().clamp(0, size - 2).long()
@@ -37,7 +37,7 @@ def test_texels_are_those_of_corners_edges_and_insides(faces: torch.Tensor, size
     assert texels.count == int(faces.max()) + 1 + edges * (size - 2) + len(faces) * inside
     assert torch.allclose(texels.weights.sum(1), torch.ones(size**3), **rounding(8)) and (texels.weights >= 0).all()
     values = torch.rand(texels.count, 3, generator=torch.Generator().manual_seed(0))
-    torch.testing.assert_close(texels.of(texels.cubes(values)), values)
+    torch.testing.assert_close(texels.from_cubes(texels.cubes(values)), values)
 
 
 @pytest.mark.parametrize("size", [3, 4, 7])
@@ -65,29 +65,29 @@ def test_colours_that_are_linear_on_a_face_are_kept() -> None:
     grid = torch.cartesian_prod(*[torch.arange(4.0)] * 3)
     grid[0] = 1
     cubes = torch.einsum("gk,fkc->fgc", grid / grid.sum(1, keepdim=True), vertices[faces.long()])
-    again = texels.cubes(texels.of(cubes.reshape(-1, 4, 4, 4, 3)))
+    again = texels.cubes(texels.from_cubes(cubes.reshape(-1, 4, 4, 4, 3)))
     torch.testing.assert_close(again.flatten(1, 3), cubes, **rounding(16))  # means of up to six faces
 
 
-def test_free_texels_are_the_cubes() -> None:
-    texels = Texels.free(BALL, 3)
+def test_separate_texels_are_the_cubes() -> None:
+    texels = Texels.separate(BALL, 3)
     cubes = torch.rand(80, 3, 3, 3, 3)
     assert texels.count == 80 * 27
-    torch.testing.assert_close(texels.cubes(texels.of(cubes)), cubes)
+    torch.testing.assert_close(texels.cubes(texels.from_cubes(cubes)), cubes)
 
 
-def test_colours_flow_to_where_nothing_is_known() -> None:
+def test_unknown_texels_are_filled() -> None:
     texels = Texels.shared(torch.cat((BALL, BALL + 42)), 4)  # two balls
     known = torch.zeros(texels.count, dtype=torch.bool)
     known[texels.index[5]] = True
     values = torch.full((texels.count, 3), 9.0)
     values[known] = torch.tensor([0.2, 0.5, 0.7])
-    found = texels.spread(values, known)
+    found = texels.fill_unknown(values, known)
     torch.testing.assert_close(found[texels.index[:80]], torch.tensor([0.2, 0.5, 0.7]).expand(80, 10, 3))
-    assert (found[texels.index[80:]] == 9).all()  # of that ball nothing is known
+    assert (found[texels.index[80:]] == 9).all()  # no texel of that ball is known
     values = torch.rand(texels.count, 3)
     half = torch.rand(texels.count) < 0.5
-    assert torch.equal(texels.spread(values, half)[half], values[half])
+    assert torch.equal(texels.fill_unknown(values, half)[half], values[half])
 
 
 def test_no_faces() -> None:

@@ -15,7 +15,9 @@ from ..io import save_animation, save_image
 from ..io.obj_writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.primitives import icosphere
-from ..pictures.photograph import lowest, photograph, sheet
+from ..pictures.clay import clay_mesh
+from ..pictures.photograph import lowest_point, photograph
+from ..pictures.sheet import sheet
 from ..tasks.fit import ShapeFit, TextureFit, Views
 from .common import checked_count, chosen_device
 from .demo_models import duck, knot
@@ -88,7 +90,7 @@ class Demo(DemoOptions):
             progress.update(task, advance=1, note=f"loss {paint.advance()['loss']:.4f}")
         fitted = Mesh(*paint.shape)
         fitted.save(self.output / "fitted.obj")
-        self._draw([clay(v, faces) for v in history], fitted, target, progress)
+        self._draw([clay_mesh(v, faces) for v in history], fitted, target, progress)
         return iou
 
     def _draw(self, history: list[Mesh], fitted: Mesh, target: Mesh, progress: Progress) -> None:
@@ -96,7 +98,7 @@ class Demo(DemoOptions):
         stages = stages_of(history, fitted, target)
         last = [fitted] * max(len(history) // 3, 1)
         task = progress.add_task("Pictures", total=len(stages) * len(_ANGLES) + len(history) + len(last), note="")
-        floor = lowest(target)
+        floor = lowest_point(target)
 
         def picture(mesh: Mesh, angle: float, size: int) -> Tensor:
             return photograph(mesh, angle, size=size, floor=floor)
@@ -131,7 +133,7 @@ def ball(views: Views, steps: int, seed: int = 0) -> ShapeFit:
 def stages_of(history: list[Mesh], fitted: Mesh, target: Mesh) -> dict[str, Mesh]:
     """The rows of the sheet: label and mesh."""
     early, late = history[len(history) // 8], history[len(history) // 3]
-    plain = clay(fitted.vertices, fitted.faces)
+    plain = clay_mesh(fitted.vertices, fitted.faces)
     return {
         "start": history[0],
         "at first": early,
@@ -140,9 +142,3 @@ def stages_of(history: list[Mesh], fitted: Mesh, target: Mesh) -> dict[str, Mesh
         "shape and colours": fitted,
         "target": target,
     }
-
-
-def clay(vertices: Tensor, faces: Tensor) -> Mesh:
-    """A shape without colours."""
-    colour = torch.tensor([0.55, 0.68, 0.84], device=vertices.device)
-    return Mesh(vertices, faces, colour.expand(len(faces), 2, 2, 2, 3))

@@ -17,7 +17,7 @@ from ..io.obj_writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..pictures.curve import curve
-from ..tasks.editing import DreamWeights, MeshEdit, StyleWeights, Views
+from ..tasks.editing import DreamWeights, MeshEdit, RandomViews, StyleWeights
 from ..tasks.editing.edit import Objective
 from ..tasks.editing.edit_pictures import preview, six_views, turntable
 from ..tasks.editing.paint import check_cubes, check_images
@@ -112,7 +112,7 @@ class Edit(EditOptions):
         setting = {name: self.chosen(preset, name) for name in asdict(preset)}
         if setting["init"] == "mesh" and not coloured:
             setting["init"] = "plain"
-        views = Views(setting["elevation"], setting["distance"], light=setting["light"])
+        views = RandomViews(setting["elevation"], setting["distance"], light=setting["light"])
         edit = MeshEdit(
             mesh.resized(self.uv) if isinstance(mesh, UVMesh) and self.uv else mesh,
             objective,
@@ -149,7 +149,7 @@ class Edit(EditOptions):
 
     def _report(self, edit: MeshEdit, run: Run, finished: bool, mesh: Mesh | UVMesh, settings: dict[str, Any]) -> None:
         """Write ``report.json`` and say the most important of it."""
-        after, moved = edit.measure(), edit.moved()
+        after, moved = edit.measure(), edit.displacement()
         share = {name: round(part / max(sum(edit.seconds.values()), 1e-9), 4) for name, part in edit.seconds.items()}
         report = {"version": __version__, "finished": finished, "steps": edit.step}
         report |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces), "settings": settings}

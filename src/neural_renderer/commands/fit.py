@@ -64,7 +64,7 @@ class Fit(FitOptions):
             texture_steps=self.texture_steps,
             cells=self.cells,
             texture_size=self.texture_size,
-            colour_from=self.colour_from,
+            color_from=self.color_from,
             weights=self.weights,
             batch=self.batch,
             gradient=self.gradient,
@@ -79,7 +79,7 @@ class Fit(FitOptions):
         mesh.save(self.output / "mesh.glb")
         save_image(self.output / "comparison.png", comparison(fit.views, fit.shape))
         found: dict[str, Any] = {"views": len(seen), "vertices": mesh.num_vertices, "faces": mesh.num_faces}
-        for name, part in (("fitted", fit.views), ("held_out", unseen and fit.placed(unseen))):
+        for name, part in (("fitted", fit.views), ("held_out", unseen and fit.normalize(unseen))):
             if part is not None:
                 quality = part.quality(fit.shape)
                 found[name] = {

@@ -7,25 +7,25 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
-import torch.nn.functional as F
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
+from ..deferred import fragments
 from ..io import load_mesh, save_animation, save_image
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
-from ..pictures.photograph import corner_cubes
+from ..pictures.lamp import lamp_direction
 from ..raster.settings import image_size
 from ..rendering import render
 from ..shading.lights import Light
 from .common import check_outputs, checked_count, chosen_device
 from .options.render import RenderOptions
 
-_LAMP = (-0.4, 0.6, 0.7)  # towards the light: to the viewer's right, up, and from the scene to the viewer
-_COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": (0.0, 0.0, 0.0)}
+_LAMP = (-0.4, 0.6, 0.7)  # right, up, backward; more frontal than `pictures.lamp.LAMP`: no visible face is dark
+_COLORS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": (0.0, 0.0, 0.0)}
 _GREY = 0.82  # of a mesh without colours
 _PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
 
@@ -114,20 +114,21 @@ class Render(RenderOptions):
             images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far)
             alpha, depth = images.alpha[0], images.depth[0]  # type: ignore[index]
             return alpha if self.mode == "silhouettes" else _grey_depth(depth, alpha, far)
-        right, up, forward = camera.rotation[0]
-        light: Light | None = None
-        shown: Mesh | UVMesh | tuple[Tensor, ...] = mesh
+        color = self.background if isinstance(self.background, tuple) else _COLORS[self.background or "white"]
         if self.mode == "normals":
-            normals = vertex_normals(mesh.vertices, mesh.faces)[0] @ torch.stack((right, up, -forward), dim=1)
-            shown = mesh.vertices, mesh.faces, corner_cubes((normals + 1) / 2, mesh.faces)
-        elif self.light:
-            lamp = F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)
-            light = Light(ambient=0.4, directional=0.65, direction=lamp)
-        colour = self.background if isinstance(self.background, tuple) else _COLOURS[self.background or "white"]
-        images = render(
-            shown, camera, size, light=light, background=colour, outputs=("rgb", "alpha"), near=near, far=far
-        )
-        rgb, alpha = images.rgb[0], images.alpha[0]  # type: ignore[index]
+            seen = fragments((mesh.vertices, mesh.faces), camera, size, near=near, far=far)
+            axes = camera.rotation[0] * camera.rotation.new_tensor([1.0, 1.0, -1.0])[:, None]  # right, up, backward
+            normals = seen.interpolate(vertex_normals(mesh.vertices, mesh.faces)[0] @ axes.T)
+            rgb = seen.composite((normals + 1) / 2, color)[0]
+            alpha = seen.composite(torch.ones_like(normals[..., :1]))[0, 0]
+        else:
+            light = (
+                Light(ambient=0.4, directional=0.65, direction=lamp_direction(camera, _LAMP)) if self.light else None
+            )
+            images = render(
+                mesh, camera, size, light=light, background=color, outputs=("rgb", "alpha"), near=near, far=far
+            )
+            rgb, alpha = images.rgb[0], images.alpha[0]  # type: ignore[index]
         if self.background != "transparent":
             return rgb
         # On black, colours at the outline are already multiplied by alpha; PNG wants them without.

@@ -1,4 +1,4 @@
-"""Networks whose layers serve as features of images: VGG and GoogLeNet, from published checkpoints or from files."""
+"""Image features of pretrained networks: VGG and GoogLeNet, downloaded or read from a file."""
 
 from .googlenet import googlenet
 from .load import PUBLISHED, features_like, load_features

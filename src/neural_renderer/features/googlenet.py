@@ -1,4 +1,4 @@
-"""GoogLeNet (Szegedy et al., 2015): the one of Caffe's model zoo ("BVLC"), and torchvision's."""
+"""GoogLeNet (Szegedy et al., 2015): the version of Caffe's model zoo ("BVLC") and torchvision's."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .network import FeatureNetwork, Normalise, convolution, linear, plan_of
 
 _BLOCKS = ("3a", "3b", "4a", "4b", "4c", "4d", "4e", "5a", "5b")
 _BRANCHES = ("1x1", "3x3_reduce", "3x3", "5x5_reduce", "5x5", "pool_proj")
-# torchvision's name of each convolution, and ours, which is Caffe's with a dot for the slash.
+# torchvision's name of each convolution → ours: Caffe's, with a dot in place of the slash.
 _TORCHVISION = {"conv1": "conv1.7x7_s2", "conv2": "conv2.3x3_reduce", "conv3": "conv2.3x3"} | {
     f"inception{block}.{theirs}": f"inception_{block}.{ours}"
     for block in _BLOCKS
@@ -21,28 +21,35 @@ _TORCHVISION = {"conv1": "conv1.7x7_s2", "conv2": "conv2.3x3_reduce", "conv3": "
         ("branch1", "branch2.0", "branch2.1", "branch3.0", "branch3.1", "branch4.1"), _BRANCHES, strict=True
     )
 }
-_ALPHA = 1e-4 / 5  # of Caffe's local response normalisation, for a sum over five channels
-_EPSILON = 1e-3  # of torchvision's batch normalisation
+_ALPHA = 1e-4 / 5  # α of Caffe's local response normalisation, for a sum over five channels
+_EPSILON = 1e-3  # ε of torchvision's batch normalisation
 
 
 def is_googlenet(weights: Mapping[str, Any]) -> bool:
-    """Whether these are the weights of a GoogLeNet, by their names."""
+    """Tell by the names of tensors whether a checkpoint holds a GoogLeNet."""
     return any(name.startswith(("inception3a.", "inception_3a.")) for name in weights)
 
 
 def googlenet(weights: Mapping[str, Tensor]) -> FeatureNetwork:
-    """The network of a checkpoint, in either form.
+    """Build a GoogLeNet from a checkpoint of Caffe or torchvision.
 
-    Caffe's has local response normalisation, torchvision's batch normalisation, which goes into the convolutions here,
-    a 3 × 3 convolution in place of the 5 × 5, and a smaller fourth pool. Layers are ``conv1``, ``pool1``,
+    Caffe's version has local response normalisation. torchvision's has batch normalisation, which is folded into the
+    convolutions, 3 × 3 convolutions in place of 5 × 5, and a smaller fourth pool. Layers are ``conv1``, ``pool1``,
     ``conv2_reduce``, ``conv2``, ``pool2``, ``inception_3a`` … ``inception_5b`` with ``pool3`` and ``pool4`` between
-    them, ``pool5`` [B, 1024] and ``classifier`` [B, 1000], the last one before its softmax.
+    them, ``pool5`` [B, 1024] and ``classifier`` [B, 1000] (before the softmax).
 
-    Raises ValueError for tensors that are missing or do not follow one another.
+    Args:
+        weights: Tensors of the checkpoint, by name.
+
+    Returns:
+        The network, on the device of the weights.
+
+    Raises:
+        ValueError: A tensor is missing, or the shapes of consecutive layers do not fit.
     """
-    torchvisions = "conv1.conv.weight" in weights
-    layers = _Layers(_folded(weights) if torchvisions else dict(weights))
-    norm: list[nn.Module] = [] if torchvisions else [LocalResponse()]
+    from_torchvision = "conv1.conv.weight" in weights
+    layers = _LayerBuilder(_fold_batch_norm(weights) if from_torchvision else dict(weights))
+    norm: list[nn.Module] = [] if from_torchvision else [LocalResponse()]
     stages: dict[str, nn.Module] = {
         "conv1": layers.convolution("conv1.7x7_s2", 3, stride=2),
         "pool1": nn.Sequential(nn.MaxPool2d(3, 2, ceil_mode=True), *norm),
@@ -55,27 +62,27 @@ def googlenet(weights: Mapping[str, Tensor]) -> FeatureNetwork:
         if block == "3b":
             stages["pool3"] = nn.MaxPool2d(3, 2, ceil_mode=True)
         if block == "4e":
-            stages["pool4"] = nn.MaxPool2d(2 if torchvisions else 3, 2, ceil_mode=True)
+            stages["pool4"] = nn.MaxPool2d(2 if from_torchvision else 3, 2, ceil_mode=True)
     stages["pool5"] = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten())
-    stages["classifier"] = linear(*layers.pair("loss3.classifier", (layers.width,)))
-    normalise = Normalise((127.5,) * 3, (127.5,) * 3) if torchvisions else Normalise((104, 117, 123), bgr=True)
+    stages["classifier"] = linear(*layers.weight_and_bias("loss3.classifier", (layers.width,)))
+    normalise = Normalise((127.5,) * 3, (127.5,) * 3) if from_torchvision else Normalise((104, 117, 123), bgr=True)
     return FeatureNetwork("GoogLeNet", normalise, stages, plan_of(weights))
 
 
 class LocalResponse(nn.Module):
-    """Local response normalisation: x / (1 + 1e-4 · mean of x² over the 5 channels around)^0.75."""
+    """Local response normalisation x / (1 + 1e-4 · mean of x² over 5 neighbouring channels)^0.75."""
 
     def forward(self, values: Tensor) -> Tensor:
-        """[B, C, H, W]."""
+        """Normalise values [B, C, H, W]."""
         return _LocalResponse.apply(values)
 
 
 class _LocalResponse(torch.autograd.Function):
-    """By hand, because autograd would keep and copy each of the additions: a third of the time."""
+    """Hand-written gradient of `LocalResponse`: autograd would store each addition and take a third of the time."""
 
     @staticmethod
     def forward(ctx: Any, values: Tensor) -> Tensor:
-        scale = _five(values.square()).mul_(_ALPHA).add_(1)
+        scale = _sum_of_five_channels(values.square()).mul_(_ALPHA).add_(1)
         root = scale.sqrt()
         factor = (root * root.sqrt()).reciprocal_()
         ctx.save_for_backward(values, scale, factor)
@@ -86,12 +93,12 @@ class _LocalResponse(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
         values, scale, factor = ctx.saved_tensors
         own = gradients[0] * factor
-        around = _five((own * values).div_(scale))
+        around = _sum_of_five_channels((own * values).div_(scale))
         return own.addcmul_(values, around, value=-1.5 * _ALPHA)
 
 
-def _five(values: Tensor) -> Tensor:
-    """Sums over the five channels around each; differences of running sums would lose digits."""
+def _sum_of_five_channels(values: Tensor) -> Tensor:
+    """Sum each channel with its four nearest ones. Differences of a cumulative sum would lose digits."""
     total = values.clone()
     for shift in (1, 2):
         total[:, shift:] += values[:, :-shift]
@@ -100,9 +107,9 @@ def _five(values: Tensor) -> Tensor:
 
 
 class Inception(nn.Module):
-    """Four branches side by side, their channels one after the other."""
+    """Inception block: four parallel branches, concatenated along channels."""
 
-    def __init__(self, layers: _Layers, name: str) -> None:
+    def __init__(self, layers: _LayerBuilder, name: str) -> None:
         super().__init__()
         width = layers.width
         parts: dict[str, nn.Module] = {}
@@ -116,14 +123,18 @@ class Inception(nn.Module):
         self._pool = nn.MaxPool2d(3, 1, padding=1)
 
     def forward(self, values: Tensor) -> Tensor:
-        """[B, C, H, W] → [B, C', H, W]."""
+        """Map values [B, C, H, W] to [B, C', H, W]."""
         parts = self._parts
         three, five = parts["3x3"](parts["3x3_reduce"](values)), parts["5x5"](parts["5x5_reduce"](values))
         return torch.cat((parts["1x1"](values), three, five, parts["pool_proj"](self._pool(values))), 1)
 
 
-class _Layers:
-    """Makes layers of a checkpoint, each held to the width of the one before."""
+class _LayerBuilder:
+    """Makes layers from a checkpoint and checks that each fits the number of channels before it.
+
+    Attributes:
+        width: Number of channels after the layers made so far.
+    """
 
     def __init__(self, weights: dict[str, Tensor]) -> None:
         self._weights = weights
@@ -132,14 +143,15 @@ class _Layers:
     def convolution(self, name: str, inputs: int | None = None, stride: int = 1) -> nn.Module:
         kernel = self._weights.get(f"{name}.weight")
         side = kernel.shape[-1] if kernel is not None and kernel.dim() == 4 else 1
-        weight, bias = self.pair(name, (self.width if inputs is None else inputs, side, side))
+        weight, bias = self.weight_and_bias(name, (self.width if inputs is None else inputs, side, side))
         self.width = len(bias)
         return nn.Sequential(convolution(weight, bias, stride), nn.ReLU(inplace=True))
 
-    def pair(self, name: str, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
+    def weight_and_bias(self, name: str, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
+        """Return the tensors of a layer whose weight has the shape [·, *shape]."""
         weight, bias = self._weights.get(f"{name}.weight"), self._weights.get(f"{name}.bias")
         if weight is None or bias is None:
-            raise ValueError(f"expected a weight and a bias of {name}, which are missing")
+            raise ValueError(f"expected weight and bias of {name}, got neither or only one")
         if tuple(weight.shape[1:]) != shape or bias.shape != weight.shape[:1]:
             raise ValueError(
                 f"expected {name}.weight of shape [·, {', '.join(map(str, shape))}], got {list(weight.shape)}"
@@ -147,14 +159,14 @@ class _Layers:
         return weight, bias
 
 
-def _folded(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """torchvision's weights under our names, with batch normalisation as part of the convolutions."""
+def _fold_batch_norm(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Fold torchvision's batch normalisation into the convolutions, and rename the tensors to our names."""
     found: dict[str, Tensor] = {}
     for theirs, ours in _TORCHVISION.items():
         names = ("conv.weight", "bn.weight", "bn.bias", "bn.running_mean", "bn.running_var")
         parts = [weights.get(f"{theirs}.{name}") for name in names]
         if any(part is None for part in parts):
-            raise ValueError(f"expected {theirs} with its batch normalisation, which is missing")
+            raise ValueError(f"expected {theirs} with batch normalisation, got some of its tensors only")
         kernel, gain, bias, mean, variance = (part.double() for part in parts)  # type: ignore[union-attr]
         gain = gain / (variance + _EPSILON).sqrt()
         found[f"{ours}.weight"] = (kernel * gain[:, None, None, None]).float()

@@ -1,4 +1,4 @@
-"""Weights from files and from the addresses where they are published."""
+"""Feature networks from weight files and from published checkpoints."""
 
 from __future__ import annotations
 
@@ -16,29 +16,33 @@ from .network import FeatureNetwork, Plan
 from .vgg import is_vgg, vgg
 
 _ADDRESS = "https://download.pytorch.org/models/"
-# The eight digits in each name begin the file's SHA-256, which torch.hub holds the download to.
+# The eight digits in each name are the start of the file's SHA-256; torch.hub checks the download against them.
 PUBLISHED = {
     "vgg16-original": "vgg16_features-amdegroot-88682ab5.pth",
     "vgg16": "vgg16-397923af.pth",
     "vgg19": "vgg19-dcbb9e9d.pth",
     "googlenet": "googlenet-1378be20.pth",
 }
-"""The published checkpoints by name; ``vgg16-original`` has the convolutions of Simonyan and Zisserman themselves."""
+"""Published checkpoints by name. ``vgg16-original`` has the weights that Simonyan and Zisserman trained."""
 
 
 def load_features(source: str | os.PathLike[str], progress: bool = True) -> FeatureNetwork:
-    """The network of a checkpoint, on the CPU.
+    """Load a feature network onto the CPU.
 
     Args:
-        source: one of `PUBLISHED`, which torch.hub fetches once and keeps; or a file, ``.safetensors`` or a state_dict
-            of torch, whose network is told by the names of its tensors (see `vgg` and `googlenet`).
-        progress: whether a download shows how far it is.
+        source: Name in `PUBLISHED`, which torch.hub downloads once and caches, or path of a file: ``.safetensors``, or
+            a PyTorch checkpoint with a state_dict. The names of its tensors tell which network it is (see `vgg` and
+            `googlenet`).
+        progress: Whether to show a progress bar while downloading.
+
+    Returns:
+        The network, with frozen weights.
 
     Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: a file that cannot be read or that holds another network.
-        ConnectionError: a checkpoint that is not here and cannot be fetched.
-        ModuleNotFoundError: a .safetensors file without that package.
+        FileNotFoundError: The file does not exist.
+        ValueError: The file is unreadable or holds another network.
+        ConnectionError: The checkpoint is not cached and cannot be downloaded.
+        ModuleNotFoundError: The file is ``.safetensors`` and the package safetensors is not installed.
     """
     if isinstance(source, str) and source in PUBLISHED:
         return _network(_published(source, progress), source)
@@ -47,9 +51,10 @@ def load_features(source: str | os.PathLike[str], progress: bool = True) -> Feat
 
 
 def features_like(plan: Plan) -> FeatureNetwork:
-    """A network with a `FeatureNetwork.plan`, all zeros: to be filled by ``load_state_dict``.
+    """Build a network of zeros from a `FeatureNetwork.plan`; `load_state_dict` fills it.
 
-    Raises ValueError for a plan of no network that is known.
+    Raises:
+        ValueError: The plan belongs to no known network.
     """
     return _network({name: torch.zeros(tuple(shape)) for name, shape in plan.items()}, "plan")
 
@@ -60,7 +65,7 @@ def _network(weights: dict[str, Tensor], source: str) -> FeatureNetwork:
         if is_googlenet(weights) or is_vgg(weights):
             return _finite(googlenet(weights) if is_googlenet(weights) else vgg(weights))
     except ValueError as error:
-        raise ValueError(f"{source}: {error}; the file is damaged or of another network") from None
+        raise ValueError(f"{source}: {error}; the file is damaged or holds another network") from None
     some = ", ".join(list(weights)[:3]) or "none"
     raise ValueError(
         f"{source}: expected the weights of a VGG (features.0.weight or conv1_1.weight, …) or of a GoogLeNet "
@@ -71,7 +76,7 @@ def _network(weights: dict[str, Tensor], source: str) -> FeatureNetwork:
 def _finite(network: FeatureNetwork) -> FeatureNetwork:
     for name, value in network.named_parameters():
         if not bool(torch.isfinite(value).all()):
-            raise ValueError(f"expected finite numbers, got NaN or infinite ones in {name.removeprefix('_stages.')}")
+            raise ValueError(f"expected finite weights, got NaN or infinity in {name.removeprefix('_stages.')}")
     return network
 
 
@@ -81,21 +86,21 @@ def _read(path: Path) -> dict[str, Any]:
             from safetensors.torch import load_file
         except ModuleNotFoundError:
             raise ModuleNotFoundError(
-                f"{path}: to read it, install safetensors (pip install 'neural-renderer[editing]')"
+                f"{path}: reading it needs safetensors (pip install 'neural-renderer[editing]')"
             ) from None
         try:
             return load_file(path)
-        except Exception as error:  # its own kinds, and whatever a broken header leads to
+        except Exception as error:  # its own error class, and others after a broken header
             raise ValueError(
-                f"{path}: expected a whole .safetensors file, got one that cannot be read ({reason(error)})"
+                f"{path}: expected a .safetensors file, got one that cannot be read ({reason(error)})"
             ) from None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of pickle's version, in files that are refused anyway
+            warnings.simplefilter("ignore")  # about pickle versions of files that are rejected anyway
             weights = load_tensors(path)
-    except Exception as error:  # torch has many words for files that are not its own
+    except Exception as error:  # torch raises errors of many classes for files that are not checkpoints
         raise ValueError(
-            f"{path}: expected a whole checkpoint of torch, got a file that cannot be read ({why_not_loaded(error)})"
+            f"{path}: expected a PyTorch checkpoint, got a file that cannot be read ({why_not_loaded(error)})"
         ) from None
     weights = weights.get("state_dict", weights) if isinstance(weights, dict) else weights
     if not isinstance(weights, dict):
@@ -109,7 +114,7 @@ def _published(name: str, progress: bool) -> dict[str, Any]:
         return torch.hub.load_state_dict_from_url(
             address, map_location="cpu", progress=progress, check_hash=True, weights_only=True
         )
-    except Exception as error:  # no network, no such address, a checksum that differs, no room
+    except Exception as error:  # no network, unknown address, wrong checksum, full disk
         raise ConnectionError(
-            f"{name}: {address} cannot be fetched ({error}); fetch it elsewhere, and name the file instead"
+            f"{name}: {address} cannot be downloaded ({error}); download it elsewhere and give the path of the file"
         ) from None

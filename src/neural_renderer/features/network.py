@@ -1,4 +1,4 @@
-"""What all feature networks have in common: stages with names, one after the other, and an input of their own."""
+"""`FeatureNetwork`: a sequence of named stages after an input normalisation."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ from torch import Tensor, nn
 
 from .. import validate
 
-_ALWAYS_ENOUGH = 32  # pixels: five halvings
+_LEAST_SIDE = 32  # pixels: any image this large survives the five halvings of a network
 
 Plan = Mapping[str, Sequence[int]]
-"""The shapes of a checkpoint's tensors by their names."""
+"""Shapes of a checkpoint's tensors, by name."""
 
 
 class FeatureNetwork(nn.Module):
-    """A convolutional network that returns what its named layers see in images.
+    """Convolutional network that returns the activations of named layers.
 
-    >>> network = load_features("googlenet_bvlc.safetensors")  # doctest: +SKIP
-    >>> network(images, ["inception_4c"])["inception_4c"].shape  # doctest: +SKIP
-    torch.Size([4, 512, 14, 14])
-
-    Its weights are fixed: gradients flow to the images only. Layers are taken after their ReLU, except the last one of
-    a classifier.
+    Weights are frozen: gradients flow to the images only. Activations are taken after the ReLU, except those of the
+    last layer of a classifier.
 
     Attributes:
-        layers: the names of all layers in the order in which they are computed.
-        name: which network it is.
-        plan: of the checkpoint that it was made from, for `features_like`; empty for one that was made otherwise.
+        name: Name of the architecture, such as "VGG-16".
+        layers: Names of all layers, in the order of computation.
+        plan: Shapes of the tensors of the checkpoint, for `features_like`. Empty if the network has no checkpoint.
+
+    Example:
+        >>> network = load_features("googlenet_bvlc.safetensors")  # doctest: +SKIP
+        >>> network(images, ["inception_4c"])["inception_4c"].shape  # doctest: +SKIP
+        torch.Size([4, 512, 14, 14])
     """
 
     def __init__(self, name: str, normalise: nn.Module, stages: dict[str, nn.Module], plan: Plan | None = None) -> None:
@@ -43,11 +44,17 @@ class FeatureNetwork(nn.Module):
         self.eval()
 
     def forward(self, images: Tensor, layers: Sequence[str]) -> dict[str, Tensor]:
-        """The layers named, of images [B, 3, H, W] with red, green and blue in [0, 1].
+        """Compute the activations of layers. Stages after the last requested layer are not computed.
 
-        Returns [B, C, h, w] for each layer, [B, C] for those of a classifier. Nothing behind the last layer asked for
-        is computed. Raises TypeError or ValueError for other images, for some too small for a layer, and for a name not
-        in ``layers``.
+        Args:
+            images: [B, 3, H, W] floating, RGB in [0, 1].
+            layers: Names of layers.
+
+        Returns:
+            [B, C, h, w] for each requested layer, by name; [B, C] for the layers of a classifier.
+
+        Raises:
+            TypeError, ValueError: The images do not fit or are too small for a layer, or a layer is unknown.
         """
         validate.floating("images", images, ("B", 3, "H", "W"))
         wanted = set(self.checked(layers))
@@ -58,8 +65,8 @@ class FeatureNetwork(nn.Module):
         for name in self.layers:
             try:
                 values = self._stages[name](values)
-            except RuntimeError:  # a pool, or a padding, of less than there has to be
-                if min(images.shape[2:]) >= _ALWAYS_ENOUGH:
+            except RuntimeError:  # from a pool or a padding that is larger than its input
+                if min(images.shape[2:]) >= _LEAST_SIDE:
                     raise
                 height, width = images.shape[2:]
                 raise ValueError(f"images: expected larger ones for the layer {name}, got {width} x {height}") from None
@@ -70,13 +77,13 @@ class FeatureNetwork(nn.Module):
         return found
 
     def until(self, layer: str) -> FeatureNetwork:
-        """The part of the network up to this layer, with the same weights, not copies; ValueError for no layer."""
+        """Truncate the network after ``layer``. Weights are shared, not copied. Raises ValueError if it is unknown."""
         (layer,) = self.checked([layer])
         kept = self.layers[: self.layers.index(layer) + 1]
         return FeatureNetwork(self.name, self._normalise, {name: self._stages[name] for name in kept}, self.plan)
 
     def checked(self, layers: Sequence[str]) -> tuple[str, ...]:
-        """``layers`` if they are names of layers, at least one; ValueError otherwise."""
+        """Return ``layers`` as a tuple. Raises ValueError if it is empty or names an unknown layer."""
         layers = (layers,) if isinstance(layers, str) else tuple(layers)
         for name in layers or ("",):
             if name not in self.layers:
@@ -85,12 +92,12 @@ class FeatureNetwork(nn.Module):
 
 
 def plan_of(weights: Mapping[str, Tensor]) -> Plan:
-    """The plan of a checkpoint."""
+    """Collect the shapes of a checkpoint's tensors."""
     return {name: tuple(value.shape) for name, value in weights.items()}
 
 
 class Normalise(nn.Module):
-    """Images in [0, 1] as a network wants them: (255 · image − mean) / std, in the order BGR if ``bgr``."""
+    """Input normalisation (255 · image − mean) / std of images in [0, 1]; channels are reversed to BGR if ``bgr``."""
 
     _gain: Tensor
     _offset: Tensor
@@ -102,7 +109,7 @@ class Normalise(nn.Module):
         self._bgr = bgr
 
     def forward(self, images: Tensor) -> Tensor:
-        """[B, 3, H, W] of any floating type."""
+        """Normalise images [B, 3, H, W] of any floating dtype."""
         images = images.flip(1) if self._bgr else images
         return images * self._gain - self._offset
 
@@ -111,7 +118,7 @@ Padding = Literal["zeros", "reflect"]
 
 
 def convolution(weight: Tensor, bias: Tensor, stride: int = 1, padding_mode: Padding = "zeros") -> nn.Conv2d:
-    """A convolution with given weights [O, I, k, k] and [O], whose output is as large as its input / stride."""
+    """Make a convolution with weight [O, I, k, k] and bias [O], padded so that the output has size input / stride."""
     out, inputs, side, _ = weight.shape
     layer = nn.Conv2d(inputs, out, side, stride, side // 2, padding_mode=padding_mode)
     layer.weight, layer.bias = nn.Parameter(weight), nn.Parameter(bias)
@@ -119,7 +126,7 @@ def convolution(weight: Tensor, bias: Tensor, stride: int = 1, padding_mode: Pad
 
 
 def linear(weight: Tensor, bias: Tensor) -> nn.Linear:
-    """A fully connected layer with given weights [O, I] and [O]."""
+    """Make a fully connected layer with weight [O, I] and bias [O]."""
     layer = nn.Linear(1, 1)
     layer.out_features, layer.in_features = weight.shape
     layer.weight, layer.bias = nn.Parameter(weight), nn.Parameter(bias)

@@ -1,4 +1,4 @@
-"""VGG-16, VGG-19 and narrower networks of the same plan (Simonyan and Zisserman, 2015)."""
+"""VGG-16, VGG-19 and networks of the same architecture with fewer channels (Simonyan and Zisserman, 2015)."""
 
 from __future__ import annotations
 
@@ -12,43 +12,67 @@ from torch import Tensor, nn
 from .network import IMAGENET_MEAN, IMAGENET_STD, FeatureNetwork, Normalise, Padding, convolution, linear, plan_of
 
 _NAMED = re.compile(r"conv([1-5])_?([1-4])\.(weight|bias)")
-_ORIGINAL_MEAN = (123.68, 116.779, 103.939)  # of red, green, blue
-_Plan = dict[tuple[int, int], dict[str, Tensor]]
+_ORIGINAL_MEAN = (123.68, 116.779, 103.939)  # RGB
+_Convolutions = dict[tuple[int, int], dict[str, Tensor]]  # (block, number in the block) → "weight" and "bias"
 
 
 def is_vgg(weights: Mapping[str, Any]) -> bool:
-    """Whether these are the weights of a VGG, by their names."""
+    """Tell by the names of tensors whether a checkpoint holds a VGG."""
     return "features.0.weight" in weights or any(_NAMED.fullmatch(name) for name in weights)
 
 
 def vgg(weights: Mapping[str, Tensor]) -> FeatureNetwork:
-    """The network of a checkpoint; its depth and widths are read from it.
+    """Build a VGG from a checkpoint; depth and numbers of channels follow from the tensors.
 
-    Known are torchvision's names, ``features.0.weight`` …, and ``conv1_1.weight`` or ``conv11.weight`` …. Layers are
-    ``conv1_1`` … ``conv5_4``, ``pool1`` … ``pool5`` and, where the checkpoint has them, ``fc6``, ``fc7``, ``fc8``.
+    Layers are ``conv1_1`` … ``conv5_4``, ``pool1`` … ``pool5`` and, if the checkpoint has them, ``fc6``, ``fc7`` and
+    ``fc8``. The names of the tensors decide the input normalisation:
 
-    torchvision's own checkpoints want images normalised in its way; those whose classifier is missing (NaN) are
-    Simonyan and Zisserman's, which want grey levels without their mean, as do checkpoints with the other names (in the
-    order BGR) unless they begin with a 1 × 1 convolution ``conv0``: that one takes [0, 1], and pads by reflection.
+    - torchvision's names (``features.0.weight`` …) with a classifier: torchvision's mean and standard deviation.
+    - torchvision's names with a classifier of NaN: the weights of Simonyan and Zisserman, 255 · RGB minus the mean.
+    - ``conv0.weight``, a 1 × 1 convolution, before ``conv1_1.weight``: that convolution; padding is by reflection.
+    - ``conv1_1.weight`` or ``conv11.weight`` …: 255 · BGR minus the mean.
 
-    Raises ValueError for tensors that do not follow one another.
+    Args:
+        weights: Tensors of the checkpoint, by name.
+
+    Returns:
+        The network, on the device of the weights.
+
+    Raises:
+        ValueError: A tensor is missing, or the shapes of consecutive layers do not fit.
     """
-    torchvisions = "features.0.weight" in weights
-    plan = _from_torchvision(weights) if torchvisions else _from_names(weights)
-    mode: Padding = "zeros"
-    if torchvisions and _is_complete(weights):
-        normalise: nn.Module = Normalise(IMAGENET_MEAN, IMAGENET_STD)
-    elif torchvisions:
-        normalise = Normalise(_ORIGINAL_MEAN)
-    elif "conv0.weight" in weights:
-        normalise, mode = convolution(weights["conv0.weight"], weights["conv0.bias"]), "reflect"
-    else:
-        normalise = Normalise(_ORIGINAL_MEAN[::-1], bgr=True)
+    from_torchvision = "features.0.weight" in weights
+    convolutions = _from_torchvision(weights) if from_torchvision else _from_names(weights)
+    normalise, padding = _input_stage(weights)
+    stages, width = _convolution_stages(convolutions, padding)
+    depth = len(convolutions) + 3
+    if max(block for block, _ in convolutions) == 5 and max(place for block, place in convolutions if block == 5) > 1:
+        stages["pool5"] = nn.MaxPool2d(2)
+        if from_torchvision and _has_classifier(weights):
+            stages |= _classifier(weights, width)
+    elif max(convolutions) == (5, 1):
+        depth = 19  # truncated after conv5_1, the last layer that style transfer uses
+    return FeatureNetwork(f"VGG-{depth}", normalise, stages, plan_of(weights))
+
+
+def _input_stage(weights: Mapping[str, Tensor]) -> tuple[nn.Module, Padding]:
+    """Choose the input normalisation and the padding of the convolutions; see `vgg`."""
+    if "features.0.weight" in weights:
+        if _has_classifier(weights):
+            return Normalise(IMAGENET_MEAN, IMAGENET_STD), "zeros"
+        return Normalise(_ORIGINAL_MEAN), "zeros"
+    if "conv0.weight" in weights:
+        return convolution(weights["conv0.weight"], weights["conv0.bias"]), "reflect"
+    return Normalise(_ORIGINAL_MEAN[::-1], bgr=True), "zeros"
+
+
+def _convolution_stages(convolutions: _Convolutions, padding: Padding) -> tuple[dict[str, nn.Module], int]:
+    """Make the convolutions and the pools between blocks; return them and the number of output channels."""
     stages: dict[str, nn.Module] = {}
     width = 3
-    for (block, place), layer in sorted(plan.items()):
+    for (block, place), layer in sorted(convolutions.items()):
         name = f"conv{block}_{place}"
-        if set(layer) != {"weight", "bias"} or ((block, place - 1) not in plan and place > 1):
+        if set(layer) != {"weight", "bias"} or ((block, place - 1) not in convolutions and place > 1):
             raise ValueError(f"expected a weight and a bias for each convolution, up to {name}")
         shape = tuple(layer["weight"].shape)
         if len(shape) != 4 or shape[1:] != (width, 3, 3) or layer["bias"].shape != shape[:1]:
@@ -56,22 +80,18 @@ def vgg(weights: Mapping[str, Tensor]) -> FeatureNetwork:
         if place == 1 and block > 1:
             stages[f"pool{block - 1}"] = nn.MaxPool2d(2)
         stages[name] = nn.Sequential(
-            convolution(layer["weight"], layer["bias"], padding_mode=mode), nn.ReLU(inplace=True)
+            convolution(layer["weight"], layer["bias"], padding_mode=padding), nn.ReLU(inplace=True)
         )
         width = shape[0]
-    depth = len(plan) + 3
-    if max(block for block, _ in plan) == 5 and max(place for block, place in plan if block == 5) > 1:
-        stages["pool5"] = nn.MaxPool2d(2)
-        if torchvisions and _is_complete(weights):
-            stages |= _classifier(weights, width)
-    elif max(plan) == (5, 1):
-        depth = 19  # the part of VGG-19 up to conv5_1 that style transfer uses
-    return FeatureNetwork(f"VGG-{depth}", normalise, stages, plan_of(weights))
+    return stages, width
 
 
-def _from_torchvision(weights: Mapping[str, Tensor]) -> _Plan:
-    """The convolutions are numbered with the ReLUs and pools between them: two on in a block, three on to the next."""
-    plan: _Plan = {}
+def _from_torchvision(weights: Mapping[str, Tensor]) -> _Convolutions:
+    """Find the convolutions by torchvision's indices, which step by 2 inside a block and by 3 to the next one.
+
+    ReLUs and pools take the indices between them.
+    """
+    convolutions: _Convolutions = {}
     block, place, last = 1, 0, -2
     for index in sorted({int(name.split(".")[1]) for name in weights if re.fullmatch(r"features\.\d+\.\w+", name)}):
         if f"features.{index}.running_mean" in weights:
@@ -82,20 +102,20 @@ def _from_torchvision(weights: Mapping[str, Tensor]) -> _Plan:
             raise ValueError(f"expected convolutions two or three apart, got features.{last} and features.{index}")
         place, last = place + 1, index
         parts = {part: weights.get(f"features.{index}.{part}") for part in ("weight", "bias")}
-        plan[block, place] = {part: value for part, value in parts.items() if value is not None}
-    return plan
+        convolutions[block, place] = {part: value for part, value in parts.items() if value is not None}
+    return convolutions
 
 
-def _from_names(weights: Mapping[str, Tensor]) -> _Plan:
-    plan: _Plan = {}
+def _from_names(weights: Mapping[str, Tensor]) -> _Convolutions:
+    convolutions: _Convolutions = {}
     for name, value in weights.items():
         if match := _NAMED.fullmatch(name):
-            plan.setdefault((int(match[1]), int(match[2])), {})[match[3]] = value
-    return plan
+            convolutions.setdefault((int(match[1]), int(match[2])), {})[match[3]] = value
+    return convolutions
 
 
-def _is_complete(weights: Mapping[str, Tensor]) -> bool:
-    """Whether torchvision's checkpoint has a classifier that can be used."""
+def _has_classifier(weights: Mapping[str, Tensor]) -> bool:
+    """Tell whether torchvision's checkpoint has a classifier of finite numbers."""
     last = weights.get("classifier.6.bias")
     return last is not None and bool(torch.isfinite(last).all())
 

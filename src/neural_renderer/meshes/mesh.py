@@ -15,6 +15,7 @@ from ..io.formats import load_mesh
 from ..io.mesh_writer import save_mesh
 from ..io.obj import load_obj
 from . import primitives
+from .bounds import bounding_box
 
 
 class Mesh(nn.Module):
@@ -170,11 +171,10 @@ class Mesh(nn.Module):
 def centred(vertices: Tensor) -> Tensor:
     """Vertices [V, 3] moved and scaled into [-1, 1] (see `Mesh.normalize`), detached, float64."""
     vertices = validate.vertices(validate.has_numbers("vertices", vertices)).detach().double()
-    low, high = vertices.min(dim=0).values, vertices.max(dim=0).values
-    longest = float((high - low).max())
-    if longest == 0:
+    center, half = bounding_box(vertices)
+    if half == 0:
         raise ValueError(f"vertices: expected a mesh to normalise, got {len(vertices)} vertices that all coincide")
-    return (vertices - (low + high) / 2) * (2 / longest)
+    return (vertices - center) / half
 
 
 def _as_tensor(value: Any) -> Any:

@@ -1,34 +1,30 @@
-"""Pictures of meshes as a photographer would take them: smooth normals, a highlight, a soft shadow, a plain backdrop.
+"""Pictures of meshes with smooth shading, a highlight, a soft shadow and a plain backdrop.
 
-The renderer draws two images, the texture and the normals, and everything else is arithmetic on them: shading needs no
-support from the rasteriser.
+The renderer draws colours and normals; the light on them is arithmetic on these two images.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
 import torch
 import torch.nn.functional as F
-from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
+from ..deferred import fragments
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
 from ..rendering import render
+from .lamp import lamp_direction
 
-_BACKDROP = (0.94, 0.945, 0.955), (0.80, 0.82, 0.85)  # at the top and at the bottom
-_FADE = 0.12  # of a picture's sides, in which shadows end
-_LAMP = (-0.45, 0.75, 0.55)  # towards the light, in the viewer's right, up and back
-
-
-def corner_cubes(values: Tensor, faces: Tensor) -> Tensor:
-    """Cubes [F, 2, 2, 2, C] that blend values [V, C] linearly across each face: its eight texels are multilinear."""
-    grid = torch.stack(torch.meshgrid(*[torch.arange(2.0, device=values.device)] * 3, indexing="ij"), dim=-1)
-    return torch.einsum("ijkc,fcd->fijkd", grid, values[faces.long()])
+_BACKDROP_TOP, _BACKDROP_BOTTOM = (0.94, 0.945, 0.955), (0.80, 0.82, 0.85)
+_AMBIENT, _SKY, _DIFFUSE = 0.34, 0.20, 0.62  # light from everywhere, from above, and from the lamp
+_WRAP = 0.25  # cosine by which the lamp's light reaches beyond the terminator
+_GLOSS, _SHININESS = 0.22, 40  # strength and exponent of the highlight (Blinn-Phong)
+_SHADOW = 0.45  # share of light that a full shadow takes away
+_SHADOW_STEEPNESS = 2.0  # the lamp that casts the shadow stands higher, so that shadows stay short
+_SHADOW_BLUR = 1 / 40  # radius of the box blur, relative to the height of the picture
+_SHADOW_FADE = 0.12  # width of the border, relative to the sides, in which the shadow fades out
 
 
 @torch.no_grad()
@@ -42,38 +38,48 @@ def photograph(
     viewing_angle: float = 19.0,
     floor: float | None = None,
 ) -> Tensor:
-    """One picture [3, H, W] in [0, 1] of a mesh within [-1, 1], seen from an angle (azimuth 180 is +z; degrees).
+    """Draw a mesh with studio light and a shadow on the ground.
 
-    ``floor`` is the height of the ground on which its shadow falls; without it the lowest vertex lies on the ground.
+    Args:
+        mesh: Mesh in about [-1, 1]³.
+        azimuth: Position of the camera around the y axis in degrees; 180 is at +z.
+        elevation: Elevation of the camera in degrees.
+        size: Side of the picture, or height and width, in pixels.
+        distance: Distance of the camera from the origin.
+        viewing_angle: Half the vertical field of view in degrees.
+        floor: Height of the ground; by default that of the lowest vertex.
+
+    Returns:
+        [3, H, W] float32 in [0, 1].
     """
     size = (size, size) if isinstance(size, int) else size
-    vertices, faces = mesh.vertices, mesh.faces
-    eye = torch.tensor(get_points_from_angles(distance, elevation, azimuth), device=vertices.device)
+    eye = torch.tensor(get_points_from_angles(distance, elevation, azimuth), device=mesh.vertices.device)
     camera = Camera.look_at(eye, viewing_angle=viewing_angle)
-    right, up, forward = camera.rotation[0]
-    lamp = F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0)
+    lamp, forward = lamp_direction(camera), camera.rotation[0, 2]
 
-    colour = render(mesh, camera, size, light=None, outputs=("rgb", "alpha"))
-    cubes = corner_cubes(vertex_normals(vertices, faces)[0], faces)
-    # Anti-aliased normals shrink towards the outline; normalising undoes that.
-    normal = render((vertices, faces, cubes), camera, size, light=None, outputs="rgb").rgb
-    normal = F.normalize(normal[0], dim=0)  # type: ignore[index]
-    rgb, alpha = colour.rgb[0], colour.alpha[0]  # type: ignore[index]
+    images = render(mesh, camera, size, light=None, outputs=("rgb", "alpha"))
+    seen = fragments((mesh.vertices, mesh.faces), camera, size)
+    normal = seen.composite(seen.interpolate(vertex_normals(mesh.vertices, mesh.faces)))[0]
+    normal = F.normalize(normal, dim=0)  # anti-aliasing shortens normals towards the outline
+    rgb, alpha = images.rgb[0], images.alpha[0]  # type: ignore[index]
 
-    halfway = F.normalize(lamp - forward, dim=0)
-    wrap = ((_dot(normal, lamp) + 0.25) / 1.25).clamp(min=0)  # light that reaches a little past the terminator
-    sky = 0.5 + 0.5 * normal[1]
-    gloss = 0.22 * _dot(normal, halfway).clamp(min=0) ** 40
-    shaded = rgb * (0.34 + 0.20 * sky + 0.62 * wrap) + gloss * alpha
-
-    ground = lowest(mesh) if floor is None else floor
-    backdrop = _backdrop(size).to(rgb) * (1 - 0.45 * _shadow(mesh, camera, lamp, ground, size))
-    return (shaded + backdrop * (1 - alpha)).clamp(0, 1)
+    ground = lowest_point(mesh) if floor is None else floor
+    backdrop = _backdrop(size).to(rgb) * (1 - _SHADOW * _shadow(mesh, camera, lamp, ground, size))
+    return (_shade(rgb, alpha, normal, lamp, forward) + backdrop * (1 - alpha)).clamp(0, 1)
 
 
-def lowest(mesh: Mesh | UVMesh) -> float:
-    """The height of the lowest vertex."""
+def lowest_point(mesh: Mesh | UVMesh) -> float:
+    """Return the height of the lowest vertex."""
     return mesh.vertices.detach()[:, 1].min().item()
+
+
+def _shade(rgb: Tensor, alpha: Tensor, normal: Tensor, lamp: Tensor, forward: Tensor) -> Tensor:
+    """Light the colours [3, H, W] of a surface with normals [3, H, W]."""
+    halfway = F.normalize(lamp - forward, dim=0)
+    diffuse = ((_dot(normal, lamp) + _WRAP) / (1 + _WRAP)).clamp(min=0)
+    sky = 0.5 + 0.5 * normal[1]
+    gloss = _GLOSS * _dot(normal, halfway).clamp(min=0) ** _SHININESS
+    return rgb * (_AMBIENT + _SKY * sky + _DIFFUSE * diffuse) + gloss * alpha
 
 
 def _dot(image: Tensor, vector: Tensor) -> Tensor:
@@ -81,33 +87,22 @@ def _dot(image: Tensor, vector: Tensor) -> Tensor:
 
 
 def _backdrop(size: tuple[int, int]) -> Tensor:
-    top, bottom = (torch.tensor(colour)[:, None, None] for colour in _BACKDROP)
+    """Make a vertical gradient [3, H, W]."""
+    top, bottom = (torch.tensor(color)[:, None, None] for color in (_BACKDROP_TOP, _BACKDROP_BOTTOM))
     return (top + (bottom - top) * torch.linspace(0, 1, size[0])[:, None]).expand(3, *size)
 
 
 def _shadow(mesh: Mesh | UVMesh, camera: Camera, lamp: Tensor, ground: float, size: tuple[int, int]) -> Tensor:
-    """How much of the ground is in shadow at each pixel [H, W]: the mesh pressed flat along the light, then blurred.
+    """Draw the shadow on the ground, [H, W] in [0, 1]: the mesh projected along the light, then blurred.
 
-    Towards the picture's border it fades, or it would end there in a line beside the next picture of a sheet.
+    The shadow fades out towards the border, because a sheet of pictures would show its end as a line.
     """
-    steep = F.normalize(lamp * lamp.new_tensor([1.0, 2.0, 1.0]), dim=0)
+    steep = F.normalize(lamp * lamp.new_tensor([1.0, _SHADOW_STEEPNESS, 1.0]), dim=0)
     flat = mesh.vertices - (mesh.vertices[:, 1:2] - ground) / steep[1] * steep
     shadow = render((flat, mesh.faces), camera, size, outputs="alpha").alpha[None]  # type: ignore[index]
-    radius = max(size[0] // 40, 1)
-    for _ in range(3):
+    radius = max(int(size[0] * _SHADOW_BLUR), 1)
+    for _ in range(3):  # three box blurs are close to a Gaussian
         shadow = F.avg_pool2d(F.pad(shadow, [radius] * 4, mode="replicate"), 2 * radius + 1, stride=1)
-    across, down = (((0.5 - (torch.linspace(0, 1, side) - 0.5).abs()) / _FADE).clamp(max=1) for side in size[::-1])
+    across, down = (((0.5 - (torch.linspace(0, 1, n) - 0.5).abs()) / _SHADOW_FADE).clamp(max=1) for n in size[::-1])
     border = (down[:, None] * across).to(shadow)
     return shadow[0, 0] * border * border * (3 - 2 * border)
-
-
-def sheet(rows: Sequence[Sequence[Tensor]], labels: Sequence[str] = ()) -> Tensor:
-    """Rows of pictures [3, H, W] of one size as one picture, each row with its label in the corner."""
-    whole = torch.cat([torch.cat(list(row), dim=2) for row in rows], dim=1).cpu()
-    pixels = (whole.permute(1, 2, 0) * 255 + 0.5).to(torch.uint8).numpy()
-    image = Image.fromarray(pixels)
-    height = rows[0][0].shape[1]
-    font = ImageFont.load_default(max(height // 14, 10))
-    for index, label in enumerate(labels):
-        ImageDraw.Draw(image).text((height // 16, index * height + height // 20), label, (70, 76, 88), font)
-    return torch.from_numpy(np.array(image))

@@ -1,1 +1,1 @@
-"""What people do with a renderer, as library functions."""
+"""Applications of the renderer: fitting, editing and single-image reconstruction."""

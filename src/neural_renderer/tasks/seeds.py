@@ -1,4 +1,4 @@
-"""Random numbers of tasks that can be interrupted and continued."""
+"""Random numbers for tasks that can be interrupted and resumed."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import torch
 
 
 def generator(seed: int, step: int) -> torch.Generator:
-    """The random numbers of one step: they depend on nothing that came before, so that a run can be continued."""
+    """Make a random generator that depends on seed and step only, so that a resumed run equals an uninterrupted one."""
     return torch.Generator().manual_seed((1_000_003 * seed + step) % 2**63)

@@ -1,4 +1,4 @@
-"""Texture cubes as a function of fewer texels, which neighbouring faces share, so that no seam can appear."""
+"""Seamless texture cubes: adjacent faces share the texels on their common edge."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from .. import validate
 
 @dataclass(frozen=True, eq=False)
 class Texels:
-    """Which texels a mesh has, and how each face's cube is made of them.
+    """Parameters of a texture, and the linear map from them to texture cubes.
 
-    Faces are neighbours if they name the same vertices: those that files split have to be joined before.
+    Faces are adjacent if they share vertex indices. Merge vertices that a file has split at seams before.
 
     Attributes:
         index: [F, L] int64 in [0, count): the texels of each face.
-        weights: [T³, L]: each texel of a cube as a mixture of them, of sum 1.
-        size: T.
-        count: how many texels there are.
+        weights: [T³, L], rows of sum 1: each texel of a cube as a linear combination of the face's texels.
+        size: T, texels along the edge of a cube.
+        count: Number of texels.
     """
 
     index: Tensor
@@ -30,8 +30,8 @@ class Texels:
     count: int
 
     @classmethod
-    def free(cls, faces: Tensor, size: int) -> Texels:
-        """Every cube for itself, as published: T³ texels for each face of [F, 3]."""
+    def separate(cls, faces: Tensor, size: int) -> Texels:
+        """Give each face [F, 3] its own T³ texels, as in the paper."""
         texels = validate.whole("texture_size", size, 1) ** 3
         count, device = len(faces) * texels, faces.device
         return cls(
@@ -40,21 +40,26 @@ class Texels:
 
     @classmethod
     def shared(cls, faces: Tensor, size: int) -> Texels:
-        """One texel for each point of a triangular lattice with T ≥ 3 points along an edge, on corners, edges, inside.
+        """Place texels on a triangular lattice on each face; adjacent faces share those on corners and edges.
 
-        Points on a corner or an edge belong to all its faces [F, 3], and the colours on an edge depend on its own
-        texels alone: the texture is continuous over the mesh.
+        The colours on an edge depend on its own texels only, so that the texture is continuous over the mesh.
 
-        Raises TypeError or ValueError for another T, ValueError for no faces.
+        Args:
+            faces: [F, 3] integer.
+            size: T ≥ 3, lattice points along an edge.
+
+        Raises:
+            TypeError, ValueError: ``size`` is out of range, or there are no faces.
         """
-        # With 2, the texel for a face's centre would be blended into the colours on its edges.
+        # With T = 2, the texel at a face's centre would be blended into the colours on its edges.
         size = validate.whole("texture_size", size, 3)
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
         steps, device = size - 1, faces.device
         points = _lattice(steps).to(device)  # [L, 3]
         corners, vertices = faces.long(), int(faces.max()) + 1
-        # A point between two corners is known by both and its weight for the first of them; a corner by itself, twice.
+        # The key of a point on an edge is its two vertices, sorted, and its weight for the lower one; at a corner both
+        # vertices are the same.
         onto = points > 0
         ids = corners[:, None].expand(-1, len(points), -1)
         low = torch.where(onto, ids, vertices).amin(2)
@@ -67,32 +72,37 @@ class Texels:
         return cls(index, _mixture(size).to(device), size, len(found))
 
     def cubes(self, values: Tensor) -> Tensor:
-        """The cubes [F, T, T, T, C] of values [count, C], differentiable."""
+        """Compute texture cubes [F, T, T, T, C] from values [count, C]; differentiable."""
         own = F.embedding(self.index, values)
         mixed = torch.einsum("gl,flc->fgc", self.weights, own)
         return mixed.reshape(len(own), *(self.size,) * 3, values.shape[1])
 
     def edges(self) -> Tensor:
-        """Pairs of texels that are neighbours on the lattice of a face, [E, 2] int64, each once."""
+        """List pairs of texels that are neighbours on the lattice of a face, [E, 2] int64, each once."""
         points = _lattice(self.size - 1)
-        apart = (points[:, None] - points).abs().sum(2)  # 2: one step along an edge of the lattice
-        sides = torch.nonzero((apart == 2).triu()).to(self.index.device)
+        distance = (points[:, None] - points).abs().sum(2)  # 2: one step along an edge of the lattice
+        sides = torch.nonzero((distance == 2).triu()).to(self.index.device)
         return torch.unique(self.index[:, sides].reshape(-1, 2).sort(1).values, dim=0)
 
-    def of(self, cubes: Tensor) -> Tensor:
-        """The values [count, C] nearest to given cubes [F, T, T, T, C]: the mean over all who share a texel."""
-        direct = self.weights.argmax(0)  # where in the cube each texel lies by itself
+    def from_cubes(self, cubes: Tensor) -> Tensor:
+        """Compute values [count, C] that approximate texture cubes [F, T, T, T, C]: means over the faces of a texel."""
+        direct = self.weights.argmax(0)  # the texel of the cube that lies at each lattice point
         values = cubes.flatten(1, 3)[:, direct].reshape(-1, cubes.shape[-1])
         total = values.new_zeros(self.count, values.shape[1]).index_add_(0, self.index.reshape(-1), values)
         shares = torch.bincount(self.index.reshape(-1), minlength=self.count)
         return total / shares.clamp(min=1)[:, None]
 
-    def spread(self, values: Tensor, known: Tensor) -> Tensor:
-        """``values`` [count, C] where ``known`` [count] says so; elsewhere what flows in from the faces around.
+    def fill_unknown(self, values: Tensor, known: Tensor) -> Tensor:
+        """Replace unknown values by means over adjacent faces, spreading from the known ones.
 
-        Parts of the mesh of which nothing is known keep their values.
+        Args:
+            values: [count, C].
+            known: [count] bool. A connected component without known texels keeps its values.
+
+        Returns:
+            [count, C].
         """
-        unfinished = self.index  # faces with texels of which nothing is known yet
+        unfinished = self.index  # faces with unknown texels
         while True:
             unfinished = unfinished[~known[unfinished].all(1)]
             share = known[unfinished]
@@ -110,12 +120,12 @@ class Texels:
 
 
 def _lattice(steps: int) -> Tensor:
-    """All (i, j, k) of whole numbers ≥ 0 with the sum ``steps``, [L, 3]."""
+    """List all triples of integers (i, j, k) ≥ 0 with sum ``steps``, [L, 3]."""
     return torch.tensor([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)])
 
 
 def _mixture(size: int) -> Tensor:
-    """Each texel of a cube, at its barycentric weights, as a linear mixture of the lattice points around, [T³, L]."""
+    """Express the texels of a cube as linear interpolation between lattice points, [T³, L]."""
     steps = size - 1
     place = {tuple(point): row for row, point in enumerate(_lattice(steps).tolist())}
     weights = torch.zeros(size**3, len(place))
@@ -123,7 +133,7 @@ def _mixture(size: int) -> Tensor:
         texel = texel if any(texel) else [1, 1, 1]
         total = sum(texel)
         low, rest = zip(*(divmod(part * steps, total) for part in texel), strict=True)
-        upward = sum(rest) <= total  # which of the two kinds of small triangles it is in
+        upward = sum(rest) <= total  # the orientation of the lattice triangle that contains the texel
         for corner in range(3):
             share = rest[corner] / total if upward else 1 - rest[corner] / total
             point = tuple(low[axis] + ((axis == corner) == upward) for axis in range(3))

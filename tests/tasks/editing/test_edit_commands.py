@@ -1,4 +1,4 @@
-"""The commands `style` and `dream` on files: their results, going on after Ctrl-C, one sentence for what is wrong."""
+"""The commands `style` and `dream`: result files, interruption and resuming, error messages."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.tasks.editing import MeshEdit
-from neural_renderer.tasks.editing import edit_pictures as results
+from neural_renderer.tasks.editing import MeshEdit, edit_pictures
 from tests.tasks.editing.networks import saved_vgg
 
 SMALL = ["--size", "32", "--batch", "2", "--turntable", "2"]
@@ -26,12 +25,12 @@ FILES = (*MESH, "views.png", "loss.png", "turntable.mp4", "turntable.gif")
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("six_views", "preview", "turntable"):
-        monkeypatch.setattr(f"neural_renderer.commands.edit.{name}", partial(getattr(results, name), size=48))
+        monkeypatch.setattr(f"neural_renderer.commands.edit.{name}", partial(getattr(edit_pictures, name), size=48))
 
 
 @pytest.fixture
 def files(tmp_path: Path) -> dict[str, str]:
-    """A mesh, a painting and the weights of a network."""
+    """Write a mesh, a painting and the weights of a network."""
     vertices, faces = nr.icosphere(1)
     nr.save_mesh(tmp_path / "ball.obj", vertices * 3 + 5, faces)
     stripes = np.where(np.arange(40) % 8 < 4, 220, 90)[None, :, None] * np.array([1.0, 0.6, 0.3])
@@ -65,7 +64,7 @@ def test_style_writes_its_results(files: dict[str, str], capsys: pytest.CaptureF
     assert sum(report["share_of_time"].values()) == pytest.approx(1, abs=0.001)
     with Image.open(out / "views.png") as picture:
         assert picture.size == (6 * 48, 2 * 48)
-    # Both files show the colours that were found, in the world of the mesh that was given.
+    # Both files show the same colours, in the coordinates of the given mesh.
     meshes = [nr.Mesh.load(out / name, 8) for name in ("mesh.obj", "mesh.glb")]
     eye = nr.get_points_from_angles(9.0, 20.0, torch.tensor([0.0, 120.0, 240.0])) + 5
     camera = nr.Camera.look_at(eye, at=(5.0, 5.0, 5.0), viewing_angle=30)
@@ -148,7 +147,7 @@ def test_interrupted_and_resumed(
     report = json.loads((Path(files["out"]) / "report.json").read_text())
     assert report["finished"] and len(report["history"]) == 4
 
-    # More steps, and the same files elsewhere, are no other run.
+    # More steps, or a moved file, do not make another run.
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     Path(files["painting"]).rename(elsewhere / "painting.png")
@@ -164,7 +163,7 @@ def test_interrupted_and_resumed(
         assert style(files, "--resume", option, *values, **moved) == 1
         assert f"expected a checkpoint of this run {named}" in capsys.readouterr().err
     assert style(files, "--resume", "--iterations", "3", **moved) == 1
-    assert "--iterations: expected at least the 5 that are taken already, got 3" in capsys.readouterr().err
+    assert "--iterations: expected at least the 5 steps already taken, got 3" in capsys.readouterr().err
     Image.new("RGB", (40, 32)).save(elsewhere / "painting.png")
     assert style(files, "--resume", **moved) == 1
     assert "of this run (painting painting.png #" in capsys.readouterr().err
@@ -195,9 +194,9 @@ def test_what_is_refused(
         ([], {"mesh": str(tmp_path / "points.obj")}, "points.obj: expected faces"),
         ([], {"mesh": str(tmp_path / "none.obj")}, "none.obj: expected a file"),
         ([], {"painting": str(tmp_path / "text.png")}, "text.png: expected a picture"),
-        ([], {"painting": str(tmp_path / "nothing.png")}, "one that is transparent all over"),
-        ([], {"painting": str(tmp_path / "tiny.png")}, "expected at least 16 pixels on each side"),
-        ([], {"weights": files["mesh"]}, "ball.obj: expected a whole checkpoint of torch"),
+        ([], {"painting": str(tmp_path / "nothing.png")}, "got a picture that is fully transparent"),
+        ([], {"painting": str(tmp_path / "tiny.png")}, "expected sides of at least 16 pixels"),
+        ([], {"weights": files["mesh"]}, "ball.obj: expected a PyTorch checkpoint"),
         ([], {"out": str(tmp_path / "file")}, "--output: expected a folder that can be written, got "),
         ([], {"out": str(tmp_path / "file" / "below")}, "file/below (Not a directory)"),
         (["--painting-scale", "100"], {}, "--painting-scale: expected at most 64 for images of 32 pixels, got 100"),
@@ -210,9 +209,9 @@ def test_what_is_refused(
         (["--distance", "-1"], {}, "--distance: expected a finite number above 0"),
         (["--distance", "0.5"], {}, "--distance: expected a number from 1.8 to 50"),
         (["--light", "0.5", "-1"], {}, "--light: expected two numbers of at least 0"),
-        (["--settle", "2"], {}, "--settle: expected a part in [0, 1]"),
+        (["--settle", "2"], {}, "--settle: expected a fraction in [0, 1]"),
         (["--texture-size", "2"], {}, "--texture-size: expected at least 3, got 2"),
-        (["--texture-size", "20"], {}, "of 20³ texels); choose a smaller texture size, or a mesh of fewer faces"),
+        (["--texture-size", "20"], {}, "of 20³ texels); choose a smaller texture size, or a mesh with fewer faces"),
     ):
         assert style(files, *options, **other) == 1
         said = capsys.readouterr().err
@@ -223,4 +222,4 @@ def test_what_is_refused(
 
     monkeypatch.setattr(torch.hub, "load_state_dict_from_url", offline)
     assert cli.main(["style", files["mesh"], files["painting"], "-o", files["out"]]) == 1
-    assert "name the file instead" in capsys.readouterr().err
+    assert "give the path of the file" in capsys.readouterr().err

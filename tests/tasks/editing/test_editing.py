@@ -1,4 +1,4 @@
-"""Style transfer and DeepDream as library: losses by their formulas, steps that do what they should."""
+"""Style transfer and DeepDream: losses against their formulas, and optimisation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import neural_renderer as nr
 from neural_renderer.features import FeatureNetwork, load_features
 from neural_renderer.features.vgg import vgg
 from neural_renderer.meshes.topology import Topology
-from neural_renderer.tasks.editing import Dream, DreamWeights, MeshEdit, Style, StyleWeights, Views
+from neural_renderer.tasks.editing import Dream, DreamWeights, MeshEdit, RandomViews, Style, StyleWeights
 from neural_renderer.tasks.editing.deformation import Deformation
 from neural_renderer.tasks.editing.edit_pictures import preview
 from neural_renderer.tasks.editing.style import gram
@@ -31,7 +31,7 @@ def network() -> FeatureNetwork:
 
 
 def painting() -> Tensor:
-    """Orange with soft stripes, [3, 40, 56]."""
+    """Make an orange painting with soft stripes, [3, 40, 56]."""
     stripes = 0.1 * torch.sin(torch.arange(56) * 0.9)
     return (torch.tensor([0.55, 0.35, 0.15])[:, None, None] + stripes).expand(3, 40, 56)
 
@@ -103,7 +103,7 @@ def test_the_background_does_not_leak_into_the_style(network: FeatureNetwork) ->
     masks[:, 20:40, 10:50] = 1
     inside = torch.rand(1, 3, 64, 64)
     far = torch.ones(64, 64, dtype=torch.bool)
-    far[20 - 6 : 40 + 6, 10 - 6 : 50 + 6] = False  # what the layers see from the object's outline
+    far[20 - 6 : 40 + 6, 10 - 6 : 50 + 6] = False  # the receptive field of the layers around the object
     for grey in (0.0, 1.0):
         images = (inside * masks + grey * (1 - masks)).requires_grad_()
         loss = style.losses(images, masks, unmoved(ball()))["style"]
@@ -111,13 +111,13 @@ def test_the_background_does_not_leak_into_the_style(network: FeatureNetwork) ->
         assert (gradient[..., far] == 0).all() and (gradient[..., 20:40, 10:50] != 0).all()
 
 
-def test_what_is_transparent_in_a_painting_has_no_part_in_its_style(network: FeatureNetwork) -> None:
+def test_transparent_pixels_of_a_painting_do_not_count(network: FeatureNetwork) -> None:
     stripes = painting()
-    framed = torch.zeros(4, 40, 112)
-    framed[:3, :, :56], framed[3, :, :56] = stripes, 1
-    framed[0, :, 56:] = 1  # red that nobody can see
+    half_clear = torch.zeros(4, 40, 112)
+    half_clear[:3, :, :56], half_clear[3, :, :56] = stripes, 1
+    half_clear[0, :, 56:] = 1  # invisible red
     bare = Style(network, stripes, 48)
-    covered = Style(network, framed, 48 * 2**0.5)
+    covered = Style(network, half_clear, 48 * 2**0.5)
     images, masks = F.interpolate(stripes[None], (48, 48)), torch.ones(1, 48, 48)
     assert covered.measure(images, masks) < bare.measure(images, masks) + 0.03
     torch.testing.assert_close(
@@ -128,8 +128,8 @@ def test_what_is_transparent_in_a_painting_has_no_part_in_its_style(network: Fea
 def test_paintings_that_are_refused(network: FeatureNetwork) -> None:
     for wrong, sentence in (
         (torch.rand(3, 8, 40), "at least 16 pixels"),
-        (torch.rand(3, 16, 400), "none 16 times the other"),
-        (torch.zeros(4, 40, 40), "transparent all over"),
+        (torch.rand(3, 16, 400), "an aspect ratio of at most 16, got 400 x 16"),
+        (torch.zeros(4, 40, 40), "fully transparent"),
         (torch.rand(2, 40, 40), r"painting: expected shape \[3, H, W\]"),
         (torch.rand(40, 40), r"painting: expected shape \[3, H, W\]"),
     ):
@@ -171,7 +171,7 @@ def test_bend() -> None:
     spike = start.clone()
     spike[7] *= 1.2
     assert Deformation(spike, start, topology).bend > 1e-3
-    # A small mesh beside a large one is held as much: what counts is each edge's own length.
+    # A small mesh beside a large one counts as much, because changes are relative to the length of each edge.
     both = Topology.of(torch.cat((mesh.faces, mesh.faces + 162)))
     pair, bent = torch.cat((start, 0.2 * start)), torch.cat((spike, 0.2 * spike))
     torch.testing.assert_close(Deformation(bent, pair, both).bend, Deformation(spike, start, topology).bend)
@@ -180,8 +180,8 @@ def test_bend() -> None:
     assert torch.isfinite(Deformation(spike, flat, topology).bend)
 
 
-def test_views() -> None:
-    views = Views((20.0, 40.0))
+def test_random_views() -> None:
+    views = RandomViews((20.0, 40.0))
     camera, light = views.sample(500, generator(0, 0))
     eye = camera.origin
     elevation = torch.rad2deg(torch.asin(eye[:, 1] / eye.norm(dim=1)))
@@ -193,10 +193,10 @@ def test_views() -> None:
     torch.testing.assert_close(direction[:, 1], torch.full((500,), 0.8660254))
     again, _ = views.sample(500, generator(0, 0))
     assert torch.equal(camera.origin, again.origin)
-    assert Views(light=None).sample(2, generator(0, 0))[1] is None
+    assert RandomViews(light=None).sample(2, generator(0, 0))[1] is None
     for wrong in ((40.0, 20.0), (-95.0, 20.0), (0.0, 90.0)):
         with pytest.raises(ValueError, match="elevation: expected two numbers between -90 and 90"):
-            Views(wrong)
+            RandomViews(wrong)
 
 
 def style_edit(network: FeatureNetwork, **options: object) -> MeshEdit:
@@ -212,17 +212,17 @@ def test_style_is_transferred(network: FeatureNetwork) -> None:
         parts = ("style", "content", "bend", "variation", "palette")
         assert row["loss"] == pytest.approx(sum(row[name] for name in parts), 1e-5)
     assert edit.measure() < 0.4 * edit.before
-    moved = edit.moved()
+    moved = edit.displacement()
     assert 0 < moved["mean"] < moved["most"] < 0.05
     mesh = edit.mesh()
     assert mesh.textures.min() >= 0 and mesh.textures.max() <= 1
-    # Statistics of random features do not tell orange from grey; the palette does.
+    # Gram matrices of random features do not tell orange from grey; the palette loss does.
     red, green, blue = mesh.textures.mean((0, 1, 2, 3))
     assert red > 1.3 * green and green > 1.5 * blue
     assert set(edit.seconds) == {"renderer", "network", "rest"} and min(edit.seconds.values()) > 0
 
 
-def test_same_seed_same_result_and_going_on(network: FeatureNetwork) -> None:
+def test_same_seed_same_result_and_resuming(network: FeatureNetwork) -> None:
     whole = style_edit(network, steps=6, seed=4)
     while not whole.done:
         whole.advance()
@@ -235,7 +235,7 @@ def test_same_seed_same_result_and_going_on(network: FeatureNetwork) -> None:
     assert second.step == 3 and second.before == whole.before
     while not second.done:
         second.advance()
-    for part in ("vertices", "colours"):
+    for part in ("vertices", "colors"):
         assert torch.equal(whole.state_dict()[part], second.state_dict()[part])
     other = style_edit(network, steps=6, seed=5)
     while not other.done:
@@ -243,8 +243,8 @@ def test_same_seed_same_result_and_going_on(network: FeatureNetwork) -> None:
     assert not torch.equal(whole.mesh().vertices, other.mesh().vertices)
 
 
-def test_rates_of_zero_leave_alone(network: FeatureNetwork) -> None:
-    for rate, still, moving in (("vertex_rate", "vertices", "colours"), ("texture_rate", "colours", "vertices")):
+def test_rates_of_zero_change_nothing(network: FeatureNetwork) -> None:
+    for rate, still, moving in (("vertex_rate", "vertices", "colors"), ("texture_rate", "colors", "vertices")):
         edit = style_edit(network, steps=2, **{rate: 0.0})
         start = {name: edit.state_dict()[name].clone() for name in (still, moving)}
         edit.advance()
@@ -252,13 +252,13 @@ def test_rates_of_zero_leave_alone(network: FeatureNetwork) -> None:
         assert not torch.equal(edit.state_dict()[moving], start[moving])
 
 
-def test_the_mesh_comes_back_where_it_was_with_its_colours(network: FeatureNetwork) -> None:
+def test_the_mesh_keeps_its_coordinates_and_colours(network: FeatureNetwork) -> None:
     mesh = ball()
     colours = torch.rand(162, 3, generator=torch.Generator().manual_seed(0)) * 0.9 + 0.05
     weights = torch.cartesian_prod(*[torch.arange(4.0)] * 3)
     weights[0] = 1
     cubes = torch.einsum("gk,fkc->fgc", weights / weights.sum(1, keepdim=True), colours[mesh.faces.long()])
-    # Three vertices of its own for each face, as in a GLB: they stay together.
+    # Each face has three vertices of its own, as in a GLB file; equal ones move together.
     soup = mesh.vertices.detach()[mesh.faces.long()].reshape(-1, 3) * 7 + torch.tensor([100.0, -5, 3])
     own = nr.Mesh(soup, torch.arange(len(soup)).reshape(-1, 3), cubes.reshape(-1, 4, 4, 4, 3))
     edit = MeshEdit(own, Style(network, painting(), 48), steps=2, size=48, batch=1)
@@ -274,7 +274,7 @@ def test_the_mesh_comes_back_where_it_was_with_its_colours(network: FeatureNetwo
     assert own.vertices.grad is None and own.textures.grad is None
 
 
-def test_vertices_of_no_face_change_nothing(network: FeatureNetwork) -> None:
+def test_unused_vertices_change_nothing(network: FeatureNetwork) -> None:
     found = []
     for extra in (torch.zeros(0, 3), torch.tensor([[9.0, 9.0, 9.0]])):
         mesh = ball(0.3, 0.3, 0.3)
@@ -287,7 +287,7 @@ def test_vertices_of_no_face_change_nothing(network: FeatureNetwork) -> None:
     assert torch.equal(other.vertices[-1], torch.tensor([9.0, 9.0, 9.0]))
 
 
-def test_where_a_mesh_without_colours_begins(network: FeatureNetwork) -> None:
+def test_initial_colours_of_a_mesh_without_colours(network: FeatureNetwork) -> None:
     expected = painting().mean((1, 2))
     colours = style_edit(network, start="plain").mesh().textures
     torch.testing.assert_close(colours.mean((0, 1, 2, 3)), expected, rtol=0, atol=0.01)
@@ -295,18 +295,18 @@ def test_where_a_mesh_without_colours_begins(network: FeatureNetwork) -> None:
     assert abs(style_edit(network, start="random").mesh().textures.mean() - 0.5) < 0.005
 
 
-def test_texels_that_no_view_shows_take_on_the_colours_around(network: FeatureNetwork) -> None:
-    edit = style_edit(network)  # from above; the lowest faces are not seen
+def test_hidden_texels_are_filled_from_adjacent_ones(network: FeatureNetwork) -> None:
+    edit = style_edit(network)  # the cameras are above: the lowest faces are hidden
     while not edit.done:
         edit.advance()
     low = ball().vertices[ball().faces.long()][..., 1].amax(1) < -0.9
     assert low.any()
-    assert (edit.state_dict()["colours"].sigmoid() < 0.0501).all(1).any()  # where ball() began, and still is
+    assert (edit.state_dict()["colors"].sigmoid() < 0.0501).all(1).any()  # where ball() began, and still is
     assert (edit.mesh().textures[low] - 0.05).mean() > 0.02
 
 
 def unfolded(colour: float) -> nr.UVMesh:
-    """The ball with an image for its upper half, by longitude and height, and grey corners below."""
+    """Make a ball with an image on its upper half, by longitude and height, and corner colours below."""
     mesh = ball()
     vertices, faces = mesh.vertices.detach(), mesh.faces
     corners = vertices[faces.long()]
@@ -325,7 +325,7 @@ def unfolded(colour: float) -> nr.UVMesh:
 
 def test_images_are_painted_where_a_mesh_has_some(network: FeatureNetwork) -> None:
     mesh = unfolded(0.1)
-    views = Views((-10.0, 30.0))
+    views = RandomViews((-10.0, 30.0))
     edit = MeshEdit(
         mesh, Style(network, painting(), 48), views, steps=60, size=48, batch=2, texture_rate=0.2, settle=0.0
     )
@@ -352,7 +352,7 @@ def test_images_are_painted_where_a_mesh_has_some(network: FeatureNetwork) -> No
     assert torch.equal(mesh.images[0], torch.full((24, 48, 3), 0.1))  # the caller's
 
 
-def test_colours_that_do_not_change_are_the_mesh_s_own(network: FeatureNetwork) -> None:
+def test_texture_rate_zero_keeps_the_original_texture(network: FeatureNetwork) -> None:
     generator = torch.Generator().manual_seed(0)
     image, cubes = torch.rand(24, 48, 3, generator=generator), ball(1.0, 0.0, 0.5)
     painted = replace(unfolded(0.0), images=(image,), colors=torch.rand(320, 3, 3, generator=generator))
@@ -376,7 +376,14 @@ def test_faces_without_an_image_keep_borders_between_colours(network: FeatureNet
 def test_dream_grows(network: FeatureNetwork) -> None:
     dream = Dream(network, layer="conv3_1")
     edit = MeshEdit(
-        ball(), dream, Views((-10, 30), 2.5, light=None), steps=25, size=48, batch=2, texture_rate=0.1, start="random"
+        ball(),
+        dream,
+        RandomViews((-10, 30), 2.5, light=None),
+        steps=25,
+        size=48,
+        batch=2,
+        texture_rate=0.1,
+        start="random",
     )
     while not edit.done:
         edit.advance()
@@ -384,10 +391,10 @@ def test_dream_grows(network: FeatureNetwork) -> None:
 
 
 def test_dream_of_googlenet(shared: Path) -> None:
-    """The paper's layer, on views that no step saw."""
+    """The paper's layer, measured on held-out views."""
     network = load_features(shared / "data" / "weights" / "googlenet_bvlc.safetensors")
     edit = MeshEdit(
-        ball(), Dream(network), Views((-10, 30), 2.5, light=None), steps=16, size=96, batch=1, start="random",
+        ball(), Dream(network), RandomViews((-10, 30), 2.5, light=None), steps=16, size=96, batch=1, start="random",
         texture_rate=0.15,
     )  # fmt: skip
     while not edit.done:
@@ -412,7 +419,7 @@ def test_what_is_refused(network: FeatureNetwork) -> None:
         ({"batch": 0}, "batch: expected at least 1"),
         ({"texture_size": 200}, r"textures of at most 2 GiB, got 28.6 GiB \(320 faces of 200³ texels\); choose"),
         ({"vertex_rate": -1.0}, "vertex_rate: expected a number of at least 0"),
-        ({"settle": 1.5}, "settle: expected a part in"),
+        ({"settle": 1.5}, "settle: expected a fraction in"),
         ({"texture_size": 2}, "texture_size: expected at least 3"),
         ({"texture_size": 3, "start": "mesh"}, "mesh: expected textures of 3³ texels, got 4³"),
     ):

@@ -1,4 +1,4 @@
-"""The command `fit` on files: its results, going on after an interruption, and one sentence for what is wrong."""
+"""The command `fit`: result files, interruption and resuming, error messages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def thing() -> nr.Mesh:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Six images with transparency, and their cameras in all three formats."""
+    """Write six images with transparency, and their cameras in all three formats."""
     camera = nr.Camera.look_at(EYES, viewing_angle=22.0)
     views = Views.of(thing(), camera, 48)
     frames, rows = [], []
@@ -80,7 +80,7 @@ def test_masks_and_backgrounds(folder: Path) -> None:
         pixels = torch.cat((views.photos[index], views.masks[index][None]))  # type: ignore[index]
         nr.save_image(folder / f"m_{index}.png", pixels[3])
         nr.save_image(folder / f"r_{index}.png", pixels[:3] + (1 - pixels[3]))
-    with pytest.raises(ValueError, match="expected transparency, a mask or a background"):
+    with pytest.raises(ValueError, match="expected an alpha channel, a mask or a background"):
         load_views(folder)
     assert (load_views(folder, background=(1.0, 1.0, 1.0)).masks - views.masks).abs().mean() < 0.03
     given = json.loads((folder / "cameras.json").read_text())
@@ -245,7 +245,7 @@ def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
         ([str(folder), "--recover", "texture"], "--mesh: expected the mesh whose texture is looked for"),
         ([str(folder), "--steps", "0"], "--steps: expected at least 1"),
         ([str(folder), "--held-out", "9"], "--held-out: expected at most the 6 views"),
-        ([str(folder), "--colour-from", "2", *SMALL], "--colour-from: expected a part in [0, 1]"),
+        ([str(folder), "--color-from", "2", *SMALL], "--color-from: expected a fraction in [0, 1]"),
     ):
         assert cli.main(["fit", *arguments, "-o", str(tmp_path / "out")]) == 1
         assert sentence in capsys.readouterr().err
@@ -260,8 +260,8 @@ def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     [
         ("distance", 0, "distance: expected a number above 0, got 0"),
         ("viewing_angle", 90, "viewing_angle: expected deg"),
-        ("elevation", -90, "image 2: elevation: expected another than straight up or down"),
-        ("azimuth", None, 'image 2: expected something for the key "azimuth", got nothing'),
+        ("elevation", -90, "image 2: elevation: expected an angle other than ±90 degrees, got -90"),
+        ("azimuth", None, 'image 2: expected a value for the key "azimuth", got none'),
     ],
 )
 def test_impossible_cameras_are_named(folder: Path, key: str, value: float, sentence: str) -> None:

@@ -1,4 +1,4 @@
-"""Fits in small: each part does what it says, and whole fits find shapes, textures and cameras that are known."""
+"""Small fits: each part, and whole fits that recover known shapes, textures and cameras."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.meshes.topology import Topology
-from neural_renderer.tasks.fit import CameraFit, MeshFit, ShapeFit, TextureFit, Views, Weights, carve, frame
+from neural_renderer.tasks.fit import CameraFit, MeshFit, ShapeFit, TextureFit, Views, Weights, carve, object_bounds
 from neural_renderer.tasks.fit.descent import SmoothDescent
 from tests.rounding import rounding
 
 
 def ring() -> nr.Mesh:
-    """A torus whose colour depends on the place."""
+    """Make a torus coloured by position."""
     vertices, faces = nr.torus(0.7, 0.28, 32, 16)
     cubes = (vertices[faces.long()].mean(1) * 0.5 + 0.5)[:, None, None, None].expand(-1, 2, 2, 2, -1)
     return nr.Mesh(vertices, faces, cubes)
@@ -64,7 +64,7 @@ def test_moved_views_see_the_same(kind: str) -> None:
         camera = nr.Camera.projection(lens, rotation, t, orig_size=64)
     views = Views.of(mesh, camera, 64)
     centre, scale = torch.tensor([0.1, -0.2, 0.05]), 0.7
-    moved = views.moved(centre, scale)
+    moved = views.normalized(centre, scale)
     iou = moved.quality(((mesh.vertices.detach() - centre) / scale, mesh.faces))["iou"]
     assert iou.min() > 0.995
     eye, forward = moved.eyes()
@@ -73,16 +73,16 @@ def test_moved_views_see_the_same(kind: str) -> None:
     torch.testing.assert_close(forward, forward_before, **rounding(16))
 
 
-def test_hull_has_the_hole_and_lies_around_the_object(views: Views) -> None:
-    centre, half = frame(views)
+def test_visual_hull_has_the_hole_and_contains_the_object(views: Views) -> None:
+    centre, half = object_bounds(views)
     assert centre.abs().max() < 0.08 and half == pytest.approx(0.98, abs=0.1)
-    vertices, faces = carve(views.moved(centre, half), 32)
+    vertices, faces = carve(views.normalized(centre, half), 32)
     topology = Topology.of(faces)
     assert len(vertices) - len(topology.edges) + len(faces) == 0  # the Euler characteristic of a torus
     corners = vertices[faces]
     volume = (corners[:, 0] * torch.linalg.cross(corners[:, 1], corners[:, 2])).sum() / 6 * half**3
     assert 0.8 < volume / (2 * math.pi**2 * 0.7 * 0.28**2) < 1.4
-    assert views.moved(centre, half).quality((vertices, faces))["iou"].mean() > 0.87
+    assert views.normalized(centre, half).quality((vertices, faces))["iou"].mean() > 0.87
 
 
 def test_silhouettes_that_do_not_meet(views: Views) -> None:
@@ -90,7 +90,7 @@ def test_silhouettes_that_do_not_meet(views: Views) -> None:
     masks[::2, :8, :8] = 1
     masks[1::2, -8:, -8:] = 1
     with pytest.raises(ValueError, match="that meet in space"):
-        frame(Views(views.camera, masks))
+        object_bounds(Views(views.camera, masks))
 
 
 def test_blur_is_the_inverse() -> None:
@@ -110,7 +110,7 @@ def test_blur_is_the_inverse() -> None:
     torch.testing.assert_close(blurred, torch.linalg.solve(matrix, values), **rounding(17 + 16 * condition, 4))
 
 
-def test_sphere_is_refined_and_fits() -> None:
+def test_sphere_is_subdivided_and_fits() -> None:
     target = nr.Mesh(nr.icosphere(3)[0] * torch.tensor([1.0, 0.5, 0.7]), nr.icosphere(3)[1])
     views = Views.of(target, cameras(12), 64)
     fit = ShapeFit(views, *nr.icosphere(2, 0.6), steps=60, subdivisions=1, rate=0.03)
@@ -123,7 +123,7 @@ def test_sphere_is_refined_and_fits() -> None:
 
 def test_colours_move_the_shape_too(views: Views) -> None:
     mesh = ring()
-    fit = ShapeFit(views, mesh.vertices * 0.9, mesh.faces, steps=12, colour_from=0.5, gradient="edge")
+    fit = ShapeFit(views, mesh.vertices * 0.9, mesh.faces, steps=12, color_from=0.5, gradient="edge")
     shapes = []
     while not fit.done:
         shapes.append(fit.shape)
@@ -131,12 +131,12 @@ def test_colours_move_the_shape_too(views: Views) -> None:
     assert [len(shape) for shape in shapes] == [2] * 7 + [3] * 5  # colours begin with the seventh step
     assert len(fit.shape) == 3 and fit.shape[2].std() > 0.01
     assert views.quality(fit.shape)["iou"].mean() > views.quality(shapes[0])["iou"].mean() + 0.02
-    with pytest.raises(ValueError, match="colour_from: expected a part"):
-        ShapeFit(views, mesh.vertices, mesh.faces, colour_from=2)
+    with pytest.raises(ValueError, match="color_from: expected a fraction"):
+        ShapeFit(views, mesh.vertices, mesh.faces, color_from=2)
 
 
 def test_texture_of_a_known_mesh(views: Views) -> None:
-    """The minimum of a quadratic: no step makes it worse, and how many views are drawn together makes no difference."""
+    """The loss of conjugate gradients falls with each step, and the batch size does not change the result."""
     mesh = ring()
     fit = TextureFit(views, mesh.vertices, mesh.faces, size=3, steps=12)
     other = TextureFit(views, mesh.vertices, mesh.faces, size=3, steps=12, batch=len(views))
@@ -154,7 +154,7 @@ def test_texture_of_a_known_mesh(views: Views) -> None:
 
 
 def test_texels_that_no_view_shows() -> None:
-    """A ball is red where three cameras see it, blue where one does: the belt between has colours between, evenly."""
+    """Three cameras see a red half, one sees a blue half; hidden texels between them blend both evenly."""
     vertices, faces = nr.icosphere(2, 0.6)
     place = vertices[faces.long()].mean(1)[:, 0]
     paint = torch.zeros(len(faces), 2, 2, 2, 3)
@@ -171,7 +171,7 @@ def test_texels_that_no_view_shows() -> None:
 
 
 def test_a_mesh_as_files_split_it(views: Views) -> None:
-    """Each face with vertices of its own, one of no face, a face of no area: the surface is found to be one again."""
+    """Split vertices are merged; an unused vertex and a degenerate face do no harm."""
     mesh = ring()
     split = torch.cat((mesh.vertices[mesh.faces.long()].flatten(0, 1), torch.full((1, 3), 9.0)))
     faces = torch.cat((torch.arange(3 * len(mesh.faces)).view(-1, 3), torch.tensor([[0, 0, 1]])))
@@ -183,8 +183,8 @@ def test_a_mesh_as_files_split_it(views: Views) -> None:
 
 
 @pytest.mark.parametrize("steps", [1, 2, 7, 10])
-def test_how_often_a_sphere_is_refined(views: Views, steps: int) -> None:
-    """Twice, after a third and two thirds of the steps, whatever their number, if there are three."""
+def test_when_a_sphere_is_subdivided(views: Views, steps: int) -> None:
+    """Two subdivisions come after a third and two thirds of the steps."""
     vertices, faces = nr.icosphere(0, 0.6)
     fit = ShapeFit(views, vertices, faces, steps=steps, subdivisions=2)
     sizes = []
@@ -195,7 +195,7 @@ def test_how_often_a_sphere_is_refined(views: Views, steps: int) -> None:
 
 
 def test_whole_fit_in_another_world() -> None:
-    """The mesh comes out where the cameras say that it is, and a fit that is taken up again ends the same."""
+    """The mesh is returned in the world of the cameras, and a resumed fit ends in the same shape."""
     mesh = ring()
     centre = torch.tensor([5.0, -3.0, 2.0])
     camera = cameras(12)
@@ -243,7 +243,7 @@ def test_options_that_do_not_fit(views: Views) -> None:
         Weights(laplacian=-1)
     with pytest.raises(ValueError, match='start: expected "hull", "sphere" or a Mesh'):
         MeshFit(views, "cube")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="expected the mesh whose texture"):
+    with pytest.raises(ValueError, match='start: expected a Mesh with recover="texture", got none'):
         MeshFit(views, recover="texture")
     with pytest.raises(ValueError, match="mask: expected an object"):
         CameraFit((ring().vertices, ring().faces), torch.zeros(8, 8))

@@ -61,7 +61,7 @@ class FitOptions:
     """Half of the vertical field of view in degrees, for --recover camera (above 0, below 90)."""
     gradient: Literal["edge", "nmr"] = "edge"
     """The renderer's gradient through visibility."""
-    colour_from: float = 1.0
+    color_from: Annotated[float, tyro.conf.arg(aliases=["--colour-from"])] = 1.0
     """The part of the steps (0 to 1) after which colours move the shape too: 0.3 finds some hollows that silhouettes do
     not show, in twice the time."""
     weights: FitWeights = field(default_factory=FitWeights)

@@ -11,9 +11,9 @@ from rich.table import Table
 
 from ...io import save_image
 from ...tasks.reconstruction.data.arrays import SPLITS, open_split
-from ...tasks.reconstruction.data.dataset import Settings, assemble, make_objects, names_before
-from ...tasks.reconstruction.data.models_folder import Model, find_models, read_splits, shared_out
-from ...tasks.reconstruction.evaluation.check_axes import agreement
+from ...tasks.reconstruction.data.dataset import Settings, assemble, existing_names, make_objects
+from ...tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
+from ...tasks.reconstruction.evaluation.check_axes import check_axes
 from ...tasks.reconstruction.evaluation.sheets import data_sheet
 from ..common import checked_count, output_folder
 from ..options.reconstruct.dataset import DatasetOptions
@@ -55,7 +55,7 @@ class Dataset(DatasetOptions):
         if self.set is not None:
             return dict.fromkeys(keys, self.set)
         if self.splits is None:
-            return shared_out(models)
+            return default_splits(models)
         given = read_splits(self.splits)
         for category, name in sorted(given.keys() - keys):
             broken.setdefault(f"{category}/{name}", f"{self.models}: expected {category}/{name}, got no such model")
@@ -66,7 +66,7 @@ class Dataset(DatasetOptions):
 
     def _check_splits(self, chosen: dict[tuple[str, str], str]) -> None:
         """No object may be in two splits, one of them from an earlier run."""
-        for earlier, classes in names_before(self.out).items():
+        for earlier, classes in existing_names(self.out).items():
             for category, names in classes.items():
                 for name in names:
                     now = chosen.get((category, name), earlier)
@@ -112,7 +112,7 @@ class Dataset(DatasetOptions):
                 data = open_split(self.out, split, sorted(classes))
                 for name in classes:
                     save_image(self.out / "sheets" / f"{name}_{split}.png", data_sheet(data, name))
-                    lowest = min(lowest, agreement(data, name)[0])
+                    lowest = min(lowest, check_axes(data, name)[0])
             text = f"outlines of voxels and images agree to an IoU of at least {lowest:.2f} in every class"
             console.print(f"{text}; look at {self.out / 'sheets'}", highlight=False, soft_wrap=True)
         if left_out:

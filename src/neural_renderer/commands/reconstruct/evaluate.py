@@ -16,10 +16,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ...io import save_image
 from ...io.atomic_write import write_file
 from ...tasks.reconstruction.data.arrays import Split, open_split
-from ...tasks.reconstruction.evaluation.check_axes import agreement
+from ...tasks.reconstruction.evaluation.check_axes import check_axes
 from ...tasks.reconstruction.evaluation.evaluate import Scores, evaluate
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
-from ...tasks.reconstruction.evaluation.refine import chosen_steps
+from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.evaluation.sheets import prediction_sheet
 from ...tasks.reconstruction.evaluation.tables import markdown, terminal
 from ...tasks.reconstruction.networks.checkpoint import load_model
@@ -48,7 +48,7 @@ class Evaluate(EvaluateOptions):
         split = open_split(self.data, self.set, self.classes or None)
         paths = ([] if self.checkpoint == "none" else [Path(self.checkpoint)]) + list(self.also)
         models = dict(zip(_labels(paths), (load_model(path, device) for path in paths), strict=True))
-        steps = {label: chosen_steps(model, self.refine) for label, model in models.items()}
+        steps = {label: refine_steps(model, self.refine) for label, model in models.items()}
         predictors = {label: network_predictor(model, self.threshold, steps[label]) for label, model in models.items()}
         console = Console()
         self._check(console, split)
@@ -69,7 +69,7 @@ class Evaluate(EvaluateOptions):
     def _check(self, console: Console, split: Split) -> None:
         """Warn where voxels and images of a folder do not belong together."""
         for name in split.classes:
-            fit, axes = agreement(split, name) if name in split.voxels else (1.0, None)
+            fit, axes = check_axes(split, name) if name in split.voxels else (1.0, None)
             if axes is not None or fit < _LEAST_AGREEMENT:
                 seem = "" if axes is None else f"; with the axes {axes} they would"
                 text = f"{name}: the outlines of voxels and images do not agree as in the published data{seem}"

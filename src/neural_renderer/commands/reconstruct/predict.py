@@ -11,13 +11,13 @@ from rich.progress import track
 from torch import Tensor
 
 from ...io import load_image, save_animation, save_image, save_mesh
-from ...meshes.mesh import Mesh
+from ...pictures.clay import clay_mesh
 from ...pictures.photograph import photograph
-from ...tasks.reconstruction.data.drawing import CLAY
+from ...tasks.reconstruction.data.drawing import MESH_COLOR
 from ...tasks.reconstruction.evaluation.cutout import cut_out
 from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshes, prediction_picture
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
-from ...tasks.reconstruction.evaluation.refine import chosen_steps
+from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.networks.checkpoint import load_model
 from ..common import check_outputs, checked_count, chosen_device
 from ..options.reconstruct.predict import PredictOptions
@@ -45,7 +45,7 @@ class Predict(PredictOptions):
             raise ValueError(f"--mask: expected a folder of masks for {len(self.images)} pictures, got {self.mask}")
         device = chosen_device(self.device)
         model = load_model(self.checkpoint, device)
-        refine = chosen_steps(model, self.refine)
+        refine = refine_steps(model, self.refine)
         predict = network_predictor(model, self.threshold)
         console, failures = Console(stderr=True), []
         for path in track(self.images, "Meshes", console=console, transient=True, disable=len(self.images) == 1):
@@ -106,7 +106,7 @@ class Predict(PredictOptions):
         if self.sheet:
             save_image(_beside(target, "sheet.png"), prediction_picture(picture, image, vertices, faces))
         if self.turntable:
-            upright = Mesh(vertices, faces, torch.tensor(CLAY).expand(len(faces), 2, 2, 2, 3)).normalize()
+            upright = clay_mesh(vertices, faces, MESH_COLOR).normalize()
             frames = (photograph(upright, 145 + 360 * i / self.turntable, size=256) for i in range(self.turntable))
             save_animation(_beside(target, "turntable.gif"), frames, fps=15)
 

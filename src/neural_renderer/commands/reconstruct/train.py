@@ -35,18 +35,18 @@ class Train(TrainOptions):
         if self.minutes is not None and not 0 < self.minutes < math.inf:
             raise ValueError(f"--minutes: expected a number above 0, got {self.minutes}")
         chosen_device(self.device)
-        train, val = self._data()
-        config = self._recipe(train)
+        data, val = self._data()
+        config = self._recipe(data)
         features = None if self.features is None else load_features(self.features)
-        checkpoint = self._checkpoint(config, train, features)
+        checkpoint = self._checkpoint(config, data, features)
         output_folder("OUT", self.out)
-        from ...tasks.reconstruction.training.train import fit  # Lightning takes seconds to import
+        from ...tasks.reconstruction.training.train import train  # Lightning takes seconds to import
 
         with _quiet(), interruption() as interrupted:
-            training = fit(
+            training = train(
                 self.model,
                 config,
-                train,
+                data,
                 val,
                 self.out,
                 minutes=math.inf if self.minutes is None else self.minutes,

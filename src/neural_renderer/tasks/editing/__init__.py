@@ -1,9 +1,9 @@
-"""A mesh edited by gradients: the style of a painting, or what a network dreams of it."""
+"""Mesh editing by gradient descent: style transfer and DeepDream."""
 
 from ..settings import DREAM_LAYER, STYLE_LAYERS
 from .dream import PUBLISHED_DREAM, Dream, DreamWeights
 from .edit import MeshEdit
-from .random_views import Views
+from .random_views import RandomViews
 from .style import PUBLISHED_STYLE, Style, StyleWeights
 
 __all__ = [
@@ -14,7 +14,7 @@ __all__ = [
     "Dream",
     "DreamWeights",
     "MeshEdit",
+    "RandomViews",
     "Style",
     "StyleWeights",
-    "Views",
 ]

@@ -1,4 +1,4 @@
-"""How a mesh has changed its shape, as numbers that losses can use."""
+"""`Deformation`: the movement of a mesh's vertices, and losses on it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ...meshes.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class Deformation:
-    """A mesh that was moved.
+    """A mesh and its initial shape.
 
     Attributes:
-        vertices: [V, 3], where they are.
-        start: [V, 3], where they were.
-        topology: the mesh's.
+        vertices: [V, 3], current positions.
+        start: [V, 3], initial positions.
+        topology: Topology of the mesh.
     """
 
     vertices: Tensor
@@ -26,20 +26,19 @@ class Deformation:
 
     @property
     def movement(self) -> Tensor:
-        """[V, 3], from the start to now."""
+        """Displacements of the vertices, [V, 3]."""
         return self.vertices - self.start
 
     @property
     def edge(self) -> Tensor:
-        """[], the mean squared length of the edges at the start."""
+        """Mean squared edge length of the initial shape, scalar."""
         return losses.edge_length(self.start, self.topology).clamp(min=1e-12)
 
     @property
     def bend(self) -> Tensor:
-        """[], the mean over the edges of the squared change (as a vector) over the squared length at the start.
+        """Mean over edges of |change of the edge vector|² / |initial edge vector|², scalar.
 
-        It is 0 for a mesh that was shifted as a whole and large for one with creases and spikes that were not there,
-        as much where the faces are small as where they are large.
+        It is 0 for a translation and large for new creases and spikes. Small faces count as much as large ones.
         """
         before, change = (values[self.topology.edges].diff(dim=1) for values in (self.start, self.movement))
         length = before.square().sum((1, 2)).clamp(min=0.01 * float(self.edge))
@@ -47,6 +46,6 @@ class Deformation:
 
     @property
     def edge_variance(self) -> Tensor:
-        """[], the variance of the edges' lengths."""
+        """Variance of the edge lengths, scalar."""
         ends = self.vertices[self.topology.edges]
         return (ends[:, 0] - ends[:, 1]).norm(dim=1).var(unbiased=False)

@@ -1,4 +1,4 @@
-"""DeepDream on a mesh (sections 4.2 and 5.2 of the paper), as losses on its images."""
+"""DeepDream on a mesh (sections 4.2 and 5.2 of the paper): losses on its images."""
 
 from __future__ import annotations
 
@@ -15,36 +15,44 @@ from .deformation import Deformation
 
 @dataclass(frozen=True)
 class DreamWeights:
-    """How much each loss counts beside the dream, whose weight is 1."""
+    """Weights of the losses of `Dream`, relative to the dream loss, whose weight is 1.
+
+    Attributes:
+        bend: Of the change of edge vectors, squared and relative to the edge length (`Deformation.bend`).
+        variation: Of the total variation of the images.
+        edges: Of the variance of edge lengths, relative to their initial mean square.
+    """
 
     bend: float = 1.0
-    """Squared difference of the movements of an edge's ends, in lengths of that edge."""
     variation: float = 1.0
-    """Squared difference of neighbouring pixels' colours."""
     edges: float = 0.0
-    """Variance of the edges' lengths, over their mean square at the start."""
 
 
 PUBLISHED_DREAM = DreamWeights(bend=0.0, variation=0.0, edges=1e-4)
-"""The published code's, for sums (``relative=False``)."""
+"""Weights of the published code, for losses that are sums (``relative=False``)."""
 
 
 class Dream:
-    """Minus the squared norm of a layer of the images of an object, with what keeps a mesh a mesh.
+    """Objective of DeepDream: large activations of a layer, with regularisers for shape and colours.
 
-    With ``relative`` it is minus the logarithm of the norm: its gradient has the same direction, and a size that does
-    not depend on the network's scale, so that the other losses' weights mean the same for every network and layer.
-    Without it the losses are those of the published code: minus the mean of the squares, and F times the variance of
-    the edges.
+    With ``relative``, the dream loss is minus the logarithm of the mean squared activation. Its gradient does not
+    depend on the scale of the network, so that one set of weights serves all networks and layers. Without it, the
+    losses are those of the published code: minus the mean squared activation, and the variance of edge lengths times
+    the number of faces.
 
     Args:
-        network: with the layer.
-        layer: one of the network's.
-        channel: only this one of the layer's channels; all by default.
-        weights: of the other losses.
-        relative: see above.
+        network: Feature network with the layer.
+        layer: Name of the layer.
+        channel: Channel of the layer, from 0; None for all channels.
+        weights: Weights of the other losses.
+        relative: Whether losses are relative.
 
-    Raises ValueError for an unknown layer or channel and for a weight below 0.
+    Attributes:
+        name: "dream".
+        plain: [3], grey, the initial colour of a mesh without colours.
+
+    Raises:
+        ValueError: The layer or the channel is unknown, or a weight is below 0.
     """
 
     name = "dream"
@@ -70,16 +78,19 @@ class Dream:
             raise ValueError(f"channel: expected one of the {channels} of {layer}, 0 to {channels - 1}, got {channel}")
 
     def background(self, count: int, generator: torch.Generator) -> Tensor:
-        """One random grey for all images, [count, 3]."""
+        """Draw a random grey, the same for all images, [count, 3]."""
         return torch.rand(1, 1, generator=generator).expand(count, 3)
 
     def losses(self, images: Tensor, masks: Tensor, shape: Deformation) -> dict[str, Tensor]:
-        """What to minimise the sum of: ``dream``, ``bend``, ``variation`` and ``edges``, each with its weight.
+        """Compute the losses.
 
         Args:
             images: [B, 3, H, W] in [0, 1].
-            masks: [B, H, W] in [0, 1].
-            shape: of the mesh.
+            masks: [B, H, W] in [0, 1], silhouettes of the object.
+            shape: Deformation of the mesh.
+
+        Returns:
+            Weighted losses "dream", "bend", "variation" and "edges", scalars; their sum is to be minimised.
         """
         norm, inside = self._norms(images).mean(), (masks == 1).to(images.dtype)
         variation, edges = losses.total_variation(images, inside), shape.edge_variance
@@ -87,7 +98,7 @@ class Dream:
             norm = norm.clamp(min=1e-12).log()
             variation, edges = variation / inside.sum().clamp(min=1), edges / shape.edge
         else:
-            # Of k faces at an edge, the topology has one as the edge and the others as hinges: three to a face.
+            # The number of faces: an edge of k faces counts once in `edges` and k − 1 times in `hinges`.
             edges = edges * ((len(shape.topology.edges) + len(shape.topology.hinges)) / 3)
         return {
             "dream": -norm,
@@ -98,7 +109,7 @@ class Dream:
 
     @torch.no_grad()
     def measure(self, images: Tensor, masks: Tensor) -> Tensor:
-        """The mean square of the layer for each image, [B]."""
+        """Compute the mean squared activation of the layer for each image, [B]."""
         return self._norms(images)
 
     def _norms(self, images: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""What an edit leaves in its folder to look at."""
+"""Pictures of an edit: six views before and after, previews, and turntables."""
 
 from __future__ import annotations
 
@@ -11,41 +11,55 @@ import torch
 from torch import Tensor
 
 from ...io import save_animation
+from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
-from ...pictures.photograph import photograph, sheet
+from ...pictures.photograph import photograph
+from ...pictures.sheet import sheet
 from .edit import MeshEdit
 
-_FRONT, _ELEVATION, _ANGLE = 150.0, 20.0, 19.0
+_FRONT = 150.0  # azimuth of the first picture, in degrees
+_PREVIEW = (_FRONT, 270.0, 30.0)  # azimuths of a preview
+_ELEVATION, _VIEWING_ANGLE = 20.0, 19.0  # degrees
+_MARGIN = 1.03  # of the distance at which the whole mesh is in the picture
 
 
 def six_views(before: Mesh | UVMesh, after: Mesh | UVMesh, size: int = 320) -> Tensor:
-    """A mesh from six sides, and below how it is now, as in the paper's figures: [2 · size, 6 · size, 3] uint8."""
-    pair = [framed(mesh, before) for mesh in (before, after)]
+    """Draw a mesh before and after an edit from six sides, in two rows as in the paper.
+
+    Args:
+        before: The mesh before.
+        after: The mesh after, with the same faces.
+        size: Side of a picture in pixels.
+
+    Returns:
+        [2 · size, 6 · size, 3] uint8.
+    """
+    pair = [normalized_like(mesh, before) for mesh in (before, after)]
     angles = [_FRONT + 60 * index for index in range(6)]
     return sheet([[picture.cpu() for picture in photographs(mesh, angles, size)] for mesh in pair])
 
 
 def preview(edit: MeshEdit, size: int = 256) -> Tensor:
-    """The mesh as it is now from three sides: [size, 3 · size, 3] uint8."""
+    """Draw the current mesh of an edit from three sides, [size, 3 · size, 3] uint8."""
     mesh = edit.mesh()
-    return sheet([[picture.cpu() for picture in photographs(framed(mesh, mesh), (_FRONT, 270.0, 30.0), size)]])
+    return sheet([[picture.cpu() for picture in photographs(normalized_like(mesh, mesh), _PREVIEW, size)]])
 
 
 def turntable(folder: Path, mesh: Mesh | UVMesh, frames: int = 36, size: int = 320) -> None:
-    """Write ``turntable.mp4`` and ``turntable.gif`` of a mesh that goes round once."""
+    """Write ``turntable.mp4`` and ``turntable.gif``, one turn of a mesh, to a folder."""
     angles = [_FRONT + 360 * index / frames for index in range(frames)]
-    pictures = [picture.cpu() for picture in photographs(framed(mesh, mesh), angles, size)]
+    pictures = [picture.cpu() for picture in photographs(normalized_like(mesh, mesh), angles, size)]
     save_animation(folder / "turntable.mp4", pictures, fps=15)
     save_animation(folder / "turntable.gif", pictures, fps=15)
 
 
 @torch.no_grad()
-def framed(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
-    """The mesh as it stands when ``other``, of the same faces, fills [-1, 1]³ and is in its middle."""
-    used, faces = torch.unique(mesh.faces, return_inverse=True)  # without vertices of no face
-    low, high = other.vertices[used].amin(0), other.vertices[used].amax(0)
-    vertices = (mesh.vertices[used] - (low + high) / 2) * (2 / (high - low).max())
+def normalized_like(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
+    """Apply the transformation that takes ``other``, a mesh with the same faces, to [-1, 1]³; drop unused vertices."""
+    used, faces = torch.unique(mesh.faces, return_inverse=True)
+    center, half = bounding_box(other.vertices[used])
+    vertices = (mesh.vertices[used] - center) / half
     faces = faces.to(mesh.faces.dtype)
     if isinstance(mesh, UVMesh):
         return replace(mesh, vertices=vertices, faces=faces)
@@ -53,8 +67,8 @@ def framed(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
 
 
 def photographs(mesh: Mesh | UVMesh, angles: list[float] | tuple[float, ...], size: int) -> Iterator[Tensor]:
-    """One picture [3, size, size] from each of the angles, from where all of a mesh around the origin is seen."""
+    """Draw a mesh around the origin from azimuths in degrees, each picture [3, size, size] with the whole mesh."""
     radius = mesh.vertices.detach().norm(dim=1).max().item()
-    distance = 1.03 * radius / math.sin(math.radians(_ANGLE))
+    distance = _MARGIN * radius / math.sin(math.radians(_VIEWING_ANGLE))
     for angle in angles:
-        yield photograph(mesh, angle, _ELEVATION, size, distance=distance, viewing_angle=_ANGLE)
+        yield photograph(mesh, angle, _ELEVATION, size, distance=distance, viewing_angle=_VIEWING_ANGLE)

@@ -1,4 +1,4 @@
-"""Which colours a painting has, as a distance from them."""
+"""`Palette`: the colour distribution of a painting, as a loss."""
 
 from __future__ import annotations
 
@@ -7,24 +7,22 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-_LIGHT = 0.15  # of the brightness, by which the light on an object changes it
-_LEAST = 0.02  # standard deviation; a painting of one colour leaves a little room too
-_WITHIN = 2.5  # standard deviations around the mean, where nearly all colours of a painting are
-
-_ROUND = 0.1  # standard deviations, in which the loss goes from flat to linear
+_LIGHT = 0.15  # standard deviation of the brightness due to the light on an object, relative to the mean colour
+_LEAST = 0.02  # least standard deviation, for paintings of one colour
+_WITHIN = 2.5  # standard deviations around the mean that are free: nearly all colours of a painting
+_ROUND = 0.1  # standard deviations over which the loss changes from flat to linear
 
 
 @dataclass(frozen=True, eq=False)
 class Palette:
-    """The mean and the covariance of a painting's colours, in the light that is on an object.
+    """Mean and covariance of a painting's colours, widened by the light on an object.
 
-    Gram matrices count how often features come together, and a narrow network has too few of them to tell each colour
-    from a mixture of others: it takes cream for yellow beside pink. Colours far outside the painting's own ellipsoid
-    are therefore held back, those inside are free.
+    The Gram matrices of a narrow network do not tell every colour from a mixture of others: it takes cream for yellow
+    beside pink. Colours outside the ellipsoid of the painting's colours are therefore penalised; those inside are free.
 
     Attributes:
-        mean: [3].
-        whiten: [3, 3], takes a difference from the mean to standard deviations.
+        mean: [3], mean RGB.
+        whiten: [3, 3], maps a difference from the mean to standard deviations.
     """
 
     mean: Tensor
@@ -32,20 +30,27 @@ class Palette:
 
     @classmethod
     def of(cls, painting: Tensor, mask: Tensor) -> Palette:
-        """Of a painting [1, 3, h, w] in [0, 1] where its mask [1, h, w] in [0, 1] is."""
-        colours, shares = painting[0].flatten(1).T, mask.flatten() / mask.sum().clamp(min=1e-6)
-        mean = shares @ colours
-        centred = colours - mean
-        covariance = centred.T @ (centred * shares[:, None]) + _LIGHT**2 * torch.outer(mean, mean)
-        spread, axes = torch.linalg.eigh(covariance)
-        # Along an axis the least deviation adds to the painting's, so that the distance changes smoothly with it.
-        return cls(mean, axes / (spread.clamp(min=0) + _LEAST**2).sqrt())
+        """Measure the colours of a painting [1, 3, h, w] in [0, 1], weighted by its mask [1, h, w] in [0, 1]."""
+        colors, weights = painting[0].flatten(1).T, mask.flatten() / mask.sum().clamp(min=1e-6)
+        mean = weights @ colors
+        offset = colors - mean
+        covariance = offset.T @ (offset * weights[:, None]) + _LIGHT**2 * torch.outer(mean, mean)
+        variance, axes = torch.linalg.eigh(covariance)
+        # The least variance is added, not a lower bound, so that distances depend smoothly on the painting.
+        return cls(mean, axes / (variance.clamp(min=0) + _LEAST**2).sqrt())
 
-    def excess(self, colours: Tensor) -> Tensor:
-        """By how many standard deviations colours [..., 3] are beyond 2.5 of them, [...]; 0 within, and about linear.
+    def excess(self, colors: Tensor) -> Tensor:
+        """Compute by how many standard deviations colours are outside the free ellipsoid.
 
-        Squares would have gradients so large, where colours begin far away, that Adam takes small steps long after.
+        The loss is linear far outside: squares would have such large gradients for distant initial colours that Adam's
+        steps would stay small for a long time.
+
+        Args:
+            colors: [..., 3] RGB.
+
+        Returns:
+            [...], 0 inside.
         """
-        distance = ((colours - self.mean) @ self.whiten).square().sum(-1)
+        distance = ((colors - self.mean) @ self.whiten).square().sum(-1)
         beyond = distance.clamp(min=_WITHIN**2).sqrt() - _WITHIN
         return (beyond.square() + _ROUND**2).sqrt() - _ROUND

@@ -1,4 +1,4 @@
-"""Style transfer from a painting to a mesh (sections 4.2 and 5.2 of the paper), as losses on its images."""
+"""Style transfer from a painting to a mesh (sections 4.2 and 5.2 of the paper): losses on its images."""
 
 from __future__ import annotations
 
@@ -16,55 +16,61 @@ from ..settings import STYLE_LAYERS
 from .deformation import Deformation
 from .palette import Palette
 
-_LARGEST = 2048  # pixels along the side of a square painting, which take a network some gigabytes
-_MARGIN = 16  # pixels around the objects that the network sees too
+_LARGEST = 2048  # side of a square painting in pixels; a network needs some gigabytes for it
+_MARGIN, _STRIDE = 16, 8  # of the window that the network sees, in pixels: around the objects, and of its borders
+_LEAST_SIDE, _MOST_ASPECT = 16, 16  # limits of a painting's shape, in pixels and as a ratio
 
 
 @dataclass(frozen=True)
 class StyleWeights:
-    """How much each loss counts beside the style loss, whose weight is 1."""
+    """Weights of the losses of `Style`, relative to the style loss, whose weight is 1.
+
+    Attributes:
+        content: Of the squared displacements of vertices.
+        bend: Of the change of edge vectors, squared and relative to the edge length (`Deformation.bend`).
+        variation: Of the total variation of the images.
+        palette: Of colours more than 2.5 standard deviations away from the painting's (`Palette.excess`).
+    """
 
     content: float = 200.0
-    """Squared distance of the vertices from where they began."""
     bend: float = 1.0
-    """Squared difference of the movements of an edge's ends, in lengths of that edge."""
     variation: float = 0.5
-    """Squared difference of neighbouring pixels' colours."""
     palette: float = 0.2
-    """Distance of colours from the painting's own, where they are beyond 2.5 standard deviations of them."""
 
 
 PUBLISHED_STYLE = StyleWeights(content=2e9, bend=0.0, variation=1e7, palette=0.0)
-"""The published code's, for sums (``relative=False``)."""
+"""Weights of the published code, for losses that are sums (``relative=False``)."""
 
 
 class Style:
-    """The style loss of images of an object against a painting, with what keeps object and colours together.
+    """Objective of style transfer: the style loss, with regularisers for shape and colours.
 
-    The style of an image at a layer with features f_p [C] at its pixels p is the Gram matrix
-    ``G = Σ m_p f_p f_pᵀ / (C Σ m_p)``, where m is the object's mask, averaged down to the layer: what is behind the
-    object has no part in it.
+    The style at a layer with features f_p [C] at pixels p is the masked Gram matrix
+    ``G = Σ m_p f_p f_pᵀ / (C Σ m_p)``. The mask m is the object's silhouette, downsampled to the layer, so that the
+    background does not count.
 
-    With ``relative`` all losses are means, which no network's scale, mesh or image size changes: for each layer
-    ``|G − G*|² / |G*|²``, averaged over layers and views; the mean over the vertices of their squared movement; the
-    mean of the squared differences over the object's pixels. Without it they are the sums of the published code, for
-    which its weights are made; they belong to features of the original VGG-16.
+    With ``relative``, all losses are means that do not depend on the scale of the network, the mesh or the image size:
+    ``|G − G*|² / |G*|²``, averaged over layers and views; the mean squared displacement of vertices; the mean total
+    variation of the object's pixels. Without it, the losses are the sums of the published code, whose weights suit the
+    features of the original VGG-16.
 
     Args:
-        network: with the layers.
-        painting: [3 or 4, H, W] in [0, 1]; what is transparent has no part in the style.
-        size: side of the square images that will be compared, in pixels. The painting gets as many pixels, its
-            proportions kept.
-        layers: names of the network's layers.
-        weights: of the other losses.
-        painting_scale: how large the painting is, relative to the images: 2 makes its strokes twice as large.
-        relative: see above.
+        network: Feature network with the layers.
+        painting: [3 or 4, H, W] in [0, 1], RGB or RGBA. Transparent pixels do not count.
+        size: Side of the square images of the object in pixels. The painting is resized to the same number of pixels;
+            its aspect ratio stays.
+        layers: Names of layers.
+        weights: Weights of the other losses.
+        painting_scale: Size of the painting relative to the images, > 0. 2 makes its strokes twice as large.
+        relative: Whether losses are relative.
 
     Attributes:
-        plain: [3], the painting's mean colour.
+        name: "style".
+        plain: [3], mean colour of the painting, the initial colour of a mesh without colours.
 
     Raises:
-        TypeError, ValueError: another shape, a painting that is too small or wholly transparent, an unknown layer.
+        TypeError, ValueError: A type or shape does not fit, the painting is too small or fully transparent, or a layer
+            is unknown.
     """
 
     name = "style"
@@ -90,23 +96,26 @@ class Style:
             raise ValueError(
                 f"painting_scale: expected at most {most:.3g} for images of {size} pixels, got {painting_scale}"
             )
-        painting, mask = _prepared(painting, side)
+        painting, mask = _prepare(painting, side)
         with torch.no_grad():
             self._styles = {name: gram(f, mask) for name, f in network(painting, self._layers).items()}
         self._palette = Palette.of(painting, mask)
         self.plain = self._palette.mean
 
     def background(self, count: int, _: torch.Generator) -> Tensor:
-        """The painting's mean colour [count, 3], which is behind the object."""
+        """Return the background behind the object: the painting's mean colour, [count, 3]."""
         return self.plain.expand(count, 3)
 
     def losses(self, images: Tensor, masks: Tensor, shape: Deformation) -> dict[str, Tensor]:
-        """What to minimise the sum of: the losses by their names (see `StyleWeights`), each with its weight.
+        """Compute the losses.
 
         Args:
             images: [B, 3, H, W] in [0, 1].
-            masks: [B, H, W] in [0, 1].
-            shape: of the mesh.
+            masks: [B, H, W] in [0, 1], silhouettes of the object.
+            shape: Deformation of the mesh.
+
+        Returns:
+            Weighted losses "style", "content", "bend", "variation", "palette", scalars; their sum is to be minimised.
         """
         inside = (masks == 1).to(images.dtype)
         variation, content = losses.total_variation(images, inside), shape.movement.square().sum()
@@ -124,10 +133,11 @@ class Style:
 
     @torch.no_grad()
     def measure(self, images: Tensor, masks: Tensor) -> Tensor:
-        """The style loss of each image alone, [B]."""
+        """Compute the style loss of each image, [B]."""
         return self._distances(images, masks)
 
     def _distances(self, images: Tensor, masks: Tensor) -> Tensor:
+        """Compute the distances of Gram matrices from the painting's, summed over layers, [B]."""
         masks = masks.detach()
         window = _window(masks)
         images, masks = images[..., window[0], window[1]], masks[..., window[0], window[1]]
@@ -140,7 +150,7 @@ class Style:
 
 
 def gram(features: Tensor, masks: Tensor) -> Tensor:
-    """The Gram matrices [B, C, C] of features [B, C, h, w] under masks [B, H, W], which are averaged down to h × w."""
+    """Compute Gram matrices [B, C, C] of features [B, C, h, w], weighted by masks [B, H, W] downsampled to h × w."""
     count, channels, height, width = features.shape
     masks = F.adaptive_avg_pool2d(masks[:, None], (height, width)).reshape(count, 1, -1)
     flat = features.reshape(count, channels, -1)
@@ -149,30 +159,32 @@ def gram(features: Tensor, masks: Tensor) -> Tensor:
 
 
 def _window(masks: Tensor) -> tuple[slice, slice]:
-    """The rows and columns that hold all objects, with a margin, in steps that all pools divide."""
+    """Find the rows and columns that contain all objects, with a margin; borders are multiples of the pools' stride."""
     found = []
     for axis in (2, 1):
-        seen = torch.nonzero(masks.amax((0, axis)) > 0).flatten()
+        covered = torch.nonzero(masks.amax((0, axis)) > 0).flatten()
         last = masks.shape[3 - axis]
-        low, high = (int(seen[0]), int(seen[-1]) + 1) if len(seen) else (0, last)
-        found.append(slice(max(low - _MARGIN, 0) // 8 * 8, min(-(-(high + _MARGIN) // 8) * 8, last)))
+        low, high = (int(covered[0]), int(covered[-1]) + 1) if len(covered) else (0, last)
+        start, stop = max(low - _MARGIN, 0) // _STRIDE, -(-(high + _MARGIN) // _STRIDE)
+        found.append(slice(start * _STRIDE, min(stop * _STRIDE, last)))
     return found[0], found[1]
 
 
-def _prepared(painting: Tensor, side: float) -> tuple[Tensor, Tensor]:
-    """A painting [1, 3, h, w] of about side² pixels, and its mask [1, h, w]."""
+def _prepare(painting: Tensor, side: float) -> tuple[Tensor, Tensor]:
+    """Resize a painting to about side² pixels: RGB [1, 3, h, w] and mask [1, h, w]."""
     channels = getattr(painting, "shape", (3,))[0] if getattr(painting, "ndim", 3) == 3 else 3
     validate.floating("painting", painting, (4 if channels == 4 else 3, "H", "W"))
     height, width = painting.shape[1:]
-    if min(height, width) < 16 or max(height, width) > 16 * min(height, width):
+    if min(height, width) < _LEAST_SIDE or max(height, width) > _MOST_ASPECT * min(height, width):
         raise ValueError(
-            f"painting: expected at least 16 pixels on each side and none 16 times the other, got {width} x {height}"
+            f"painting: expected sides of at least {_LEAST_SIDE} pixels and an aspect ratio of at most {_MOST_ASPECT}, "
+            f"got {width} x {height}"
         )
     mask = painting[3:] if channels == 4 else torch.ones_like(painting[:1])
     if float(mask.max()) < 0.5:
-        raise ValueError("painting: expected a picture with something in it, got one that is transparent all over")
-    shrink = side / math.sqrt(height * width)
-    size = (max(round(height * shrink), 16), max(round(width * shrink), 16))
+        raise ValueError("painting: expected opaque pixels, got a picture that is fully transparent")
+    scale = side / math.sqrt(height * width)
+    size = (max(round(height * scale), _LEAST_SIDE), max(round(width * scale), _LEAST_SIDE))
     both = torch.cat((painting[:3] * mask, mask))[None]
     both = F.interpolate(both, size, mode="bilinear", antialias=True, align_corners=False)
     mask = both[:, 3].clamp(0, 1)

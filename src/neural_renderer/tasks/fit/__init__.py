@@ -1,7 +1,7 @@
-"""A textured mesh from images with known cameras, a texture for a known mesh, or the camera of one image."""
+"""Fitting: a textured mesh from images with cameras, the texture of a known mesh, or the camera of one image."""
 
 from .fit_views import Views
-from .hull import carve, frame
+from .hull import carve, object_bounds
 from .load import load_photo, load_views
 from .mesh import MeshFit
 from .pose import CameraFit
@@ -16,7 +16,7 @@ __all__ = [
     "Views",
     "Weights",
     "carve",
-    "frame",
     "load_photo",
     "load_views",
+    "object_bounds",
 ]

@@ -1,4 +1,4 @@
-"""Steps of descent for what lives on the vertices of a mesh: gradients blurred over the surface, one rate for all."""
+"""Gradient descent on values at vertices, with gradients smoothed over the surface."""
 
 from __future__ import annotations
 
@@ -10,17 +10,20 @@ from torch import Tensor
 
 from ...meshes.topology import Topology
 
+_MOMENTUM, _SECOND_MOMENT = 0.9, 0.98  # decay rates of the running means, Adam's β₁ and β₂
+_MOST_ITERATIONS = 100  # of conjugate gradients
+
 
 class SmoothDescent:
-    """Adam for positions or colours of vertices, [V, C], that keeps the surface together.
+    """Adam with smoothed gradients, for positions or colours [V, C] of vertices.
 
-    Silhouettes move only the vertices at the outline, each for itself, which tangles the surface. So the gradient is
-    blurred over the surface, (1 + λL)⁻² g with the graph Laplacian L, and one step size holds for all vertices:
-    "Large Steps in Inverse Rendering of Geometry" (Nicolet, Jacobson and Jakob, 2021), sections 3 and 4.2.
+    The gradient of a silhouette loss is non-zero at outline vertices only and would tangle the surface. It is therefore
+    smoothed to ``(1 + λL)⁻² g``, with the graph Laplacian L, and all vertices share one step size. See Nicolet,
+    Jacobson and Jakob, "Large Steps in Inverse Rendering of Geometry" (2021), sections 3 and 4.2.
 
     Args:
-        topology: of the mesh.
-        smooth: λ, ≥ 0; the blur reaches about √λ edges far.
+        topology: Topology of the mesh.
+        smooth: λ, ≥ 0. Smoothing reaches about √λ edges far.
     """
 
     def __init__(self, topology: Topology, smooth: float = 16.0) -> None:
@@ -28,7 +31,7 @@ class SmoothDescent:
         start, end = torch.cat((edges, edges.flip(1))).unbind(1)
         order = torch.argsort(start, stable=True)
         degree = torch.bincount(start, minlength=topology.vertices)
-        self._neighbours, self._first = end[order], degree.cumsum(0) - degree
+        self._neighbors, self._first = end[order], degree.cumsum(0) - degree
         self._degree = degree[:, None].float()
         self._smooth = smooth
         self._count = 0
@@ -36,31 +39,40 @@ class SmoothDescent:
         self._scale = torch.zeros((), device=edges.device)
 
     def step(self, values: Tensor, gradient: Tensor, rate: float) -> Tensor:
-        """``values`` [V, C] moved down ``gradient``; the vertex that moves most moves by about ``rate``."""
+        """Take one step of descent.
+
+        Args:
+            values: [V, C] floating.
+            gradient: [V, C], gradient of the loss.
+            rate: Length of the step: the fastest vertex moves by about this much.
+
+        Returns:
+            [V, C], the new values.
+        """
         gradient = self.blur(self.blur(gradient))
         self._count += 1
-        self._mean = (1 - 0.9) * gradient + (0.9 * self._mean if self._mean is not None else 0)
-        self._scale = 0.98 * self._scale + 0.02 * gradient.square().sum(1).max()
-        size = (self._scale / (1 - 0.98**self._count)).sqrt().clamp(min=1e-12)
-        return values - rate * self._mean / (1 - 0.9**self._count) / size
+        self._mean = (1 - _MOMENTUM) * gradient + (_MOMENTUM * self._mean if self._mean is not None else 0)
+        self._scale = _SECOND_MOMENT * self._scale + (1 - _SECOND_MOMENT) * gradient.square().sum(1).max()
+        size = (self._scale / (1 - _SECOND_MOMENT**self._count)).sqrt().clamp(min=1e-12)
+        return values - rate * self._mean / (1 - _MOMENTUM**self._count) / size
 
     def blur(self, values: Tensor, tolerance: float = 1e-3) -> Tensor:
-        """(1 + λL)⁻¹ of values [V, C], by conjugate gradients with the diagonal as preconditioner."""
+        """Smooth values [V, C]: solve ``(1 + λL) x = values`` by conjugate gradients with Jacobi preconditioning."""
         diagonal = 1 + self._smooth * self._degree
 
-        def times(x: Tensor) -> Tensor:
-            total = F.embedding_bag(self._neighbours, x, self._first, mode="sum")
+        def matrix_times(x: Tensor) -> Tensor:
+            total = F.embedding_bag(self._neighbors, x, self._first, mode="sum")
             return diagonal * x - self._smooth * total
 
         solution = values / diagonal
-        residual = values - times(solution)
+        residual = values - matrix_times(solution)
         goal = tolerance**2 * values.square().sum(0)
         direction = scaled = residual / diagonal
         product = (residual * scaled).sum(0)
-        for _ in range(100):
+        for _ in range(_MOST_ITERATIONS):
             if bool((residual.square().sum(0) <= goal).all()):
                 break
-            image = times(direction)
+            image = matrix_times(direction)
             length = product / (direction * image).sum(0).clamp(min=1e-30)
             solution = solution + length * direction
             residual = residual - length * image
@@ -70,9 +82,9 @@ class SmoothDescent:
         return solution
 
     def state_dict(self) -> dict[str, Any]:
-        """The running means."""
+        """Return the running means."""
         return {"count": self._count, "mean": self._mean, "scale": self._scale}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
+        """Restore the running means from `state_dict`."""
         self._count, self._mean, self._scale = state["count"], state["mean"], state["scale"]

@@ -1,4 +1,4 @@
-"""What a fit is given: cameras, and what each of them sees of the object."""
+"""Posed images: cameras with silhouettes and photos, the input of a fit."""
 
 from __future__ import annotations
 
@@ -17,18 +17,29 @@ from ...raster import Images
 from ...rendering import render
 from ..seeds import generator
 
+_VIEWS_AT_ONCE = 8  # drawn together by `Views.quality`: limits memory
+# A pixel covered by 2 of 4 samples has alpha 0.5, which becomes 0.502 in a file of eight bits. Both must be inside.
+_INSIDE = 0.49
+
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """N cameras, the object's silhouette in each, and its colours where they are known.
+    """Posed images: N cameras, the silhouette of the object in each, and its colours if they are known.
 
     Attributes:
         camera: N cameras.
-        masks: [N, H, W] float32 in [0, 1]: 1 where the object covers a pixel.
-        photos: [N, 3, H, W] float32 in [0, 1], on black (colours times mask); or None.
+        masks: [N, H, W] float32 in [0, 1], silhouettes: 1 where the object covers a pixel.
+        photos: [N, 3, H, W] float32 in [0, 1], RGB multiplied by the mask; or None.
 
     Raises:
-        TypeError, ValueError: shapes that do not belong together; no views; a mask without any object.
+        TypeError, ValueError: A type or shape does not fit, there are no views, or a mask is empty.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import Views
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
+        >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
+        >>> len(views), views.size, views.photos.shape
+        (6, (32, 32), torch.Size([6, 3, 32, 32]))
     """
 
     camera: Camera
@@ -52,32 +63,47 @@ class Views:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Height and width in pixels."""
+        """Height and width of the images in pixels."""
         return self.masks.shape[1], self.masks.shape[2]
 
     @classmethod
     def of(cls, mesh: Mesh, camera: Camera, size: int | tuple[int, int] = 256, **options: Any) -> Views:
-        """What ``camera`` sees of a known mesh, drawn without light unless ``options`` of `render` say otherwise."""
+        """Render a known mesh from N cameras.
+
+        Args:
+            mesh: The mesh.
+            camera: N cameras.
+            size: Side of the images, or height and width, in pixels.
+            **options: Options of `render`. The light is None unless given.
+        """
         with torch.no_grad():
             images = render(mesh, camera, size, outputs=("rgb", "alpha"), **{"light": None, **options})
         return cls(camera, images.alpha, images.rgb)  # type: ignore[arg-type]
 
     def __getitem__(self, index: Sequence[int] | slice) -> Views:
-        """Some of the views."""
+        """Select views."""
         rows = torch.arange(len(self))[index].to(self.masks.device)
-        return Views(_rows(self.camera, rows), self.masks[rows], None if self.photos is None else self.photos[rows])
+        camera = _select(self.camera, rows)
+        return Views(camera, self.masks[rows], None if self.photos is None else self.photos[rows])
 
     def to(self, device: torch.device | str) -> Views:
-        """The same views on another device."""
+        """Copy the views to another device."""
         photos = None if self.photos is None else self.photos.to(device)
         return Views(self.camera.to(device), self.masks.to(device), photos)
 
-    def moved(self, centre: Tensor, scale: float) -> Views:
-        """The same images of a world whose point ``centre`` [3] is the origin and whose unit is ``scale`` of ours."""
+    def normalized(self, center: Tensor, scale: float) -> Views:
+        """Change the world of the cameras: ``center`` becomes the origin and ``scale`` the unit of length.
+
+        Images stay the same.
+
+        Args:
+            center: [3], the new origin in the world of these cameras.
+            scale: Length of the new unit, in units of this world.
+        """
         camera = self.camera
-        origin = camera.origin - centre.to(camera.origin)
-        if camera.K is not None:  # there the origin is the world's
-            turned = torch.einsum("bij,j->bi", camera.rotation, centre.to(camera.translation))
+        origin = camera.origin - center.to(camera.origin)
+        if camera.K is not None:  # its extrinsics are relative to the world's origin
+            turned = torch.einsum("bij,j->bi", camera.rotation, center.to(camera.translation))
             origin, translation = torch.zeros_like(origin), camera.translation + turned
         else:
             translation = camera.translation
@@ -85,51 +111,65 @@ class Views:
         return replace(self, camera=replace(camera, origin=origin / scale, translation=translation / scale, **lens))
 
     def eyes(self) -> tuple[Tensor, Tensor]:
-        """Where the cameras stand and the unit directions in which they look, [N, 3] each."""
+        """Compute positions [N, 3] and unit viewing directions [N, 3] of the cameras, in world space."""
         rotation = self.camera.rotation
         eye = self.camera.origin - torch.einsum("bij,bi->bj", rotation, self.camera.translation)
         return eye, rotation[:, 2]
 
     def draw(self, shape: tuple[Tensor, ...], outputs: str | Sequence[str] = "alpha", gradient: str = "edge") -> Images:
-        """A mesh's images in these views, without light: its colours include whatever light there was."""
-        # Everything of a world in which objects have a size of about one; cameras may be far from them.
+        """Render a mesh from all cameras without light, because fitted colours include the light of the photos.
+
+        Args:
+            shape: (vertices, faces) or (vertices, faces, textures).
+            outputs: As in `render`.
+            gradient: Gradient estimator, "edge" or "nmr".
+        """
+        # The far plane lies behind objects of a size of about 1, however far away the cameras are.
         far = 4.0 * float(self.eyes()[0].norm(dim=1).max()) + 4.0
         return render(shape, self.camera, self.size, light=None, outputs=outputs, near=1e-2, far=far, gradient=gradient)
 
     def quality(self, shape: tuple[Tensor, ...]) -> dict[str, Tensor]:
-        """``iou`` [N] of a mesh's silhouettes and, if both have colours, ``psnr`` [N] of its images in decibels.
+        """Compare a mesh with the views.
 
-        The PSNR is that of the whole image on black, as for the data sets of NeRF.
+        Args:
+            shape: (vertices, faces) or (vertices, faces, textures).
+
+        Returns:
+            "iou" [N], IoU of silhouettes; and "psnr" [N] in decibels if both have colours. The PSNR is that of the
+            whole image on black, as for NeRF's data sets.
         """
-        coloured = self.photos is not None and len(shape) == 3
-        found: dict[str, list[Tensor]] = {"iou": [], "psnr": []} if coloured else {"iou": []}
+        colored = self.photos is not None and len(shape) == 3
+        found: dict[str, list[Tensor]] = {"iou": [], "psnr": []} if colored else {"iou": []}
         with torch.no_grad():
-            for start in range(0, len(self), 8):
-                part = self[start : start + 8]
-                images = part.draw(shape, ("rgb", "alpha") if coloured else "alpha")
-                found["iou"].append(agreement(images.alpha, part.masks))  # type: ignore[arg-type]
-                if coloured:
+            for start in range(0, len(self), _VIEWS_AT_ONCE):
+                part = self[start : start + _VIEWS_AT_ONCE]
+                images = part.draw(shape, ("rgb", "alpha") if colored else "alpha")
+                found["iou"].append(mask_iou(images.alpha, part.masks))  # type: ignore[arg-type]
+                if colored:
                     error = (images.rgb.clamp(0, 1) - part.photos).square().mean((1, 2, 3))  # type: ignore[union-attr, operator]
                     found["psnr"].append(-10 * error.clamp(min=1e-10).log10())
         return {name: torch.cat(values) for name, values in found.items()}
 
 
-def agreement(alpha: Tensor, masks: Tensor) -> Tensor:
-    """The intersection over union [B] of silhouettes, where masks may come from files."""
-    # Pixels that are half covered are many, 2 of 4 samples; eight bits make 0.502 of 0.5, which must stay equal to it.
-    return metrics.silhouette_iou(alpha.detach(), masks, threshold=0.49)
+def mask_iou(alpha: Tensor, masks: Tensor) -> Tensor:
+    """Compute the IoU [B] of rendered silhouettes and masks [B, H, W], which may have been rounded to eight bits."""
+    return metrics.silhouette_iou(alpha.detach(), masks, threshold=_INSIDE)
 
 
-def chosen(count: int, batch: int, seed: int, step: int) -> list[int]:
-    """Which of ``count`` views a step looks at: all in turn, in an order that is shuffled for each round."""
+def views_of_step(count: int, batch: int, seed: int, step: int) -> list[int]:
+    """Choose the views of an optimisation step: all ``count`` in turn, reshuffled after each round.
+
+    Returns:
+        Up to ``batch`` different indices, sorted.
+    """
     rows: list[int] = []
     for place in range(step * batch, (step + 1) * batch):
         rows.append(int(torch.randperm(count, generator=generator(seed, place // count))[place % count]))
     return sorted(set(rows))
 
 
-def smaller(image: Tensor, size: int) -> Tensor:
-    """[C, H, W] with a longer side of at most ``size``; each pixel is the mean of those it covers."""
+def downscale(image: Tensor, size: int) -> Tensor:
+    """Shrink an image [C, H, W] by area averaging until its longer side has at most ``size`` pixels."""
     height, width = image.shape[1:]
     if max(height, width) <= size:
         return image
@@ -137,7 +177,8 @@ def smaller(image: Tensor, size: int) -> Tensor:
     return F.interpolate(image[None], (max(round(height * scale), 1), max(round(width * scale), 1)), mode="area")[0]
 
 
-def _rows(camera: Camera, rows: Tensor) -> Camera:
+def _select(camera: Camera, rows: Tensor) -> Camera:
+    """Select cameras of a batch."""
     tensors = {f.name: v for f in fields(camera) if isinstance(v := getattr(camera, f.name), Tensor) and v.ndim}
-    chosen: dict[str, Any] = {name: v[rows] if len(v) == len(camera) else v for name, v in tensors.items()}
-    return replace(camera, **chosen)
+    selected: dict[str, Any] = {name: v[rows] if len(v) == len(camera) else v for name, v in tensors.items()}
+    return replace(camera, **selected)

@@ -1,4 +1,4 @@
-"""The visual hull: all of space that every silhouette allows. Where a fit begins, with the right holes and handles."""
+"""Visual hull of silhouettes: the initial shape of a fit, with the right holes and handles."""
 
 from __future__ import annotations
 
@@ -7,46 +7,63 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ...meshes.bounds import bounding_box
 from ...meshes.isosurface import isosurface
 from ...meshes.topology import Topology
+from ..components import connected_components
 from .descent import SmoothDescent
 from .fit_views import Views
 
-_ROOM = 1.08  # half of the cube that is carved, of a world whose object is within [-1, 1]
+_HALF = 1.08  # half the side of the carved cube; the object lies in [-1, 1]³
+_COARSE, _FINE = 48, 64  # grid points along each axis, in the two passes that find the object
+_REACH = 0.7  # the first pass looks this far around the centre, relative to the distance of the nearest camera
+_LEAST_COMPONENT = 0.01  # smaller components, relative to the largest one, are dropped as noise
 
 
-def frame(views: Views) -> tuple[Tensor, float]:
-    """The centre [3] and half the longest side of the box around all that the silhouettes allow.
+def object_bounds(views: Views) -> tuple[Tensor, float]:
+    """Find the object: the box around the visual hull of all silhouettes.
 
-    Raises ValueError where the silhouettes have no point in common.
+    Returns:
+        The centre [3] of the box and half its longest side, in world space.
+
+    Raises:
+        ValueError: The silhouettes have no point in common.
     """
     eye, forward = views.eyes()
-    # The point nearest to all optical axes; the ridge decides where they are parallel, in favour of the origin.
+    # Start at the point nearest to all optical axes. For parallel axes, the ridge picks the one nearest to the origin.
     across = torch.eye(3).to(eye) - forward[:, :, None] * forward[:, None, :]
     matrix = across.sum(0) + 1e-4 * len(views) * torch.eye(3).to(eye)
-    centre = torch.linalg.solve(matrix, torch.einsum("bij,bj->i", across, eye))
-    half = 0.7 * float((eye - centre).norm(dim=1).min()) if views.camera.perspective else _seen(views)
-    half = max(half, 1e-6)
-    for cells in (48, 64):  # the second look, at what the first one found
-        grown = F.max_pool2d(views.masks[:, None], 2 * (max(views.size) // 64) + 1, 1, max(views.size) // 64)[:, 0]
-        points = _grid(cells).to(eye) * half + centre
+    center = torch.linalg.solve(matrix, torch.einsum("bij,bj->i", across, eye))
+    near = float((eye - center).norm(dim=1).min())
+    half = max(_REACH * near if views.camera.perspective else _orthographic_half_width(views), 1e-6)
+    margin = max(views.size) // 64  # thin parts must not fall between grid points
+    grown = F.max_pool2d(views.masks[:, None], 2 * margin + 1, 1, margin)[:, 0]
+    for cells in (_COARSE, _FINE):
+        points = _grid(cells).to(eye) * half + center
         inside = points[_occupancy(views, grown, points) > 0.5]
         if not len(inside):
             raise ValueError(
                 "masks: expected silhouettes of one object that meet in space, got some that do not: "
                 "the cameras or their conventions may be wrong"
             )
-        low, high = inside.amin(0), inside.amax(0)
-        centre, half = (low + high) / 2, float((high - low).max()) / 2 + 2 * half / cells
-    return centre, half
+        center, found = bounding_box(inside)
+        half = found + 2 * half / cells
+    return center, half
 
 
 def carve(views: Views, cells: int = 64) -> tuple[Tensor, Tensor]:
-    """The visual hull of views that were `moved` to the frame: vertices float32 [V, 3], faces int64 [F, 3].
+    """Reconstruct the visual hull by space carving.
 
-    The silhouettes, blurred by about one cell, are looked up at each of the ``cells³`` points of a grid over [-1, 1];
-    the least of them, less a half, is 0 at the hull (Laurentini, "The Visual Hull Concept", 1994; Martin and Aggarwal's
-    volumes of 1983). Crumbs are left out: pieces of less than a hundredth of the largest one's faces.
+    Each point of a grid projects into all silhouettes, which are blurred by about one cell. The least value is the
+    occupancy of the point, and the hull is the isosurface at 0.5 (Martin and Aggarwal, 1983; Laurentini, "The Visual
+    Hull Concept", 1994). Small components are dropped.
+
+    Args:
+        views: Views that are `Views.normalized` to the object's bounds.
+        cells: Number of grid cells along each axis.
+
+    Returns:
+        Vertices [V, 3] float32 and faces [F, 3] int64.
     """
     pixels = max(1, round(min(views.size) / cells / 2))
     soft = F.avg_pool2d(F.pad(views.masks[:, None], [pixels] * 4, mode="replicate"), 2 * pixels + 1, 1)[:, 0]
@@ -54,33 +71,26 @@ def carve(views: Views, cells: int = 64) -> tuple[Tensor, Tensor]:
     def field(points: np.ndarray) -> np.ndarray:
         flat = torch.from_numpy(points.reshape(-1, 3).astype(np.float32)).to(soft.device)
         value = 0.5 - _occupancy(views, soft, flat).cpu().numpy().astype(np.float64)
-        return np.where(np.abs(points).max(-1) >= 0.999 * _ROOM, 0.5, value.reshape(points.shape[:-1]))
+        border = np.abs(points).max(-1) >= 0.999 * _HALF
+        return np.where(border, 0.5, value.reshape(points.shape[:-1]))  # closed, if it reaches the border
 
-    vertices, faces = isosurface(field, cells, _ROOM)
-    vertices, faces = largest_pieces(vertices.to(soft.device), faces.to(soft.device))
-    # Descent moves neighbours together, so that it would keep the stairs that the grid leaves on thin parts.
+    vertices, faces = isosurface(field, cells, _HALF)
+    vertices, faces = large_components(vertices.to(soft.device), faces.to(soft.device))
+    # The grid leaves stairs on thin parts. Descent would keep them, because it moves neighbouring vertices together.
     return SmoothDescent(Topology.of(faces), 1.0).blur(vertices), faces
 
 
-def largest_pieces(vertices: Tensor, faces: Tensor, least: float = 0.01) -> tuple[Tensor, Tensor]:
-    """The pieces of a mesh with at least ``least`` times the faces of the largest."""
-    label = torch.arange(len(vertices), device=faces.device)
-    while True:  # the lowest index in reach, passed on from corner to corner and from label to label
-        lowest = label[faces].amin(1)
-        passed = label.scatter_reduce(0, faces.reshape(-1), lowest.repeat_interleave(3), "amin")
-        passed = passed[passed]
-        if torch.equal(passed, label):
-            break
-        label = passed
-    piece = label[faces[:, 0]]
-    count = torch.bincount(piece, minlength=len(vertices))
-    faces = faces[count[piece] >= least * count.max()]
+def large_components(vertices: Tensor, faces: Tensor, least: float = _LEAST_COMPONENT) -> tuple[Tensor, Tensor]:
+    """Drop the connected components of a mesh with fewer than ``least`` times the faces of the largest one."""
+    component = connected_components(faces, len(vertices))[faces[:, 0]]
+    count = torch.bincount(component, minlength=len(vertices))
+    faces = faces[count[component] >= least * count.max()]
     used, corners = torch.unique(faces, return_inverse=True)
     return vertices[used], corners
 
 
 def _occupancy(views: Views, masks: Tensor, points: Tensor) -> Tensor:
-    """The least value [P] of the masks [N, H, W] at points [P, 3]; beyond an image's border its border goes on."""
+    """Look up points [P, 3] in all masks [N, H, W] and return the least values [P]; masks are clamped at the border."""
     aspect = views.size[1] / views.size[0]
     least = torch.ones(len(points), device=points.device)
     for index in range(len(views)):
@@ -92,10 +102,11 @@ def _occupancy(views: Views, masks: Tensor, points: Tensor) -> Tensor:
 
 
 def _grid(cells: int) -> Tensor:
+    """Make a grid of points over [-1, 1]³, [cells³, 3]."""
     line = torch.linspace(-1, 1, cells)
     return torch.stack(torch.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
 
 
-def _seen(views: Views) -> float:
-    """Half the width of what the widest orthographic view shows."""
+def _orthographic_half_width(views: Views) -> float:
+    """Return half the width of the widest orthographic view, in world units."""
     return float(1 / torch.as_tensor(views.camera.scale).min())

@@ -1,13 +1,13 @@
-"""Views in files: images, and one file that says where their cameras are.
+"""Posed images from files: images and a file with their cameras.
 
-``transforms.json`` is the format of NeRF's data and of the tools that followed it: ``camera_angle_x`` (radians, the
-whole horizontal field of view) or ``fl_x``, ``fl_y``, ``cx``, ``cy`` with ``w`` and ``h`` (pixels) and distortion
-``k1``, ``k2``, ``p1``, ``p2``, ``k3``, for all frames or for each; and ``frames`` with ``file_path``, perhaps
-``mask_path``, and ``transform_matrix``, camera to world [4, 4], the camera looking along its -z with +y up.
+``transforms.json`` is the format of NeRF. Intrinsics are given for all frames or for each: ``camera_angle_x`` (whole
+horizontal field of view in radians), or ``fl_x``, ``fl_y``, ``cx``, ``cy``, ``w``, ``h`` in pixels; and optionally the
+distortion ``k1``, ``k2``, ``p1``, ``p2``, ``k3``. Each of the ``frames`` has ``file_path``, ``transform_matrix``
+(camera to world [4, 4]; the camera looks along −z, +y is up) and optionally ``mask_path``.
 
-``cameras.json`` is {"viewing_angle": 30, "views": [{"file": "000.png", "azimuth": 0, "elevation": 30, "distance": 2.7},
-…]}, ``cameras.csv`` has these columns; perhaps ``mask``. Angles are in degrees, as in `get_points_from_angles`, and
-``viewing_angle`` is half the vertical field of view, 30 unless it is given.
+``cameras.json`` is ``{"viewing_angle": 30, "views": [{"file": "000.png", "azimuth": 0, "elevation": 30, "distance":
+2.7}, …]}``; ``cameras.csv`` has these columns. ``mask`` is optional. Angles are in degrees, as in
+`get_points_from_angles`. ``viewing_angle`` is half the vertical field of view; the default is 30.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ...camera import Camera, get_points_from_angles
 from ...io import load_image
 from ...io.files import existing, read_text, reason, short
 from ...io.named_files import is_file, is_outside, outside
-from .fit_views import Views, smaller
+from .fit_views import Views, downscale
 
 _CAMERA_FILES = ("transforms.json", "transforms_train.json", "cameras.json", "cameras.csv")
 _LARGEST = torch.finfo(torch.float32).max
@@ -37,7 +37,14 @@ _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG")
 
 @dataclass(frozen=True)
 class _Frame:
-    """An image, its mask, and what the camera file says of it."""
+    """An entry of the camera file: an image, its mask, and its other keys.
+
+    Attributes:
+        where: Place in the camera file, for messages.
+        image: Image file.
+        mask: Mask file, or None.
+        numbers: All keys of the entry.
+    """
 
     where: str
     image: Path
@@ -54,26 +61,28 @@ def load_views(
     tolerance: float = 0.05,
     allow_outside: bool = False,
 ) -> Views:
-    """Read images and their cameras.
+    """Load posed images from a folder.
 
-    The mask of an image is the file that its ``mask`` names, else its transparency, else, where a ``background`` is
-    given, every pixel that differs from that colour.
+    The mask of an image is, in this order: the mask file of its entry; its alpha channel; all pixels that differ from
+    ``background``.
 
     Args:
-        path: the folder of the images with a ``transforms.json``, ``cameras.json`` or ``cameras.csv``, or that file;
-            the head of this module says what is in them.
-        size: images whose longer side has more pixels are scaled down to so many, at least 16.
-        photos: whether to use the colours. If not, an image without transparency, mask and background is itself the
-            mask: white on black.
-        background: red, green and blue in [0, 1] of what is behind the object in images without transparency.
-        tolerance: the largest difference from the background, in any channel, that is still background.
-        allow_outside: read images outside the camera file's folder too, if it names such.
+        path: Camera file (``transforms.json``, ``cameras.json`` or ``cameras.csv``; see the formats at the top of this
+            module), or a folder that contains one.
+        size: Longer side in pixels, ≥ 16, to which larger images are scaled down.
+        photos: Whether to use colours. Without them, an image that has no mask is itself the mask, white on black.
+        background: RGB in [0, 1] of the background, for images without mask and alpha channel.
+        tolerance: Largest difference from ``background``, in any channel, of a background pixel.
+        allow_outside: Whether the camera file may name images outside of its folder.
+
+    Returns:
+        The views, on the CPU.
 
     Raises:
-        FileNotFoundError: no such folder, camera file or image.
-        ValueError: files that are not what they should be, keys that are missing, images of different sizes or larger
-            than `load_image` takes, or outside the folder without ``allow_outside``, masks without an object, images
-            without anything that tells the object from what is behind it.
+        FileNotFoundError: The folder, the camera file or an image does not exist.
+        ValueError: A file is malformed, a key is missing, image sizes differ, an image is larger than `load_image`
+            accepts or outside of the folder without ``allow_outside``, a mask is empty, or an image has neither mask
+            nor alpha channel and ``background`` is None.
     """
     size = validate.whole("size", size, 16)
     _check_background(background)
@@ -86,8 +95,8 @@ def load_views(
         image = load_image(frame.image)
         full = full if images else (image.shape[0], image.shape[1])
         _same_size(frame.image, image, full)
-        colours, mask = _prepared(frame, image, size, photos, background, tolerance)
-        images.append(colours)
+        rgb, mask = _prepare(frame, image, size, photos, background, tolerance)
+        images.append(rgb)
         masks.append(mask)
     make = _nerf_camera if "frames" in common else _angles_camera
     camera = make(source, common, frames, full)
@@ -102,15 +111,19 @@ def load_photo(
     background: tuple[float, float, float] | None = None,
     tolerance: float = 0.05,
 ) -> tuple[Tensor, Tensor | None]:
-    """One image without a camera: its mask [H, W] and its colours on black [3, H, W]; see `load_views`."""
+    """Load one image without a camera. Arguments and errors: see `load_views`.
+
+    Returns:
+        The mask [H, W], and RGB multiplied by the mask [3, H, W], or None without ``photos``.
+    """
     _check_background(background)
     frame = _Frame(str(path), existing(path), None, {})
     image = load_image(path)
-    colours, mask = _prepared(frame, image, validate.whole("size", size, 16), photos, background, tolerance)
-    return mask, colours if photos else None
+    rgb, mask = _prepare(frame, image, validate.whole("size", size, 16), photos, background, tolerance)
+    return mask, rgb if photos else None
 
 
-def _prepared(
+def _prepare(
     frame: _Frame,
     image: Tensor,
     size: int,
@@ -118,11 +131,11 @@ def _prepared(
     background: tuple[float, float, float] | None,
     tolerance: float,
 ) -> tuple[Tensor, Tensor]:
-    """Colours on black [3, H, W] and mask [H, W] of an image at the size of the fit."""
+    """Scale an image to the size of the fit: RGB multiplied by the mask [3, H, W], and mask [H, W]."""
     mask = _mask(frame, image, photos, background, tolerance)
     if float(mask.max()) <= 0.5:
         raise ValueError(f"{frame.mask or frame.image}: expected an object in the mask, got an empty one")
-    return smaller((image[..., :3] * mask[..., None]).permute(2, 0, 1), size), smaller(mask[None], size)[0]
+    return downscale((image[..., :3] * mask[..., None]).permute(2, 0, 1), size), downscale(mask[None], size)[0]
 
 
 def _check_background(background: tuple[float, float, float] | None) -> None:
@@ -144,7 +157,7 @@ def camera_file(path: Path) -> Path:
 
 
 def _frames(path: Path, allow_outside: bool) -> tuple[dict[str, Any], list[_Frame]]:
-    """What a camera file says of all images, and of each."""
+    """Parse a camera file: the keys for all images, and the entry of each image."""
     if path.suffix.lower() == ".csv":
         try:
             rows: list[Any] = list(csv.DictReader(read_text(path).splitlines(), skipinitialspace=True))
@@ -155,9 +168,7 @@ def _frames(path: Path, allow_outside: bool) -> tuple[dict[str, Any], list[_Fram
         try:
             common = json.loads(read_text(path))
         except (ValueError, RecursionError) as error:
-            raise ValueError(
-                f"{path}: expected JSON, got a file that cannot be read as such ({reason(error)})"
-            ) from None
+            raise ValueError(f"{path}: expected JSON, got {reason(error)}") from None
         if not isinstance(common, dict) or not ("frames" in common or "views" in common):
             raise ValueError(f'{path}: expected the key "frames" (NeRF) or "views", got neither')
         rows = common["frames" if "frames" in common else "views"]
@@ -176,7 +187,7 @@ def _frames(path: Path, allow_outside: bool) -> tuple[dict[str, Any], list[_Fram
 
 
 def _file(camera_file: Path, name: Any, allow_outside: bool) -> Path:
-    """A file named beside the camera file; NeRF's names have no suffix."""
+    """Find a file relative to the camera file; NeRF's data sets leave out suffixes."""
     name = str(name)
     if not allow_outside and is_outside(camera_file, name):
         raise outside(camera_file, name)
@@ -189,7 +200,7 @@ def _file(camera_file: Path, name: Any, allow_outside: bool) -> Path:
 
 def _key(where: str, row: dict[str, Any], key: str) -> Any:
     if key in row and row[key] in (None, ""):
-        raise ValueError(f'{where}: expected something for the key "{key}", got nothing')
+        raise ValueError(f'{where}: expected a value for the key "{key}", got none')
     if key not in row:
         raise ValueError(f'{where}: expected the key "{key}", got {(", ".join(map(str, row)) or "none")[:80]}')
     return row[key]
@@ -216,8 +227,7 @@ def _above_zero(where: str, row: dict[str, Any], key: str, default: float | None
 def _same_size(path: Path, image: Tensor, full: tuple[int, int]) -> None:
     if tuple(image.shape[:2]) != full:
         raise ValueError(
-            f"{path}: expected {full[1]} x {full[0]} pixels as its companions have, got "
-            f"{image.shape[1]} x {image.shape[0]}"
+            f"{path}: expected {full[1]} x {full[0]} pixels like the others, got {image.shape[1]} x {image.shape[0]}"
         )
 
 
@@ -228,7 +238,7 @@ def _mask(
     background: tuple[float, float, float] | None,
     tolerance: float,
 ) -> Tensor:
-    """[H, W] in [0, 1]."""
+    """Find the mask of an image, [H, W] in [0, 1]; see `load_views`."""
     if frame.mask is not None:
         mask = load_image(frame.mask)
         _same_size(frame.mask, mask, (image.shape[0], image.shape[1]))
@@ -241,8 +251,7 @@ def _mask(
     if not photos:
         return image.mean(2)
     raise ValueError(
-        f"{frame.image}: expected transparency, a mask or a background colour that tells the object from what is "
-        "behind it, got none of them"
+        f"{frame.image}: expected an alpha channel, a mask or a background colour to separate the object, got none"
     )
 
 
@@ -252,7 +261,7 @@ def _angles_camera(path: Path, common: dict[str, Any], frames: list[_Frame], ful
     angles = [_number(f.where, f.numbers, "viewing_angle", default) for f in frames]
     for frame, (far, height, _), angle in zip(frames, rows, angles, strict=True):
         if abs(abs(height) - 90) < 1e-3:
-            raise ValueError(f"{frame.where}: elevation: expected another than straight up or down, got {height:g}")
+            raise ValueError(f"{frame.where}: elevation: expected an angle other than ±90 degrees, got {height:g}")
         if far <= 0:
             raise ValueError(f"{frame.where}: distance: expected a number above 0, got {far:g}")
         if not 0 < angle < 90:
@@ -267,7 +276,7 @@ def _nerf_camera(path: Path, common: dict[str, Any], frames: list[_Frame], full:
         given = {**{k: v for k, v in common.items() if k != "frames"}, **frame.numbers}
         matrices.append(_pose(frame))
         if "FISHEYE" in str(given.get("camera_model", "")).upper() or _number(frame.where, given, "k4", 0.0):
-            raise ValueError(f"{frame.where}: expected a pinhole lens with k1, k2, p1, p2 and k3, got a fisheye's")
+            raise ValueError(f"{frame.where}: expected a pinhole lens with k1, k2, p1, p2 and k3, got a fisheye lens")
         width, height = _above_zero(frame.where, given, "w", full[1]), _above_zero(frame.where, given, "h", full[0])
         if "fl_x" in given:
             across = _above_zero(frame.where, given, "fl_x")
@@ -279,21 +288,20 @@ def _nerf_camera(path: Path, common: dict[str, Any], frames: list[_Frame], full:
         else:
             raise ValueError(f'{path}: expected the key "camera_angle_x" or "fl_x", got neither')
         down = _above_zero(frame.where, given, "fl_y", across)
-        centre = _number(frame.where, given, "cx", width / 2), _number(frame.where, given, "cy", height / 2)
-        unit = full[1] / width, full[0] / height  # intrinsics of images that were scaled since
-        lenses.append(
-            [[across * unit[0], 0.0, centre[0] * unit[0]], [0.0, down * unit[1], centre[1] * unit[1]], [0.0, 0.0, 1.0]]
-        )
+        cx, cy = _number(frame.where, given, "cx", width / 2), _number(frame.where, given, "cy", height / 2)
+        sx, sy = full[1] / width, full[0] / height  # images may have been scaled since their calibration
+        lenses.append([[across * sx, 0.0, cx * sx], [0.0, down * sy, cy * sy], [0.0, 0.0, 1.0]])
         distortions.append([_number(frame.where, given, key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")])
     pose, distortion = torch.tensor(matrices), torch.tensor(distortions)
-    # OpenGL's camera looks along -z with y up; OpenCV's along z with y down.
+    # From OpenGL's camera axes (looks along -z, y up) to OpenCV's (looks along z, y down).
     rotation = torch.diag(torch.tensor([1.0, -1.0, -1.0])) @ pose[:, :3, :3].transpose(1, 2)
     translation = -torch.einsum("bij,bj->bi", rotation, pose[:, :3, 3])
-    bent = distortion if bool(distortion.any()) else None
-    return Camera.projection(torch.tensor(lenses), rotation, translation, bent, orig_size=full)
+    coefficients = distortion if bool(distortion.any()) else None
+    return Camera.projection(torch.tensor(lenses), rotation, translation, coefficients, orig_size=full)
 
 
 def _pose(frame: _Frame) -> list[list[float]]:
+    """Read the matrix from camera to world, [3, 4]."""
     value = _key(frame.where, frame.numbers, "transform_matrix")
     try:
         matrix = torch.tensor(value, dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""A whole fit: from views to a textured mesh, in the world of their cameras."""
+"""`MeshFit`: a textured mesh from posed images, in two phases: shape, then texture."""
 
 from __future__ import annotations
 
@@ -10,33 +10,49 @@ from torch import Tensor
 from ... import validate
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
+from ...pictures.clay import plain_texture
 from .fit_views import Views
-from .hull import carve, frame
+from .hull import carve, object_bounds
 from .shape import ShapeFit, Weights
 from .texture import TextureFit
 
-CLAY = (0.55, 0.68, 0.84)
+_SPHERE_RADIUS = 0.6
+_SPHERE_OPTIONS = {"subdivisions": 2, "rate": 0.03}  # a sphere is coarse and far from the object
 
 
 class MeshFit:
-    """The shape and then the texture of what views show, step by step: call `advance` until ``done``.
-
-    >>> fit = MeshFit(load_views("photos"))  # doctest: +SKIP
-    >>> while not fit.done:  # doctest: +SKIP
-    ...     fit.advance()
-    >>> fit.mesh().save("object.glb")  # doctest: +SKIP
+    """Fit the shape, then the texture, of a mesh to posed images. Call `advance` until ``done``.
 
     Args:
-        views: with or without photos; without them there is no texture to be found.
-        start: "hull", the visual hull of the silhouettes; "sphere"; or a `Mesh` in the world of the cameras.
-        recover: "shape" moves the vertices, "texture" leaves the given mesh as it is.
-        steps, texture_steps: for the shape and for the texture, at least 1 each.
-        cells: along each side of the grid that the hull is carved from, at least 8.
-        texture_size: T, texels along the edge of a face's cube, at least 3.
-        colour_from, weights, batch, gradient, seed: see `ShapeFit`.
+        views: Views with or without photos. Without photos there is no texture phase.
+        start: Initial shape: "hull", the visual hull of the silhouettes; "sphere"; or a `Mesh` in the world of the
+            cameras.
+        recover: "shape" fits shape and texture; "texture" keeps the shape of the given mesh.
+        steps: Steps of the shape phase, ≥ 1.
+        texture_steps: Steps of the texture phase, ≥ 1.
+        cells: Grid cells along each axis for the visual hull, ≥ 8.
+        texture_size: T, texels along the edge of a face's texture cube, ≥ 3.
+        color_from: See `ShapeFit`.
+        weights: Weights of the losses of the shape phase.
+        batch: Views per step, ≥ 1.
+        gradient: Gradient estimator of the renderer, "edge" or "nmr".
+        seed: Seed of the order of the views.
+
+    Attributes:
+        views: The views, in a world where the object lies in about [-1, 1]³.
+        phase: "shape" or "texture".
 
     Raises:
-        TypeError, ValueError: what does not fit; silhouettes that have no point in common.
+        TypeError, ValueError: An argument does not fit, or the silhouettes have no point in common.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import MeshFit, Views
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
+        >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
+        >>> fit = MeshFit(views, cells=16, steps=2, texture_steps=2)
+        >>> while not fit.done:
+        ...     losses = fit.advance()
+        >>> fit.mesh().save("object.glb")
     """
 
     def __init__(
@@ -49,38 +65,37 @@ class MeshFit:
         texture_steps: int = 20,
         cells: int = 64,
         texture_size: int = 4,
-        colour_from: float = 1.0,
+        color_from: float = 1.0,
         weights: Weights = Weights(),  # noqa: B008 (immutable)
         batch: int = 6,
         gradient: str = "edge",
         seed: int = 0,
     ) -> None:
         if recover == "texture" and not isinstance(start, Mesh):
-            raise ValueError("start: expected the mesh whose texture is looked for, got none")
-        self._centre, self._scale = frame(views)
-        self.views = views.moved(self._centre, self._scale)
-        """The views of a world in which the object lies in about [-1, 1]."""
+            raise ValueError('start: expected a Mesh with recover="texture", got none')
+        self._center, self._scale = object_bounds(views)
+        self.views = views.normalized(self._center, self._scale)
         self._texture_options = {
             "size": validate.whole("texture_size", texture_size, 3),
             "steps": validate.whole("texture_steps", texture_steps, 1),
             "batch": batch,
         }
-        self._shape_options = {"steps": steps, "weights": weights, "gradient": gradient, "colour_from": colour_from}
+        self._shape_options = {"steps": steps, "weights": weights, "gradient": gradient, "color_from": color_from}
         self._shape_options |= {"batch": batch, "seed": seed}
-        if start == "sphere":  # which is coarse, and far from what it becomes
-            self._shape_options |= {"subdivisions": 2, "rate": 0.03}
-        vertices, faces = self._start(start, validate.whole("cells", cells, 8))
+        if start == "sphere":
+            self._shape_options |= _SPHERE_OPTIONS
+        vertices, faces = self._initial_shape(start, validate.whole("cells", cells, 8))
         self.phase = recover
-        self._fit: ShapeFit | TextureFit = self._begun(vertices, faces)
+        self._fit: ShapeFit | TextureFit = self._start_phase(vertices, faces)
 
     @property
     def step(self) -> int:
-        """Steps taken in this phase."""
+        """Number of steps taken in this phase."""
         return self._fit.step
 
     @property
     def steps(self) -> int:
-        """Steps of this phase."""
+        """Number of steps of this phase."""
         return self._fit.steps
 
     @property
@@ -90,63 +105,66 @@ class MeshFit:
 
     @property
     def shape(self) -> tuple[Tensor, ...]:
-        """The mesh as it is now, in the world of ``views``: vertices, faces and, as soon as it has any, textures."""
+        """Current vertices, faces and, once there are colours, textures, in the world of ``views``."""
         return tuple(part.detach() for part in self._fit.shape)
 
-    def placed(self, views: Views) -> Views:
-        """Other views of the same cameras' world, in the world of ``views``."""
-        return views.moved(self._centre, self._scale)
+    def normalize(self, views: Views) -> Views:
+        """Convert further views from the world of the cameras to that of ``views``."""
+        return views.normalized(self._center, self._scale)
 
     def mesh(self) -> Mesh:
-        """The mesh as it is now, in the world of the cameras; without colours it is the blue of clay."""
-        vertices, faces, textures = coloured(self.shape)
-        return Mesh(vertices * self._scale + self._centre, faces, textures)
+        """Return the current mesh in the world of the cameras; a mesh without colours gets the colour of clay."""
+        vertices, faces, textures = with_texture(self.shape)
+        return Mesh(vertices * self._scale + self._center, faces, textures)
 
     def advance(self) -> dict[str, float]:
-        """Take one step; returns its ``loss`` and, while the shape is looked for, the mean ``iou`` of its views."""
+        """Take one step.
+
+        Returns:
+            "loss" before the step and, in the shape phase, "iou", the mean silhouette IoU of the views of the step.
+        """
         if self._fit.done and not self.done:
             vertices, faces, *_ = self.shape
             self.phase = "texture"
-            self._fit = self._begun(vertices, faces)
+            self._fit = self._start_phase(vertices, faces)
         return self._fit.advance()
 
     def state_dict(self) -> dict[str, Any]:
-        """All that changes from step to step."""
+        """Return everything that changes from step to step."""
         return {"phase": self.phase, "fit": self._fit.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` of a fit of the same views was taken."""
+        """Resume from the `state_dict` of a fit of the same views."""
         self.phase = state["phase"]
-        self._fit = self._begun(state["fit"]["vertices"], state["fit"]["faces"])
+        self._fit = self._start_phase(state["fit"]["vertices"], state["fit"]["faces"])
         self._fit.load_state_dict(state["fit"])
 
-    def _begun(self, vertices: Tensor, faces: Tensor) -> ShapeFit | TextureFit:
+    def _start_phase(self, vertices: Tensor, faces: Tensor) -> ShapeFit | TextureFit:
         if self.phase == "shape":
             return ShapeFit(self.views, vertices, faces, **self._shape_options)  # type: ignore[arg-type]
         return TextureFit(self.views, vertices, faces, **self._texture_options)
 
-    def _start(self, start: Any, cells: int) -> tuple[Tensor, Tensor]:
+    def _initial_shape(self, start: Any, cells: int) -> tuple[Tensor, Tensor]:
         device = self.views.masks.device
         if isinstance(start, Mesh):
-            corners = start.vertices.detach()[start.faces[(start.faces >= 0).all(1)].long()].to(device)
-            # Files split vertices where texture coordinates jump; here what lies in one place is one vertex.
-            placed = (corners.flatten(0, 1) - self._centre) / self._scale
-            vertices, faces = torch.unique(placed, dim=0, return_inverse=True)
-            faces = faces.view(-1, 3)
-            if not bool(self.views.quality((vertices, faces))["iou"].any()):
-                raise ValueError("start: expected a mesh in the world of the cameras, got one that meets no silhouette")
-            return vertices, faces
+            return self._weld(start)
         if start == "hull":
             return carve(self.views, cells)
         if start != "sphere":
             raise ValueError(f'start: expected "hull", "sphere" or a Mesh, got {start!r}')
-        vertices, faces = icosphere(3, 0.6)
+        vertices, faces = icosphere(3, _SPHERE_RADIUS)
         return vertices.to(device), faces.to(device)
 
+    def _weld(self, mesh: Mesh) -> tuple[Tensor, Tensor]:
+        """Normalise a mesh and merge equal vertices, because files split vertices at seams of the texture."""
+        corners = mesh.vertices.detach()[mesh.faces[(mesh.faces >= 0).all(1)].long()].to(self.views.masks.device)
+        vertices, faces = torch.unique((corners.flatten(0, 1) - self._center) / self._scale, dim=0, return_inverse=True)
+        faces = faces.view(-1, 3)
+        if not bool(self.views.quality((vertices, faces))["iou"].any()):
+            raise ValueError("start: expected a mesh in the world of the cameras, got one outside of all silhouettes")
+        return vertices, faces
 
-def coloured(shape: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
-    """Vertices, faces and textures of a shape that may have none: then it is the colour of clay."""
-    if len(shape) == 3:
-        return shape
-    clay = torch.tensor(CLAY, device=shape[0].device).expand(len(shape[1]), 2, 2, 2, 3)
-    return shape[0], shape[1], clay
+
+def with_texture(shape: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return vertices, faces and textures of a shape; a shape without textures gets the colour of clay."""
+    return shape if len(shape) == 3 else (shape[0], shape[1], plain_texture(shape[1]))

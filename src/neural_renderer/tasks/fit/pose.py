@@ -1,8 +1,9 @@
-"""The camera of one image of a known mesh: descent from many starts at once."""
+"""`CameraFit`: the camera of one image of a known mesh, by gradient descent from many initial cameras."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import torch
@@ -11,34 +12,43 @@ from torch import Tensor
 
 from ... import losses, validate
 from ...camera import Camera
+from ...meshes.bounds import bounding_box
 from ...rendering import render
-from .fit_views import agreement, smaller
+from .fit_views import downscale, mask_iou
 
-_COARSE, _FINE = 64, 128  # pixels of the longer side
+_COARSE, _FINE = 64, 128  # longer side of the images in pixels, in the first two thirds of the steps and in the last
+_CAMERAS_AT_ONCE = 8  # rendered together where no gradient is needed: limits memory
+_MOMENTUM, _SECOND_MOMENT = 0.9, 0.95  # Adam's β₁ and β₂
+_HALF_HEIGHT = 1.2  # of the initial images, in radii of the object
 
 
 class CameraFit:
-    """Descent on the position and direction of a camera, from several starts side by side: `advance` until ``done``.
+    """Fit the camera of an image by gradient descent from several initial cameras. Call `advance` until ``done``.
 
-    The starts stand at random around the mesh, upright, at the distance and with the aim that give their silhouettes
-    the size and the place of the image's. Each follows the gradient of its own loss, for two thirds of the steps on
-    images of 64 pixels' longer side, then of 128.
+    Initial cameras stand upright in random directions. Their distance and aim make their silhouettes as large as that
+    of the image, and put them at the same place. Each camera descends on its own loss.
 
     Args:
-        shape: (vertices [V, 3], faces [F, 3]) or, to compare colours too, with textures [F, T, T, T, 3].
-        mask: [H, W] in [0, 1], the object's silhouette.
-        photo: [3, H, W] on black, or None.
-        viewing_angle: half the vertical field of view in degrees, in (0, 90), which is known.
-        starts: how many, at least 1.
-        steps: of descent, at least 1.
-        photometric: weight of the mean squared difference of colours against that of the silhouettes.
-        rate: length of a step, in radians and in parts of the distance.
-        gradient: the renderer's estimator through visibility.
-        seed: of the starts.
+        shape: (vertices [V, 3], faces [F, 3]), or with textures [F, T, T, T, 3] to compare colours too.
+        mask: [H, W] in [0, 1], silhouette of the object.
+        photo: [3, H, W] RGB multiplied by the mask, or None.
+        viewing_angle: Known half of the vertical field of view in degrees, in (0, 90).
+        starts: Number of initial cameras, ≥ 1.
+        steps: Number of steps, ≥ 1.
+        photometric: Weight of the mean squared difference of colours; the weight of silhouettes is 1.
+        rate: Step size, in radians and relative to the distance.
+        gradient: Gradient estimator of the renderer, "edge" or "nmr".
+        seed: Seed of the initial cameras.
 
     Raises:
-        TypeError, ValueError: what does not fit, and an empty mask.
+        TypeError, ValueError: An argument does not fit, or the mask is empty.
     """
+
+    phase = "camera"
+
+    _axes: Tensor  # [S, 6]: viewing direction and up vector, not orthonormal
+    _offset: Tensor  # [S, 3]: the object's centre in camera space as (x/z, y/z, log z)
+    _moments: list[list[Tensor]]  # running means of Adam, for both
 
     def __init__(
         self,
@@ -64,18 +74,12 @@ class CameraFit:
         self._photometric = photometric if photo is not None and len(shape) == 3 else 0.0
         self._rate = validate.positive("rate", rate)
         vertices = shape[0].detach()
-        self._centre = (vertices.amin(0) + vertices.amax(0)) / 2
-        self._scale = float((vertices - self._centre).norm(dim=1).max())
-        self._shape = ((vertices - self._centre) / self._scale, *(part.detach() for part in shape[1:]))
-        self._mask = smaller(mask[None], _FINE)
-        self._photo = self._mask.expand(3, -1, -1) if photo is None else smaller(photo, _FINE)
-        self._place(validate.whole("starts", starts, 1), seed)
-
-    phase = "camera"
-
-    _turn: Tensor
-    _shift: Tensor
-    _moments: list[list[Tensor]]
+        self._center, _ = bounding_box(vertices)
+        self._scale = float((vertices - self._center).norm(dim=1).max())
+        self._shape = ((vertices - self._center) / self._scale, *(part.detach() for part in shape[1:]))
+        self._mask = downscale(mask[None], _FINE)
+        self._photo = self._mask.expand(3, -1, -1) if photo is None else downscale(photo, _FINE)
+        self._place_cameras(validate.whole("starts", starts, 1), seed)
 
     @property
     def done(self) -> bool:
@@ -83,104 +87,103 @@ class CameraFit:
         return self.step >= self.steps
 
     def cameras(self) -> Camera:
-        """The camera that each start has become, in the mesh's world."""
-        camera = self._camera(self._turn.detach(), self._shift.detach())
-        world = camera.origin * self._scale + self._centre
-        return Camera(camera.rotation, world, torch.zeros_like(world), viewing_angle=self._angle)
+        """Return the current cameras, one for each start, in the world of the mesh."""
+        camera = self._camera(self._axes.detach(), self._offset.detach())
+        origin = camera.origin * self._scale + self._center
+        return Camera(camera.rotation, origin, torch.zeros_like(origin), viewing_angle=self._angle)
 
     def best(self) -> Camera:
-        """The one whose image agrees best."""
+        """Return the camera of least loss."""
         camera, row = self.cameras(), [int(self.losses().argmin())]
         return Camera(camera.rotation[row], camera.origin[row], camera.translation[row], viewing_angle=self._angle)
 
     def losses(self) -> Tensor:
-        """The loss of each start [S] at full size."""
+        """Compute the loss of each start at the fine size, [S]."""
         with torch.no_grad():
-            return torch.cat(
-                [self._losses(self._turn[i : i + 8], self._shift[i : i + 8], _FINE) for i in self._eighths()]
-            )
+            return torch.cat([self._losses(self._axes[part], self._offset[part], _FINE) for part in self._parts()])
 
     def iou(self) -> Tensor:
-        """The silhouette's intersection over union of each start [S]."""
-        with torch.no_grad():
-            found = []
-            for i in self._eighths():
-                alpha = self._draw(self._turn[i : i + 8], self._shift[i : i + 8], _FINE)[1]
-                found.append(agreement(alpha, self._mask.expand_as(alpha)))
-            return torch.cat(found)
+        """Compute the silhouette IoU of each start at the fine size, [S]."""
+        alpha = self._silhouettes()
+        return mask_iou(alpha, self._mask.expand_as(alpha))
 
     def advance(self) -> dict[str, float]:
-        """Take one step of all starts; returns the ``loss`` of the best, before it."""
-        turn, shift = self._turn.requires_grad_(), self._shift.requires_grad_()
-        each = self._losses(turn, shift, _COARSE if self.step < 2 * self.steps // 3 else _FINE)
-        gradients = torch.autograd.grad(each.sum(), (turn, shift))
-        slow = 1.03 - self.step / self.steps
+        """Take one step of all starts.
+
+        Returns:
+            "loss", that of the best start before the step.
+        """
+        axes, offset = self._axes.requires_grad_(), self._offset.requires_grad_()
+        each = self._losses(axes, offset, _COARSE if self.step < 2 * self.steps // 3 else _FINE)
+        gradients = torch.autograd.grad(each.sum(), (axes, offset))
+        rate = self._rate * (1.03 - self.step / self.steps)
         self.step += 1
-        self._turn, self._shift = (
-            self._moved(index, values.detach(), gradient, self._rate * slow)
-            for index, (values, gradient) in enumerate(zip((turn, shift), gradients, strict=True))
-        )
+        self._axes = self._descend(0, axes.detach(), gradients[0], rate)
+        self._offset = self._descend(1, offset.detach(), gradients[1], rate)
         return {"loss": each.min().item()}
 
     def state_dict(self) -> dict[str, Any]:
-        """All that changes from step to step."""
-        return {"step": self.step, "turn": self._turn, "shift": self._shift, "moments": self._moments}
+        """Return everything that changes from step to step."""
+        return {"step": self.step, "axes": self._axes, "offset": self._offset, "moments": self._moments}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
-        self.step, self._turn, self._shift = state["step"], state["turn"], state["shift"]
+        """Resume from a `state_dict`."""
+        self.step, self._axes, self._offset = state["step"], state["axes"], state["offset"]
         self._moments = state["moments"]
 
-    def _moved(self, index: int, values: Tensor, gradient: Tensor, rate: float) -> Tensor:
-        """One step of Adam, with one size for the three or six numbers of a start."""
+    def _descend(self, index: int, values: Tensor, gradient: Tensor, rate: float) -> Tensor:
+        """Take one step of Adam, with one step size for all numbers of a start."""
         mean, square = self._moments[index]
-        mean = 0.9 * mean + 0.1 * gradient
-        square = 0.95 * square + 0.05 * gradient.square().sum(1, keepdim=True)
+        mean = _MOMENTUM * mean + (1 - _MOMENTUM) * gradient
+        square = _SECOND_MOMENT * square + (1 - _SECOND_MOMENT) * gradient.square().sum(1, keepdim=True)
         self._moments[index] = [mean, square]
-        size = (square / (1 - 0.95**self.step)).sqrt().clamp(min=1e-12)
-        return values - rate * mean / (1 - 0.9**self.step) / size
+        size = (square / (1 - _SECOND_MOMENT**self.step)).sqrt().clamp(min=1e-12)
+        return values - rate * mean / (1 - _MOMENTUM**self.step) / size
 
-    def _place(self, starts: int, seed: int) -> None:
+    def _place_cameras(self, starts: int, seed: int) -> None:
+        """Place upright cameras in random directions, and match size and place of the silhouette."""
         generator = torch.Generator().manual_seed(seed)
         device = self._mask.device
-        height = 2 * torch.rand(starts, generator=generator) - 1  # evenly over the sphere
-        around = 2 * math.pi * torch.rand(starts, generator=generator)
+        height = 2 * torch.rand(starts, generator=generator) - 1  # uniform on the sphere
+        azimuth = 2 * math.pi * torch.rand(starts, generator=generator)
         level = (1 - height**2).sqrt()
-        forward = -torch.stack((level * around.sin(), height, level * around.cos()), 1)
+        forward = -torch.stack((level * azimuth.sin(), height, level * azimuth.cos()), 1)
         right = F.normalize(torch.linalg.cross(forward, torch.tensor([[0.0, 1.0, 0.0]]).expand_as(forward)), dim=1)
-        self._turn = torch.cat((forward, torch.linalg.cross(right, forward)), 1).to(device)
+        self._axes = torch.cat((forward, torch.linalg.cross(right, forward)), 1).to(device)
         tangent = math.tan(math.radians(self._angle))
-        self._shift = torch.tensor([0.0, 0.0, math.log(1.2 / tangent + 1)], device=device).repeat(starts, 1)
-        self._moments = [[torch.zeros_like(v), torch.zeros_like(v[:, :1])] for v in (self._turn, self._shift)]
-        size, middle = _place_of(self._mask)
+        self._offset = torch.tensor([0.0, 0.0, math.log(_HALF_HEIGHT / tangent + 1)], device=device).repeat(starts, 1)
+        self._moments = [[torch.zeros_like(v), torch.zeros_like(v[:, :1])] for v in (self._axes, self._offset)]
+        area, center = _area_and_center(self._mask)
         for _ in range(2):
-            with torch.no_grad():
-                alpha = torch.cat(
-                    [self._draw(self._turn[i : i + 8], self._shift[i : i + 8], _FINE)[1] for i in self._eighths()]
-                )
-            sizes, middles = _place_of(alpha)
-            self._shift[:, 2] += 0.5 * (sizes / size).log()
-            self._shift[:, :2] += (middle - middles) * tangent
+            areas, centers = _area_and_center(self._silhouettes())
+            self._offset[:, 2] += 0.5 * (areas / area).log()
+            self._offset[:, :2] += (center - centers) * tangent
 
-    def _eighths(self) -> range:
-        return range(0, len(self._turn), 8)
+    def _parts(self) -> Iterator[slice]:
+        return (slice(i, i + _CAMERAS_AT_ONCE) for i in range(0, len(self._axes), _CAMERAS_AT_ONCE))
 
-    def _camera(self, turn: Tensor, shift: Tensor) -> Camera:
-        """From two rows of a rotation [S, 6], made orthonormal, and where the mesh's centre is: (x/z, y/z, log z)."""
-        forward = F.normalize(turn[:, :3], dim=1)
-        right = F.normalize(torch.linalg.cross(forward, turn[:, 3:]), dim=1)
+    def _camera(self, axes: Tensor, offset: Tensor) -> Camera:
+        """Make cameras of the normalised mesh from ``_axes`` and ``_offset``."""
+        forward = F.normalize(axes[:, :3], dim=1)
+        right = F.normalize(torch.linalg.cross(forward, axes[:, 3:]), dim=1)
         rotation = torch.stack((right, torch.linalg.cross(right, forward), forward), 1)
-        depth = shift[:, 2:].exp()
-        place = torch.cat((shift[:, :2] * depth, depth), 1)
-        origin = -torch.einsum("bij,bi->bj", rotation, place)
+        depth = offset[:, 2:].exp()
+        center = torch.cat((offset[:, :2] * depth, depth), 1)
+        origin = -torch.einsum("bij,bi->bj", rotation, center)
         return Camera(rotation, origin, torch.zeros_like(origin), viewing_angle=self._angle)
 
-    def _draw(self, turn: Tensor, shift: Tensor, longest: int) -> tuple[Tensor | None, Tensor]:
-        size = smaller(self._mask, longest).shape[1:]
+    @torch.no_grad()
+    def _silhouettes(self) -> Tensor:
+        """Render the silhouettes of all starts, [S, H, W], at the fine size."""
+        return torch.cat([self._draw(self._axes[part], self._offset[part], _FINE)[1] for part in self._parts()])
+
+    def _draw(self, axes: Tensor, offset: Tensor, longest: int) -> tuple[Tensor | None, Tensor]:
+        """Render colours [S, 3, H, W], if they are compared, and silhouettes [S, H, W]."""
+        height, width = downscale(self._mask, longest).shape[1:]
         images = render(
             self._shape,
-            self._camera(turn, shift),
-            (size[0], size[1]),
+            self._camera(axes, offset),
+            (height, width),
             light=None,
             outputs=("rgb", "alpha") if self._photometric else ("alpha",),
             near=1e-2,
@@ -189,10 +192,10 @@ class CameraFit:
         )
         return images.rgb, images.alpha  # type: ignore[return-value]
 
-    def _losses(self, turn: Tensor, shift: Tensor, longest: int) -> Tensor:
-        """One number for each start [S]."""
-        rgb, alpha = self._draw(turn, shift, longest)
-        mask, photo = smaller(self._mask, longest), smaller(self._photo, longest)[None]
+    def _losses(self, axes: Tensor, offset: Tensor, longest: int) -> Tensor:
+        """Compute the loss of each start, [S], on images of this longer side."""
+        rgb, alpha = self._draw(axes, offset, longest)
+        mask, photo = downscale(self._mask, longest), downscale(self._photo, longest)[None]
         each = torch.stack([losses.silhouette_iou_loss(one[None], mask) for one in alpha])
         if rgb is not None:
             error = torch.stack([losses.photometric(one[None], photo) for one in rgb])
@@ -200,8 +203,11 @@ class CameraFit:
         return each
 
 
-def _place_of(alpha: Tensor) -> tuple[Tensor, Tensor]:
-    """Area [B] in pixels and middle [B, 2] of silhouettes [B, H, W]: x right and y up in half heights of the image."""
+def _area_and_center(alpha: Tensor) -> tuple[Tensor, Tensor]:
+    """Compute area [B] in pixels and centroid [B, 2] of silhouettes [B, H, W].
+
+    Coordinates are x to the right and y up from the image centre, in units of half the image's height.
+    """
     height, width = alpha.shape[1:]
     area = alpha.sum((1, 2)).clamp(min=1.0)
     x = (torch.arange(width, device=alpha.device) * 2 + 1 - width) / height

@@ -1,4 +1,4 @@
-"""The shape: vertices moved until the mesh has the silhouettes of the views and, if it has colours, their colours."""
+"""`ShapeFit`: gradient descent on vertices for silhouettes and, optionally, colours."""
 
 from __future__ import annotations
 
@@ -12,35 +12,46 @@ from ...io.cubes import barycentric_grid
 from ...meshes.topology import Topology
 from ..settings import FitWeights as Weights
 from .descent import SmoothDescent
-from .fit_views import Views, agreement, chosen
+from .fit_views import Views, mask_iou, views_of_step
+
+_REGULARISERS = {"laplacian": 2, "edge_length": 1, "normal_consistency": 1, "smoothness": 1}
+"""Losses on the mesh alone → exponent of the number of vertices that makes their values independent of it.
+
+On V vertices edges are as long as V^(-1/2). Distances from the mean of neighbours, and so bends, are squares of that.
+"""
+_TYPICAL_VERTICES = 10_000  # the mesh for which the default weights are chosen
+_COLOR_RATE, _COLOR_SMOOTH = 0.1, 1.0  # step and λ of the descent on colours
 
 
 class ShapeFit:
-    """Descent on the vertices, step by step: call `advance` until ``done``.
+    """Fit the vertices of a mesh to posed images by gradient descent. Call `advance` until ``done``.
 
     Args:
-        views: `moved` so that the object lies in about [-1, 1].
-        vertices: [V, 3] float32, where it begins.
+        views: Views that are `Views.normalized`, so that the object lies in about [-1, 1]³.
+        vertices: [V, 3] float32, initial positions.
         faces: [F, 3], whole numbers of any real dtype.
-        steps: how many steps there are.
-        subdivisions: how often, evenly over the steps, each face is cut in four: coarse to fine. 0 for a start that is
-            fine already.
-        colour_from: the part of the steps in [0, 1] after which vertices have colours too, which follow the photos
-            together with the shape; 1, or views without photos: never.
-        weights: of the losses.
-        rate: how far the fastest vertex moves in a step.
+        steps: Number of steps, ≥ 1.
+        subdivisions: Number of times each face is split into four, evenly over the steps (coarse to fine). 0 for a
+            mesh that is fine already.
+        color_from: Fraction of the steps in [0, 1] after which vertices get colours, which are fitted to the photos
+            together with the shape. 1 for never; so are views without photos.
+        weights: Weights of the losses.
+        rate: Distance that the fastest vertex moves in a step.
         smooth: λ of `SmoothDescent`.
-        batch: views that are looked at in a step.
-        gradient: the renderer's estimator through visibility.
-        seed: of the views' order.
+        batch: Views per step.
+        gradient: Gradient estimator of the renderer, "edge" or "nmr".
+        seed: Seed of the order of the views.
+
+    Raises:
+        TypeError, ValueError: An argument does not fit.
     """
 
     _vertices: Tensor
     _faces: Tensor
-    _colours: Tensor | None
+    _colors: Tensor | None
     _topology: Topology
     _descent: SmoothDescent
-    _colour_descent: SmoothDescent
+    _color_descent: SmoothDescent
 
     def __init__(
         self,
@@ -50,7 +61,7 @@ class ShapeFit:
         *,
         steps: int = 150,
         subdivisions: int = 0,
-        colour_from: float = 1.0,
+        color_from: float = 1.0,
         weights: Weights = Weights(),  # noqa: B008 (immutable)
         rate: float = 0.01,
         smooth: float = 8.0,
@@ -63,11 +74,11 @@ class ShapeFit:
         self._views, self._weights, self._gradient = views, weights, gradient
         self._rate, self._smooth = validate.positive("rate", rate), smooth
         self._batch, self._seed = min(validate.whole("batch", batch, 1), len(views)), seed
-        self._subdivisions, self._refined = validate.whole("subdivisions", subdivisions, 0), 0
-        if not 0 <= validate.number("colour_from", colour_from) <= 1:
-            raise ValueError(f"colour_from: expected a part in [0, 1], got {colour_from}")
-        self._colour_from = self.steps if views.photos is None else round(colour_from * self.steps)
-        self._have(vertices.detach().clone(), faces.long(), None)
+        self._subdivisions, self._subdivided = validate.whole("subdivisions", subdivisions, 0), 0
+        if not 0 <= validate.number("color_from", color_from) <= 1:
+            raise ValueError(f"color_from: expected a fraction in [0, 1], got {color_from}")
+        self._color_from = self.steps if views.photos is None else round(color_from * self.steps)
+        self._set_shape(vertices.detach().clone(), faces.long(), None)
 
     @property
     def done(self) -> bool:
@@ -76,49 +87,58 @@ class ShapeFit:
 
     @property
     def shape(self) -> tuple[Tensor, ...]:
-        """What there is now, as the renderer takes it: vertices, faces and, if vertices have colours, textures."""
-        if self._colours is None:
+        """Current vertices, faces and, if vertices have colours, textures, as `render` takes them."""
+        if self._colors is None:
             return self._vertices, self._faces
-        return self._vertices, self._faces, _blended(self._colours, self._faces).clamp(0, 1)
+        return self._vertices, self._faces, _corner_textures(self._colors, self._faces).clamp(0, 1)
 
     def advance(self) -> dict[str, float]:
-        """Take one step; returns the ``loss`` and the mean ``iou`` of the views it looked at, before it."""
-        while self._refined < min(self._subdivisions, self.step * (self._subdivisions + 1) // self.steps):
-            self._refine()
-        if self.step == self._colour_from and self._colours is None:
-            self._have(self._vertices, self._faces, torch.full_like(self._vertices, 0.5))
-        part = self._views[chosen(len(self._views), self._batch, self._seed, self.step)]
-        moving = [self._vertices.requires_grad_()]
-        shape: tuple[Tensor, ...] = moving[0], self._faces
-        if self._colours is not None:
-            moving.append(self._colours.requires_grad_())
-            shape = (*shape, _blended(moving[1], self._faces))
-        images = part.draw(shape, "alpha" if self._colours is None else ("rgb", "alpha"), self._gradient)
-        weights, topology = self._weights, self._topology
-        loss = weights.silhouette * losses.silhouette_iou_loss(images.alpha, part.masks)  # type: ignore[arg-type]
-        if self._colours is not None:
-            loss = loss + weights.photometric * losses.photometric(images.rgb, part.photos, part.masks)  # type: ignore[arg-type]
-        for name in ("laplacian", "edge_length", "normal_consistency", "smoothness"):
-            if getattr(weights, name):
-                # On V vertices edges are as long as V⁻½; offsets from neighbours, and so bends, are their squares.
-                finer = (len(moving[0]) / 10_000) ** (2 if name == "laplacian" else 1)
-                loss = loss + finer * getattr(weights, name) * getattr(losses, name)(moving[0], topology)
-        gradients = torch.autograd.grad(loss, moving)
-        slow = min(1.0, 2 * (1 - self.step / self.steps) + 0.05)  # from half of the way on, ever smaller steps
-        self._vertices = self._descent.step(self._vertices.detach(), gradients[0], self._rate * slow)
-        if self._colours is not None:
-            self._colours = self._colour_descent.step(self._colours.detach(), gradients[1], 0.1 * slow)
-        self.step += 1
-        return {"loss": loss.item(), "iou": agreement(images.alpha, part.masks).mean().item()}  # type: ignore[arg-type]
+        """Take one step.
 
-    def _have(self, vertices: Tensor, faces: Tensor, colours: Tensor | None) -> None:
-        self._vertices, self._faces, self._colours = vertices, faces, colours
+        Returns:
+            "loss" and "iou", the mean silhouette IoU of the views of the step, both before it.
+        """
+        while self._subdivided < min(self._subdivisions, self.step * (self._subdivisions + 1) // self.steps):
+            self._subdivide()
+        if self.step == self._color_from and self._colors is None:
+            self._set_shape(self._vertices, self._faces, torch.full_like(self._vertices, 0.5))
+        views = self._views[views_of_step(len(self._views), self._batch, self._seed, self.step)]
+        parameters = [self._vertices.requires_grad_()]
+        if self._colors is not None:
+            parameters.append(self._colors.requires_grad_())
+        loss, iou = self._loss(views, *parameters)
+        gradients = torch.autograd.grad(loss, parameters)
+        decay = min(1.0, 2 * (1 - self.step / self.steps) + 0.05)  # constant in the first half, then linear
+        self._vertices = self._descent.step(self._vertices.detach(), gradients[0], self._rate * decay)
+        if self._colors is not None:
+            self._colors = self._color_descent.step(self._colors.detach(), gradients[1], _COLOR_RATE * decay)
+        self.step += 1
+        return {"loss": loss.item(), "iou": iou.item()}
+
+    def _loss(self, views: Views, vertices: Tensor, colors: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Compute the loss and the mean silhouette IoU."""
+        shape: tuple[Tensor, ...] = vertices, self._faces
+        if colors is not None:
+            shape = (*shape, _corner_textures(colors, self._faces))
+        images = views.draw(shape, "alpha" if colors is None else ("rgb", "alpha"), self._gradient)
+        weights = self._weights
+        loss = weights.silhouette * losses.silhouette_iou_loss(images.alpha, views.masks)  # type: ignore[arg-type]
+        if colors is not None:
+            loss = loss + weights.photometric * losses.photometric(images.rgb, views.photos, views.masks)  # type: ignore[arg-type]
+        for name, exponent in _REGULARISERS.items():
+            if getattr(weights, name):
+                scale = (len(vertices) / _TYPICAL_VERTICES) ** exponent
+                loss = loss + scale * getattr(weights, name) * getattr(losses, name)(vertices, self._topology)
+        return loss, mask_iou(images.alpha, views.masks).mean()  # type: ignore[arg-type]
+
+    def _set_shape(self, vertices: Tensor, faces: Tensor, colors: Tensor | None) -> None:
+        self._vertices, self._faces, self._colors = vertices, faces, colors
         self._topology = Topology.of(faces)
         self._descent = SmoothDescent(self._topology, self._smooth)
-        self._colour_descent = SmoothDescent(self._topology, 1.0)
+        self._color_descent = SmoothDescent(self._topology, _COLOR_SMOOTH)
 
-    def _refine(self) -> None:
-        """Each face in four, at the middles of its edges."""
+    def _subdivide(self) -> None:
+        """Split each face into four at the midpoints of its edges."""
         edges, faces, count = self._topology.edges, self._faces, len(self._vertices)
         sides = torch.stack((faces, faces.roll(-1, 1)), -1)  # ab, bc, ca
         key = sides.amin(-1) * count + sides.amax(-1)
@@ -126,34 +146,32 @@ class ShapeFit:
         a, b, c = faces.unbind(1)
         children = torch.stack([torch.stack(f, 1) for f in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))], 1)
 
-        def finer(values: Tensor | None) -> Tensor | None:
-            return None if values is None else torch.cat((values, values[edges].mean(1)))
-
         vertices = torch.cat((self._vertices, self._vertices[edges].mean(1)))
-        self._have(vertices, children.reshape(-1, 3), finer(self._colours))
-        self._refined += 1
+        colors = None if self._colors is None else torch.cat((self._colors, self._colors[edges].mean(1)))
+        self._set_shape(vertices, children.reshape(-1, 3), colors)
+        self._subdivided += 1
 
     def state_dict(self) -> dict[str, Any]:
-        """All that changes from step to step."""
+        """Return everything that changes from step to step."""
         return {
             "step": self.step,
-            "refined": self._refined,
+            "subdivided": self._subdivided,
             "vertices": self._vertices.detach(),
             "faces": self._faces,
-            "colours": None if self._colours is None else self._colours.detach(),
+            "colors": None if self._colors is None else self._colors.detach(),
             "descent": self._descent.state_dict(),
-            "colour_descent": self._colour_descent.state_dict(),
+            "color_descent": self._color_descent.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
-        self.step, self._refined = state["step"], state["refined"]
-        self._have(state["vertices"], state["faces"], state["colours"])
+        """Resume from a `state_dict`."""
+        self.step, self._subdivided = state["step"], state["subdivided"]
+        self._set_shape(state["vertices"], state["faces"], state["colors"])
         self._descent.load_state_dict(state["descent"])
-        self._colour_descent.load_state_dict(state["colour_descent"])
+        self._color_descent.load_state_dict(state["color_descent"])
 
 
-def _blended(colours: Tensor, faces: Tensor) -> Tensor:
-    """Cubes [F, 2, 2, 2, 3] that blend the colours [V, 3] of each face's corners."""
-    weights = torch.from_numpy(barycentric_grid(2)).to(colours)
-    return torch.einsum("gk,fkc->fgc", weights, colours[faces]).reshape(len(faces), 2, 2, 2, 3)
+def _corner_textures(colors: Tensor, faces: Tensor) -> Tensor:
+    """Make texture cubes [F, 2, 2, 2, 3] that blend the vertex colours [V, 3] of each face."""
+    weights = torch.from_numpy(barycentric_grid(2)).to(colors)
+    return torch.einsum("gk,fkc->fgc", weights, colors[faces]).reshape(len(faces), 2, 2, 2, 3)

@@ -1,4 +1,4 @@
-"""The texture: the colours with which the images of a mesh are those of the views."""
+"""`TextureFit`: the texture of a known mesh from posed images, by linear least squares."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from ... import validate
 from ..texels import Texels
 from .fit_views import Views
 
-_OUTLINE = 0.05  # a pixel beside an outline counts so much
-_CHANGING = ("_colours", "_residual", "_direction", "_product")
+_OUTLINE = 0.05  # weight of pixels beside an outline
+_STATE = ("_colors", "_residual", "_direction", "_product")  # of conjugate gradients
 
 
 class TextureFit:
-    """The colours of a mesh by linear least squares, step by step: call `advance` until ``done``.
+    """Fit the texture of a known mesh to posed images by linear least squares. Call `advance` until ``done``.
 
-    The image of a known shape is linear in its texels x, an A x, so that the best texture is the minimum of
+    With a fixed shape, images are linear in the texels: A x. The texture minimises ::
 
-        Σ over pixels w (A x − photo)² + smooth Σ over neighbouring texels (x_i − x_j)²
+        Σ over pixels w (A x − photo)² + smooth · Σ over neighbouring texels (x_i − x_j)²
 
-    which conjugate gradients find in some twenty steps, each of which draws all views once and takes the gradient once;
-    four more are the preparation.
-    Faces share the texels on their edges, so that no seam can appear; a texel that no pixel shows gets the colours
-    around it, and one that few show is drawn to them.
+    by conjugate gradients. About 20 steps suffice. A step renders all views once and computes one gradient; the
+    initialisation costs as much as four steps. Faces share the texels on their edges, so that there are no seams. The
+    smoothness term fills texels that no pixel shows, and dominates where few pixels do.
 
-    The weight w of a pixel is the squared cosine of the angle at which it sees the surface: where that is flat, a shape
-    that is a little off shows the wrong place. Beside an outline, of the mesh's or the photo's, it is small.
+    The weight w of a pixel is the squared cosine between ray and normal, because at grazing angles a small error of the
+    shape shows the wrong place. Pixels beside an outline of the mesh or of a mask get a small weight.
 
     Args:
-        views: with photos.
-        vertices, faces: [V, 3] float32 and [F, 3], the mesh in the views' world.
-        size: T, texels along the edge of a face's cube, at least 3.
-        steps: how many steps there are.
-        smooth: what it counts that neighbours are alike, beside a pixel that shows one of them squarely; above 0.
-        batch: views that are drawn together, which costs memory, not accuracy.
+        views: Views with photos.
+        vertices: [V, 3] float32, in the world of the views.
+        faces: [F, 3] int32 or int64.
+        size: T, texels along the edge of a face's texture cube, ≥ 3.
+        steps: Number of steps, ≥ 1.
+        smooth: Smoothness weight, > 0, relative to one pixel seen head-on.
+        batch: Views rendered together. Affects memory only.
 
     Raises:
-        TypeError, ValueError: what does not fit; views without photos.
+        TypeError, ValueError: An argument does not fit, or the views have no photos.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class TextureFit:
         batch: int = 6,
     ) -> None:
         if views.photos is None:
-            raise ValueError("views: expected photos to take colours from, got silhouettes only")
+            raise ValueError("views: expected photos, got silhouettes only")
         self.steps = validate.whole("steps", steps, 1)
         self.step = 0
         self._vertices, self._faces = vertices.detach(), faces.long()
@@ -66,14 +66,14 @@ class TextureFit:
         batch = validate.whole("batch", batch, 1)
         self._parts = [views[start : start + batch] for start in range(0, len(views), batch)]
         self._photos = views.photos.split(batch)
-        self._weights = [_weights(part, self._vertices, self._faces) for part in self._parts]
-        self._colours = views.photos.new_empty(self._texels.count, 3)
-        self._colours[:] = views.photos.sum((0, 2, 3)) / views.masks.sum()
-        # Rows of A are shares of a pixel: the product with ones bounds the diagonal, the preconditioner, from above.
-        neighbours = torch.bincount(self._edges.reshape(-1), minlength=self._texels.count)[:, None]
-        self._diagonal = self._gradient(torch.ones_like(self._colours)) + self._smooth * neighbours
-        self._target = -self._gradient(torch.zeros_like(self._colours), self._photos)
-        self._residual = self._target - self._gradient(self._colours)
+        self._weights = [_pixel_weights(part, self._vertices, self._faces) for part in self._parts]
+        self._colors = views.photos.new_empty(self._texels.count, 3)
+        self._colors[:] = views.photos.sum((0, 2, 3)) / views.masks.sum()
+        # Jacobi preconditioner: rows of A are ≥ 0 and sum to at most 1, so that AᵀwA·1 is an upper bound of diag(AᵀwA).
+        neighbors = torch.bincount(self._edges.reshape(-1), minlength=self._texels.count)[:, None]
+        self._diagonal = self._gradient(torch.ones_like(self._colors)) + self._smooth * neighbors
+        self._target = -self._gradient(torch.zeros_like(self._colors), self._photos)
+        self._residual = self._target - self._gradient(self._colors)
         self._direction = self._residual / self._diagonal
         self._product = (self._residual * self._direction).sum(0)
         pairs = zip(self._weights, self._photos, strict=True)
@@ -90,14 +90,18 @@ class TextureFit:
     @property
     def shape(self) -> tuple[Tensor, Tensor, Tensor]:
         """Vertices, faces and textures [F, T, T, T, 3] in [0, 1]."""
-        return self._vertices, self._faces, self._texels.cubes(self._colours).clamp(0, 1)
+        return self._vertices, self._faces, self._texels.cubes(self._colors).clamp(0, 1)
 
     def advance(self) -> dict[str, float]:
-        """Take one step; returns the ``loss``, the sum above for each pixel's weight and channel, before it."""
+        """Take one step of conjugate gradients.
+
+        Returns:
+            "loss" before the step: the objective, divided by the sum of pixel weights over pixels and channels.
+        """
         image = self._gradient(self._direction)
-        loss = self._constant - (self._colours * (self._residual + self._target)).sum().item()
+        loss = self._constant - (self._colors * (self._residual + self._target)).sum().item()
         length = self._product / (self._direction * image).sum(0).clamp(min=1e-30)
-        self._colours = self._colours + length * self._direction
+        self._colors = self._colors + length * self._direction
         self._residual = self._residual - length * image
         scaled = self._residual / self._diagonal
         product, before = (self._residual * scaled).sum(0), self._product
@@ -106,7 +110,7 @@ class TextureFit:
         return {"loss": max(loss, 0.0) / self._total}
 
     def _gradient(self, values: Tensor, photos: Sequence[Tensor] | None = None) -> Tensor:
-        """Half the gradient of the sum above at values [texels, 3]; without photos that of its quadratic part."""
+        """Compute half the gradient of the objective at values [texels, 3]; without photos, of its quadratic part."""
         values = values.detach().requires_grad_()
         total = torch.zeros_like(values)
         for index, (part, weights) in enumerate(zip(self._parts, self._weights, strict=True)):
@@ -115,23 +119,23 @@ class TextureFit:
             total += torch.autograd.grad(rgb, values, weights[:, None] * error)[0]  # type: ignore[arg-type]
         values = values.detach()
         first, second = self._edges.unbind(1)
-        apart = self._smooth * (values[first] - values[second])
-        return total.index_add_(0, first, apart).index_add_(0, second, -apart)
+        difference = self._smooth * (values[first] - values[second])
+        return total.index_add_(0, first, difference).index_add_(0, second, -difference)
 
     def state_dict(self) -> dict[str, Any]:
-        """All that changes from step to step, and the shape."""
+        """Return everything that changes from step to step, and the shape."""
         state = {"step": self.step, "vertices": self._vertices, "faces": self._faces}
-        return state | {name: getattr(self, name) for name in _CHANGING}
+        return state | {name: getattr(self, name) for name in _STATE}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
+        """Resume from a `state_dict`."""
         self.step = state["step"]
-        for name in _CHANGING:
+        for name in _STATE:
             setattr(self, name, state[name])
 
 
-def _weights(part: Views, vertices: Tensor, faces: Tensor) -> Tensor:
-    """How much each pixel of some views tells of colours, [N, H, W] in [0, 1]; see `TextureFit`."""
+def _pixel_weights(part: Views, vertices: Tensor, faces: Tensor) -> Tensor:
+    """Compute the weight of each pixel, [N, H, W] in [0, 1]; see `TextureFit`."""
     corners = vertices[faces]
     normals = F.normalize(torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), dim=1)
     eyes, forward = part.eyes()

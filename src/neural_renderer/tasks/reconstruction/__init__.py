@@ -1,1 +1,1 @@
-"""Single-image 3D reconstruction: from a folder of 3D models to a network that turns one picture into a mesh."""
+"""Single-image 3D reconstruction: data sets, networks, training and evaluation (sections 4.1 and 5.1 of the paper)."""

@@ -1,4 +1,4 @@
-"""The published files as memory-mapped arrays: what is in them comes out, in little memory; nothing broken passes."""
+"""Published files as memory-mapped arrays: contents, memory use, broken files."""
 
 from __future__ import annotations
 
@@ -101,10 +101,10 @@ def cut(path: Path, share: float) -> None:
 @pytest.mark.parametrize(
     ("spoil", "name", "sentence"),
     [
-        (lambda f: cut(f / "chair_test_images.npz", 0.5), "images.npz", "broken or cut off"),
-        (lambda f: (f / "chair_test_images.npz").write_text("text"), "images.npz", "broken or cut off"),
-        (lambda f: (f / "chair_test_images.npz").write_bytes(b""), "images.npz", "broken or cut off"),
-        (lambda f: np.savez(f / "chair_test_images.npz"), "images.npz", "broken or cut off"),
+        (lambda f: cut(f / "chair_test_images.npz", 0.5), "images.npz", "broken or truncated"),
+        (lambda f: (f / "chair_test_images.npz").write_text("text"), "images.npz", "broken or truncated"),
+        (lambda f: (f / "chair_test_images.npz").write_bytes(b""), "images.npz", "broken or truncated"),
+        (lambda f: np.savez(f / "chair_test_images.npz"), "images.npz", "broken or truncated"),
         (lambda f: write(f, images=np.zeros((2, 24, 3, 64, 64), np.uint8)), "images.npz", r"\(N, 24, 4, 64, 64\), got"),
         (lambda f: write(f, images=np.zeros((2, 24, 4, 64, 64))), "images.npz", "got float64"),
         (lambda f: write(f, images=np.array({}, dtype=object)), "images.npz", "got object"),
@@ -134,7 +134,7 @@ def test_a_damaged_byte_is_found(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 255
     path.write_bytes(data)
-    with pytest.raises(ValueError, match=r"images\.npz: .*broken or cut off"):
+    with pytest.raises(ValueError, match=r"images\.npz: .*broken or truncated"):
         open_split(tmp_path, "test")
 
 
@@ -229,5 +229,5 @@ def test_images_without_objects(tmp_path: Path) -> None:
         images = arrays["arr_0"].copy()
     images[:, :, 3] = 0
     np.savez(tmp_path / "chair_test_images.npz", images)
-    with pytest.raises(ValueError, match=r"chair_test_images.npz: expected objects with transparency around"):
+    with pytest.raises(ValueError, match=r"chair_test_images.npz: expected images of objects, got"):
         open_split(tmp_path, "test")

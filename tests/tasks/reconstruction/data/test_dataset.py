@@ -1,4 +1,4 @@
-"""From models to data: what is drawn where, layouts of folders, splits, broken models, going on, the command."""
+"""Data sets from models: views and voxels, folder layouts, splits, broken models, interruption, the command."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from neural_renderer import cli
 from neural_renderer.metrics import silhouette_iou
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
 from neural_renderer.tasks.reconstruction.data.dataset import Settings, assemble, make_object, make_objects
-from neural_renderer.tasks.reconstruction.data.models_folder import Model, find_models, read_splits, shared_out
-from neural_renderer.tasks.reconstruction.evaluation.check_axes import agreement
+from neural_renderer.tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
+from neural_renderer.tasks.reconstruction.evaluation.check_axes import check_axes
 from neural_renderer.tasks.reconstruction.evaluation.sheets import data_sheet
 from tests.programs import search_path
 
@@ -30,7 +30,7 @@ SMALL = Settings(samples=2)
 
 
 def write_wedge(path: Path, turn: float = 0.0) -> None:
-    """An object without symmetry, far from the origin: red above, long along +x, pointed towards +z."""
+    """Write an asymmetric object far from the origin: red, long along +x, pointed towards +z."""
     vertices = torch.tensor([[0, 0, 0], [4, 0, 0], [0, 0, 2], [0, 1.5, 0], [4, 0.5, 0.0]]) * 3 + 100 + turn
     faces = torch.tensor([[0, 1, 2], [0, 2, 3], [1, 4, 2], [2, 4, 3], [0, 3, 1], [1, 3, 4]])
     textures = torch.zeros(6, 2, 2, 2, 3) + torch.tensor([0.9, 0.1, 0.1])
@@ -79,14 +79,14 @@ def test_voxels_stand_where_the_views_show_them(models: Path, tmp_path: Path) ->
     assert all(problem is None for _, problem, _ in make_objects(found, tmp_path / "d", SMALL, 0))
     assemble(tmp_path / "d", {"test": {"wedge": [m for m in found if m.category == "wedge"]}}, SMALL, {})
     split = open_split(tmp_path / "d", "test")
-    fit, axes = agreement(split, "wedge")
+    fit, axes = check_axes(split, "wedge")
     assert fit > 0.7 and axes is None
     for axis, name in enumerate(("(-0, 1, 2)", "(0, -1, 2)", "(0, 1, -2)")):
         turned = replace(split, voxels={"wedge": np.flip(split.voxels["wedge"], 1 + axis).copy()})
-        fit, axes = agreement(turned, "wedge")
+        fit, axes = check_axes(turned, "wedge")
         assert fit < 0.7 and axes == name, fit
     turned = replace(split, voxels={"wedge": np.transpose(split.voxels["wedge"], (0, 2, 3, 1)).copy()})
-    assert agreement(turned, "wedge")[1] == "(2, 0, 1)"
+    assert check_axes(turned, "wedge")[1] == "(2, 0, 1)"
     assert data_sheet(split, "wedge").shape == (3, 3 * 64, 10 * 64)
 
 
@@ -137,12 +137,12 @@ def test_splits(tmp_path: Path) -> None:
             read_splits(path)
 
 
-def test_shared_out() -> None:
+def test_default_splits() -> None:
     models = [Model("a", str(index), Path("x")) for index in range(50)] + [Model("b", "one", Path("x"))]
-    splits = shared_out(models)
+    splits = default_splits(models)
     counts = [sum(value == name for (c, _), value in splits.items() if c == "a") for name in ("train", "val", "test")]
     assert counts == [35, 5, 10] and splits["b", "one"] == "train"
-    assert shared_out(models[:50]) == {key: value for key, value in splits.items() if key[0] == "a"}
+    assert default_splits(models[:50]) == {key: value for key, value in splits.items() if key[0] == "a"}
 
 
 def command(models: Path, out: Path, *options: str) -> int:
@@ -179,7 +179,7 @@ def test_the_command_and_its_second_run(models: Path, tmp_path: Path, capsys: py
     assert split.classes == ("ball", "wedge") and split.names["wedge"] == ("w1",)
     assert (out / "sheets" / "wedge_test.png").is_file()
 
-    # Only what is new is made, and what was there before stays.
+    # The second run adds new models and keeps finished ones.
     made = {path: path.stat().st_mtime_ns for path in (out / "objects").rglob("*.npz")}
     write_wedge(models / "wedge" / "w3.obj")
     table.write_text("category,model,split\nwedge,w1,test\nwedge,w3,test\n")
@@ -190,7 +190,7 @@ def test_the_command_and_its_second_run(models: Path, tmp_path: Path, capsys: py
     assert len(open_split(out, "test").images["wedge"]) == 2
 
 
-def test_what_has_changed_is_made_anew(models: Path, tmp_path: Path) -> None:
+def test_changed_models_are_rendered_again(models: Path, tmp_path: Path) -> None:
     found = [Model("ball", "big", models / "ball" / "big.obj")]
     path = tmp_path / "objects" / "ball" / "big.npz"
     list(make_objects(found, tmp_path, SMALL, 0))
@@ -225,7 +225,7 @@ def test_changed_materials_and_their_warnings(models: Path, tmp_path: Path) -> N
 
     grey, notes = made()
     assert notes and "paint.mtl" in notes[0]
-    assert made() == (grey, notes)  # told again, of an object that is there already
+    assert made() == (grey, notes)  # warnings of a finished object are repeated
     (path.parent / "paint.mtl").write_text("newmtl paint\nKd 0.1 0.9 0.1\n")
     green, notes = made()
     assert green < 0.7 * grey and not notes
@@ -243,9 +243,9 @@ def test_an_object_is_in_one_split(models: Path, tmp_path: Path, capsys: pytest.
 
 
 def hook_workers(monkeypatch: pytest.MonkeyPatch, folder: Path, code: str) -> None:
-    """Let worker processes run ``code`` when they open the model w1.obj.
+    """Make worker processes run ``code`` when they open the model w1.obj.
 
-    A worker is a new Python that knows nothing of this test but its environment.
+    A worker is a new interpreter, which this test can reach through environment variables only.
     """
     (folder / "sitecustomize.py").write_text(
         "import os, sys, time\n"
@@ -257,7 +257,7 @@ def hook_workers(monkeypatch: pytest.MonkeyPatch, folder: Path, code: str) -> No
 
 
 def test_workers_end_with_their_parent(models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The worker and its parent write to one pipe, which ends when nobody is left."""
+    """Worker and parent share a pipe, which closes when both have ended."""
     hook_workers(monkeypatch, tmp_path, "os.write(1, b'here\\n'); time.sleep(3600)")
     arguments = ["reconstruct", "dataset", str(models), str(tmp_path / "out"), "-j", "1"]
     command = [sys.executable, "-m", "neural_renderer.cli", *arguments]
@@ -278,7 +278,7 @@ def test_a_process_that_dies_costs_one_model(models: Path, tmp_path: Path, monke
 def test_interrupted(
     models: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ctrl-C while a model is worked on: it is finished, those that wait are not begun."""
+    """After Ctrl-C, the current model is finished and waiting ones are cancelled."""
     for index in range(3, 24):
         write_wedge(models / "wedge" / f"w{index}.obj")
     out, cancelled = tmp_path / "out", tmp_path / "cancelled"
@@ -323,7 +323,7 @@ def test_bad_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     for name, sentence in (
         ("nowhere", "nowhere: expected a folder with a folder of models per category, got nothing there"),
         ("file", "got a file"),
-        ("empty", "expected category/model.obj or category/model/model.obj, got no mesh file in such a place"),
+        ("empty", "expected category/model.obj or category/model/model.obj, got no such mesh file"),
     ):
         assert command(tmp_path / name, tmp_path / "out") == 1
         assert sentence in capsys.readouterr().err

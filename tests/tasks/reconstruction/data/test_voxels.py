@@ -1,4 +1,4 @@
-"""Voxels: against a slow reference of the published evaluation, and on shapes whose voxels can be counted."""
+"""Voxelisation against a slow reference of the published evaluation, and on shapes with known voxels."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer.raster.ops.voxels import fill, inside
-from neural_renderer.tasks.reconstruction.data.framing import mirrored, unit, view_camera
-from neural_renderer.tasks.reconstruction.data.voxels import solid, surface, voxel_iou, voxelize
+from neural_renderer.tasks.reconstruction.data.framing import mirror, scale_to_unit, view_camera
+from neural_renderer.tasks.reconstruction.data.voxels import voxel_iou, voxel_surface, voxelize, voxelize_model
 from tests.rounding import rounding
 
 
 def reference(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
-    """The published evaluation's rule, one line, one face at a time, in float64; points in voxels."""
+    """Voxelise like the published evaluation, in float64; points are in voxel coordinates."""
     state = np.zeros((size,) * 3, dtype=int)
 
     def mark(cell: list[int]) -> None:
@@ -58,7 +58,7 @@ def reference(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
 
 
 def box(low: list[float], high: list[float]) -> tuple[Tensor, Tensor]:
-    """An axis-aligned box; its faces run counter-clockwise seen from outside."""
+    """Make an axis-aligned box with counter-clockwise faces."""
     vertices, faces = nr.cube()
     span = torch.tensor([low, high])
     return torch.where(vertices > 0, span[1], span[0]), faces
@@ -113,7 +113,7 @@ def test_thin_plate_is_one_voxel_thick_and_whole() -> None:
     expected = torch.zeros(32, 32, 32, dtype=torch.bool)
     expected[19, 3:29, 3:29] = True
     assert torch.equal(voxelize(vertices[None], faces)[0], expected)
-    assert torch.equal(solid(vertices, faces), expected)
+    assert torch.equal(voxelize_model(vertices, faces), expected)
 
 
 def test_thin_rod_between_the_lines_is_lost_by_the_published_rule_only() -> None:
@@ -121,7 +121,7 @@ def test_thin_rod_between_the_lines_is_lost_by_the_published_rule_only() -> None
     assert voxelize(vertices[None], faces).sum() == 2
     expected = torch.zeros(32, 32, 32, dtype=torch.bool)
     expected[3:29, 16, 15] = True
-    assert torch.equal(solid(vertices, faces), expected)
+    assert torch.equal(voxelize_model(vertices, faces), expected)
 
 
 def test_open_mesh_is_a_shell_by_the_published_rule_and_full_in_the_ground_truth() -> None:
@@ -132,15 +132,15 @@ def test_open_mesh_is_a_shell_by_the_published_rule_and_full_in_the_ground_truth
     shell = voxelize(vertices[None], bottomless)[0]
     assert shell.sum() < whole.sum() / 2 and not shell[10, 16, 16]
     for order in (bottomless, bottomless.flip(1)):  # whichever side is said to be out
-        filled = solid(vertices, order)
+        filled = voxelize_model(vertices, order)
         assert voxel_iou(filled[None], whole[None]) > 0.85
         assert filled[16:].equal(whole[16:])
 
 
 def test_a_hole_of_one_face_does_not_empty_a_sphere() -> None:
     vertices, faces = nr.icosphere(2)
-    whole = solid(0.45 * vertices, faces)
-    assert voxel_iou(solid(0.45 * vertices, faces[1:])[None], whole[None]) > 0.98
+    whole = voxelize_model(0.45 * vertices, faces)
+    assert voxel_iou(voxelize_model(0.45 * vertices, faces[1:])[None], whole[None]) > 0.98
     assert voxel_iou(voxelize(0.45 * vertices[None], faces[1:]), whole[None]) < 0.5
 
 
@@ -150,7 +150,7 @@ def test_a_room_with_walls_of_its_own_stays_empty() -> None:
     top = (outer[faces.long()][..., 1] > 0).all(1)
     vertices = torch.cat((outer, inner))
     both = torch.cat((faces[~top], (faces[~top] + 8).flip(1)))
-    voxels = solid(vertices, both)
+    voxels = voxelize_model(vertices, both)
     assert not voxels[20, 16, 16] and voxels[3, 16, 16] and voxels[20, 4, 16]
 
 
@@ -164,7 +164,7 @@ def test_surface_of_voxels() -> None:
     voxels = torch.zeros(32, 32, 32, dtype=torch.bool)
     voxels[3:9, 4:6, 10:30] = True
     voxels[20, 20, 20] = True
-    vertices, faces = surface(voxels)
+    vertices, faces = voxel_surface(voxels)
     assert len(faces) == 2 * (2 * (6 * 2 + 6 * 20 + 2 * 20) + 6)
     corners = vertices[faces].double()
     assert torch.linalg.det(corners).sum().item() / 6 * 31**3 == pytest.approx(6 * 2 * 20 + 1)  # outward
@@ -172,21 +172,21 @@ def test_surface_of_voxels() -> None:
 
 
 def test_surface_stands_where_the_object_stands() -> None:
-    """Voxels and object cast the same silhouettes, from cameras that tell all axes and signs apart."""
+    """Voxels and object have the same silhouettes, from cameras that tell all axes and signs apart."""
     arms = [box([-0.5, -0.5, -0.5], [0.5, -0.35, -0.3]), box([-0.5, -0.5, -0.5], [-0.35, 0.4, -0.3])]
     arms += [box([-0.5, -0.5, -0.5], [-0.2, -0.3, 0.2])]
     vertices = torch.cat([arm for arm, _ in arms])
     faces = torch.cat([8 * index + corners for index, (_, corners) in enumerate(arms)])
-    voxels = solid(vertices, faces.flip(1))
+    voxels = voxelize_model(vertices, faces.flip(1))
     camera = view_camera(torch.arange(0, 24, 5))
 
     def silhouettes(mesh: tuple[Tensor, Tensor]) -> Tensor:
         return nr.render(mesh, camera, 64, outputs="alpha").alpha  # type: ignore[return-value]
 
     expected = silhouettes((vertices, faces))
-    right = nr.metrics.silhouette_iou(silhouettes(surface(voxels)), expected)
+    right = nr.metrics.silhouette_iou(silhouettes(voxel_surface(voxels)), expected)
     for other in (voxels.flip(0), voxels.flip(1), voxels.flip(2), voxels.transpose(1, 2), voxels.transpose(0, 1)):
-        wrong = nr.metrics.silhouette_iou(silhouettes(surface(other)), expected)
+        wrong = nr.metrics.silhouette_iou(silhouettes(voxel_surface(other)), expected)
         assert right.min() > 0.8 and right.mean() > wrong.mean() + 0.08
 
 
@@ -198,7 +198,7 @@ def test_iou() -> None:
 
 
 def test_views_see_what_the_camera_of_the_model_sees() -> None:
-    """The mirrored frame under the mirroring camera is the model itself under an ordinary one, on +x at view 0."""
+    """A mirrored object under the mirroring camera looks like the model under an ordinary one, at +x for view 0."""
     generator = torch.Generator().manual_seed(0)
     model = torch.rand(50, 3, generator=generator) - 0.5
     for view in (0, 4, 17):
@@ -206,8 +206,8 @@ def test_views_see_what_the_camera_of_the_model_sees() -> None:
         level = 2.732 * math.cos(math.radians(30))
         eye = [level * math.cos(turn), 2.732 * 0.5, level * math.sin(turn)]
         expected = nr.Camera.look_at(eye, viewing_angle=15)(model)
-        assert torch.allclose(view_camera(torch.tensor([view]))(mirrored(model)), expected, **rounding(32, 4))
-    assert torch.equal(mirrored(mirrored(model)), model)
+        assert torch.allclose(view_camera(torch.tensor([view]))(mirror(model)), expected, **rounding(32, 4))
+    assert torch.equal(mirror(mirror(model)), model)
 
 
 @pytest.mark.parametrize(
@@ -230,4 +230,4 @@ def test_bad_voxels() -> None:
     with pytest.raises(ValueError, match="expected the same shape"):
         voxel_iou(torch.zeros(1, 2, dtype=torch.bool), torch.zeros(1, 3, dtype=torch.bool))
     with pytest.raises(ValueError, match="vertices: expected a shape with an extent"):
-        unit(torch.ones(3, 3))
+        scale_to_unit(torch.ones(3, 3))

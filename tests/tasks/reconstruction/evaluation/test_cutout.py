@@ -1,4 +1,4 @@
-"""Pictures as a network wants them: the object cut out of whatever is behind it, as large as in the training data."""
+"""Cutting objects out of pictures, and framing them like the training data."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ import torch
 from torch import Tensor
 
 from neural_renderer.metrics import silhouette_iou
-from neural_renderer.tasks.reconstruction.evaluation.cutout import cut_out, framed, pieces, without_specks
+from neural_renderer.tasks.reconstruction.evaluation.cutout import (
+    cut_out,
+    frame_object,
+    label_components,
+    remove_specks,
+)
 
 
 def scene(height: int = 240, width: int = 320) -> tuple[Tensor, Tensor]:
-    """A red ring beside a blue bar in a photo of a wall in uneven light, with noise: [H, W, 3] and its mask [H, W]."""
+    """Make a noisy photo [H, W, 3] of a red ring and a blue bar on an unevenly lit wall, and its mask [H, W]."""
     generator = torch.Generator().manual_seed(0)
     y, x = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
     radius = ((x - 0.1).square() + (y * 0.75).square()).sqrt()
@@ -44,7 +49,7 @@ def test_any_plain_colour(background: tuple[float, float, float]) -> None:
 
 def test_large_pictures_and_objects_at_the_border() -> None:
     photo, mask = scene(1000, 1400)
-    rolled = torch.roll(photo, -260, 1)  # the ring is cut by the left border; the wall's light has a step now
+    rolled = torch.roll(photo, -260, 1)  # the border cuts the ring
     flat = torch.where(torch.roll(mask, -260, 1)[..., None] > 0, rolled, torch.tensor([0.9, 0.9, 0.9]))
     assert agree(cut_out(flat)[3], torch.roll(mask, -260, 1)) > 0.96
 
@@ -96,7 +101,7 @@ def test_framed_like_the_training_data() -> None:
         rgba = torch.zeros(4, height, width)
         top, left, bottom, right = box
         rgba[:, top:bottom, left:right] = torch.tensor([0.2, 0.4, 0.6, 1.0])[:, None, None]
-        image = framed(rgba)
+        image = frame_object(rgba)
         assert image.shape == (4, 64, 64) and image.dtype == torch.uint8
         rows, columns = ((image[3] > 127).any(axis).nonzero()[:, 0] for axis in (1, 0))
         sides = len(rows), len(columns)
@@ -111,26 +116,26 @@ def test_framed_like_the_training_data() -> None:
 def test_framed_needs_something_to_see() -> None:
     rgba = torch.zeros(4, 100, 100)
     with pytest.raises(ValueError, match="expected an object"):
-        framed(rgba)
+        frame_object(rgba)
     rgba[:, 5:9, 5:9] = 1
     with pytest.raises(ValueError, match="expected an object of at least 8 pixels, got one of 4"):
-        framed(rgba)
+        frame_object(rgba)
 
 
-def test_specks_go_and_pieces_stay() -> None:
+def test_specks_go_and_larger_components_stay() -> None:
     alpha = torch.zeros(100, 120)
     alpha[20:60, 20:60] = 1
     alpha[20:40, 80:100] = 1
     clean = alpha.clone()
     alpha[90, 5] = 1
-    assert torch.equal(without_specks(alpha), clean)
+    assert torch.equal(remove_specks(alpha), clean)
 
 
-def test_pieces() -> None:
+def test_connected_components() -> None:
     mask = torch.zeros(40, 40, dtype=torch.bool)
-    mask[1::4, :] = True  # ten lines,
-    mask[:, 0] = True  # which the first column makes one,
-    mask[5, 20] = False  # but for the end of one of them
-    label = pieces(mask)
+    mask[1::4, :] = True  # ten lines
+    mask[:, 0] = True  # connected by the first column
+    mask[5, 20] = False  # except for the end of one line
+    label = label_components(mask)
     assert (label[~mask] == -1).all() and len(label[mask].unique()) == 2
     assert label[5, 21] != label[5, 19] == label[37, 39]

@@ -1,4 +1,4 @@
-"""Scores: of predictions that are known to be right or wrong, in the paper's layout; the retrieval baseline."""
+"""Evaluation: scores of known predictions, tables, the retrieval baseline, the command."""
 
 from __future__ import annotations
 
@@ -20,10 +20,14 @@ from neural_renderer import cli
 from neural_renderer.features import FeatureNetwork
 from neural_renderer.tasks.reconstruction.data.arrays import Split, open_split
 from neural_renderer.tasks.reconstruction.data.dataset import Settings, render_views
-from neural_renderer.tasks.reconstruction.data.framing import unit
-from neural_renderer.tasks.reconstruction.data.voxels import chamfer, solid, voxelize
+from neural_renderer.tasks.reconstruction.data.framing import scale_to_unit
+from neural_renderer.tasks.reconstruction.data.voxels import chamfer, voxelize, voxelize_model
 from neural_renderer.tasks.reconstruction.evaluation.evaluate import Scores, evaluate
-from neural_renderer.tasks.reconstruction.evaluation.predictors import Meshes, Solids, network_predictor
+from neural_renderer.tasks.reconstruction.evaluation.predictors import (
+    MeshPredictions,
+    VoxelPredictions,
+    network_predictor,
+)
 from neural_renderer.tasks.reconstruction.evaluation.retrieval import Retrieval, feature_layer, image_features
 from neural_renderer.tasks.reconstruction.evaluation.sheets import prediction_sheet
 from neural_renderer.tasks.reconstruction.evaluation.tables import blocks, markdown, terminal
@@ -39,21 +43,21 @@ SHAPES = {
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One object of each class, in "test" and, in other colours, in "train"."""
+    """Write one object of each class, in "test" and in "train"."""
     folder = tmp_path_factory.mktemp("data")
     for name, (vertices, faces) in SHAPES.items():
-        vertices = unit(vertices)
+        vertices = scale_to_unit(vertices)
         textures = torch.tensor([0.8, 0.3, 0.5]).expand(len(faces), 2, 2, 2, 3)
         images = render_views(vertices, faces, textures, Settings(samples=2))
-        voxels = solid(vertices, faces.flip(1))
+        voxels = voxelize_model(vertices, faces.flip(1))
         for split, order in (("test", [0, 1, 2, 3]), ("train", [1, 2, 0, 3])):
             np.savez_compressed(folder / f"{name}_{split}_images.npz", images[None, :, order].numpy())
             np.savez_compressed(folder / f"{name}_{split}_voxels.npz", voxels[None].numpy())
     return folder
 
 
-class Knowing:
-    """A "network" that knows its three objects by how much of the image they cover."""
+class ConstantNetwork:
+    """A network that always predicts a ball."""
 
     config = Config()
 
@@ -61,7 +65,7 @@ class Knowing:
         self.kind, self.faces, self._grown = kind, SHAPES["ball"][1], grown
 
     def vertices(self, images: Tensor) -> Tensor:
-        return (self._grown * unit(SHAPES["ball"][0])).expand(len(images), -1, -1)
+        return (self._grown * scale_to_unit(SHAPES["ball"][0])).expand(len(images), -1, -1)
 
     def occupancy(self, images: Tensor) -> Tensor:
         return voxelize(self.vertices(images), self.faces).float() * 0.6
@@ -77,10 +81,10 @@ def scores_of(split: Split, predict: Any) -> Scores:
 @pytest.mark.parametrize("kind", ["mesh", "voxel"])
 def test_a_right_prediction_scores_one(data: Path, kind: str) -> None:
     split = open_split(data, "test", ["ball"])
-    scores = scores_of(split, network_predictor(Knowing(kind)))
+    scores = scores_of(split, network_predictor(ConstantNetwork(kind)))
     assert scores.of_class("ball") == 1 and scores.of_class("ball", "chamfer") == 0
     assert scores.of_class("ball", "silhouette_iou") > (0.97 if kind == "mesh" else 0.85)
-    above = scores_of(split, network_predictor(Knowing("voxel"), threshold=0.7))
+    above = scores_of(split, network_predictor(ConstantNetwork("voxel"), threshold=0.7))
     assert above.of_class("ball") == 0
     assert above.of_class("ball", "chamfer") == pytest.approx(math.sqrt(3), rel=32 * EPS)
 
@@ -88,11 +92,11 @@ def test_a_right_prediction_scores_one(data: Path, kind: str) -> None:
 def test_means_are_over_views_objects_and_classes(data: Path) -> None:
     split = open_split(data, "test")
 
-    def some(images: Tensor) -> Solids:
-        """Right for half of the views."""
-        filled = voxelize(unit(SHAPES["ball"][0])[None], SHAPES["ball"][1]).repeat(len(images), 1, 1, 1)
+    def some(images: Tensor) -> VoxelPredictions:
+        """Predict the ball for half of the views."""
+        filled = voxelize(scale_to_unit(SHAPES["ball"][0])[None], SHAPES["ball"][1]).repeat(len(images), 1, 1, 1)
         filled[::2] = False
-        return Solids(filled)
+        return VoxelPredictions(filled)
 
     scores = scores_of(split, some)
     assert scores.of_class("ball") == 0.5
@@ -101,11 +105,11 @@ def test_means_are_over_views_objects_and_classes(data: Path) -> None:
 
 
 def test_silhouettes_come_from_the_side_too(data: Path) -> None:
-    """A pole turned by 90° looks right from nowhere."""
+    """A pole rotated by 90° has wrong silhouettes from all sides."""
     split = open_split(data, "test", ["pole"])
-    right = Meshes(unit(SHAPES["pole"][0]).expand(24, -1, -1), SHAPES["pole"][1])
+    right = MeshPredictions(scale_to_unit(SHAPES["pole"][0]).expand(24, -1, -1), SHAPES["pole"][1])
     assert scores_of(split, lambda _: right).mean("silhouette_iou") > 0.9
-    turned = Meshes(unit(SHAPES["pole"][0])[:, [2, 1, 0]].expand(24, -1, -1), SHAPES["pole"][1])
+    turned = MeshPredictions(scale_to_unit(SHAPES["pole"][0])[:, [2, 1, 0]].expand(24, -1, -1), SHAPES["pole"][1])
     assert scores_of(split, lambda _: turned).mean("silhouette_iou") < 0.8
 
 
@@ -147,7 +151,7 @@ def test_tables() -> None:
 
 
 def colour_network(name: str = "GoogLeNet", layer: str = "pool5") -> FeatureNetwork:
-    """A network that sees mean colours in nine parts of an image."""
+    """Make a network whose features are mean colours of nine parts of an image."""
     return FeatureNetwork(name, nn.Identity(), {layer: nn.Sequential(nn.AdaptiveAvgPool2d(3), nn.Flatten())})
 
 
@@ -179,22 +183,25 @@ def test_retrieval_says_what_is_missing(data: Path, tmp_path: Path) -> None:
         Retrieval(open_split(tmp_path, "train"), colour_network())
     (tmp_path / "ball_test_images.npz").write_bytes((data / "ball_test_images.npz").read_bytes())
     with pytest.raises(FileNotFoundError, match=r"ball_test_voxels\.npz: expected the voxels to compare with"):
-        next(evaluate(network_predictor(Knowing("mesh")), open_split(tmp_path, "test")))
+        next(evaluate(network_predictor(ConstantNetwork("mesh")), open_split(tmp_path, "test")))
 
 
 def test_sheet(data: Path) -> None:
     split = open_split(data, "test")
-    predictors = {"a": network_predictor(Knowing("mesh")), "b": network_predictor(Knowing("voxel"), 0.9)}
+    predictors = {
+        "a": network_predictor(ConstantNetwork("mesh")),
+        "b": network_predictor(ConstantNetwork("voxel"), 0.9),
+    }
     picture = prediction_sheet(predictors, split, size=32)
     assert picture.shape == (3, 20 + 3 * 32, (1 + 3 * 3) * 32)
 
 
 @pytest.fixture
 def networks(monkeypatch: pytest.MonkeyPatch) -> None:
-    def load(path: Path, device: Any) -> Knowing:
+    def load(path: Path, device: Any) -> ConstantNetwork:
         if not Path(path).exists():
             raise FileNotFoundError(f"{path}: expected a checkpoint, got nothing there")
-        return Knowing("mesh" if "mesh" in str(path) else "voxel", 0.8)
+        return ConstantNetwork("mesh" if "mesh" in str(path) else "voxel", 0.8)
 
     monkeypatch.setattr("neural_renderer.commands.reconstruct.evaluate.load_model", load)
     monkeypatch.setattr("neural_renderer.features.load_features", lambda name: colour_network())

@@ -1,4 +1,4 @@
-"""From pictures to meshes: where they stand, what is written, many at once, and what is wrong as one sentence."""
+"""Prediction: frames of meshes, result files, several pictures, error messages."""
 
 from __future__ import annotations
 
@@ -12,40 +12,40 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.tasks.reconstruction.data.framing import mirrored, unit, view_camera
-from neural_renderer.tasks.reconstruction.data.voxels import solid
+from neural_renderer.tasks.reconstruction.data.framing import mirror, scale_to_unit, view_camera
+from neural_renderer.tasks.reconstruction.data.voxels import voxelize_model
 from neural_renderer.tasks.reconstruction.evaluation.predict import best_frame, predict_meshes, prediction_picture
 from neural_renderer.tasks.reconstruction.evaluation.predictors import network_predictor
 from neural_renderer.tasks.reconstruction.networks.configs import Config
 
 
 def wedge() -> tuple[Tensor, Tensor]:
-    """A model without any symmetry, its faces counter-clockwise seen from outside."""
+    """Make an asymmetric model with counter-clockwise faces."""
     vertices = torch.tensor([[0, 0, 0], [4, 0, 0], [0, 0, 2], [0, 1.5, 0], [4, 0.5, 0.0]])
     faces = torch.tensor([[0, 1, 2], [0, 2, 3], [1, 4, 2], [2, 4, 3], [0, 3, 1], [1, 3, 4]])
-    return unit(vertices), faces
+    return scale_to_unit(vertices), faces
 
 
 def volume(vertices: Tensor, faces: Tensor) -> float:
     return torch.linalg.det(vertices[faces.long()].double()).sum().item() / 6
 
 
-class Knowing:
-    """A "network" that always sees the wedge, in the frame of reconstruction."""
+class ConstantNetwork:
+    """A network that always predicts the wedge, in the reconstruction frame."""
 
     config = Config()
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
         vertices, faces = wedge()
-        self._vertices, self.faces = mirrored(vertices), faces.flip(1)
+        self._vertices, self.faces = mirror(vertices), faces.flip(1)
 
     def vertices(self, images: Tensor) -> Tensor:
         assert images.shape[1:] == (4, 64, 64) and images.max() <= 1
         return self._vertices.expand(len(images), -1, -1)
 
     def occupancy(self, images: Tensor) -> Tensor:
-        return solid(self._vertices, self.faces).float().expand(len(images), -1, -1, -1)
+        return voxelize_model(self._vertices, self.faces).float().expand(len(images), -1, -1, -1)
 
 
 IMAGES = torch.zeros(1, 4, 64, 64, dtype=torch.uint8)
@@ -53,35 +53,35 @@ IMAGES = torch.zeros(1, 4, 64, 64, dtype=torch.uint8)
 
 def test_the_mesh_is_the_model_and_not_its_mirror_image() -> None:
     assert volume(*wedge()) > 0
-    [(vertices, faces)] = predict_meshes(Knowing("mesh"), IMAGES)
+    [(vertices, faces)] = predict_meshes(ConstantNetwork("mesh"), IMAGES)
     assert torch.equal(vertices, wedge()[0]) and volume(vertices, faces) == pytest.approx(volume(*wedge()))
 
 
 def test_the_mesh_of_voxels_is_as_large_and_outward() -> None:
-    [(vertices, faces)] = predict_meshes(Knowing("voxel"), IMAGES)
+    [(vertices, faces)] = predict_meshes(ConstantNetwork("voxel"), IMAGES)
     expected, triangles = wedge()
     assert (vertices.amin(0) - expected.amin(0)).abs().max() < 1 / 31
     assert (vertices.amax(0) - expected.amax(0)).abs().max() < 1 / 31
     assert volume(vertices, faces) == pytest.approx(volume(expected, triangles), rel=0.5)
     camera = view_camera(torch.arange(0, 24, 5))
     a, b = (
-        nr.render((mirrored(points), corners), camera, 64, outputs="alpha").alpha
+        nr.render((mirror(points), corners), camera, 64, outputs="alpha").alpha
         for points, corners in ((vertices, faces), (expected, triangles))
     )
     assert nr.metrics.silhouette_iou(a, b).min() > 0.8  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="expected a solid shape"):
-        predict_meshes(Knowing("voxel"), IMAGES, threshold=1.0)
+        predict_meshes(ConstantNetwork("voxel"), IMAGES, threshold=1.0)
 
 
 def test_a_full_grid_has_a_closed_surface() -> None:
-    network = Knowing("voxel")
+    network = ConstantNetwork("voxel")
     network.occupancy = lambda images: torch.ones(1, 32, 32, 32)  # type: ignore[method-assign]
     [(vertices, faces)] = predict_meshes(network, IMAGES)
     assert 1 < volume(vertices, faces) < 1.12 and vertices.abs().max() < 0.54
 
 
 def test_the_size_is_the_one_at_which_the_prediction_fits() -> None:
-    predict = network_predictor(Knowing("mesh"))
+    predict = network_predictor(ConstantNetwork("mesh"))
     alpha = predict(IMAGES).silhouettes(torch.tensor([[7]]))[0, 0]
     large = torch.nn.functional.interpolate(alpha[None, None], size=(300, 300), mode="bilinear")[0]
     image = best_frame(predict, large[:, 40:, 10:].expand(4, -1, -1))
@@ -100,8 +100,8 @@ def test_sheet_of_any_picture() -> None:
 
 @pytest.fixture
 def pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An object on a wall, the same with transparency, a crowd, its mask, and pictures of nothing."""
-    monkeypatch.setattr("neural_renderer.commands.reconstruct.predict.load_model", lambda *_: Knowing("mesh"))
+    """Write an object on a wall, the same with transparency, on noise, its mask, and pictures without an object."""
+    monkeypatch.setattr("neural_renderer.commands.reconstruct.predict.load_model", lambda *_: ConstantNetwork("mesh"))
     wall = torch.full((90, 120, 3), 0.8)
     wall[20:70, 30:60] = torch.tensor([0.2, 0.5, 0.3])
     mask = (wall[..., 0] < 0.5).float()

@@ -1,4 +1,4 @@
-"""The networks: the published sizes, where vertices may go, and silhouettes of voxels."""
+"""Networks: published sizes, ranges of vertices, silhouettes of voxels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,12 @@ from neural_renderer.tasks.reconstruction.data.framing import view_camera
 from neural_renderer.tasks.reconstruction.networks.configs import Config, make_config
 from neural_renderer.tasks.reconstruction.networks.encoders import FeatureEncoder, LightEncoder, PaperEncoder
 from neural_renderer.tasks.reconstruction.networks.make_network import make_network
-from neural_renderer.tasks.reconstruction.networks.mesh_network import MeshDecoder, MeshNetwork, blurring, in_octants
+from neural_renderer.tasks.reconstruction.networks.mesh_network import (
+    MeshDecoder,
+    MeshNetwork,
+    deform_sphere,
+    smoothing_matrix,
+)
 from neural_renderer.tasks.reconstruction.networks.voxel_network import VoxelNetwork, rays
 from tests.features.test_features import torchvision_googlenet, torchvision_vgg
 from tests.rounding import EPS, rounding
@@ -34,17 +39,17 @@ def test_published_sizes() -> None:
 def test_octants() -> None:
     sphere = nr.icosphere(3)[0] * 0.5
     torch.manual_seed(0)
-    still = in_octants(sphere, torch.zeros(1, 642, 3), torch.zeros(1, 3))
+    still = deform_sphere(sphere, torch.zeros(1, 642, 3), torch.zeros(1, 3))
     torch.testing.assert_close(still[0], sphere / 2)
     for size in (0.3, 3.0, 100.0):
         bias, shift = torch.randn(4, 642, 3) * size, torch.randn(4, 3) * size
-        moved = in_octants(sphere, bias, shift)
+        moved = deform_sphere(sphere, bias, shift)
         assert moved.abs().max() <= 0.5
         corner = torch.tanh(shift)[:, None] / 2
         assert ((moved - corner) * sphere >= -4 * EPS).all()  # on the side of the octant's corner where it began
         on_plane = (sphere == 0).expand_as(moved)
         torch.testing.assert_close(moved[on_plane], corner.expand_as(moved)[on_plane])
-    far = in_octants(sphere, torch.full((1, 642, 3), 50.0), torch.zeros(1, 3))
+    far = deform_sphere(sphere, torch.full((1, 642, 3), 50.0), torch.zeros(1, 3))
     torch.testing.assert_close(far[0], sphere.sign() / 2)
 
 
@@ -58,9 +63,9 @@ def test_symmetry() -> None:
 
 
 def test_blurring() -> None:
-    """A solution of (1 + λL) x = y, so that what all vertices share stays, and what one has is shared."""
+    """The matrix solves (1 + λL) x = y; it keeps constants and spreads single values."""
     vertices, faces = nr.icosphere(2)
-    matrix = blurring(Topology.of(faces), 3.0)
+    matrix = smoothing_matrix(Topology.of(faces), 3.0)
     generator = torch.Generator().manual_seed(0)
     noise = torch.randn(len(vertices), 3, generator=generator)
     blurred = matrix @ noise
@@ -70,11 +75,11 @@ def test_blurring() -> None:
     # The matrix inverts one of a condition below 1 + 3 x 12, twice the largest degree; its rows have 162 entries.
     torch.testing.assert_close(blurred + 3 * laplacian, noise, **rounding(162 * 37, 4 / 162**0.5))
     torch.testing.assert_close(matrix.sum(1), torch.ones(len(vertices)), **rounding(162 + 37))
-    assert torch.equal(blurring(Topology.of(faces), 0.0), torch.eye(len(vertices)))
+    assert torch.equal(smoothing_matrix(Topology.of(faces), 0.0), torch.eye(len(vertices)))
 
 
 def test_blurred_meshes_are_smooth() -> None:
-    """Of the same weights, without a step of training; and that the blur is there is in no weight."""
+    """Smoothing changes the prediction, but has no weights of its own."""
     meshes = []
     for blur in (0.0, 3.0):
         torch.manual_seed(0)
@@ -96,7 +101,7 @@ def test_a_picture_alone_counts(encoder: type[torch.nn.Module]) -> None:
 
 
 def test_voxels_are_seen_where_their_points_are() -> None:
-    """A ball off the middle has the silhouette that the renderer draws of it from every view, to half a pixel."""
+    """The silhouettes of an off-centre ball of voxels equal the renderer's in every view, to half a pixel."""
     centre, radius = torch.tensor([0.12, -0.2, 0.25]), 0.2
     middle = (torch.arange(32) - 15.5) / 31
     y, x, z = torch.meshgrid(middle, middle, -middle, indexing="ij")  # the axes of the published voxels
@@ -124,21 +129,21 @@ def test_gradients_reach_every_weight(kind: str) -> None:
         assert value.grad is not None and torch.isfinite(value.grad).all() and value.grad.abs().max() > 0, name
 
 
-def test_recipes() -> None:
+def test_configurations() -> None:
     assert make_config("paper", ["a", "b"]) == Config()
     single = make_config("paper", ["chair"])
     assert (single.smoothness, single.steps) == (1e-3, 250_000) == (1e-3, make_config("paper", ["03001627"]).steps)
     for name in ("paper", "small", "best"):
         config = make_config(name, ["a", "b"])  # type: ignore[arg-type]
         assert Config.from_dict(config.to_dict()) == config
-    with pytest.raises(ValueError, match="config: expected the fields of a recipe, got wings"):
+    with pytest.raises(ValueError, match="config: expected the fields of a configuration, got also wings"):
         Config.from_dict({"wings": 2})
     with pytest.raises(ValueError, match="model: expected one of mesh, voxel, got 'cloud'"):
         make_network("cloud", Config())
 
 
 def test_features() -> None:
-    """Images are shown on white, whatever is stored outside of the object; what was learned elsewhere stays."""
+    """Colours of transparent pixels do not matter, and pretrained weights do not change."""
     network = googlenet(torchvision_googlenet())
     encoder = FeatureEncoder(network)
     images = torch.rand(3, 4, 64, 64, generator=torch.Generator().manual_seed(0))
@@ -157,5 +162,5 @@ def test_features() -> None:
     assert FeatureEncoder(vgg(torchvision_vgg(16))).layer == "conv4_3"
     with pytest.raises(ValueError, match="features: expected a network with inception_4c or conv4_3, got GoogLeNet"):
         FeatureEncoder(network.until("pool3"))
-    with pytest.raises(ValueError, match="features: expected a network for the encoder to look at images with"):
+    with pytest.raises(ValueError, match='features: expected a network for the encoder "features", got None'):
         make_network("mesh", replace(SMALL, encoder="features"))

@@ -1,4 +1,4 @@
-"""What a step looks at depends on the seed and on its number alone."""
+"""Training batches depend on seed and step only."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.tasks.reconstruction.data.framing import view_camera
-from neural_renderer.tasks.reconstruction.training.sampling import Batches, mirrored_views, prepared
-from tests.tasks.reconstruction.fake import SMALL, fake_split
+from neural_renderer.tasks.reconstruction.training.sampling import Batches, mirrored_views, prepare_batch
+from tests.tasks.reconstruction.synthetic import SMALL, synthetic_split
 
 
 def test_batches_do_not_depend_on_where_one_begins() -> None:
-    split = fake_split()
+    split = synthetic_split()
     whole, rest = Batches(split, SMALL, 5, 0, 8), Batches(split, SMALL, 5, 6, 8)
     assert (len(whole), len(rest)) == (8, 2)
     for name, value in whole[7].items():
@@ -24,7 +24,7 @@ def test_batches_do_not_depend_on_where_one_begins() -> None:
 
 
 def test_processes_share_a_batch() -> None:
-    split = fake_split()
+    split = synthetic_split()
     whole = Batches(split, SMALL, 0, 3, 4)[0]
     parts = [Batches(split, SMALL, 0, 3, 4, rank, 2)[0] for rank in range(2)]
     for name, value in whole.items():
@@ -35,7 +35,7 @@ def test_processes_share_a_batch() -> None:
 
 
 def test_classes_and_views_are_drawn_evenly() -> None:
-    split = fake_split(objects=1)
+    split = synthetic_split(objects=1)
     config = replace(SMALL, objects=2000, augment=False)
     batch = Batches(split, config, 0, 0, 1)[0]
     assert torch.bincount(batch["views"].flatten(), minlength=24).min() > 110  # of 167 expected
@@ -45,12 +45,12 @@ def test_classes_and_views_are_drawn_evenly() -> None:
 
 
 def test_a_mirrored_object_is_what_another_view_shows() -> None:
-    """Augmented, a picture shows the mirrored object: render that and compare, in every view."""
-    split = fake_split(objects=1)
+    """A flipped image equals the rendered image of the mirrored object, in every view."""
+    split = synthetic_split(objects=1)
     images = torch.from_numpy(split.images["box"])  # [1, 24, 4, 64, 64]
     views = torch.arange(24)
     batch = {"images": images.transpose(0, 1), "views": views[:, None], "flip": torch.tensor([True])}
-    _, alpha, seen = prepared(batch, 1)
+    _, alpha, seen = prepare_batch(batch, 1)
     assert torch.equal(seen[:, 0], mirrored_views(views)) and torch.equal(mirrored_views(mirrored_views(views)), views)
 
     generator = torch.Generator().manual_seed(0)
@@ -63,9 +63,9 @@ def test_a_mirrored_object_is_what_another_view_shows() -> None:
 
 
 def test_prepared_images() -> None:
-    batch = Batches(fake_split(), SMALL, 0, 0, 1)[0]
-    images, alpha, views = prepared(batch, 2)
+    batch = Batches(synthetic_split(), SMALL, 0, 0, 1)[0]
+    images, alpha, views = prepare_batch(batch, 2)
     assert images.shape == (2, 4, 4, 64, 64) and views.shape == (2, 4)
     assert images.min() >= 0 and images.max() <= 1 and torch.equal(images[:, :, 3], alpha)
-    plain = prepared({name: batch[name] for name in ("images", "views")}, 1)
+    plain = prepare_batch({name: batch[name] for name in ("images", "views")}, 1)
     assert torch.equal(plain[0], batch["images"][:1] / 255) and torch.equal(plain[2], batch["views"])

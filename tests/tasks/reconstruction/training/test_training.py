@@ -1,4 +1,4 @@
-"""Training: it learns, goes on after a kill as if nothing had been, and several processes do what one does."""
+"""Training: learning, resuming, several processes, checkpoints, errors, the command."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from neural_renderer.tasks.reconstruction.networks import configs
 from neural_renderer.tasks.reconstruction.networks.checkpoint import load_model, read_checkpoint, save_model
 from neural_renderer.tasks.reconstruction.networks.configs import Config
 from neural_renderer.tasks.reconstruction.networks.make_network import make_network
-from neural_renderer.tasks.reconstruction.training.callbacks import Keep
-from neural_renderer.tasks.reconstruction.training.train import fit
+from neural_renderer.tasks.reconstruction.training.callbacks import Checkpoints
+from neural_renderer.tasks.reconstruction.training.train import train
 from neural_renderer.tasks.reconstruction.training.training import Training, schedule
 from tests.faults import contents, full_disk
 from tests.features.test_features import torchvision_googlenet, torchvision_vgg
 from tests.programs import run_python
-from tests.tasks.reconstruction.fake import SMALL, fake_split, write_split
+from tests.tasks.reconstruction.synthetic import SMALL, synthetic_split, write_split
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
-def train(out: Path, kind: str = "mesh", config: Config = SMALL, every: int = 3, **options: Any) -> Training:
+def small_training(out: Path, kind: str = "mesh", config: Config = SMALL, every: int = 3, **options: Any) -> Training:
     out.mkdir(exist_ok=True)
-    return fit(kind, config, fake_split(), fake_split(1, seed=1), out, every=every, device="cpu", **options)
+    return train(kind, config, synthetic_split(), synthetic_split(1, seed=1), out, every=every, device="cpu", **options)
 
 
 @pytest.mark.parametrize("kind", ["mesh", "voxel"])
 def test_it_learns(tmp_path: Path, kind: str) -> None:
-    training = train(tmp_path, kind, replace(SMALL, steps=20, rate=3e-3), every=20)
+    training = small_training(tmp_path, kind, replace(SMALL, steps=20, rate=3e-3), every=20)
     with (tmp_path / "log.csv").open() as file:
         rows = list(csv.DictReader(file))
     losses = [float(row["loss"]) for row in rows if row["loss"]]
@@ -53,11 +53,11 @@ def test_it_learns(tmp_path: Path, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["mesh", "voxel"])
 def test_features_of_another_network(tmp_path: Path, kind: str) -> None:
-    """They look, are not changed, and are in the checkpoint: the file that they came from is needed no more."""
+    """Pretrained features are used, stay as they are, and are part of the checkpoint."""
     features = googlenet(torchvision_googlenet())
     before = {name: value.clone() for name, value in features.state_dict().items()}
     options: dict[str, Any] = {"config": replace(SMALL, encoder="features"), "features": features}
-    training = train(tmp_path / "whole", kind, **options)
+    training = small_training(tmp_path / "whole", kind, **options)
     for name, value in features.state_dict().items():
         assert torch.equal(value, before[name]), name
     images = torch.rand(2, 4, 64, 64)
@@ -65,8 +65,8 @@ def test_features_of_another_network(tmp_path: Path, kind: str) -> None:
         network = load_model(tmp_path / "whole" / f"{name}.ckpt")
         assert network(images).shape == training.model(images).shape
     torch.testing.assert_close(load_model(tmp_path / "whole" / "last.ckpt")(images), training.model(images))
-    train(tmp_path / "parts", kind, interrupted=[2], **options)
-    resumed = train(tmp_path / "parts", kind, checkpoint=tmp_path / "parts" / "last.ckpt", **options)
+    small_training(tmp_path / "parts", kind, interrupted=[2], **options)
+    resumed = small_training(tmp_path / "parts", kind, checkpoint=tmp_path / "parts" / "last.ckpt", **options)
     for (name, one), other in zip(training.state_dict().items(), resumed.state_dict().values(), strict=True):
         assert torch.equal(one, other), name
 
@@ -74,7 +74,7 @@ def test_features_of_another_network(tmp_path: Path, kind: str) -> None:
 def test_a_kill_costs_the_steps_since_the_checkpoint_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = train(tmp_path / "whole")
+    whole = small_training(tmp_path / "whole")
     step = Training.training_step
 
     def killed(self: Training, batch: Any, batch_idx: int) -> Any:
@@ -84,34 +84,34 @@ def test_a_kill_costs_the_steps_since_the_checkpoint_and_no_more(
 
     monkeypatch.setattr(Training, "training_step", killed)
     with pytest.raises(MemoryError):
-        train(tmp_path / "parts")
+        small_training(tmp_path / "parts")
     monkeypatch.undo()
     assert read_checkpoint(tmp_path / "parts" / "last.ckpt")["training"]["steps"] == 3
-    resumed = train(tmp_path / "parts", checkpoint=tmp_path / "parts" / "last.ckpt")
+    resumed = small_training(tmp_path / "parts", checkpoint=tmp_path / "parts" / "last.ckpt")
     assert resumed.steps_done == whole.steps_done == 6
     for (name, one), other in zip(whole.state_dict().items(), resumed.state_dict().values(), strict=True):
         assert torch.equal(one, other), name
-    again = train(tmp_path / "parts", checkpoint=tmp_path / "parts" / "last.ckpt")
+    again = small_training(tmp_path / "parts", checkpoint=tmp_path / "parts" / "last.ckpt")
     assert again.done and again.steps_done == 6  # nothing is left to do
 
 
 def test_an_interruption_keeps_everything(tmp_path: Path) -> None:
-    training = train(tmp_path, interrupted=[2])
+    training = small_training(tmp_path, interrupted=[2])
     assert training.steps_done == 1 and not training.done
     assert read_checkpoint(tmp_path / "last.ckpt")["training"]["steps"] == 1
 
 
 def test_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a clock that goes on by a second whenever it is looked at."""
+    """The time limit, by a clock that advances by a second at each reading."""
     clock = SimpleNamespace(monotonic=itertools.count().__next__)
     monkeypatch.setattr("neural_renderer.tasks.reconstruction.training.training.time", clock)
-    training = train(tmp_path, config=replace(SMALL, steps=100), minutes=0.1)
+    training = small_training(tmp_path, config=replace(SMALL, steps=100), minutes=0.1)
     assert training.done and training.steps_done == training.seconds == 6
 
 
 def test_a_loss_that_is_no_number(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"loss: expected finite numbers, got .* at step 0"):
-        train(tmp_path, config=replace(SMALL, laplacian=float("nan")))
+        small_training(tmp_path, config=replace(SMALL, laplacian=float("nan")))
 
 
 def test_a_full_disk(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_a_disk_that_is_full_for_pictures(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(OSError, match=r"00000003.png: expected to write it, got: No space left on device"):
-        train(tmp_path)
+        small_training(tmp_path)
     assert not list((tmp_path / "pictures").iterdir())
 
 
@@ -143,9 +143,9 @@ def test_an_output_folder_that_is_deleted_meanwhile(tmp_path: Path, monkeypatch:
     def ending(*_: Any) -> None:
         shutil.rmtree(tmp_path / "out")
 
-    monkeypatch.setattr(Keep, "on_train_epoch_end", ending)
+    monkeypatch.setattr(Checkpoints, "on_train_epoch_end", ending)
     with pytest.raises(OSError, match=r"out/log\.csv: expected to write it, got: No such file or directory"):
-        train(tmp_path / "out")
+        small_training(tmp_path / "out")
 
 
 def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:
@@ -153,12 +153,12 @@ def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="expected a checkpoint, got nothing there"):
         load_model(path)
     path.write_bytes(b"PK\3\4 and then nothing")
-    with pytest.raises(ValueError, match=r"x.ckpt: expected a checkpoint, got a file that is broken or none"):
+    with pytest.raises(
+        ValueError, match=r"x.ckpt: expected a checkpoint, got a file that is broken or of another format"
+    ):
         load_model(path)
     torch.save({"state_dict": {}}, path)
-    with pytest.raises(
-        ValueError, match="expected a checkpoint of a reconstruction network, got one of something else"
-    ):
+    with pytest.raises(ValueError, match="expected a checkpoint of a reconstruction network, got another checkpoint"):
         load_model(path)
     network = make_network("voxel", SMALL)
     save_model(path, network, ["box"], val_iou=0.5)
@@ -167,11 +167,11 @@ def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected a checkpoint of version 1, got version 99"):
         load_model(path)
     torch.save(content | {"reconstruction": content["reconstruction"] | {"kind": "mesh"}}, path)
-    with pytest.raises(ValueError, match="expected a network's weights, got others than its header says"):
+    with pytest.raises(ValueError, match="expected the weights that its header describes, got others"):
         load_model(path)
     content["state_dict"]["decoder.0.bias"][3] = torch.nan
     torch.save(content, path)
-    with pytest.raises(ValueError, match=r"x.ckpt: expected finite weights, got some that are NaN"):
+    with pytest.raises(ValueError, match=r"x.ckpt: expected finite weights, got NaN or infinity"):
         load_model(path)
 
 
@@ -181,7 +181,7 @@ def test_code_in_a_checkpoint_is_not_run(tmp_path: Path) -> None:
             return Path.touch, (tmp_path / "sprung",)
 
     torch.save({"reconstruction": {"version": 1}, "state_dict": Trap()}, tmp_path / "x.ckpt")
-    with pytest.raises(ValueError, match="broken or none"):
+    with pytest.raises(ValueError, match="broken or of another format"):
         load_model(tmp_path / "x.ckpt")
     assert not (tmp_path / "sprung").exists()
 
@@ -273,27 +273,27 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
-from neural_renderer.tasks.reconstruction.training.train import fit
+from neural_renderer.tasks.reconstruction.training.train import train
 from tests.programs import run_python
-from tests.tasks.reconstruction.fake import SMALL
+from tests.tasks.reconstruction.synthetic import SMALL
 
 folder, out = Path(sys.argv[1]), Path(sys.argv[2])
-fit("mesh", replace(SMALL, steps=1), open_split(folder, "train"), None, out, devices=2, device="cpu")
+train("mesh", replace(SMALL, steps=1), open_split(folder, "train"), None, out, devices=2, device="cpu")
 """
 
 
 def test_two_processes_do_what_one_does(tmp_path: Path) -> None:
-    """DDP on loopback, at the same batch over all: the same gradient, to rounding.
+    """Two processes compute the gradient of one, to rounding.
 
-    Adam's mean after one step is that gradient. (Its first steps are as long for a gradient of rounding errors as for
-    any other, so that weights would say less.)
+    Compared is Adam's first moment after one step, which is the gradient. Weights would say less: Adam's first step is
+    as long for a gradient of rounding errors as for any other.
     """
     write_split(tmp_path, "train")
     script = tmp_path / "two.py"
     script.write_text(TWO_PROCESSES)
     done = run_python(script, tmp_path, tmp_path / "two")
     assert done.returncode == 0, done.stderr
-    fit("mesh", replace(SMALL, steps=1), fake_split(), None, tmp_path / "one", device="cpu")
+    train("mesh", replace(SMALL, steps=1), synthetic_split(), None, tmp_path / "one", device="cpu")
     one, two = (read_checkpoint(tmp_path / name / "last.ckpt") for name in ("one", "two"))
     assert one["training"]["steps"] == two["training"]["steps"] == 1
     states = [content["optimizer_states"][0]["state"] for content in (one, two)]

@@ -1,1 +1,1 @@
-"""Data of reconstruction: rendered views and voxels of 3D models."""
+"""Data sets for reconstruction: rendered views and voxels of 3D models."""

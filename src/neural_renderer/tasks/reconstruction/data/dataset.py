@@ -1,4 +1,4 @@
-"""From 3D models to the data that single-image reconstruction is trained and measured on."""
+"""Data sets from 3D models: rendered views and voxels."""
 
 from __future__ import annotations
 
@@ -30,21 +30,27 @@ from ....rendering import render
 from ....version import __version__
 from .arrays import DESCRIPTION, SPLITS
 from .drawing import shoulder_light
-from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirrored, unit, view_camera
+from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirror, scale_to_unit, view_camera
 from .models_folder import Model, is_mesh
-from .voxels import solid
+from .voxels import voxelize_model
 
-_GREY = 0.75  # of models without a colour
-_DARKEST = 0.08  # no paint reflects less, and on pure black no shape shows
-_TEXELS = 4_000_000  # of a whole model, at most
-_RECIPE = 1  # of a finished object: another number renders all anew
+_GREY = 0.75  # colour of models without colours
+_DARKEST = 0.08  # colours are mapped to [0.08, 1]: pure black would hide the shape
+_DIRECTIONAL = 0.56  # intensity of the light from over the shoulder
+_MOST_TEXELS = 4_000_000  # of a model
+_MOST_TEXTURE_SIZE = 16  # texels along the edge of a face's cube
+_RECIPE = 1  # version of finished objects; objects of another version are rendered again
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How objects are rendered: ``views`` around them, of ``size`` pixels, each the mean of ``samples`` x ``samples``.
+    """Settings of a data set. The defaults are those of the published one, which training expects.
 
-    ``grid`` is the voxels' number along each side. Published data have the defaults, and training asks for them.
+    Attributes:
+        views: Number of views around an object.
+        size: Side of the images in pixels.
+        samples: Each pixel is the mean of samples × samples samples.
+        grid: Voxels along each axis.
     """
 
     views: int = VIEWS
@@ -57,10 +63,16 @@ class Settings:
 def render_views(
     vertices: Tensor, faces: Tensor, textures: Tensor | None = None, settings: Settings = Settings()
 ) -> Tensor:
-    """The views of an object: uint8 [K, 4, S, S], red, green, blue and alpha, colours not multiplied by alpha.
+    """Render the views of an object.
 
-    vertices: [V, 3] in the frame of reconstruction (see `framing`); faces: [F, 3]; textures: as `render` takes them, or
-    None for grey.
+    Args:
+        vertices: [V, 3] floating, in the reconstruction frame.
+        faces: [F, 3] integer.
+        textures: [F, T, T, T, 3], or None for grey.
+        settings: Settings of the data set.
+
+    Returns:
+        [K, 4, S, S] uint8, RGBA; colours are not multiplied by alpha.
     """
     if textures is None:
         textures = torch.full((len(faces), 2, 2, 2, 3), _GREY)
@@ -68,35 +80,43 @@ def render_views(
     pictures = []
     for view in range(settings.views):
         camera = view_camera(torch.tensor([view]), settings.views)
-        light = shoulder_light(camera, 0.56)
+        light = shoulder_light(camera, _DIRECTIONAL)
         size = settings.size * settings.samples
         images = render(
             (vertices, faces, textures), camera, size, light=light, outputs=("rgb", "alpha"), anti_aliasing=False
         )
         alpha = F.avg_pool2d(images.alpha[:, None], settings.samples)  # type: ignore[index]
-        # On black, the mean is multiplied by alpha; what is seen has the mean colour of the samples that see it.
+        # Means over a black background are multiplied by alpha; divide by it to get the mean of the object's samples.
         rgb = F.avg_pool2d(images.rgb, settings.samples) / alpha.clamp(min=1e-6)  # type: ignore[arg-type]
         pictures.append(torch.cat((rgb.clamp(0, 1) * (alpha > 0), alpha), 1))
     return (torch.cat(pictures) * 255 + 0.5).to(torch.uint8)
 
 
 def make_object(path: Path, settings: Settings = Settings(), allow_outside: bool = False) -> tuple[Tensor, Tensor]:
-    """The views (see `render_views`) and the voxels (see `voxels.solid`) of a model in a file, its box's side made 1.
+    """Render and voxelise a model file, scaled to a longest side of 1.
 
-    allow_outside: as in `load_mesh`. Raises ValueError, with the file's name, for one that cannot be read or shows
-    nothing.
+    Args:
+        path: Mesh file.
+        settings: Settings of the data set.
+        allow_outside: As in `load_mesh`.
+
+    Returns:
+        Views [K, 4, S, S] uint8 (see `render_views`) and voxels (see `voxels.voxelize_model`).
+
+    Raises:
+        ValueError: The file is unreadable or no face is visible; the message names the file.
     """
     vertices, faces, textures = load_mesh(path, 2, allow_outside)
     if textures is not None:
-        texture_size = min(16, int((_TEXELS / len(faces)) ** (1 / 3)))
+        texture_size = min(_MOST_TEXTURE_SIZE, int((_MOST_TEXELS / len(faces)) ** (1 / 3)))
         textures = load_mesh(path, texture_size, allow_outside)[2] if texture_size > 2 else textures
-    used = torch.unique(faces.long())  # stray vertices belong to no surface
+    used = torch.unique(faces.long())  # unused vertices do not count
     try:
-        vertices = mirrored(vertices.index_copy(0, used, unit(vertices[used])))
+        vertices = mirror(vertices.index_copy(0, used, scale_to_unit(vertices[used])))
         images = render_views(vertices, faces, textures, settings)
         if not images[:, 3].any():
-            raise ValueError("faces: expected a surface that can be seen, got none in any view")
-        return images, solid(vertices, faces, settings.grid)
+            raise ValueError("faces: expected a visible surface, got empty images")
+        return images, voxelize_model(vertices, faces, settings.grid)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -104,14 +124,21 @@ def make_object(path: Path, settings: Settings = Settings(), allow_outside: bool
 def make_objects(
     models: Sequence[Model], folder: Path, settings: Settings, processes: int, allow_outside: bool = False
 ) -> Iterator[tuple[Model, str | None, list[str]]]:
-    """Make objects in several processes, or (0) in this one; each has a file of its own below ``folder``.
+    """Render and voxelise models, each into a file of its own in ``folder``; finished ones are skipped.
 
-    What is there already stays. Yields each model as it is done, with None or a sentence that says why it could not be
-    made, and warnings about it. ``allow_outside``: as in `load_mesh`.
+    Args:
+        models: Models to process.
+        folder: Folder of the data set.
+        settings: Settings of the data set.
+        processes: Number of worker processes; 0 for none.
+        allow_outside: As in `load_mesh`.
+
+    Yields:
+        Each model when it is finished, with an error message or None, and warnings.
     """
     waiting: dict[Model, str] = {}
     for model, key in _keys(models, settings, allow_outside).items():
-        notes = _made(model, folder, key)
+        notes = _finished_notes(model, folder, key)
         if notes is not None:
             yield model, None, notes
         elif processes == 0:
@@ -119,7 +146,7 @@ def make_objects(
         else:
             waiting[model] = key
     while waiting:
-        # A process that dies takes its pool with it; whose fault it was shows when one after the other is tried.
+        # A worker that dies breaks the whole pool. A second pass with one worker finds the model that kills it.
         for count in dict.fromkeys((processes, 1)):
             crashed = False
             with _pool(count) as pool:
@@ -138,20 +165,20 @@ def make_objects(
                 return
         culprit = next(iter(waiting))
         del waiting[culprit]
-        yield culprit, f"{culprit.path}: its process died, perhaps for lack of memory", []
+        yield culprit, f"{culprit.path}: expected to render it, got a worker process that died (out of memory?)", []
 
 
 @contextmanager
 def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    pool = ProcessPoolExecutor(processes, get_context("spawn"), _begin, (os.getpid(),))
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), _start_worker, (os.getpid(),))
     try:
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _begin(parent: int) -> None:
-    """A worker: one thread, Ctrl-C is its parent's business, and it does not outlive a parent that was killed."""
+def _start_worker(parent: int) -> None:
+    """Initialise a worker: one thread, Ctrl-C is left to the parent, and the worker ends if the parent is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
 
@@ -164,14 +191,14 @@ def _begin(parent: int) -> None:
 
 
 def object_file(model: Model, folder: Path) -> Path:
-    """Where a finished object is kept."""
+    """Return the file of a finished object."""
     return folder / "objects" / model.category / f"{model.name}.npz"
 
 
 def _keys(models: Sequence[Model], settings: Settings, allow_outside: bool) -> dict[Model, str]:
-    """What tells for each model whether it has changed: its file, and the materials and pictures that lie around it.
+    """Compute a key for each model that changes with its mesh file, its materials and its images.
 
-    Of a folder with several models each has what is named like it, and what is named like none of them.
+    In a folder with several models, a model owns the files with its name as a prefix; unmatched files belong to all.
     """
     together: dict[Path, list[Model]] = {}
     for model in models:
@@ -180,12 +207,12 @@ def _keys(models: Sequence[Model], settings: Settings, allow_outside: bool) -> d
     keys = {}
     for folder, here in together.items():
         names = [path.stem for path in folder.iterdir() if is_mesh(path)]
-        around: dict[str | None, list[Any]] = {}
+        files: dict[str | None, list[Any]] = {}
         for path in sorted(path for path in folder.rglob("*") if path.is_file() and not is_mesh(path)):
             owner = max((name for name in names if path.name.startswith(name)), key=len, default=None)
-            around.setdefault(owner, []).append((str(path), _stamp(path)))
+            files.setdefault(owner, []).append((str(path), _stamp(path)))
         for model in here:
-            own_files = around.get(model.path.stem, []), around.get(None, [])
+            own_files = files.get(model.path.stem, []), files.get(None, [])
             recipe = [_RECIPE, asdict(settings), *_stamp(model.path), zlib.crc32(repr(own_files).encode())]
             recipe += ["allow_outside"] if allow_outside else []
             keys[model] = json.dumps(recipe)
@@ -193,12 +220,13 @@ def _keys(models: Sequence[Model], settings: Settings, allow_outside: bool) -> d
 
 
 def _stamp(path: Path) -> tuple[int, int]:
+    """Return size and modification time of a file."""
     status = path.stat()
     return status.st_size, status.st_mtime_ns
 
 
-def _made(model: Model, folder: Path, key: str) -> list[str] | None:
-    """The warnings about an object that is there already; None if it is to be made."""
+def _finished_notes(model: Model, folder: Path, key: str) -> list[str] | None:
+    """Return the warnings about a finished object, or None if there is none with this key."""
     try:
         with np.load(object_file(model, folder)) as arrays:
             return arrays["notes"].tolist() if str(arrays["key"]) == key else None
@@ -209,14 +237,15 @@ def _made(model: Model, folder: Path, key: str) -> list[str] | None:
 def _make_file(
     model: Model, folder: Path, settings: Settings, key: str, allow_outside: bool
 ) -> tuple[str | None, list[str]]:
+    """Make one object; return an error message or None, and warnings."""
     target = object_file(model, folder)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             images, voxels = make_object(model.path, settings, allow_outside)
-        except Exception as error:  # whatever a model is broken by, the others are not
-            told = isinstance(error, (ValueError, OSError)) and str(error)
-            return (str(error) if told else f"{model.path}: {type(error).__name__}: {error}"), []
+        except Exception as error:  # one broken model must not stop the others
+            expected = isinstance(error, (ValueError, OSError)) and str(error)
+            return (str(error) if expected else f"{model.path}: {type(error).__name__}: {error}"), []
     notes = sorted({str(warning.message) for warning in caught})
     arrays: dict[str, Any] = {"images": images.numpy(), "voxels": voxels.numpy(), "notes": np.array(notes, np.str_)}
     with replacing(target) as fresh, open(fresh, "wb") as file:
@@ -230,12 +259,15 @@ def assemble(
     settings: Settings,
     broken: dict[str, str],
 ) -> None:
-    """Put finished objects together as the published files, and describe them in dataset.json.
+    """Combine finished objects into the files of the published format, and write dataset.json.
 
-    splits: the models of each class, in order, of each split. Classes and splits that are not among them stay as they
-    are in a folder that has them already.
+    Args:
+        folder: Folder of the data set. Its classes and splits that are not in ``splits`` stay.
+        splits: Split → class → models, in order.
+        settings: Settings of the data set.
+        broken: Error messages by "category/name", for dataset.json.
     """
-    names: dict[str, dict[str, list[str]]] = {split: {} for split in SPLITS} | names_before(folder)
+    names: dict[str, dict[str, list[str]]] = {split: {} for split in SPLITS} | existing_names(folder)
     for split, classes in splits.items():
         for name, models in classes.items():
             for kind in ("images", "voxels"):
@@ -252,8 +284,8 @@ def assemble(
     write_file(folder / DESCRIPTION, json.dumps(description, indent=1) + "\n")
 
 
-def names_before(folder: Path) -> dict[str, dict[str, list[str]]]:
-    """The names of the objects by split and class that a folder of data holds already."""
+def existing_names(folder: Path) -> dict[str, dict[str, list[str]]]:
+    """Read the names of the objects in a data set: split → class → names; empty if there is none."""
     try:
         return json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["names"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
@@ -261,7 +293,7 @@ def names_before(folder: Path) -> dict[str, dict[str, list[str]]]:
 
 
 def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
-    """One array of all objects, read and written one at a time."""
+    """Write one array of all objects. Objects are read one at a time."""
     with (
         replacing(target) as fresh,
         zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive,
@@ -273,7 +305,7 @@ def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
                     array = arrays[kind]
             except Exception as error:  # numpy's and zipfile's errors for broken files are of many kinds
                 raise ValueError(
-                    f"{path}: expected a finished object, got a broken file; without it, it is made anew"
+                    f"{path}: expected a finished object, got a broken file; delete it to make the object again"
                 ) from error
             if index == 0:
                 _write_header(member, array, len(objects))

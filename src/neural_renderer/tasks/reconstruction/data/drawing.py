@@ -1,41 +1,51 @@
-"""Objects in the frame of reconstruction, and images of the data, as pictures for people."""
+"""Pictures of objects in the reconstruction frame, and of images of the data set."""
 
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from ....camera import Camera
+from ....pictures.clay import plain_texture
+from ....pictures.lamp import lamp_direction
 from ....rendering import render
 from ....shading.lights import Light
 from .framing import SIZE, view_camera
 
-CLAY = (0.86, 0.84, 0.8)
-STONE = (0.72, 0.77, 0.84)
-PAPER = 0.8
-_LAMP = (-0.45, 0.8, 0.5)  # towards the light, in the viewer's right, up and back: a box shows three shades
+MESH_COLOR = (0.86, 0.84, 0.8)
+VOXEL_COLOR = (0.72, 0.77, 0.84)
+PAPER = 0.8  # grey of the background
+_AMBIENT = 0.42
 
 
 def shoulder_light(camera: Camera, directional: float = 0.6) -> Light:
-    """The light of a camera's picture, over the viewer's left shoulder, so that no view is dark."""
-    right, up, forward = camera.rotation[0]
-    return Light(0.42, directional, direction=F.normalize(_LAMP[0] * right + _LAMP[1] * up - _LAMP[2] * forward, dim=0))
+    """Make a light over the viewer's left shoulder, so that no view is dark."""
+    return Light(_AMBIENT, directional, direction=lamp_direction(camera))
 
 
 @torch.no_grad()
-def drawn(
-    vertices: Tensor, faces: Tensor, view: float, colour: tuple[float, float, float] = CLAY, size: int = SIZE
+def draw_mesh(
+    vertices: Tensor, faces: Tensor, view: float, color: tuple[float, float, float] = MESH_COLOR, size: int = SIZE
 ) -> Tensor:
-    """A mesh in the frame of reconstruction from a view, or from between two: [3, size, size] in [0, 1]."""
+    """Draw a mesh in the reconstruction frame.
+
+    Args:
+        vertices: [V, 3] floating.
+        faces: [F, 3] integer.
+        view: Number of the view; a fraction lies between two views.
+        color: RGB of the mesh.
+        size: Side of the picture in pixels.
+
+    Returns:
+        [3, size, size] in [0, 1].
+    """
     camera = view_camera(torch.tensor([view], device=vertices.device))
-    textures = torch.tensor(colour, device=vertices.device).expand(len(faces), 2, 2, 2, 3)
-    light = shoulder_light(camera)
-    rgb = render((vertices, faces, textures), camera, size, light=light, background=(PAPER,) * 3, outputs="rgb").rgb
+    mesh = vertices, faces, plain_texture(faces, color)
+    rgb = render(mesh, camera, size, light=shoulder_light(camera), background=(PAPER,) * 3, outputs="rgb").rgb
     return rgb[0].clamp(0, 1)  # type: ignore[index]
 
 
-def shown(image: Tensor) -> Tensor:
-    """An image of the data, uint8 [4, H, W], on paper: [3, H, W] in [0, 1]."""
+def on_paper(image: Tensor) -> Tensor:
+    """Draw an image of the data set, uint8 [4, H, W], on the background: [3, H, W] in [0, 1]."""
     pixels = image.float() / 255
     return pixels[:3] * pixels[3:] + PAPER * (1 - pixels[3:])

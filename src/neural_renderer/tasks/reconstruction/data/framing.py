@@ -1,9 +1,9 @@
-"""The frame of single-image reconstruction: where objects and cameras stand, as in the published renders.
+"""The reconstruction frame: poses of objects and cameras in the published data set.
 
-An object's longest side is 1, its box centred at the origin. View k of K shows it from azimuth −360°·k/K, at elevation
-30°, from the distance 2.732, with half a field of view of 15°. The published programs saw through a mirroring camera,
-so that their objects are mirror images of the models that were rendered: (x, y, z) = (−z, y, −x) of the OBJ file, y up.
-Networks are trained in that frame, so that published data and checkpoints fit; `mirrored` leads into it and out again.
+The bounding box of an object is centred at the origin, and its longest side is 1. View k of K has azimuth −360°·k/K,
+elevation 30°, distance 2.732 and a half field of view of 15°. The published code used a mirroring camera; therefore
+objects in this frame are mirror images of the models: (x, y, z) here is (−z, y, −x) of the OBJ file, with y up.
+Networks are trained in this frame, so that published data and checkpoints fit. `mirror` converts to it and back.
 """
 
 from __future__ import annotations
@@ -12,39 +12,45 @@ import torch
 from torch import Tensor
 
 from ....camera import Camera, get_points_from_angles
+from ....meshes.bounds import bounding_box
 
 DISTANCE = 2.732
 ELEVATION = 30.0
 VIEWING_ANGLE = 15.0
-VIEWS = 24
-SIZE = 64
-GRID = 32
+VIEWS = 24  # per object
+SIZE = 64  # side of the images in pixels
+GRID = 32  # voxels along each axis
 
 
-def mirrored(vertices: Tensor) -> Tensor:
-    """Vertices [..., 3] of a model in the frame of reconstruction, or those of that frame as the model has them.
+def mirror(vertices: Tensor) -> Tensor:
+    """Convert vertices [..., 3] from the frame of the models to the reconstruction frame, or back.
 
-    A reflection, and its own inverse; faces that ran counter-clockwise seen from outside run clockwise afterwards.
+    The map is a reflection and its own inverse. It reverses the winding of faces.
     """
     x, y, z = vertices.unbind(-1)
     return torch.stack((-z, y, -x), -1)
 
 
-def unit(vertices: Tensor) -> Tensor:
-    """Vertices [V, 3] with their box centred at the origin and its longest side 1.
+def scale_to_unit(vertices: Tensor) -> Tensor:
+    """Move and scale vertices [V, 3]: the bounding box is centred at the origin, and its longest side is 1.
 
-    Raises ValueError where all vertices coincide.
+    Raises:
+        ValueError: All vertices coincide.
     """
     exact = vertices.double()
-    low, high = exact.amin(0), exact.amax(0)
-    longest = float((high - low).max())
-    if longest == 0:
+    center, half = bounding_box(exact)
+    if half == 0:
         raise ValueError(f"vertices: expected a shape with an extent, got {len(vertices)} vertices that all coincide")
-    return ((exact - (low + high) / 2) / longest).to(vertices)
+    return ((exact - center) / (2 * half)).to(vertices)
 
 
 def view_camera(views: Tensor, count: int = VIEWS) -> Camera:
-    """The cameras of views [B] (integers from 0 to ``count`` − 1), in the frame of reconstruction."""
+    """Make the cameras of views, in the reconstruction frame.
+
+    Args:
+        views: [B], numbers of views from 0 to ``count`` − 1; fractions lie between two views.
+        count: Number of views around an object.
+    """
     azimuth = -360.0 / count * views.to(torch.get_default_dtype())
     distance, elevation = torch.full_like(azimuth, DISTANCE), torch.full_like(azimuth, ELEVATION)
     eye = get_points_from_angles(distance, elevation, azimuth)

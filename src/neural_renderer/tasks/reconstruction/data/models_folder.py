@@ -1,4 +1,4 @@
-"""A folder of 3D models: a folder per category, and which split each model belongs to."""
+"""Folders of 3D models with one folder per category, and their splits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from ....io.files import existing, read_text, short
 from .arrays import SPLITS
 
-_SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")  # the first that is there is taken
+_SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")  # the first one that exists is used
 _NESTED = ("models/model_normalized.obj", "model_normalized.obj", "models/model.obj", "model.obj")
 _COLUMNS = {
     "category": ("category", "class", "synsetid", "synset"),
@@ -18,12 +18,18 @@ _COLUMNS = {
     "split": ("split", "set"),
 }
 _SYNONYMS = {"valid": "val", "validation": "val"}
-_SHARES = (("train", 0.7), ("val", 0.8), ("test", 1.0))  # as the paper divides its data
+_SHARES = (("train", 0.7), ("val", 0.8), ("test", 1.0))  # cumulative shares of the splits, as in the paper
 
 
 @dataclass(frozen=True)
 class Model:
-    """A model of a category: its name is that of its file or, in ShapeNetCore's layouts, of its folder."""
+    """A model of a category.
+
+    Attributes:
+        category: Name of the category.
+        name: Name of the file without suffix or, in the layouts of ShapeNetCore, of the model's folder.
+        path: Mesh file.
+    """
 
     category: str
     name: str
@@ -31,11 +37,17 @@ class Model:
 
 
 def find_models(folder: Path) -> tuple[list[Model], dict[str, str]]:
-    """The models of a folder, in order, and for what looks like one but is none, a sentence by "category/name".
+    """Find the models in a folder.
 
-    A category's folder holds mesh files, or a folder per model with the one mesh file, `model.obj`, or
-    `models/model_normalized.obj`. Folders without anything of that kind are no categories. Raises FileNotFoundError
-    for no such folder and ValueError for one without models.
+    The folder of a category contains mesh files, or a folder per model with one mesh file, ``model.obj``, or
+    ``models/model_normalized.obj``.
+
+    Returns:
+        The models, sorted; and error messages for folders without a mesh or with several, by "category/name".
+
+    Raises:
+        FileNotFoundError: The folder does not exist.
+        ValueError: There are no models.
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing there"
@@ -48,7 +60,7 @@ def find_models(folder: Path) -> tuple[list[Model], dict[str, str]]:
         for path in sorted(files, key=lambda path: _SUFFIXES.index(path.suffix.lower())):
             models.setdefault((category.name, path.stem), Model(category.name, path.stem, path))
         for entry in (path for path in entries if path.is_dir()):
-            found_files = _in_model_folder(entry)
+            found_files = _mesh_files(entry)
             if len(found_files) == 1:
                 model = Model(category.name, entry.name, found_files[0])
                 models.setdefault((category.name, entry.name), model)
@@ -58,18 +70,17 @@ def find_models(folder: Path) -> tuple[list[Model], dict[str, str]]:
             elif not files and any(path.is_file() for path in entry.rglob("*")):
                 broken[f"{category.name}/{entry.name}"] = f"{entry}: expected a mesh, got none"
     if not models:
-        raise ValueError(
-            f"{folder}: expected category/model.obj or category/model/model.obj, got no mesh file in such a place"
-        )
+        raise ValueError(f"{folder}: expected category/model.obj or category/model/model.obj, got no such mesh file")
     return [models[key] for key in sorted(models)], broken
 
 
 def is_mesh(path: Path) -> bool:
-    """Whether a file is a mesh, by its name."""
+    """Tell by its suffix whether a file is a mesh."""
     return path.suffix.lower() in _SUFFIXES
 
 
-def _in_model_folder(folder: Path) -> list[Path]:
+def _mesh_files(folder: Path) -> list[Path]:
+    """List the candidates for the mesh file in the folder of a model."""
     for name in _NESTED:
         if (folder / name).is_file():
             return [folder / name]
@@ -83,9 +94,14 @@ def _in_model_folder(folder: Path) -> list[Path]:
 
 
 def read_splits(path: Path) -> dict[tuple[str, str], str]:
-    """The split of each (category, model) in a CSV with the columns category, model and split (or ShapeNet's names).
+    """Read a CSV file with the columns category, model and split, or ShapeNet's names of them.
 
-    Raises FileNotFoundError for no such file and ValueError, with the line, for what cannot be read as such.
+    Returns:
+        (category, model) → split.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ValueError: The file is malformed; the message names the line.
     """
     try:
         rows = list(csv.reader(read_text(existing(path)).splitlines()))
@@ -111,10 +127,13 @@ def read_splits(path: Path) -> dict[tuple[str, str], str]:
     return splits
 
 
-def shared_out(models: list[Model]) -> dict[tuple[str, str], str]:
-    """A split for each model where nobody has chosen: 70 % train, 10 % val, 20 % test of every category.
+def default_splits(models: list[Model]) -> dict[tuple[str, str], str]:
+    """Assign models to splits: 70 % train, 10 % val, 20 % test of each category.
 
-    By their names alone, so that it is the same everywhere.
+    The choice depends on names only, so that it is the same on every machine.
+
+    Returns:
+        (category, model) → split.
     """
     splits = {}
     for category in {model.category for model in models}:

@@ -1,4 +1,4 @@
-"""Meshes as voxels, in the frame and the axes of the published ground truth, and how well voxels agree."""
+"""Voxelisation in the axes of the published data set, and measures on voxels."""
 
 from __future__ import annotations
 
@@ -11,20 +11,26 @@ from .... import validate
 from ....raster.ops.voxels import distances, fill, inside
 from .framing import GRID
 
-_SPACING = 0.25  # voxels, between points on a model's faces: what is thinner than a voxel is not lost
+_SPACING = 0.25  # distance of points on a model's faces, in voxels: parts thinner than a voxel are not lost
 
 
 def voxelize(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
-    """Predicted meshes as the published evaluation voxelises them: surface and what it encloses.
+    """Voxelise predicted meshes like the published evaluation: the surface and the volume that it encloses.
 
-    vertices: [B, V, 3] floating, in the frame of reconstruction (see `framing`), of which [−0.5, 0.5]³ is kept.
-    faces: [F, 3], whole numbers of any real dtype.
+    See `raster.ops.voxels.fill` for the algorithm.
 
-    Returns [B, size, size, size] bool. The box is scaled by (size − 1)/size, so that voxel i along an axis has its
-    centre at (i − (size − 1)/2)/(size − 1). The axes are (y, x, −z), as in the published `_voxels.npz`. For how voxels
-    are marked and filled see `raster.voxels.fill`.
+    Args:
+        vertices: [B, V, 3] floating, in the reconstruction frame; parts outside of [−0.5, 0.5]³ are cut off.
+        faces: [F, 3] int32 or int64.
+        size: Voxels along each axis, ≥ 2.
 
-    Raises TypeError or ValueError for other types, shapes, devices, indices out of range, numbers that are not finite.
+    Returns:
+        [B, size, size, size] bool, with the axes (y, x, −z) of the published ``_voxels.npz``. The centre of voxel i
+        along an axis is at (i − (size − 1)/2)/(size − 1).
+
+    Raises:
+        TypeError, ValueError: A type, shape or device does not fit, an index is out of range, or a vertex is not
+            finite.
     """
     validate.floating("vertices", vertices, ["B", "V", 3])
     faces = validate.indices("faces", faces, ["F", 3])
@@ -32,22 +38,28 @@ def voxelize(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
     validate.finite("vertices", vertices)
     validate.in_range("faces", faces, vertices.shape[1])
     size = validate.whole("size", size, 2)
-    return _published_axes(fill(_grid(vertices.detach().float(), size), faces.int(), size))
+    return _published_axes(fill(_to_grid(vertices.detach().float(), size), faces.int(), size))
 
 
-def solid(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
-    """The ground truth [size, size, size] bool of a model: voxels that its surface passes through, and its inside.
+def voxelize_model(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
+    """Voxelise a model as ground truth: the voxels of its surface and of its interior.
 
-    vertices: [V, 3] floating, faces: [F, 3], as `voxelize` takes them, of any quality. No part is lost for being
-    thinner than a voxel, and a model with holes is not empty: inside is what the surface encloses, and where the
-    generalised winding number is above a half. (Faces run clockwise seen from outside, since the frame of
-    reconstruction mirrors; if they enclose a volume of the other sign they are taken the other way round.)
+    Parts thinner than a voxel are kept. Models with holes are filled: the interior is the enclosed volume and the
+    points with a generalised winding number above one half. Inverted winding is detected by the sign of the volume.
+
+    Args:
+        vertices: [V, 3] floating, in the reconstruction frame.
+        faces: [F, 3] int32 or int64, clockwise seen from outside, because the frame is mirrored.
+        size: Voxels along each axis.
+
+    Returns:
+        [size, size, size] bool, with the axes of `voxelize`.
     """
     validate.floating("vertices", vertices, ["V", 3])
     faces = validate.indices("faces", faces, ["F", 3])
     validate.finite("vertices", vertices)
     validate.in_range("faces", faces, len(vertices))
-    points = _grid(vertices.detach().cpu().float(), size)
+    points = _to_grid(vertices.detach().cpu().float(), size)
     outward = faces.cpu().int().flip(1)
     filled = fill(points[None], outward, size, _SPACING)[0]
     corners = points[outward.long()] - size / 2
@@ -60,9 +72,10 @@ def solid(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
 
 
 def voxel_iou(predicted: Tensor, target: Tensor) -> Tensor:
-    """Intersection over union [B] float32 of voxels [B, ...] bool; two empty ones agree (1).
+    """Compute the IoU [B] float32 of voxels [B, ...] bool; it is 1 if both are empty.
 
-    Raises TypeError or ValueError for other types or shapes that differ.
+    Raises:
+        TypeError, ValueError: A type does not fit, or the shapes differ.
     """
     for name, value in (("predicted", predicted), ("target", target)):
         if not isinstance(value, Tensor) or value.dtype != torch.bool:
@@ -79,26 +92,33 @@ def voxel_iou(predicted: Tensor, target: Tensor) -> Tensor:
 
 
 def chamfer(predicted: Tensor, target: Tensor) -> Tensor:
-    """The chamfer distance [B] float32 between the surfaces of voxels [B, S, S, S] bool, in units of the frame.
+    """Compute the chamfer distance between the surfaces of voxels.
 
-    The surface is the filled voxels with an empty one beside them, or the grid's border; the distance is the mean, over
-    those of one and of the other, from the centre of each to the nearest centre of the other's, both added up (Fan, Su
-    and Guibas, "A point set generation network", 2017, without squares). Where only one has any voxel it is √3, the
-    diagonal of the box. Either may be a batch of 1 beside the other's B.
+    The surface is the set of filled voxels with an empty neighbour or at the border of the grid. The distance is the
+    mean distance from each surface voxel to the nearest one of the other surface, summed over both directions (Fan, Su
+    and Guibas, "A point set generation network", 2017, without squares). It is √3, the diagonal of the box, if one of
+    the two is empty.
+
+    Args:
+        predicted: [B, S, S, S] bool, or a batch of 1.
+        target: [B, S, S, S] bool, or a batch of 1.
+
+    Returns:
+        [B] float32, in units of the reconstruction frame.
     """
     size = predicted.shape[-1]
-    outer, inner = _shell(predicted), _shell(target)
+    first, second = _shell(predicted), _shell(target)
     total = torch.zeros(max(len(predicted), len(target)), device=predicted.device)
-    for one, other in ((outer, inner), (inner, outer)):
+    for one, other in ((first, second), (second, first)):
         count = one.flatten(1).sum(1)
-        far = torch.where(one, distances(other).clamp(max=size * 2), 0.0).flatten(1).sum(1)
-        total = total + torch.where(count > 0, far / count.clamp(min=1), 0.0)
-    empty = outer.flatten(1).any(1) != inner.flatten(1).any(1)
+        distance = torch.where(one, distances(other).clamp(max=size * 2), 0.0).flatten(1).sum(1)
+        total = total + torch.where(count > 0, distance / count.clamp(min=1), 0.0)
+    empty = first.flatten(1).any(1) != second.flatten(1).any(1)
     return torch.where(empty, math.sqrt(3), total / (size - 1))
 
 
 def _shell(voxels: Tensor) -> Tensor:
-    """The filled voxels that have an empty one beside them."""
+    """Select the filled voxels with an empty neighbour or at the border of the grid."""
     inner = voxels.clone()
     for axis in (1, 2, 3):
         size = voxels.shape[axis]
@@ -109,18 +129,25 @@ def _shell(voxels: Tensor) -> Tensor:
     return voxels & ~inner
 
 
-def _grid(vertices: Tensor, size: int) -> Tensor:
+def _to_grid(vertices: Tensor, size: int) -> Tensor:
+    """Convert positions in the reconstruction frame to voxel coordinates."""
     return vertices * (size - 1) + size / 2
 
 
 def _published_axes(filled: Tensor) -> Tensor:
+    """Convert voxels [B, S, S, S] from the axes (x, y, z) to (y, x, −z)."""
     return filled.transpose(1, 2).flip(3)
 
 
-def surface(voxels: Tensor) -> tuple[Tensor, Tensor]:
-    """The sides between filled and empty voxels [S, S, S] bool as a mesh in the frame of reconstruction.
+def voxel_surface(voxels: Tensor) -> tuple[Tensor, Tensor]:
+    """Make a mesh of the squares between filled and empty voxels.
 
-    Returns vertices float32 [V, 3] and faces int64 [F, 3], two a side, outward; the vertices belong to one side each.
+    Args:
+        voxels: [S, S, S] bool, in the published axes.
+
+    Returns:
+        Vertices [V, 3] float32 in the reconstruction frame, and outward faces [F, 3] int64. A square has four vertices
+        of its own and two faces.
     """
     size = len(voxels)
     padded = torch.zeros((size + 2,) * 3, dtype=torch.bool, device=voxels.device)

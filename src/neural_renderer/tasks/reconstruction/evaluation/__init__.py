@@ -1,1 +1,1 @@
-"""Predictions, their measures, baselines and pictures."""
+"""Predictions, measures, baselines and pictures."""

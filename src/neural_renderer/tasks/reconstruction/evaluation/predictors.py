@@ -1,4 +1,4 @@
-"""Predicted shapes, of whatever kind: their voxels, their silhouettes, and how they look."""
+"""Predictions of meshes or voxels behind one interface: voxels, silhouettes and pictures."""
 
 from __future__ import annotations
 
@@ -10,42 +10,47 @@ import torch
 from torch import Tensor
 
 from ....rendering import render
-from ..data.drawing import CLAY, STONE, drawn
+from ..data.drawing import MESH_COLOR, VOXEL_COLOR, draw_mesh
 from ..data.framing import SIZE, view_camera
-from ..data.voxels import surface, voxelize
-from .refine import refined
+from ..data.voxels import voxel_surface, voxelize
+from .refine import refine_meshes
 
 
-class Shapes(Protocol):
-    """Predictions for B images."""
+class Predictions(Protocol):
+    """Predicted shapes of B images."""
 
     def voxels(self) -> Tensor:
-        """[B, 32, 32, 32] bool, in the axes of the published data."""
+        """Voxelise the predictions: [B, 32, 32, 32] bool, in the published axes."""
 
     def silhouettes(self, views: Tensor) -> Tensor:
-        """Each prediction from ``views`` [B, K]: [B, K, 64, 64] in [0, 1]."""
+        """Render silhouettes from views [B, K]: [B, K, 64, 64] in [0, 1]."""
 
     def picture(self, index: int, view: float, size: int) -> Tensor:
-        """One prediction from a view: [3, size, size] in [0, 1]."""
+        """Draw one prediction from a view: [3, size, size] in [0, 1]."""
 
 
-Predictor = Callable[[Tensor], Shapes]
-"""From images uint8 [B, 4, 64, 64] to their predictions."""
+Predictor = Callable[[Tensor], Predictions]
+"""A method: maps images [B, 4, 64, 64] uint8 to `Predictions`."""
 
 
 @dataclass(frozen=True)
-class Meshes:
-    """Vertices [B, V, 3] in the frame of reconstruction, and the faces [F, 3] of all."""
+class MeshPredictions:
+    """Predicted meshes.
+
+    Attributes:
+        vertices: [B, V, 3] in the reconstruction frame.
+        faces: [F, 3], the same for all.
+    """
 
     vertices: Tensor
     faces: Tensor
 
     def voxels(self) -> Tensor:
-        """See `voxels.voxelize`."""
+        """Voxelise the meshes by `voxels.voxelize`."""
         return voxelize(self.vertices, self.faces)
 
     def silhouettes(self, views: Tensor) -> Tensor:
-        """See `Shapes`."""
+        """Render silhouettes, [B, K, 64, 64]; see `Predictions`."""
         count = views.shape[1]
         vertices = self.vertices.repeat_interleave(count, 0)
         images = render(
@@ -54,48 +59,55 @@ class Meshes:
         return images.alpha.reshape(-1, count, SIZE, SIZE)  # type: ignore[union-attr]
 
     def picture(self, index: int, view: float, size: int) -> Tensor:
-        """See `Shapes`."""
-        return drawn(self.vertices[index], self.faces, view, CLAY, size)
+        """Draw one mesh, [3, size, size]; see `Predictions`."""
+        return draw_mesh(self.vertices[index], self.faces, view, MESH_COLOR, size)
 
 
 @dataclass(frozen=True)
-class Solids:
-    """Voxels [B, 32, 32, 32] bool."""
+class VoxelPredictions:
+    """Predicted voxels, drawn as cubes.
+
+    Attributes:
+        filled: [B, 32, 32, 32] bool, in the published axes.
+    """
 
     filled: Tensor
 
     def voxels(self) -> Tensor:
-        """Themselves."""
+        """Return ``filled``."""
         return self.filled
 
     def silhouettes(self, views: Tensor) -> Tensor:
-        """Those of the voxels as cubes."""
+        """Render silhouettes, [B, K, 64, 64]; see `Predictions`."""
         result = torch.zeros(*views.shape, SIZE, SIZE, device=views.device)
-        for row, solid in enumerate(self.filled):
-            if bool(solid.any()):
-                images = render(surface(solid), view_camera(views[row]), SIZE, outputs="alpha", anti_aliasing=False)
-                result[row] = images.alpha  # type: ignore[assignment]
+        for row, voxels in enumerate(self.filled):
+            if bool(voxels.any()):
+                surface, camera = voxel_surface(voxels), view_camera(views[row])
+                result[row] = render(surface, camera, SIZE, outputs="alpha", anti_aliasing=False).alpha  # type: ignore[assignment]
         return result
 
     def picture(self, index: int, view: float, size: int) -> Tensor:
-        """The voxels as cubes."""
+        """Draw one prediction, [3, size, size]; see `Predictions`."""
         if not bool(self.filled[index].any()):
             return torch.full((3, size, size), 0.5)
-        return drawn(*surface(self.filled[index]), view, STONE, size)
+        return draw_mesh(*voxel_surface(self.filled[index]), view, VOXEL_COLOR, size)
 
 
 def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Predictor:
-    """What a trained network makes of images; voxels are those of a probability above ``threshold``.
+    """Wrap a trained network as a `Predictor`.
 
-    ``refine``: steps by which meshes are fitted to the silhouettes that went in (see `refine`).
+    Args:
+        model: The network.
+        threshold: Probability above which voxels are filled, for a voxel network.
+        refine: Steps of test-time refinement, for a mesh network (see `refine.refine_meshes`).
     """
 
     @torch.no_grad()
-    def predict(images: Tensor) -> Shapes:
+    def predict(images: Tensor) -> Predictions:
         pixels = images.float() / 255
         if model.kind == "voxel":
-            return Solids(model.occupancy(pixels) > threshold)
+            return VoxelPredictions(model.occupancy(pixels) > threshold)
         vertices = model.vertices(pixels)
-        return Meshes(refined(model, vertices, pixels, refine), model.faces)
+        return MeshPredictions(refine_meshes(model, vertices, pixels, refine), model.faces)
 
     return predict

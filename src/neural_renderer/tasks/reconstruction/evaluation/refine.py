@@ -1,7 +1,7 @@
-"""A predicted mesh held to the one thing that is known of its object: the silhouette that went in.
+"""Test-time refinement: a predicted mesh is fitted to the silhouette of the input image.
 
-A network that has seen few objects tells roughly what one is and how it is turned, but not its proportions; its
-silhouette does, from one side, and the renderer's gradient carries that over to the mesh.
+A network trained on few objects predicts class and pose better than proportions. The silhouette shows the proportions
+from one side, and the renderer's gradient transfers them to the mesh.
 """
 
 from __future__ import annotations
@@ -12,56 +12,71 @@ from torch import Tensor
 from ....losses import laplacian, silhouette_iou_loss
 from ..data.framing import VIEWS
 from ..networks.make_network import Model
-from ..networks.mesh_network import MeshNetwork, blurring
+from ..networks.mesh_network import MeshNetwork, smoothing_matrix
 
-_RATE, _BETAS = 0.01, (0.7, 0.9)  # of Adam; vertices move in lengths of the object
-_BLUR, _LAPLACIAN = 3.0, 3.0  # as of the recipe "best"
+_RATE, _BETAS = 0.01, (0.7, 0.9)  # of Adam; displacements are in units of the object's longest side
+_BLUR, _LAPLACIAN = 3.0, 3.0  # as in the configuration "best"
 
 
-def chosen_steps(model: Model, asked: int | None) -> int:
-    """The steps of `refined` that were asked for, or else the recipe's; voxels have none."""
+def refine_steps(model: Model, requested: int | None) -> int:
+    """Choose the number of steps: the requested one, or the configuration's if None; 0 for voxels."""
     if model.kind == "voxel":
         return 0
-    return model.config.refine if asked is None else asked
+    return model.config.refine if requested is None else requested
 
 
-def refined(network: MeshNetwork, vertices: Tensor, images: Tensor, steps: int) -> Tensor:
-    """What a network has predicted, moved so that the images' silhouettes are those of the meshes.
+def refine_meshes(network: MeshNetwork, vertices: Tensor, images: Tensor, steps: int) -> Tensor:
+    """Fit predicted meshes to the silhouettes of their input images.
 
-    vertices: [B, 642, 3] floating, as the network gives them. images: [B, 4, 64, 64] in [0, 1], which they are of.
+    The view of an image is unknown; it is estimated as the one of 24 from which the silhouette of the prediction
+    matches best. Adam then minimises 1 − IoU for each mesh. Displacements are smoothed over the sphere (see
+    `mesh_network.smoothing_matrix`), symmetric meshes stay symmetric, and a Laplacian loss regularises hidden parts.
 
-    From which of the 24 views an image was taken is not known: it is taken for the one from which the prediction's
-    silhouette is most like the image's. From there ``steps`` of Adam lessen 1 − IoU, for each mesh by itself; moves are
-    blurred over the sphere (see `mesh_network.blurring`), symmetric meshes stay symmetric, and a Laplacian loss holds
-    what cannot be seen. Returns [B, 642, 3] in [-½, ½], without a gradient; of 0 steps, the vertices as they are.
+    Args:
+        network: The network of the prediction.
+        vertices: [B, 642, 3] floating, predicted vertices.
+        images: [B, 4, 64, 64] in [0, 1], the input images.
+        steps: Number of steps; 0 returns ``vertices``.
+
+    Returns:
+        [B, 642, 3] in [-½, ½], detached.
     """
     if not steps:
         return vertices
     vertices, masks = vertices.detach(), images[:, 3]
-    views = likeliest_views(network, vertices, masks)
-    spread = blurring(network.topology, _BLUR)
+    views = best_matching_views(network, vertices, masks)
+    smoothing = smoothing_matrix(network.topology, _BLUR)
 
-    def moved() -> Tensor:
-        return network.symmetrised((vertices + spread @ moves).clamp(-0.5, 0.5))
+    def displaced() -> Tensor:
+        return network.symmetrize((vertices + smoothing @ displacement).clamp(-0.5, 0.5))
 
-    moves = torch.zeros_like(vertices, requires_grad=True)
-    optimiser = torch.optim.Adam([moves], _RATE, _BETAS)
+    displacement = torch.zeros_like(vertices, requires_grad=True)
+    optimizer = torch.optim.Adam([displacement], _RATE, _BETAS)
     for _ in range(steps):
         with torch.enable_grad():
-            shapes = moved()
+            shapes = displaced()
             error = silhouette_iou_loss(network.silhouettes(shapes, views), masks)
             loss = len(shapes) * (error + _LAPLACIAN * laplacian(shapes, network.topology))
-        (moves.grad,) = torch.autograd.grad(loss, moves)
-        optimiser.step()
-    return moved().detach()
+        (displacement.grad,) = torch.autograd.grad(loss, displacement)
+        optimizer.step()
+    return displaced().detach()
 
 
 @torch.no_grad()
-def likeliest_views(network: MeshNetwork, vertices: Tensor, masks: Tensor) -> Tensor:
-    """The views [B] int64 from which the silhouettes of vertices [B, 642, 3] are most like masks [B, 64, 64]."""
-    agreement = []
+def best_matching_views(network: MeshNetwork, vertices: Tensor, masks: Tensor) -> Tensor:
+    """Find the views from which meshes match masks best.
+
+    Args:
+        network: The network of the prediction.
+        vertices: [B, 642, 3] floating.
+        masks: [B, 64, 64] in [0, 1].
+
+    Returns:
+        [B] int64, the view of largest IoU.
+    """
+    iou = []
     for view in range(VIEWS):
-        drawn = network.silhouettes(vertices, torch.full((len(vertices),), view, device=vertices.device))
-        common = (drawn * masks).sum((1, 2))
-        agreement.append(common / (drawn.sum((1, 2)) + masks.sum((1, 2)) - common).clamp(min=1e-6))
-    return torch.stack(agreement).argmax(0)
+        alpha = network.silhouettes(vertices, torch.full((len(vertices),), view, device=vertices.device))
+        common = (alpha * masks).sum((1, 2))
+        iou.append(common / (alpha.sum((1, 2)) + masks.sum((1, 2)) - common).clamp(min=1e-6))
+    return torch.stack(iou).argmax(0)

@@ -1,6 +1,6 @@
-"""The retrieval baseline: the voxels of the training image that looks most alike to a network for recognition.
+"""The retrieval baseline (section 5.1 of the paper): the voxels of the most similar training image.
 
-As in the paper (section 5.1), which compares VGG's layer fc6; GoogLeNet's last pool serves where only that is at hand.
+The paper compares features of VGG's layer fc6. GoogLeNet's last pool is an alternative with a smaller download.
 """
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ from ....io.atomic_write import replacing
 from ..data.arrays import Split, cache_folder
 from ..data.framing import VIEWS
 from ..networks.encoders import on_white
-from .predictors import Predictor, Shapes, Solids
+from .predictors import Predictions, Predictor, VoxelPredictions
 
 _LAYERS = ("fc6", "pool5")
-_INPUT = 224
-_BATCH = 32
+_INPUT = 224  # side of the networks' input in pixels
+_CHUNK = 1 << 15  # rows of features compared at once
+_FINGERPRINT = 64  # numbers of each tensor that enter the fingerprint of a network
 
 
 def feature_layer(network: FeatureNetwork) -> str:
-    """The layer that is compared: fc6 of a VGG, the last pool of a GoogLeNet; ValueError for a network without."""
+    """Choose the layer to compare: fc6 of a VGG, the last pool of a GoogLeNet. Raises ValueError if it is missing."""
     name = _LAYERS[0] if network.name.startswith("VGG") else _LAYERS[1]
     if name not in network.layers:
         raise ValueError(f"features: expected a network with the layer {name}, got {network.name} without it")
@@ -37,15 +38,20 @@ def feature_layer(network: FeatureNetwork) -> str:
 
 @torch.no_grad()
 def image_features(network: FeatureNetwork, images: Tensor) -> Tensor:
-    """Features [B, D] float32 of images uint8 [B, 4, H, W], shown on white and enlarged to the network's 224 pixels."""
+    """Compute features [B, D] float32 of images [B, 4, H, W] uint8, composited on white and resized to 224 pixels."""
     layer = feature_layer(network)
     return network(on_white(images.float() / 255, _INPUT), [layer])[layer].flatten(1)
 
 
 class Retrieval:
-    """The training images' features, kept in files so that they are computed once for each network and class.
+    """Nearest-neighbour search among the training images. Features are cached in files per network and class.
 
-    split: the training split, with voxels. network: see `image_features`, on the device to compute on.
+    Args:
+        split: Training split with voxels.
+        network: Feature network, on the device to compute on.
+
+    Raises:
+        FileNotFoundError: A class has no voxels.
     """
 
     def __init__(self, split: Split, network: FeatureNetwork) -> None:
@@ -58,7 +64,11 @@ class Retrieval:
         self._known: list[tuple[str, int]] = []  # class and object of each row of features
 
     def prepare(self) -> Iterator[int]:
-        """Compute what is not in files yet; yields how many images are done, after each few."""
+        """Compute the features that are not cached.
+
+        Yields:
+            The number of finished images.
+        """
         done = 0
         stamp = _fingerprint(self._network)
         for name in self._split.classes:
@@ -83,15 +93,15 @@ class Retrieval:
             yield done
 
     def nearest(self, images: Tensor) -> list[tuple[str, int]]:
-        """Class and number of the training object whose image is nearest to each of [B, 4, 64, 64] uint8."""
+        """Find the most similar training image of each image [B, 4, 64, 64] uint8; return its class and object."""
         wanted = image_features(self._network, images)
         best = torch.full((len(wanted),), torch.inf, device=wanted.device)
         row = torch.zeros(len(wanted), dtype=torch.int64, device=wanted.device)
         begin = 0
         for name in self._split.classes:
             features = self._features[name]
-            for first in range(0, len(features), 1 << 15):
-                part = torch.from_numpy(features[first : first + (1 << 15)].astype(np.float32)).to(wanted)
+            for first in range(0, len(features), _CHUNK):
+                part = torch.from_numpy(features[first : first + _CHUNK].astype(np.float32)).to(wanted)
                 near, where = torch.cdist(wanted, part).min(1)
                 closer = near < best
                 best, row = torch.where(closer, near, best), torch.where(closer, where + begin + first, row)
@@ -99,18 +109,18 @@ class Retrieval:
         return [self._known[index // VIEWS] for index in row.tolist()]
 
     def predictor(self) -> Predictor:
-        """What looks most alike, as voxels."""
+        """Return the method: the voxels of the most similar training image."""
 
-        def predict(images: Tensor) -> Shapes:
+        def predict(images: Tensor) -> Predictions:
             found = self.nearest(images)
             rows = [self._split.voxels[name][index] for name, index in found]
-            return Solids(torch.from_numpy(np.stack(rows)).to(images.device))
+            return VoxelPredictions(torch.from_numpy(np.stack(rows)).to(images.device))
 
         return predict
 
 
 def _cached(target: Path, source: Path, count: int) -> np.ndarray | None:
-    """Features [count, D] in a file that are those of the images in another; None for one that is older or broken."""
+    """Memory-map cached features [count, D]; None if the file is missing, broken, or not as old as ``source``."""
     with contextlib.suppress(Exception):
         features = np.load(target, mmap_mode="r")
         fresh = target.stat().st_mtime_ns == source.stat().st_mtime_ns
@@ -124,8 +134,8 @@ def _device(network: FeatureNetwork) -> torch.device:
 
 
 def _fingerprint(network: FeatureNetwork) -> str:
-    """A few letters that tell networks and their weights apart."""
+    """Compute a short name that identifies a network and its weights."""
     digest = hashlib.sha256(network.name.encode())
     for value in network.state_dict().values():
-        digest.update(value.detach().cpu().flatten()[:64].numpy().tobytes())
+        digest.update(value.detach().cpu().flatten()[:_FINGERPRINT].numpy().tobytes())
     return f"{network.name.lower()}_{digest.hexdigest()[:8]}"

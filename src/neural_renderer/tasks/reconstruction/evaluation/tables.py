@@ -1,4 +1,4 @@
-"""Scores in the layout of the paper's Table 1: a row per method, seven classes side by side, the mean at the end."""
+"""Tables of scores in the layout of the paper's Table 1: a row per method, blocks of seven classes, the mean last."""
 
 from __future__ import annotations
 
@@ -21,12 +21,21 @@ TITLES = {
 def blocks(
     methods: Mapping[str, Scores], measure: str = "voxel_iou", columns_each: int = _COLUMNS
 ) -> list[list[list[str]]]:
-    """The table's blocks of rows of cells: a header, then a row per method; the best of a column is in ``**``."""
+    """Lay out a table.
+
+    Args:
+        methods: Scores by method.
+        measure: Measure to show.
+        columns_each: Classes per block.
+
+    Returns:
+        Blocks of rows of cells: a header, then a row per method. The best value of a column is marked with ``**``.
+    """
     classes = list(next(iter(methods.values())).objects)
     columns = [(name, {label: scores.of_class(name, measure) for label, scores in methods.items()}) for name in classes]
     columns.append(("mean", {label: scores.mean(measure) for label, scores in methods.items()}))
     parts = [columns[begin : begin + columns_each] for begin in range(0, len(columns), columns_each)]
-    if len(parts) > 1 and len(parts[-1]) == 1:  # the mean stays beside the last classes, as in the paper
+    if len(parts) > 1 and len(parts[-1]) == 1:  # the mean does not get a block of its own, as in the paper
         parts[-2:] = [parts[-2] + parts[-1]]
     return [
         [["", *(name for name, _ in part)]]
@@ -42,7 +51,7 @@ def _cell(values: Mapping[str, float], label: str, measure: str) -> str:
 
 
 def markdown(methods: Mapping[str, Scores], measures: Sequence[str] = tuple(TITLES)) -> str:
-    """All measures as Markdown."""
+    """Format tables of all measures as Markdown."""
     text = []
     for measure in measures:
         text.append(f"{TITLES[measure]}\n")
@@ -53,7 +62,7 @@ def markdown(methods: Mapping[str, Scores], measures: Sequence[str] = tuple(TITL
 
 
 def terminal(methods: Mapping[str, Scores], measure: str = "voxel_iou", width: int = 80) -> list[Table]:
-    """One measure for a terminal of some width, a table for each block."""
+    """Format one measure for a terminal of ``width`` characters, a table per block."""
     for columns_each in range(_COLUMNS, 0, -1):
         parts = blocks(methods, measure, columns_each)
         if all(

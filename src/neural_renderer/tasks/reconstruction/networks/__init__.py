@@ -1,1 +1,1 @@
-"""Networks of reconstruction, their configurations and checkpoints."""
+"""Reconstruction networks, their configurations and checkpoints."""

@@ -1,4 +1,4 @@
-"""Trained networks in files."""
+"""Checkpoint files of trained networks."""
 
 from __future__ import annotations
 
@@ -23,17 +23,23 @@ from .encoders import FEATURES, FeatureEncoder
 from .make_network import Model, make_network
 
 HEADER = "reconstruction"
-"""The key of a checkpoint under which stands what `load_model` needs beside the weights."""
+"""Key of the `header` in a checkpoint."""
 
 BEST, LAST = "best.ckpt", "last.ckpt"
-"""The files of a training: its best network, and all that is needed to go on."""
+"""Files of a training: its best network, and the state from which it resumes."""
 
 VERSION = 1
-"""Of the networks and of the header: one more whenever older weights would mean something else."""
+"""Version of networks and header, to be increased when older weights would get another meaning."""
 
 
 def header(model: Model, classes: Sequence[str], weights: str) -> dict[str, Any]:
-    """What `load_model` needs beside a checkpoint's "state_dict", in which ``weights`` begins the names of its own."""
+    """Make the header of a checkpoint: everything that `load_model` needs besides the weights.
+
+    Args:
+        model: The network.
+        classes: Names of the classes it was trained on.
+        weights: Prefix of the network's tensors in the checkpoint's "state_dict".
+    """
     encoder = model.encoder
     features = {"features": encoder.features.plan} if isinstance(encoder, FeatureEncoder) else {}
     return features | {
@@ -47,7 +53,17 @@ def header(model: Model, classes: Sequence[str], weights: str) -> dict[str, Any]
 
 
 def save_model(path: str | os.PathLike[str], model: Model, classes: Sequence[str], **facts: float) -> None:
-    """Write a network, without the state of its training, and ``facts`` about it; OSError where that fails."""
+    """Write a network without the state of its training.
+
+    Args:
+        path: File to write.
+        model: The network.
+        classes: Names of the classes it was trained on.
+        **facts: Numbers to record in the header.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     content = {HEADER: header(model, classes, "") | {"facts": facts}, "state_dict": model.state_dict()}
     file = io.BytesIO()  # since torch.save does not say why it cannot write
     torch.save(content, file)
@@ -55,14 +71,23 @@ def save_model(path: str | os.PathLike[str], model: Model, classes: Sequence[str
 
 
 def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu") -> Model:
-    """The network of a checkpoint, ready to predict: of "best.ckpt" and "last.ckpt" of a training alike.
+    """Load a trained network for prediction, from ``best.ckpt`` or ``last.ckpt``.
 
-    Its ``kind`` is "mesh" or "voxel". A mesh network has ``vertices(images)``, from images [B, 4, 64, 64] in [0, 1]
-    (red, green, blue, alpha) to [B, 642, 3], and ``faces`` [1280, 3]; a voxel network has ``occupancy(images)``, to
-    probabilities [B, 32, 32, 32] in the axes of `arrays.Split.voxels`. All in the frame of `framing`.
+    No code of the file is executed.
 
-    No code of the file is run. Raises FileNotFoundError, and ValueError for a file that is none of ours, of another
-    version, or incomplete.
+    Args:
+        path: Checkpoint file.
+        device: Device of the network.
+
+    Returns:
+        A network whose ``kind`` is "mesh" or "voxel", in evaluation mode and frozen. A mesh network has
+        ``vertices(images)``, which maps RGBA images [B, 4, 64, 64] in [0, 1] to [B, 642, 3], and ``faces`` [1280, 3].
+        A voxel network has ``occupancy(images)``, which returns probabilities [B, 32, 32, 32] in the axes of
+        `voxels.voxelize`. Both are in the reconstruction frame (see `framing`).
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ValueError: The file is no checkpoint of a reconstruction network, has another version, or is incomplete.
     """
     content = read_checkpoint(path)
     head, weights = content[HEADER], content["state_dict"]
@@ -76,10 +101,10 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
         network.load_state_dict(found)
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError) as error:
         raise ValueError(
-            f"{path}: expected a network's weights, got others than its header says ({reason(error)})"
+            f"{path}: expected the weights that its header describes, got others ({reason(error)})"
         ) from None
     if not all(bool(value.isfinite().all()) for value in found.values()):
-        raise ValueError(f"{path}: expected finite weights, got some that are NaN or infinite")
+        raise ValueError(f"{path}: expected finite weights, got NaN or infinity")
     return network.to(device).eval().requires_grad_(False)
 
 
@@ -94,7 +119,7 @@ def _check_size(kind: str, config: Config, features: Plan, weights: dict[str, Te
 
 
 def read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The content of a checkpoint of this version, on the CPU; errors as `load_model`."""
+    """Read the content of a checkpoint onto the CPU. Errors: see `load_model`."""
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(
@@ -102,13 +127,13 @@ def read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
         )
     try:
         content = load_tensors(path)
-    except Exception as error:  # whatever torch says of a file that is none of its own, or cut off
+    except Exception as error:  # torch raises errors of many classes for files that are not checkpoints, or truncated
         if isinstance(error, OSError) and error.filename is not None:
             raise
-        raise ValueError(f"{path}: expected a checkpoint, got a file that is broken or none") from None
+        raise ValueError(f"{path}: expected a checkpoint, got a file that is broken or of another format") from None
     head = content.get(HEADER) if isinstance(content, dict) else None
     if not isinstance(head, dict) or "state_dict" not in content:
-        raise ValueError(f"{path}: expected a checkpoint of a reconstruction network, got one of something else")
+        raise ValueError(f"{path}: expected a checkpoint of a reconstruction network, got another checkpoint")
     if head.get("version") != VERSION:
         found = short(head.get("version"))
         raise ValueError(f"{path}: expected a checkpoint of version {VERSION}, got version {found}")

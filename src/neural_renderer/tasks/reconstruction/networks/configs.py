@@ -1,4 +1,4 @@
-"""Recipes of training: the paper's, a small one, and the best one known for a short time."""
+"""Configurations of networks and training: "paper", "best" and "small"."""
 
 from __future__ import annotations
 
@@ -12,26 +12,31 @@ from .encoders import EncoderName
 
 @dataclass(frozen=True)
 class Config:
-    """How a network is built and trained; the defaults are the paper's (sections 4.1 and 5.1, and the published code).
+    """Configuration of a network and its training. The defaults are the paper's (sections 4.1, 5.1, published code).
 
-    encoder, width: see `encoders.make_encoder`.
-    hidden: widths of the mesh decoder's hidden layers.
-    symmetric: make meshes mirror images of themselves at z = 0, the plane that most things are symmetric about.
-    blur: λ of (1 + λL)⁻¹, by which the local biases of vertices are blurred over the sphere (see `mesh_network`).
-    objects: in a batch, over all processes; classes are drawn uniformly, then objects.
-    views: of each object in a batch; every prediction is compared with all of them.
-    inputs: how many of these views are looked at by the network, each for a prediction.
-    augment: mirror objects, and vary colours (see `sampling`).
-    gradient, anti_aliasing: of the renderer.
-    smoothness, laplacian: weights of these losses on the meshes.
-    optimiser: "adam" is the published `neural_renderer.Adam`, "adamw" torch's.
-    rate, decay: the learning rate, and the weight decay of "adamw".
-    schedule: "step" divides the rate by ten after 95 % of the training; "cosine" lets it rise over the first 2 % and
-        then fall to 0.
-    average: of the weights over the last steps, by which it is multiplied at each (0: none); predictions use it.
-    low_precision: compute the networks in bfloat16 where the hardware is made for it.
-    refine: steps by which a prediction is fitted to the silhouette that went in (see `refine`).
-    steps: of the whole training.
+    Attributes:
+        encoder: Name of the encoder (see `encoders.make_encoder`).
+        width: Channels of the encoder "light" at its first layer.
+        hidden: Widths of the hidden layers of the mesh decoder.
+        symmetric: Whether meshes are symmetric about the plane z = 0, as most objects are.
+        blur: λ of (1 + λL)⁻¹, which smooths the local biases over the sphere (see `mesh_network.smoothing_matrix`).
+        objects: Objects per batch, over all processes. Classes are sampled uniformly, then objects.
+        views: Views per object in a batch; each prediction is compared with all of them.
+        inputs: Number of these views from which the network makes a prediction each.
+        augment: Whether to mirror objects and vary colours (see `sampling`).
+        gradient: Gradient estimator of the renderer.
+        anti_aliasing: Whether the renderer uses anti-aliasing.
+        smoothness: Weight of the smoothness loss on meshes.
+        laplacian: Weight of the Laplacian loss on meshes.
+        optimiser: "adam", the published `neural_renderer.Adam`, or "adamw", torch's.
+        rate: Learning rate.
+        decay: Weight decay of "adamw".
+        schedule: "step" divides the learning rate by 10 after 95 % of the training; "cosine" warms up in the first 2 %
+            and then decays to 0.
+        average: Decay rate of the exponential moving average of weights, which predictions use; 0 for no average.
+        low_precision: Whether to compute the networks in bfloat16 where the hardware is fast at it.
+        refine: Steps of test-time refinement (see `refine.refine_meshes`).
+        steps: Number of steps of the training.
     """
 
     encoder: EncoderName = "paper"
@@ -58,14 +63,14 @@ class Config:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Config:
-        """What `to_dict` returned; ValueError for names that are none of a recipe."""
+        """Make a configuration from the values of `to_dict`. Raises ValueError for unknown names."""
         unknown = set(values) - {field.name for field in fields(cls)}
         if unknown:
-            raise ValueError(f"config: expected the fields of a recipe, got {', '.join(sorted(unknown))} as well")
+            raise ValueError(f"config: expected the fields of a configuration, got also {', '.join(sorted(unknown))}")
         return cls(**{**values, "hidden": tuple(values.get("hidden", cls.hidden))})
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values under the fields' names."""
+        """Return the values by field name, as plain numbers, strings and lists."""
         return {**asdict(self), "hidden": list(self.hidden)}
 
 
@@ -93,8 +98,7 @@ _BEST = Config(
 
 _CONFIGS = {"paper": Config(), "best": _BEST, "small": replace(_BEST, steps=4_000)}
 
-# The published numbers of steps for networks of one class, by its name and by its number in ShapeNet; networks of all
-# classes take a million.
+# Published numbers of steps for networks of a single class, by the name or ShapeNet's id of the class.
 _STEPS = {
     "airplane": 200_000,
     "bench": 100_000,
@@ -126,9 +130,13 @@ _STEPS = {
 
 
 def make_config(name: ConfigName, classes: Sequence[str]) -> Config:
-    """The recipe of this name for ``classes``.
+    """Make a named configuration.
 
-    The paper trains a network of a single class with the smoothness loss (weight 0.001) and for fewer steps.
+    The paper trains networks of a single class for fewer steps, with the smoothness loss at weight 0.001.
+
+    Args:
+        name: "paper"; "best", the best configuration known for a short training; or "small", with fewer steps.
+        classes: Names of the classes to train on.
     """
     config = _CONFIGS[name]
     if name == "paper" and len(classes) == 1:

@@ -1,4 +1,4 @@
-"""From images to 512 features: the paper's encoder, a lighter one, and one that others have trained."""
+"""Encoders: images to 512 features."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ EncoderName = Literal["paper", "light", "features"]
 
 
 class PaperEncoder(nn.Sequential):
-    """The encoder of the published code: three 5×5 convolutions of stride 2 and three dense layers, 19 M weights.
+    """Encoder of the published code: three 5×5 convolutions of stride 2, three dense layers; 19 M weights.
 
-    Takes [B, 4, 64, 64] in [0, 1], returns [B, 512]; ReLU after every layer, no normalisation.
+    Maps images [B, 4, 64, 64] in [0, 1] to [B, 512]. A ReLU follows each layer; there is no normalisation.
     """
 
     def __init__(self) -> None:
@@ -30,19 +30,19 @@ class PaperEncoder(nn.Sequential):
         for inward, outward in ((16384, 1024), (1024, 1024), (1024, FEATURES)):
             layers += [nn.Linear(inward, outward), nn.ReLU()]
         super().__init__(*layers)
-        self.apply(published_start)
+        self.apply(published_init)
 
 
 class LightEncoder(nn.Sequential):
-    """A 7×7 convolution of stride 4, two residual blocks of stride 2 and a dense layer: 1.3 M weights of width 32.
+    """Small residual encoder: a 7×7 convolution of stride 4, two blocks of stride 2, a dense layer.
 
-    Takes [B, 4, 64, 64] in [0, 1], returns [B, 512]. Groups, not batches, are normalised: an image's features do not
-    depend on what else is in its batch, nor on how many processes share the batch.
+    Maps images [B, 4, 64, 64] in [0, 1] to [B, 512]. It has 1.3 M weights for ``width`` 32. Group normalisation keeps
+    the features of an image independent of the rest of the batch and of the number of processes.
     """
 
     def __init__(self, width: int = 32) -> None:
         super().__init__(
-            _Centred(),
+            _ToSigned(),
             nn.Conv2d(4, width, 7, stride=4, padding=3, bias=False),
             nn.GroupNorm(8, width),
             nn.ReLU(),
@@ -55,11 +55,10 @@ class LightEncoder(nn.Sequential):
 
 
 class FeatureEncoder(nn.Module):
-    """What a network for recognition sees in an image, and one dense layer that learns what to make of it.
+    """Frozen features of a recognition network, followed by a learned dense layer.
 
-    Takes [B, 4, 64, 64] in [0, 1], returns [B, 512]. The image is enlarged and shown on white; the layer, one of 1/16
-    of its size, is taken at 4×4 places. The network stays as it is: with few objects to learn from it knows more of
-    what things are, and of how they are turned, than they can teach.
+    Maps images [B, 4, 64, 64] in [0, 1] to [B, 512]. Images are enlarged to 112 pixels on white, and the activations
+    are pooled to 4×4. With few training objects, pretrained features generalise better than learned ones.
     """
 
     SIZE = 112
@@ -70,39 +69,40 @@ class FeatureEncoder(nn.Module):
         self.layer = next((name for name in self.LAYERS if name in features.layers), "")
         if not self.layer:
             raise ValueError(
-                f"features: expected a network with {' or '.join(self.LAYERS)}, got {features.name} without"
+                f"features: expected a network with {' or '.join(self.LAYERS)}, got {features.name} without them"
             )
         self.features = features.until(self.layer)
         with torch.no_grad():
-            channels = self._seen(torch.zeros(1, 4, 64, 64)).shape[1]
+            channels = self._pooled(torch.zeros(1, 4, 64, 64)).shape[1]
         self.learned = nn.Sequential(nn.Flatten(), nn.Linear(16 * channels, FEATURES), nn.SiLU())
 
     def forward(self, images: Tensor) -> Tensor:
         with torch.no_grad():
-            seen = self._seen(images)
-        return self.learned(seen)
+            pooled = self._pooled(images)
+        return self.learned(pooled)
 
-    def _seen(self, images: Tensor) -> Tensor:
-        found = self.features(on_white(images, self.SIZE), [self.layer])[self.layer]
-        seen = F.adaptive_avg_pool2d(found, 4)
-        return F.group_norm(seen, math.gcd(seen.shape[1], 32))
+    def _pooled(self, images: Tensor) -> Tensor:
+        """Compute normalised activations [B, C, 4, 4] of images."""
+        activations = self.features(on_white(images, self.SIZE), [self.layer])[self.layer]
+        pooled = F.adaptive_avg_pool2d(activations, 4)
+        return F.group_norm(pooled, math.gcd(pooled.shape[1], 32))
 
 
 def on_white(images: Tensor, size: int) -> Tensor:
-    """Images [B, 4, H, W] in [0, 1] as networks for recognition know them: [B, 3, size, size], on white."""
-    shown = images[:, :3] * images[:, 3:] + 1 - images[:, 3:]
-    return F.interpolate(shown, (size, size), mode="bilinear", align_corners=False)
+    """Composite RGBA images [B, 4, H, W] in [0, 1] on white and resize them: [B, 3, size, size]."""
+    rgb = images[:, :3] * images[:, 3:] + 1 - images[:, 3:]
+    return F.interpolate(rgb, (size, size), mode="bilinear", align_corners=False)
 
 
-class _Centred(nn.Module):
-    """[0, 1] to [-1, 1], with what lies outside of the object black whatever the file holds there."""
+class _ToSigned(nn.Module):
+    """Maps images from [0, 1] to [-1, 1]; transparent pixels become black."""
 
     def forward(self, images: Tensor) -> Tensor:
         return torch.cat((images[:, :3] * images[:, 3:], images[:, 3:]), 1) * 2 - 1
 
 
 class _Block(nn.Module):
-    """Two 3×3 convolutions, the first of stride 2, beside a mean of 2×2 pixels."""
+    """Residual block: two 3×3 convolutions, the first of stride 2, and a shortcut of mean-pooled pixels."""
 
     def __init__(self, inward: int, outward: int) -> None:
         super().__init__()
@@ -118,19 +118,25 @@ class _Block(nn.Module):
 
 
 def make_encoder(name: EncoderName, width: int = 32, features: FeatureNetwork | None = None) -> nn.Module:
-    """The encoder of this name: ``width`` is the number of channels that "light" begins with.
+    """Make an encoder.
 
-    Raises ValueError if "features" is to be made without them, or with a network that lacks the layer.
+    Args:
+        name: "paper", "light" or "features".
+        width: Channels of "light" at its first layer.
+        features: Recognition network of "features".
+
+    Raises:
+        ValueError: ``features`` is missing, or lacks the layer.
     """
     if name != "features":
         return PaperEncoder() if name == "paper" else LightEncoder(width)
     if features is None:
-        raise ValueError("features: expected a network for the encoder to look at images with, got None")
+        raise ValueError('features: expected a network for the encoder "features", got None')
     return FeatureEncoder(features)
 
 
-def published_start(layer: nn.Module) -> None:
-    """Weights as the published code draws them: normal, of variance 1 / fan-in; biases 0."""
+def published_init(layer: nn.Module) -> None:
+    """Initialise a layer like the published code: normal weights of variance 1 / fan-in, zero biases."""
     if isinstance(layer, (nn.Conv2d, nn.Linear)):
         fan_in = layer.weight[0].numel()
         nn.init.normal_(layer.weight, std=1 / math.sqrt(fan_in))

@@ -1,4 +1,4 @@
-"""The networks by their names."""
+"""Networks by name."""
 
 from __future__ import annotations
 
@@ -13,9 +13,15 @@ NETWORKS: dict[str, type[MeshNetwork] | type[VoxelNetwork]] = {"mesh": MeshNetwo
 
 
 def make_network(kind: str, config: Config, features: FeatureNetwork | None = None) -> Model:
-    """A network with fresh weights, and ``features`` for its encoder if that is "features".
+    """Make a network with random weights.
 
-    Raises ValueError for another name than "mesh" and "voxel", and for features that do not serve.
+    Args:
+        kind: "mesh" or "voxel".
+        config: Configuration of the network.
+        features: Recognition network of the encoder "features".
+
+    Raises:
+        ValueError: ``kind`` is unknown, or ``features`` does not fit.
     """
     if kind not in NETWORKS:
         raise ValueError(f"model: expected one of {', '.join(NETWORKS)}, got {kind!r}")

@@ -1,4 +1,4 @@
-"""From images to meshes: the deformation of a sphere (sections 4.1 and 5.1.1 of the paper)."""
+"""`MeshNetwork`: images to meshes, by deforming a sphere (sections 4.1 and 5.1.1 of the paper)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,22 @@ from ....meshes.topology import Topology
 from ....rendering import render
 from ..data.framing import SIZE, view_camera
 from .configs import Config
-from .encoders import FEATURES, make_encoder, published_start
+from .encoders import FEATURES, make_encoder, published_init
+
+_SHIFT_SCALE = 0.1  # of the global bias, as in the published code
 
 
 class MeshNetwork(nn.Module):
-    """Images [B, 4, 64, 64] in [0, 1] to vertices [B, 642, 3] in [-½, ½]; `faces` [1280, 3] are the same for all.
+    """Network from images [B, 4, 64, 64] in [0, 1] to vertices [B, 642, 3] in [-½, ½].
 
-    The vertices are in the frame of `framing`, a mirror image of the models' own; see there.
+    Vertices are in the reconstruction frame (see `framing`).
+
+    Attributes:
+        kind: "mesh".
+        config: Configuration of the network.
+        faces: [1280, 3] int32, the same for all meshes.
+        sphere: [642, 3], the undeformed sphere.
+        partners: [642] int64, the mirror image of each vertex at z = 0.
     """
 
     kind = "mesh"
@@ -40,28 +49,28 @@ class MeshNetwork(nn.Module):
         self.decoder = MeshDecoder(len(vertices), config.hidden)
         self._topology = Topology.of(faces)
         if config.blur:
-            self.register_buffer("blur", blurring(self._topology, config.blur), persistent=False)
+            self.register_buffer("blur", smoothing_matrix(self._topology, config.blur), persistent=False)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Vertices [B, 642, 3] float32."""
+        """Predict vertices [B, 642, 3] float32."""
         bias, shift = self.decoder(self.encoder(images))
-        with torch.autocast(images.device.type, enabled=False):  # positions need more digits than features
+        with torch.autocast(images.device.type, enabled=False):  # bfloat16 is too coarse for positions
             bias = self.blur @ bias.float() if self.config.blur else bias.float()
-            return self.symmetrised(in_octants(self.sphere, bias, shift.float()))
+            return self.symmetrize(deform_sphere(self.sphere, bias, shift.float()))
 
     @property
     def topology(self) -> Topology:
-        """Of the faces, where the network is."""
+        """Topology of the faces, on the device of the network."""
         if self._topology.edges.device != self.sphere.device:
             self._topology = self._topology.to(self.sphere.device)
         return self._topology
 
     def vertices(self, images: Tensor) -> Tensor:
-        """What `forward` returns."""
+        """Predict vertices [B, 642, 3] float32, like `forward`."""
         return self(images)
 
     def silhouettes(self, shapes: Tensor, views: Tensor) -> Tensor:
-        """Silhouettes [B, 64, 64] in [0, 1] of vertices [B, 642, 3] from ``views`` [B]."""
+        """Render silhouettes [B, 64, 64] in [0, 1] of vertices [B, 642, 3] from views [B]."""
         config = self.config
         return render(
             (shapes, self.faces),
@@ -72,15 +81,15 @@ class MeshNetwork(nn.Module):
             anti_aliasing=config.anti_aliasing,
         ).alpha  # type: ignore[return-value]
 
-    def symmetrised(self, vertices: Tensor) -> Tensor:
-        """Vertices [B, 642, 3] averaged with their mirror images at z = 0, if the recipe is of symmetric meshes."""
+    def symmetrize(self, vertices: Tensor) -> Tensor:
+        """Average vertices [B, 642, 3] with their mirror images at z = 0, if the configuration is symmetric."""
         if not self.config.symmetric:
             return vertices
         reflected = vertices[:, self.partners] * vertices.new_tensor([1.0, 1.0, -1.0])
         return (vertices + reflected) / 2
 
     def regulariser(self, shapes: Tensor) -> Tensor:
-        """The weighted losses that look at vertices [B, 642, 3] alone."""
+        """Compute the weighted regularisation losses of vertices [B, 642, 3]."""
         loss = shapes.new_zeros(())
         if self.config.smoothness:
             loss = loss + self.config.smoothness * smoothness(shapes, self.topology)
@@ -90,9 +99,11 @@ class MeshNetwork(nn.Module):
 
 
 class MeshDecoder(nn.Module):
-    """Features [B, 512] to the local biases [B, V, 3] of the vertices and one global bias [B, 3] (the paper's b and c).
+    """Decoder from features [B, 512] to local biases [B, V, 3] and a global bias [B, 3], b and c in the paper.
 
-    ``hidden``: the widths of the hidden layers, (1024, 2048) in the paper.
+    Args:
+        vertices: V, number of vertices.
+        hidden: Widths of the hidden layers.
     """
 
     def __init__(self, vertices: int, hidden: tuple[int, ...] = (1024, 2048)) -> None:
@@ -105,33 +116,39 @@ class MeshDecoder(nn.Module):
         self.hidden = nn.Sequential(*layers)
         self.local_bias = nn.Linear(width, 3 * vertices)
         self.global_bias = nn.Linear(width, 3)
-        self.apply(published_start)
+        self.apply(published_init)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         hidden = self.hidden(features)
-        return self.local_bias(hidden).unflatten(1, (-1, 3)), 0.1 * self.global_bias(hidden)
+        return self.local_bias(hidden).unflatten(1, (-1, 3)), _SHIFT_SCALE * self.global_bias(hidden)
 
 
-def in_octants(sphere: Tensor, bias: Tensor, shift: Tensor) -> Tensor:
-    """The vertices [B, V, 3] of a sphere [V, 3] in [-½, ½] moved by bias [B, V, 3] and shift [B, 3].
+def deform_sphere(sphere: Tensor, bias: Tensor, shift: Tensor) -> Tensor:
+    """Deform a sphere; no vertex leaves its octant.
 
-    No vertex leaves its octant, whose corner moves with the shift: per coordinate m = ±sigmoid(logit |s| + b) with the
-    sign of the sphere's s; with c = tanh(shift) the result is ½ (max(m, 0)(1 − c) − max(−m, 0)(1 + c) + c), which is in
-    [-½, ½] for any input. Where s = 0 it is c/2.
+    Per coordinate s of the sphere: ``m = sign(s) sigmoid(logit |s| + bias)``, ``c = tanh(shift)``, and the result is
+    ``½ (max(m, 0)(1 − c) − max(−m, 0)(1 + c) + c)``. The common corner of the octants is at c/2.
+
+    Args:
+        sphere: [V, 3] in [-½, ½].
+        bias: [B, V, 3], local biases.
+        shift: [B, 3], global bias.
+
+    Returns:
+        [B, V, 3], in [-½, ½] for any input.
     """
     size = torch.sigmoid(torch.logit(sphere.abs()) + bias)
     signed = size * sphere.sign()
-    centre = torch.tanh(shift)[:, None]
-    return (signed.clamp(min=0) * (1 - centre) - (-signed).clamp(min=0) * (1 + centre) + centre) / 2
+    center = torch.tanh(shift)[:, None]
+    return (signed.clamp(min=0) * (1 - center) - (-signed).clamp(min=0) * (1 + center) + center) / 2
 
 
-def blurring(topology: Topology, strength: float) -> Tensor:
-    """The matrix (1 + λL)⁻¹ [V, V] float32 of a mesh, with its graph Laplacian L and λ = ``strength`` ≥ 0.
+def smoothing_matrix(topology: Topology, strength: float) -> Tensor:
+    """Compute the matrix (1 + λL)⁻¹ [V, V] float32, with the graph Laplacian L and λ = ``strength`` ≥ 0.
 
-    What it is applied to is averaged over about √λ edges. Silhouettes do not see dents, so that nothing would take out
-    what chance, the learning rate and half precision put into the vertices one by one; but blurred, a step moves
-    neighbours alike, and steps that agree still reach any shape. After "Large Steps in Inverse Rendering of Geometry"
-    (Nicolet, Jacobson and Jakob, 2021), section 3.
+    It averages over about √λ edges. Silhouettes do not show dents, so that no loss removes the noise that sampling and
+    low precision put into single vertices. Smoothed updates move neighbours alike, and consistent updates still reach
+    any shape. See Nicolet, Jacobson and Jakob, "Large Steps in Inverse Rendering of Geometry" (2021), section 3.
     """
     start, end = topology.edges.unbind(1)
     matrix = torch.eye(topology.vertices, dtype=torch.float64, device=start.device)

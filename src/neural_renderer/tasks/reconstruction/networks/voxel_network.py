@@ -1,4 +1,4 @@
-"""The voxel baseline: perspective transformer nets (Yan, Yang, Yumer, Guo and Lee, NIPS 2016)."""
+"""`VoxelNetwork`, the voxel baseline: perspective transformer nets (Yan, Yang, Yumer, Guo and Lee, NIPS 2016)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,13 @@ from .encoders import FEATURES, make_encoder
 
 
 class VoxelNetwork(nn.Module):
-    """Images [B, 4, 64, 64] in [0, 1] to the probability [B, 32, 32, 32] that a voxel is solid.
+    """Network from images [B, 4, 64, 64] in [0, 1] to probabilities [B, 32, 32, 32] that voxels are filled.
 
-    The axes are those of the published voxels: (y, x, −z) of the frame of `framing`.
+    The axes are those of the published voxels: (y, x, −z) of the reconstruction frame.
+
+    Attributes:
+        kind: "voxel".
+        config: Configuration of the network.
     """
 
     kind = "voxel"
@@ -30,29 +34,29 @@ class VoxelNetwork(nn.Module):
         self._rays: Tensor | None = None
 
     def forward(self, images: Tensor) -> Tensor:
-        """Probabilities [B, 32, 32, 32] float32."""
+        """Predict probabilities [B, 32, 32, 32] float32."""
         return torch.sigmoid(self.decoder(self.encoder(images)).float())
 
     def occupancy(self, images: Tensor) -> Tensor:
-        """What `forward` returns."""
+        """Predict probabilities [B, 32, 32, 32] float32, like `forward`."""
         return self(images)
 
     def silhouettes(self, shapes: Tensor, views: Tensor) -> Tensor:
-        """Silhouettes [B, 32, 32] of voxels [B, 32, 32, 32] from ``views`` [B]: the largest value along each ray."""
+        """Compute silhouettes [B, 32, 32] of voxels [B, 32, 32, 32] from views [B]: the maximum along each ray."""
         if self._rays is None or self._rays.device != shapes.device:
             self._rays = rays(shapes.device)
         samples = F.grid_sample(shapes[:, None], self._rays[views], align_corners=True)
         return samples.amax(2).squeeze(1)
 
     def regulariser(self, shapes: Tensor) -> Tensor:
-        """None: 0."""
+        """Return 0: there is no regularisation."""
         return shapes.new_zeros(())
 
 
 class VoxelDecoder(nn.Sequential):
-    """Features [B, 512] to logits [B, 32, 32, 32]: a dense layer to 4³ and three transposed convolutions.
+    """Decoder from features [B, 512] to logits [B, 32, 32, 32]: a dense layer to 4³, three transposed convolutions.
 
-    With group normalisation, without which a few thousand steps end in one shape for all pictures.
+    Without group normalisation, a few thousand steps end in one shape for all images.
     """
 
     def __init__(self, width: int = 64) -> None:
@@ -65,16 +69,24 @@ class VoxelDecoder(nn.Sequential):
 
 
 def rays(device: torch.device, size: int = GRID, depths: int = GRID) -> Tensor:
-    """Where the rays of all 24 views meet the grid: [24, depths, size, size, 3], as `grid_sample` takes it.
+    """Compute sample positions on the rays of all 24 views.
 
-    The depths go once through the ball around the cube [-½, ½]³, whose corners the outermost voxels' middles are.
+    Depths span the circumscribed ball of the cube [-½, ½]³, whose corners are the centres of the outermost voxels.
+
+    Args:
+        device: Device of the result.
+        size: Rays along each side of an image.
+        depths: Samples on each ray.
+
+    Returns:
+        [24, depths, size, size, 3], as `grid_sample` takes it.
     """
-    centre = (torch.arange(size) + 0.5) / size * 2 - 1
+    place = (torch.arange(size) + 0.5) / size * 2 - 1
     depth = DISTANCE + math.sqrt(3) / 2 * ((torch.arange(depths) + 0.5) / depths * 2 - 1)
-    z, y, x = torch.meshgrid(depth, -centre, centre, indexing="ij")
+    z, y, x = torch.meshgrid(depth, -place, place, indexing="ij")
     slope = math.tan(math.radians(VIEWING_ANGLE))
     points = torch.stack((x * z * slope, y * z * slope, z), -1).to(device)
     camera = view_camera(torch.arange(VIEWS, device=device))
     world = torch.einsum("dhwc,vcr->vdhwr", points, camera.rotation) + camera.origin[:, None, None, None]
     x, y, z = (2 * world).unbind(-1)
-    return torch.stack((-z, x, y), -1)  # the last axis of the voxels first
+    return torch.stack((-z, x, y), -1)  # `grid_sample` takes the last axis of the voxels first

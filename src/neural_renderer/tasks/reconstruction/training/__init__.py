@@ -1,1 +1,1 @@
-"""Training of the reconstruction networks."""
+"""Training of reconstruction networks."""

@@ -1,4 +1,4 @@
-"""What happens beside the steps: checkpoints, records, pictures, the progress bar, and the end."""
+"""Lightning callbacks: checkpoints, logs, pictures, the progress bar, and the end of a training."""
 
 from __future__ import annotations
 
@@ -19,15 +19,18 @@ from ..evaluation.predictors import network_predictor
 from ..evaluation.sheets import training_sheet
 from ..networks.checkpoint import BEST, LAST, save_model
 
-_RECORD_EVERY = 10  # steps
+_LOG_EVERY = 10  # steps
 
 
-class Keep(lightning.Callback):
-    """Writes the checkpoints of a folder after each round: "last.ckpt", all that is needed to go on; and "best.ckpt",
-    the network with the best silhouettes on the validation split, or the last one if there is no such split. Either is
-    whole at any time.
+class Checkpoints(lightning.Callback):
+    """Writes checkpoints after each round, and ends the training in all processes at once.
 
-    It also ends the training when it is done, or when ``interrupted`` has something in it, in all processes at once.
+    "last.ckpt" is the state from which a training resumes. "best.ckpt" is the network with the best silhouette IoU on
+    the validation split, or the last network if there is no such split.
+
+    Args:
+        folder: Folder to write to.
+        interrupted: The training ends when this list is not empty.
     """
 
     def __init__(self, folder: Path, interrupted: list[int]) -> None:
@@ -36,7 +39,7 @@ class Keep(lightning.Callback):
 
     def on_train_batch_end(self, trainer: lightning.Trainer, module: Any, *_: Any) -> None:
         state = torch.tensor([module.progress, float(bool(self._interrupted))], dtype=torch.float64)
-        if trainer.world_size > 1:  # clocks and hands differ: what one process knows, all shall
+        if trainer.world_size > 1:  # clocks differ, and one process may be interrupted: all must decide alike
             state = state.to(module.device)
             torch.distributed.all_reduce(state, torch.distributed.ReduceOp.MAX)
         module.progress = float(state[0])
@@ -50,7 +53,7 @@ class Keep(lightning.Callback):
             facts = {"steps": module.steps_done, "seconds": module.seconds}
             facts |= {} if module.val_split is None else {"val_iou": score}
             save_model(self._folder / BEST, module.model, module.train_split.classes, **facts)
-        # Every process must call, one of them writes.
+        # All processes must call `save_checkpoint`; one of them writes.
         path = self._folder / LAST
         with replacing(path) if trainer.is_global_zero else nullcontext(path) as fresh:
             trainer.save_checkpoint(fresh, weights_only=False)
@@ -62,8 +65,12 @@ class Keep(lightning.Callback):
         self.best = state_dict["best"]
 
 
-class Record(lightning.Callback):
-    """Numbers in "log.csv" and for TensorBoard, pictures in "pictures", progress on the screen."""
+class Log(lightning.Callback):
+    """Writes numbers to "log.csv" and TensorBoard, pictures to "pictures", and shows a progress bar.
+
+    Args:
+        folder: Folder to write to.
+    """
 
     _COLUMNS = ("step", "seconds", "rate", "loss", "iou", "val_iou")
 
@@ -76,7 +83,7 @@ class Record(lightning.Callback):
             return
         path = self._folder / "log.csv"
         rows = []
-        if module.steps_done and path.is_file():  # what came after the checkpoint is to be done again
+        if module.steps_done and path.is_file():  # steps after the checkpoint will be repeated
             with path.open(newline="", encoding="utf-8") as file:
                 whole = [row for row in csv.DictReader(file) if None not in row.values()]  # a kill may cut a row off
                 rows = [row for row in whole if int(row["step"]) <= module.steps_done]
@@ -93,13 +100,13 @@ class Record(lightning.Callback):
     def on_train_batch_end(self, trainer: lightning.Trainer, module: Any, *_: Any) -> None:
         if self._progress is None:
             return
-        done, begun = module.progress - self._start[0], module.seconds - self._start[1]
-        left = begun / max(done, 1e-9) * max(1 - module.progress, 0)
+        done, seconds = module.progress - self._start[0], module.seconds - self._start[1]
+        left = seconds / max(done, 1e-9) * max(1 - module.progress, 0)
         note = f"step {module.steps_done}  loss {module.latest['loss']:.4f}  IoU {module.latest['iou']:.4f}"
         if "val_iou" in module.latest:
             note += f"  val IoU {module.latest['val_iou']:.4f}"
-        self._progress.update(self._task, completed=min(module.progress, 1.0), note=f"{note}  {_clock(left)} left")
-        if module.steps_done % _RECORD_EVERY == 0:
+        self._progress.update(self._task, completed=min(module.progress, 1.0), note=f"{note}  {_duration(left)} left")
+        if module.steps_done % _LOG_EVERY == 0:
             self._write(trainer, module, ("loss", "iou"))
 
     def on_validation_end(self, trainer: lightning.Trainer, module: Any) -> None:
@@ -138,6 +145,7 @@ class Record(lightning.Callback):
                 logger.log_metrics(values, step=module.steps_done)
 
 
-def _clock(seconds: float) -> str:
+def _duration(seconds: float) -> str:
+    """Format a duration as hours:minutes:seconds."""
     hours, rest = divmod(int(seconds), 3600)
     return f"{hours}:{rest // 60:02d}:{rest % 60:02d}"

@@ -1,6 +1,6 @@
-"""What each step of training looks at: a function of the seed and the step's number, whatever happened before.
+"""Training batches as a function of seed and step.
 
-So a training that is resumed sees what it would have seen, and several processes share a batch without talking.
+A resumed training therefore gets the same batches, and several processes share a batch without communication.
 """
 
 from __future__ import annotations
@@ -16,14 +16,27 @@ from ..data.arrays import Split
 from ..data.framing import VIEWS
 from ..networks.configs import Config
 
+_GREY_CHANCE = 0.3  # of an object whose colours are mixed with grey
+_MIX, _GAIN, _OFFSET = 0.15, 0.2, 0.08  # standard deviations of channel mixing, log gain and offset
+
 
 class Batches(Dataset[dict[str, Tensor]]):
-    """The batches of steps ``first`` to ``last`` − 1, of which process ``rank`` of ``world`` gets its share.
+    """Batches of a range of steps, or one process's share of them.
 
-    An item is a dictionary: "images" uint8 [V, n, 4, 64, 64], the views of n objects, and "views" int64 [V, n], which
-    of the 24 they are; with ``config.augment`` also "flip" bool [n] and "colour" float32 [n, 3, 4].
+    An item is a dictionary: "images" uint8 [V, n, 4, 64, 64], views of n objects; "views" int64 [V, n], their numbers;
+    and with ``config.augment`` also "flip" bool [n] and "color" float32 [n, 3, 4], an affine map of RGB.
 
-    Raises ValueError if the processes cannot share the batch evenly.
+    Args:
+        split: Training data.
+        config: Configuration of the training.
+        seed: Seed of the batches.
+        first: First step.
+        last: Step after the last one.
+        rank: Number of this process.
+        world: Number of processes.
+
+    Raises:
+        ValueError: The number of objects in a batch is not divisible by the number of processes.
     """
 
     def __init__(
@@ -48,7 +61,7 @@ class Batches(Dataset[dict[str, Tensor]]):
         batch: dict[str, Any] = {"views": views}
         if config.augment:
             batch["flip"] = generator.random(count) < 0.5
-            batch["colour"] = _colours(generator, count)
+            batch["color"] = _color_maps(generator, count)
         batch = {
             name: value[..., self._share] if name == "views" else value[self._share] for name, value in batch.items()
         }
@@ -61,21 +74,27 @@ class Batches(Dataset[dict[str, Tensor]]):
         return {"images": torch.from_numpy(images), **{name: torch.from_numpy(value) for name, value in batch.items()}}
 
 
-def _colours(generator: np.random.Generator, count: int) -> np.ndarray:
-    """Random affine maps of colour [count, 3, 4]: channels mixed towards grey or each other, gains and offsets."""
-    mix = np.eye(3) + generator.normal(0, 0.15, (count, 3, 3))
-    grey = generator.random((count, 1, 1)) * (generator.random((count, 1, 1)) < 0.3)
-    gain = np.exp(generator.normal(0, 0.2, (count, 1, 1)))
+def _color_maps(generator: np.random.Generator, count: int) -> np.ndarray:
+    """Draw random affine maps of RGB [count, 3, 4]: channels mixed with grey or each other, gains and offsets."""
+    mix = np.eye(3) + generator.normal(0, _MIX, (count, 3, 3))
+    grey = generator.random((count, 1, 1)) * (generator.random((count, 1, 1)) < _GREY_CHANCE)
+    gain = np.exp(generator.normal(0, _GAIN, (count, 1, 1)))
     matrix = gain * ((1 - grey) * mix + grey / 3)
-    return np.concatenate((matrix, generator.normal(0, 0.08, (count, 3, 1))), 2).astype(np.float32)
+    return np.concatenate((matrix, generator.normal(0, _OFFSET, (count, 3, 1))), 2).astype(np.float32)
 
 
-def prepared(batch: dict[str, Tensor], inputs: int) -> tuple[Tensor, Tensor, Tensor]:
-    """A batch ready for a network.
+def prepare_batch(batch: dict[str, Tensor], inputs: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Convert a batch to floating point, and apply its augmentation.
 
-    Returns the first ``inputs`` views as images [I, n, 4, 64, 64] in [0, 1], the alpha of all views [V, n, 64, 64] in
-    [0, 1], and which views they are [V, n]. Mirrored at z = 0, an object looks from view k as it did from view 12 − k,
-    left and right exchanged.
+    An object mirrored at z = 0 looks from view k as the original looks from view 12 − k, flipped horizontally.
+
+    Args:
+        batch: Item of `Batches`.
+        inputs: I, number of views that are inputs of the network.
+
+    Returns:
+        Images of the first I views, [I, n, 4, 64, 64] in [0, 1]; alpha of all views, [V, n, 64, 64] in [0, 1]; and
+        the numbers of the views, [V, n].
     """
     pixels, views = batch["images"], batch["views"]
     if "flip" in batch:
@@ -83,16 +102,16 @@ def prepared(batch: dict[str, Tensor], inputs: int) -> tuple[Tensor, Tensor, Ten
         pixels = torch.where(flip[:, None, None, None], pixels.flip(-1), pixels)
         views = torch.where(flip, mirrored_views(views), views)
     images, alpha = pixels[:inputs].float() / 255, pixels[:, :, 3].float() / 255
-    if "colour" in batch:
-        matrix, mask = batch["colour"], images[:, :, 3:]
+    if "color" in batch:
+        matrix, mask = batch["color"], images[:, :, 3:]
         rgb = torch.einsum("nij,vnjhw->vnihw", matrix[..., :3], images[:, :, :3]) + matrix[None, :, :, 3, None, None]
         images = torch.cat((rgb.clamp(0, 1) * mask, mask), 2)
     return images, alpha, views
 
 
 def mirrored_views(views: Tensor) -> Tensor:
-    """The views [...] that show the object mirrored at z = 0 as ``views`` show it, left and right exchanged.
+    """Convert views [...] of an object to the views of its mirror image at z = 0 that look the same when flipped.
 
-    Most things are symmetric about that plane: it is x = 0 of the models, whose fronts are at ±z.
+    Most objects are symmetric about this plane: it is x = 0 of the models, whose fronts are at ±z.
     """
     return (VIEWS // 2 - views) % VIEWS

@@ -1,4 +1,4 @@
-"""A whole training with Lightning: one process or many, from the beginning or from a checkpoint."""
+"""`train`: a whole training with Lightning, in one process or several, new or resumed."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from ....features import FeatureNetwork
 from ..data.arrays import Split
 from ..networks.configs import Config
-from .callbacks import Keep, Record
+from .callbacks import Checkpoints, Log
 from .sampling import Batches
 from .training import Training
 
 
-def fit(
+def train(
     kind: str,
     config: Config,
-    train: Split,
+    data: Split,
     val: Split | None,
     out: Path,
     *,
@@ -36,21 +36,37 @@ def fit(
     features: FeatureNetwork | None = None,
     interrupted: list[int] | None = None,
 ) -> Training:
-    """Train until it is done, or until ``interrupted`` has something in it; the results are in the folder ``out``.
+    """Train a network until it is done or interrupted.
 
     Args:
-        kind, config, train, val, minutes, every, seed, workers, features: as `Training`.
-        devices, nodes: processes on each machine, and machines; they share each batch, by DDP.
+        kind: "mesh" or "voxel".
+        config: Configuration of the network and its training.
+        data: Training split.
+        val: Validation split, or None.
+        out: Folder for checkpoints, logs and pictures.
+        minutes: See `Training`.
+        every: See `Training`.
+        seed: See `Training`.
+        workers: See `Training`.
+        devices: Processes on each machine; all processes share each batch, by DDP.
+        nodes: Machines.
         device: "cpu", "cuda" or "auto".
-        low_precision: bfloat16 for the networks, where `has_bfloat16`.
-        checkpoint: a "last.ckpt" to go on from.
+        low_precision: Whether to compute networks in bfloat16 if `has_bfloat16`.
+        checkpoint: A "last.ckpt" to resume from.
+        features: Recognition network of the encoder "features".
+        interrupted: The training ends when this list is not empty.
 
-    Raises ValueError at a loss that is not finite, OSError for a checkpoint that cannot be written.
+    Returns:
+        The training after its last step.
+
+    Raises:
+        ValueError: A loss or gradient is not finite, or a batch cannot be shared by the processes.
+        OSError: A file cannot be written.
     """
-    Batches(train, config, seed, 0, 0, 0, devices * nodes)  # one that cannot be shared is told before all is started
+    Batches(data, config, seed, 0, 0, 0, devices * nodes)  # raises before any process is started
     out.mkdir(parents=True, exist_ok=True)
     training = Training(
-        kind, config, train, val, minutes=minutes, every=every, seed=seed, workers=workers, features=features
+        kind, config, data, val, minutes=minutes, every=every, seed=seed, workers=workers, features=features
     )
     many = devices * nodes > 1
     trainer = lightning.Trainer(
@@ -64,18 +80,18 @@ def fit(
         num_sanity_val_steps=0,
         use_distributed_sampler=False,
         logger=TensorBoardLogger(out, name="tensorboard", version=""),
-        callbacks=[Keep(out, [] if interrupted is None else interrupted), Record(out)],
+        callbacks=[Checkpoints(out, [] if interrupted is None else interrupted), Log(out)],
         enable_checkpointing=False,
         enable_progress_bar=False,
         enable_model_summary=False,
-        inference_mode=False,  # the average of weights that validation looks at goes on being changed
+        inference_mode=False,  # validation uses averaged weights, which later steps change in place
     )
     trainer.fit(training, ckpt_path=checkpoint, weights_only=True if checkpoint else None)
     return training
 
 
 def has_bfloat16(device: str = "auto") -> bool:
-    """Whether the hardware is faster in bfloat16: GPUs since Ampere, processors with AMX."""
+    """Tell whether the hardware is fast at bfloat16: GPUs since Ampere, processors with AMX."""
     if device != "cpu" and torch.cuda.is_available():
         return torch.cuda.is_bf16_supported(including_emulation=False)
     return bool(getattr(torch.cpu, "_is_amx_tile_supported", lambda: False)())

@@ -1,4 +1,4 @@
-"""The training of one network, as Lightning runs it."""
+"""`Training`: the Lightning module that trains a reconstruction network."""
 
 from __future__ import annotations
 
@@ -22,27 +22,39 @@ from ..networks.checkpoint import HEADER, header
 from ..networks.configs import Config
 from ..networks.make_network import Model, make_network
 from ..networks.mesh_network import MeshNetwork
-from .sampling import Batches, prepared
+from .sampling import Batches, prepare_batch
 
-_MEASURED = 40  # objects of a class at each validation
+_VALIDATED = 40  # objects of a class at each validation
+_BIAS_SLOWDOWN = 10  # the learning rate of the global bias is smaller by this factor in the published code
+_ADAMW_BETAS = (0.9, 0.99)
+_DROP_AT, _DROP_TO = 0.95, 0.1  # schedule "step": progress and factor
+_WARM_UP, _LEAST_FACTOR = 0.02, 0.01  # schedule "cosine": progress at the end of the warm-up, and first factor
 
 
 class Training(lightning.LightningModule):
-    """Silhouettes as the only teacher: section 4.1 of the paper, for meshes and for voxels.
+    """Training of a mesh or voxel network from silhouettes only (section 4.1 of the paper).
 
-    An epoch of Lightning is a round of ``every`` steps, after which the network is validated. The number of steps
-    taken, and all that follows from it, is kept here and not in Lightning's loops, so that a training resumed from a
-    checkpoint does what it would have done.
+    An epoch of Lightning is a round of ``every`` steps, followed by a validation. The number of steps is counted here
+    and not in Lightning's loops, so that a resumed training continues exactly.
 
     Args:
         kind: "mesh" or "voxel".
-        config: the recipe.
-        train, val: what to learn from and to measure on; None where there is nothing of the kind.
-        minutes: end after so long, and let the schedule fit into that time (math.inf: after ``config.steps``).
-        every: steps between two validations.
-        seed: of the network's start and of the batches.
-        workers: processes that read batches ahead; 0 reads them in the training process.
-        features: for the recipe's encoder, if that is "features".
+        config: Configuration of the network and its training.
+        train: Training split.
+        val: Validation split, or None.
+        minutes: Time limit, into which the schedule is fitted; math.inf for none.
+        every: Steps between two validations.
+        seed: Seed of initial weights and batches.
+        workers: Processes that load batches ahead; 0 for none.
+        features: Recognition network of the encoder "features".
+
+    Attributes:
+        network: The network.
+        average: The network with averaged weights, or None.
+        steps_done: Number of steps taken.
+        seconds: Time of these steps.
+        progress: Finished fraction of the training, 1 at the end.
+        latest: Latest values of "loss", "iou" and "val_iou".
     """
 
     def __init__(
@@ -73,44 +85,44 @@ class Training(lightning.LightningModule):
 
     @property
     def model(self) -> Model:
-        """The network that predictions are made with: that of averaged weights, if there is one."""
+        """The network for predictions: the one with averaged weights, if there is one."""
         return self.network if self.average is None else self.average
 
     @property
     def done(self) -> bool:
-        """Whether all steps, or all minutes, are over."""
+        """Whether all steps are taken or the time is over."""
         return self.progress >= 1
 
     def train_dataloader(self) -> Any:
-        """The batches of this round."""
+        """Make the loader of the batches of this round."""
         batches = self.batches(self.trainer.global_rank, self.trainer.world_size)
         return DataLoader(batches, batch_size=None, shuffle=False, num_workers=self._workers)
 
     def batches(self, rank: int = 0, world: int = 1) -> Batches:
-        """What this process learns from until the end of the round."""
+        """Make the batches of a process until the end of the round."""
         last = min(self.config.steps, (self.steps_done // self.every + 1) * self.every)
         last = self.steps_done if self.done else last
         return Batches(self.train_split, self.config, self.seed, self.steps_done, last, rank, world)
 
     def val_dataloader(self) -> Any:
-        """The objects of the validation split, one at a time: of large classes the first ones."""
+        """Make the loader of validation objects: up to 40 of each class."""
         split = self.val_split
         if split is None:
             return []
         self._val_images = split.images
-        items = [(name, index) for name in split.classes for index in range(min(len(split.images[name]), _MEASURED))]
+        items = [(name, index) for name in split.classes for index in range(min(len(split.images[name]), _VALIDATED))]
         return DataLoader(items, batch_size=None, shuffle=False)  # type: ignore[arg-type]
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
-        """The recipe's optimiser; each group of parameters keeps its own rate as "base"."""
+        """Make the optimiser of the configuration; "base" is the learning rate of a group before the schedule."""
         config, network = self.config, self.network
         learned = [value for value in network.parameters() if value.requires_grad]
         if config.optimiser == "adam":
-            # The published code lets the global bias learn ten times more slowly than all else.
             slow = list(network.decoder.global_bias.parameters()) if isinstance(network, MeshNetwork) else []
             fast = [value for value in learned if all(value is not other for other in slow)]
             groups = [{"params": fast, "lr": config.rate, "base": config.rate}]
-            groups += [{"params": slow, "lr": config.rate / 10, "base": config.rate / 10}] if slow else []
+            slow_rate = config.rate / _BIAS_SLOWDOWN
+            groups += [{"params": slow, "lr": slow_rate, "base": slow_rate}] if slow else []
             return Adam(groups)
         matrices = [value for value in learned if value.ndim > 1]
         others = [value for value in learned if value.ndim <= 1]
@@ -118,31 +130,31 @@ class Training(lightning.LightningModule):
             {"params": matrices, "weight_decay": config.decay, "base": config.rate},
             {"params": others, "weight_decay": 0.0, "base": config.rate},
         ]
-        return torch.optim.AdamW(groups, lr=config.rate, betas=(0.9, 0.99), fused=True)
+        return torch.optim.AdamW(groups, lr=config.rate, betas=_ADAMW_BETAS, fused=True)
 
     def on_train_start(self) -> None:
         self._clock = time.monotonic() - self.seconds
 
     def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
-        """The learning rate of this step."""
+        """Set the learning rate of this step."""
         factor = schedule(self.config.schedule, self.progress)
         for group in self.optimizers().param_groups:  # type: ignore[union-attr]
             group["lr"] = group["base"] * factor
 
     def training_step(self, batch: dict[str, Tensor], batch_idx: int) -> Tensor:
-        """The loss of one batch."""
-        images, alpha, views = prepared(batch, self.config.inputs)
+        """Compute the loss of a batch."""
+        images, alpha, views = prepare_batch(batch, self.config.inputs)
         shapes = self.network(images.flatten(0, 1).contiguous(memory_format=torch.channels_last))
         with torch.autocast(images.device.type, enabled=False):
-            seen, looks, target = beside_views(shapes, alpha, views)
-            drawn = self.network.silhouettes(seen, looks)
-            error = silhouette_iou_loss(drawn, sized_like(drawn, target))
+            paired, paired_views, target = pair_with_views(shapes, alpha, views)
+            silhouettes = self.network.silhouettes(paired, paired_views)
+            error = silhouette_iou_loss(silhouettes, downsample_like(silhouettes, target))
             loss = error + self.network.regulariser(shapes)
         self.latest = {"loss": loss.detach(), "iou": 1 - error.detach()}  # type: ignore[dict-item]
         return loss
 
     def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
-        """The gradient, which all processes share by now, must be finite before it moves the weights."""
+        """Raise ValueError if the gradient, which is the mean over processes, is not finite."""
         gradients = [value.grad for value in self.network.parameters() if value.grad is not None]
         size = torch.stack(torch._foreach_norm(gradients)).norm()
         if not torch.isfinite(size):
@@ -159,31 +171,30 @@ class Training(lightning.LightningModule):
         self.progress = max(self.steps_done / self.config.steps, self.seconds / 60 / self.minutes)
         self.latest = {name: float(value) for name, value in self.latest.items()}
         if self.average is not None:
-            # A short memory at first: the first weights are not worth remembering.
+            # A faster decay at first, to forget the initial weights.
             keep = min(self.config.average, (1 + self.steps_done) / (10 + self.steps_done))
             pairs = zip(self.average.parameters(), self.network.parameters(), strict=True)
             means, values = zip(*((mean, value.detach()) for mean, value in pairs if value.requires_grad), strict=True)
             torch._foreach_lerp_(means, values, 1 - keep)
 
     def validation_step(self, item: Any, batch_idx: int) -> None:
-        """IoU of the silhouettes of an object in all its views, predicted from one of them."""
+        """Compute the IoU of all silhouettes of an object, predicted from two of its views."""
         name, index = item
         images = torch.from_numpy(self._val_images[name][index].copy()).to(self.device).float() / 255
         views = torch.arange(VIEWS, device=self.device)
-        look = torch.tensor([batch_idx * 7 % VIEWS, (batch_idx * 7 + 11) % VIEWS], device=self.device)
+        inputs = torch.tensor([batch_idx * 7 % VIEWS, (batch_idx * 7 + 11) % VIEWS], device=self.device)
         model = self.model
-        shapes = model(images[look])
+        shapes = model(images[inputs])
         with torch.autocast(images.device.type, enabled=False):
-            seen = shapes.repeat_interleave(VIEWS, 0)
-            drawn = model.silhouettes(seen, views.repeat(len(look)))
-            target = sized_like(drawn, images[:, 3]).repeat(len(look), 1, 1)
-            self._scores.setdefault(name, []).append(1 - float(silhouette_iou_loss(drawn, target)))
+            silhouettes = model.silhouettes(shapes.repeat_interleave(VIEWS, 0), views.repeat(len(inputs)))
+            target = downsample_like(silhouettes, images[:, 3]).repeat(len(inputs), 1, 1)
+            self._scores.setdefault(name, []).append(1 - float(silhouette_iou_loss(silhouettes, target)))
 
     def on_validation_epoch_start(self) -> None:
         self._scores: dict[str, list[float]] = {}
 
     def on_validation_epoch_end(self) -> None:
-        """The mean over classes of the mean over objects."""
+        """Average over objects, then over classes."""
         if self._scores:
             means = [sum(values) / len(values) for values in self._scores.values()]
             self.latest["val_iou"] = sum(means) / len(means)
@@ -192,7 +203,7 @@ class Training(lightning.LightningModule):
         weights = "network." if self.average is None else "average."
         checkpoint[HEADER] = header(self.model, self.train_split.classes, weights)
         checkpoint["training"] = {"steps": self.steps_done, "seconds": self.seconds, "seed": self.seed}
-        checkpoint.pop("loops", None)  # see the class
+        checkpoint.pop("loops", None)  # steps are counted here (see the class)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         state = checkpoint["training"]
@@ -201,28 +212,38 @@ class Training(lightning.LightningModule):
 
 
 def schedule(name: str, progress: float) -> float:
-    """The factor on the learning rate when this part, in [0, 1], of the training is over."""
+    """Compute the factor on the learning rate.
+
+    Args:
+        name: "step" or "cosine" (see `Config`).
+        progress: Finished fraction of the training, in [0, 1].
+    """
     if name == "step":
-        return 1.0 if progress < 0.95 else 0.1
-    if progress < 0.02:
-        return max(progress / 0.02, 0.01)
-    return 0.5 + 0.5 * math.cos(math.pi * min(1.0, (progress - 0.02) / 0.98))
+        return 1.0 if progress < _DROP_AT else _DROP_TO
+    if progress < _WARM_UP:
+        return max(progress / _WARM_UP, _LEAST_FACTOR)
+    return 0.5 + 0.5 * math.cos(math.pi * min(1.0, (progress - _WARM_UP) / (1 - _WARM_UP)))
 
 
-def beside_views(shapes: Tensor, alpha: Tensor, views: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Every prediction beside all views of its object.
+def pair_with_views(shapes: Tensor, alpha: Tensor, views: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Pair each prediction with all views of its object.
 
-    shapes: [I · n, ...], I predictions of each of n objects. alpha: [V, n, H, W] and views: [V, n], of the objects.
-    Returns shapes [I · V · n, ...], views [I · V · n] and what should be seen there [I · V · n, H, W].
+    Args:
+        shapes: [I · n, ...], I predictions of each of n objects.
+        alpha: [V, n, H, W], silhouettes of the objects.
+        views: [V, n], numbers of the views.
+
+    Returns:
+        Shapes [I · V · n, ...], views [I · V · n] and target silhouettes [I · V · n, H, W].
     """
     count = views.shape[1]
     inputs = len(shapes) // count
-    seen = shapes.unflatten(0, (inputs, 1, count)).expand(-1, len(views), *[-1] * shapes.ndim).flatten(0, 2)
+    paired = shapes.unflatten(0, (inputs, 1, count)).expand(-1, len(views), *[-1] * shapes.ndim).flatten(0, 2)
     target = alpha.expand(inputs, *[-1] * alpha.ndim).flatten(0, 2)
-    return seen, views.expand(inputs, -1, -1).flatten(), target
+    return paired, views.expand(inputs, -1, -1).flatten(), target
 
 
-def sized_like(drawn: Tensor, target: Tensor) -> Tensor:
-    """Silhouettes [B, H, W] averaged down to the size that a network draws, where that is smaller."""
-    height, width = drawn.shape[-2:]
+def downsample_like(silhouettes: Tensor, target: Tensor) -> Tensor:
+    """Average target silhouettes [B, H, W] down to the size of the network's silhouettes, if that is smaller."""
+    height, width = silhouettes.shape[-2:]
     return target if target.shape[-2:] == (height, width) else F.adaptive_avg_pool2d(target, (height, width))

@@ -1,4 +1,4 @@
-"""A small split of boxes and balls, without files."""
+"""A small synthetic data set of boxes and balls."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ SMALL = Config(
 )
 
 
-def fake_split(objects: int = 2, seed: int = 0) -> Split:
-    """Two classes of so many objects, of random sizes and colours, lopsided in all three axes."""
+def synthetic_split(objects: int = 2, seed: int = 0) -> Split:
+    """Make two classes of asymmetric objects with random sizes and colours."""
     generator = torch.Generator().manual_seed(seed)
     images = {}
     for name, (vertices, faces) in {"ball": nr.icosphere(1), "box": nr.cube()}.items():
@@ -36,16 +36,16 @@ def fake_split(objects: int = 2, seed: int = 0) -> Split:
             size, place = torch.rand(2, 3, generator=generator)
             colour = torch.rand(3, generator=generator).expand(len(faces), 2, 2, 2, 3)
             mesh = nr.Mesh(vertices * (0.1 + 0.15 * size) + 0.3 * (place - 0.5), faces, colour)
-            drawn = nr.render(mesh, view_camera(torch.arange(24)), 64)
-            assert drawn.rgb is not None and drawn.alpha is not None
-            rgba = torch.cat((drawn.rgb / drawn.alpha[:, None].clamp(min=1e-6), drawn.alpha[:, None]), 1)
+            views = nr.render(mesh, view_camera(torch.arange(24)), 64)
+            assert views.rgb is not None and views.alpha is not None
+            rgba = torch.cat((views.rgb / views.alpha[:, None].clamp(min=1e-6), views.alpha[:, None]), 1)
             rows.append((rgba.detach().clamp(0, 1) * 255).round().byte().numpy())
         images[name] = np.stack(rows)
     names = {name: tuple(f"{name}-{i}" for i in range(objects)) for name in images}
-    return Split(Path("fake"), "train", tuple(images), images, {}, names)
+    return Split(Path("synthetic"), "train", tuple(images), images, {}, names)
 
 
 def write_split(folder: Path, split: str, objects: int = 2, seed: int = 0) -> None:
-    """The images of `fake_split` in the published format."""
-    for name, images in fake_split(objects, seed).images.items():
+    """Write the images of `synthetic_split` in the published format."""
+    for name, images in synthetic_split(objects, seed).images.items():
         np.savez_compressed(folder / f"{name}_{split}_images.npz", images)

@@ -1,0 +1,33 @@
+"""Contact sheets: pictures in rows with labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
+
+_INK = (70, 76, 88)
+_LEAST_FONT = 10  # pixels
+
+
+def sheet(rows: Sequence[Sequence[Tensor]], labels: Sequence[str] = ()) -> Tensor:
+    """Arrange pictures in rows.
+
+    Args:
+        rows: Rows of equally many pictures [3, H, W] in [0, 1], all of one size.
+        labels: Text for the upper left corner of each row; may be shorter than ``rows``.
+
+    Returns:
+        [rows · H, columns · W, 3] uint8, on the CPU.
+    """
+    whole = torch.cat([torch.cat(list(row), dim=2) for row in rows], dim=1).cpu()
+    pixels = (whole.permute(1, 2, 0) * 255 + 0.5).to(torch.uint8).numpy()
+    image = Image.fromarray(pixels)
+    height = rows[0][0].shape[1]
+    font = ImageFont.load_default(max(height // 14, _LEAST_FONT))
+    for index, label in enumerate(labels):
+        ImageDraw.Draw(image).text((height // 16, index * height + height // 20), label, _INK, font)
+    return torch.from_numpy(np.array(image))
