@@ -8,23 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-
-@pytest.fixture(scope="session")
-def golden() -> Path:
-    """The folder of golden vectors: see its README."""
-    return Path(__file__).parent / "golden"
-
-
-@pytest.fixture(scope="session")
-def references() -> Path:
-    """The folder of references that others made: see its README."""
-    return Path(__file__).parent / "references"
-
-
-@pytest.fixture(scope="session")
-def teapot_file() -> Path:
-    """The teapot of the examples."""
-    return Path(__file__).resolve().parents[1] / "examples" / "data" / "teapot.obj"
+from tests.paths import DATA
 
 
 @pytest.fixture(scope="session")
@@ -66,10 +50,10 @@ def emulated_cuda(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 @pytest.fixture(params=["here", "all"])
-def nasty(request: pytest.FixtureRequest, references: Path) -> Path:
+def nasty(request: pytest.FixtureRequest) -> Path:
     """The folder of meshes that are hard to read: the small ones of this repository, and all of them beside it."""
     if request.param == "here":
-        return references / "nasty"
+        return DATA / "nasty"
     return request.getfixturevalue("shared") / "data" / "meshes" / "nasty"
 
 

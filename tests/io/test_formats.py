@@ -15,6 +15,7 @@ from neural_renderer.io import load_mesh, save_mesh
 from neural_renderer.io.cubes import bake_corners
 from neural_renderer.meshes.primitives import cube, icosphere
 from neural_renderer.meshes.uv_mesh import UVMesh
+from tests.paths import TEAPOT
 
 REFUSED = {
     "assimp_misc/OutOfMemory.off": "cannot be read as OFF",
@@ -43,10 +44,10 @@ def test_every_nasty_file_loads_or_is_refused(nasty):
             assert torch.isfinite(vertices).all() and faces.max() < len(vertices) and len(faces)
 
 
-def test_obj_without_colours_has_no_textures_and_no_warning(teapot_file):
+def test_obj_without_colours_has_no_textures_and_no_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        vertices, faces, textures = load_mesh(teapot_file)
+        vertices, faces, textures = load_mesh(TEAPOT)
     assert vertices.shape == (1292, 3) and faces.shape == (2464, 3) and textures is None
     assert faces.dtype == torch.int32 and vertices.dtype == torch.float32
 

@@ -19,6 +19,7 @@ from neural_renderer.io.polygons import triangulate
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import icosphere
 from neural_renderer.meshes.uv_mesh import UVMesh
+from tests.paths import DATA, TEAPOT
 from tests.rounding import EPS, STEP, relative, rounding
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -66,8 +67,8 @@ def textured(folder: Path, uv: str = UV, mtl: str = "map_Kd image.png", size: in
     return load_obj(path, texture_size=size, load_texture=True, **options)[2][0]
 
 
-def test_tetrahedron(references):
-    path = references / "tetrahedron.obj"
+def test_tetrahedron():
+    path = DATA / "neural_renderer/tetrahedron.obj"
     vertices, faces = load_obj(path, False)
     normalized, faces2 = load_obj(path, True)
     assert vertices.dtype == torch.float32 and faces.dtype == torch.int32
@@ -77,11 +78,10 @@ def test_tetrahedron(references):
     assert torch.equal(faces, faces2) and torch.equal(normalized, vertices * 2 - 1)
 
 
-def test_teapot(teapot_file):
-    path = teapot_file
-    vertices, faces = load_obj(path)
+def test_teapot():
+    vertices, faces = load_obj(TEAPOT)
     assert vertices.shape == (1292, 3) and faces.shape == (2464, 3)
-    raw = load_obj(path, False)[0]
+    raw = load_obj(TEAPOT, False)[0]
     old = raw - raw.min(0).values  # the published arithmetic, in float32
     old = old / old.max() * 2
     # Theirs takes four operations on numbers up to 2, ours is rounded once.
@@ -116,8 +116,8 @@ def test_warnings_point_at_the_caller(tmp_path):
         assert {warning.filename for warning in found} == {__file__}
 
 
-def test_missing_files_are_named_and_grey(tmp_path, references):
-    folder = references / "nasty/pytorch3d"
+def test_missing_files_are_named_and_grey(tmp_path):
+    folder = DATA / "nasty/pytorch3d"
     with pytest.warns(UserWarning, match=r"model2\.mtl"):
         assert (load_obj(folder / "missing_files_obj/model2.obj", load_texture=True)[2] == 0.5).all()
     with pytest.warns(UserWarning, match=r"material_1\.png"):
@@ -212,8 +212,8 @@ def test_polygons(tmp_path):
         assert torch.equal(areas.sum(0), whole) and areas.norm(dim=1).sum() == whole.norm()  # halves of whole numbers
 
 
-def test_concave_polygon_with_a_bridge(references):
-    vertices, faces = load_obj(references / "nasty/assimp_OBJ/concave_polygon.obj", False)
+def test_concave_polygon_with_a_bridge():
+    vertices, faces = load_obj(DATA / "nasty/assimp_OBJ/concave_polygon.obj", False)
     a, b, c = vertices[faces.long()].unbind(1)
     areas = torch.linalg.cross(b - a, c - a) / 2
     assert torch.allclose(areas.norm(dim=1).sum(), areas.sum(0).norm(), rtol=1e-4)  # nothing overlaps; float32
@@ -419,9 +419,8 @@ def test_save_keeps_the_texels_of_the_face(tmp_path):
         assert difference[:, in_face].max() < 0.0025
 
 
-def test_save_without_textures_and_errors(tmp_path, teapot_file):
-    path = teapot_file
-    vertices, faces = load_obj(path)
+def test_save_without_textures_and_errors(tmp_path):
+    vertices, faces = load_obj(TEAPOT)
     save_obj(str(tmp_path / "teapot.obj"), vertices.numpy(), faces.numpy())
     assert [p.name for p in tmp_path.iterdir()] == ["teapot.obj"]
     for mine, theirs in zip(load_obj(tmp_path / "teapot.obj", False), (vertices, faces), strict=True):

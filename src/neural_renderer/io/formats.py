@@ -87,6 +87,8 @@ def read_mesh(
 def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarray, np.ndarray, Skin | None]:
     import trimesh  # here, since importing it takes longer than most calls to this package
 
+    if suffix == ".glb":
+        _check_chunks(path)
     with _NamedFiles(path, allow_outside) as named, _reading(path, suffix):
         loaded = trimesh.load(path, process=False, maintain_order=True, resolver=named)  # type: ignore[arg-type]
         parts = list(_parts(loaded))
@@ -120,6 +122,19 @@ def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarr
     if all(skin is None for skin in skins):
         return points, corners, None
     return points, corners, Skin.joined([skin or Skin.plain(len(f), 1) for skin, f in zip(skins, faces, strict=True)])
+
+
+def _check_chunks(path: Path) -> None:
+    """Raise ValueError if a chunk of a GLB file ends beyond the file: trimesh would ask for so much memory first."""
+    size = path.stat().st_size
+    place = 12  # after the file's header
+    with path.open("rb") as file:
+        while place + 8 <= size:
+            file.seek(place)
+            length = int.from_bytes(file.read(4), "little")
+            place += 8 + length
+            if place > size:
+                raise ValueError(f"{path}: expected chunks within its {size} bytes, got one of {length} bytes")
 
 
 @contextmanager

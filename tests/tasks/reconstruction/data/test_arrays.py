@@ -165,8 +165,8 @@ ONE = b"{'descr': '|u1', 'fortran_order': False, 'shape': (1, 24, 4, 64, 64), }\
 @pytest.mark.parametrize(
     ("header", "numbers", "sentence"),
     [
-        (ONE, 1 << 25, "expected 393216 numbers as its header says, got 33554432"),
-        (ONE, 100, "expected 393216 numbers as its header says, got 100"),
+        (ONE, 1 << 25, "expected 393216 numbers according to its header, got 33554432"),
+        (ONE, 100, "expected 393216 numbers according to its header, got 100"),
         (ONE.replace(b"(1,", b"(-1,"), 393216, "expected -393216 numbers"),
         (ONE[:-4], 393216, r"expected uint8 \(N, 24, 4, 64, 64\), got no array"),
         (b"(" * 500, 393216, r"expected uint8 \(N, 24, 4, 64, 64\), got no array"),
