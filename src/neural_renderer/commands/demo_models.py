@@ -64,10 +64,10 @@ def _tail(p: np.ndarray) -> np.ndarray:
     return _ellipsoid(turned, (0, 0, 0), (0.19, 0.12, 0.34))
 
 
-def _ellipsoid(p: np.ndarray, centre: tuple[float, ...], radii: tuple[float, ...]) -> np.ndarray:
+def _ellipsoid(p: np.ndarray, center: tuple[float, ...], radii: tuple[float, ...]) -> np.ndarray:
     """Approximate the signed distance of points [..., 3] to an ellipsoid."""
-    scaled = np.linalg.norm((p - centre) / radii, axis=-1)
-    slope = np.linalg.norm((p - centre) / np.square(radii), axis=-1)
+    scaled = np.linalg.norm((p - center) / radii, axis=-1)
+    slope = np.linalg.norm((p - center) / np.square(radii), axis=-1)
     return scaled * (scaled - 1) / np.maximum(slope, 1e-9)
 
 
@@ -88,15 +88,15 @@ def knot(segments: int = 320, sides: int = 28, texture_size: int = 4) -> Mesh:
     around = torch.arange(segments) * (2 * math.pi / segments)
     across = torch.arange(sides) * (2 * math.pi / sides)
 
-    def centre(t: Tensor) -> Tensor:
+    def center(t: Tensor) -> Tensor:
         return torch.stack((t.sin() + 2 * (2 * t).sin(), t.cos() - 2 * (2 * t).cos(), -1.1 * (3 * t).sin()), dim=-1)
 
-    along = torch.nn.functional.normalize(centre(around + 1e-2) - centre(around - 1e-2), dim=-1)
-    out = centre(around) * torch.tensor([1.0, 1.0, 0.0])
+    along = torch.nn.functional.normalize(center(around + 1e-2) - center(around - 1e-2), dim=-1)
+    out = center(around) * torch.tensor([1.0, 1.0, 0.0])
     normal = torch.nn.functional.normalize(out - (out * along).sum(-1, keepdim=True) * along, dim=-1)
     binormal = torch.linalg.cross(along, normal)
     ring = across.cos()[None, :, None] * normal[:, None] + across.sin()[None, :, None] * binormal[:, None]
-    vertices = (centre(around)[:, None] + 0.72 * ring).reshape(-1, 3)
+    vertices = (center(around)[:, None] + 0.72 * ring).reshape(-1, 3)
     i, j = (index.reshape(-1) for index in torch.meshgrid(torch.arange(segments), torch.arange(sides), indexing="ij"))
     right, up = (i + 1) % segments, (j + 1) % sides
     a, b, c, d = i * sides + j, right * sides + j, right * sides + up, i * sides + up
