@@ -5,13 +5,17 @@ BIN := $(VENV)/bin
 # torch comes first and alone: with the version of constraints.txt there, nothing later replaces it.
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 
-.PHONY: demo test lint format benchmark coverage package docs clean
+.PHONY: demo test test-all lint format benchmark coverage package docs clean
 
 demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
 
 test: $(VENV)/installed
 	$(BIN)/python -m pytest
+
+# With the tests that are marked as slow.
+test-all: $(VENV)/installed
+	$(BIN)/python -m pytest -m ""
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .

@@ -10,15 +10,17 @@ import torch
 
 import neural_renderer as nr
 
+DATA = Path(__file__).resolve().parent / "data"
+
 
 def options(
     description: str, output: str, iterations: int | None = None, reference: str | None = None
 ) -> argparse.Namespace:
     """The command line's options; with ``iterations`` and ``reference`` for the examples that optimise."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    parser.add_argument("-i", "--input", type=Path, default="data/teapot.obj", help="mesh in an OBJ file")
+    parser.add_argument("-i", "--input", type=Path, default=DATA / "teapot.obj", help="mesh in an OBJ file")
     if reference is not None:
-        parser.add_argument("-r", "--reference", type=Path, default=reference, help="picture to reproduce")
+        parser.add_argument("-r", "--reference", type=Path, default=DATA / reference, help="picture to reproduce")
     parser.add_argument("-o", "--output", type=Path, default=output, help="animation to write, .gif or .mp4")
     if iterations is not None:
         parser.add_argument("-n", "--iterations", type=int, default=iterations, help="steps of Adam, at most")

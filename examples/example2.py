@@ -8,7 +8,7 @@ import neural_renderer as nr
 
 def main() -> None:
     """Optimise the vertices; write an animation of the way there, then of the result from all sides."""
-    arguments = options("Fit vertices to a silhouette.", "example2.gif", 300, "data/example2_ref.png")
+    arguments = options("Fit vertices to a silhouette.", "example2.gif", 300, "example2_ref.png")
     vertices, faces = load(arguments.input, arguments.device)
     vertices = torch.nn.Parameter(vertices)
     target = picture(arguments.reference, arguments.device).mean(-1)[None]

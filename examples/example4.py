@@ -8,7 +8,7 @@ import neural_renderer as nr
 
 def main() -> None:
     """Optimise the camera's position until the silhouettes agree; write an animation of the way there."""
-    arguments = options("Fit a camera to a silhouette.", "example4.gif", 1000, "data/example4_ref.png")
+    arguments = options("Fit a camera to a silhouette.", "example4.gif", 1000, "example4_ref.png")
     vertices, faces = load(arguments.input, arguments.device)
     target = (picture(arguments.reference, arguments.device).max(-1).values != 0).float()[None]
     textures = torch.ones(1, faces.shape[1], 2, 2, 2, 3, device=vertices.device)

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from tests.paths import DATA
+
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
@@ -45,6 +47,14 @@ def emulated_cuda(request: pytest.FixtureRequest) -> Iterator[None]:
         yield
     races = {kernel: sums[0] for kernel, sums in device.measured.items() if mode == "races" and sums[0]}
     assert not races, f"unordered accesses to memory: {races}"
+
+
+@pytest.fixture(params=["here", "all"])
+def nasty(request: pytest.FixtureRequest) -> Path:
+    """The folder of meshes that are hard to read: the small ones of this repository, and all of them beside it."""
+    if request.param == "here":
+        return DATA / "nasty"
+    return request.getfixturevalue("shared") / "data" / "meshes" / "nasty"
 
 
 def pytest_runtest_setup() -> None:

@@ -127,6 +127,11 @@ def in_float32(name: str, value: Tensor) -> Tensor:
     return value
 
 
+def wide(value: Tensor) -> Tensor:
+    """float16 and bfloat16 as float32, in which is computed; float32 and float64 as they are."""
+    return value if value.dtype in (torch.float32, torch.float64) else value.float()
+
+
 def dense(name: str, value: Tensor) -> Tensor:
     """``value`` if it is not sparse; TypeError otherwise."""
     if value.layout != torch.strided:

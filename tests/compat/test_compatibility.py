@@ -10,12 +10,10 @@ import torch
 from PIL import Image
 
 import neural_renderer as nr
+from tests.paths import DATA, TEAPOT
 from tests.rounding import EPS, STEP, relative, rounding
 
-
-@pytest.fixture
-def references(shared):
-    return shared / "data" / "references" / "neural_renderer"
+REFERENCES = DATA / "neural_renderer"
 
 
 def to_batch(data: torch.Tensor) -> torch.Tensor:
@@ -24,16 +22,16 @@ def to_batch(data: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.fixture
-def teapot(references, device):
-    vertices, faces = nr.load_obj(references / "teapot.obj")
+def teapot(device):
+    vertices, faces = nr.load_obj(TEAPOT)
     textures = torch.ones(len(faces), 4, 4, 4, 3)
     return tuple(to_batch(t.to(device)) for t in (vertices, faces, textures))
 
 
 @pytest.fixture
-def blender(references):
+def blender():
     """The silhouette that Blender draws, whose background is white."""
-    covered = np.asarray(Image.open(references / "teapot_blender.png")).min(-1) != 255
+    covered = np.asarray(Image.open(REFERENCES / "teapot_blender.png")).min(-1) != 255
     assert covered.sum() == 7580
     return torch.from_numpy(covered)
 
@@ -55,21 +53,21 @@ def test_teapot_covers_the_pixels_of_blender(teapot, blender, mode):
         assert ((image == 0) | ((image - 1).abs() < 32 * EPS)).all()
 
 
-def test_teapot_depth(teapot, references):
+def test_teapot_depth(teapot):
     """Depth over the object, stretched to [0, 1], as the published picture stores it."""
     depth = look_at_renderer()(*teapot[:2], mode="depth")[2].cpu()
     background = depth == depth.max()
     depth[background] = depth[~background].min()
     stretched = (depth - depth.min()) / (depth.max() - depth.min())
-    expected = np.asarray(Image.open(references / "test_depth.png")) / 255
+    expected = np.asarray(Image.open(REFERENCES / "test_depth.png")) / 255
     np.testing.assert_allclose(stretched, expected, rtol=0, atol=2 * STEP)  # theirs is cut off to eight bits
 
 
 @pytest.mark.parametrize("case", [0, 1])
 @pytest.mark.parametrize("mode", ["rgb", "silhouettes"])
-def test_gradient_fixtures(references, device, case, mode):
+def test_gradient_fixtures(device, case, mode):
     """Two hand-listed gradients of one pixel: it lies outside the triangle, and inside. Zeros must be zeros."""
-    fixture = json.loads((references / "gradient_cases.json").read_text())["cases"][case]
+    fixture = json.loads((REFERENCES / "gradient_cases.json").read_text())["cases"][case]
     vertices = torch.tensor(fixture["vertices"], device=device)
     faces = torch.tensor(fixture["faces"], device=device)
     textures = torch.ones(len(faces), 4, 4, 4, 3, device=device)
@@ -93,9 +91,9 @@ def test_gradient_fixtures(references, device, case, mode):
     assert not vertices.grad[[0, 1, 3]].any()
 
 
-def test_depth_gradient_fixture(references, device):
+def test_depth_gradient_fixture(device):
     """Against finite differences, in the image that shows the triangle (the published test looks at another)."""
-    fixture = json.loads((references / "gradient_cases.json").read_text())["depth_case"]
+    fixture = json.loads((REFERENCES / "gradient_cases.json").read_text())["depth_case"]
     vertices, faces = (to_batch(torch.tensor(fixture[name], device=device)) for name in ("vertices", "faces"))
     renderer = nr.Renderer(64, anti_aliasing=False, camera_mode="none")
 
@@ -119,11 +117,11 @@ def test_depth_gradient_fixture(references, device):
     assert not vertices.grad[[0, 1, 3]].any()
 
 
-def test_teapot_shaded(teapot, references):
+def test_teapot_shaded(teapot):
     """The published picture of the lit teapot: of its 196,608 values, a few at edges are off by more than 2."""
     renderer = look_at_renderer()
     found = (renderer(*teapot, mode="rgb")[2].permute(1, 2, 0).cpu() * 255).round()
-    expected = torch.from_numpy(np.asarray(Image.open(references / "test_rasterize1.png")).astype(np.float32))
+    expected = torch.from_numpy(np.asarray(Image.open(REFERENCES / "test_rasterize1.png")).astype(np.float32))
     assert int(((found - expected).abs() > 2).sum()) <= 12
 
 
@@ -145,18 +143,18 @@ def test_lighting_runs(device):
     assert nr.lighting(faces, textures).shape == textures.shape
 
 
-def test_load_obj(references):
+def test_load_obj():
     expected = torch.tensor([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]])
-    vertices, faces = nr.load_obj(references / "tetrahedron.obj", normalization=False)
+    vertices, faces = nr.load_obj(REFERENCES / "tetrahedron.obj", normalization=False)
     assert torch.equal(vertices, expected) and faces.dtype == torch.int32
     assert faces.tolist() == [[1, 3, 2], [3, 1, 0], [2, 0, 1], [0, 2, 3]]
-    assert torch.equal(nr.load_obj(references / "tetrahedron.obj")[0], expected * 2 - 1)
-    vertices, faces = nr.load_obj(references / "teapot.obj")
+    assert torch.equal(nr.load_obj(REFERENCES / "tetrahedron.obj")[0], expected * 2 - 1)
+    vertices, faces = nr.load_obj(TEAPOT)
     assert (len(vertices), len(faces)) == (1292, 2464)
 
 
-def test_save_obj(references, tmp_path):
-    vertices, faces = nr.load_obj(references / "teapot.obj")
+def test_save_obj(tmp_path):
+    vertices, faces = nr.load_obj(TEAPOT)
     nr.save_obj(tmp_path / "teapot.obj", vertices, faces)
     again, same = nr.load_obj(tmp_path / "teapot.obj", normalization=False)
     assert torch.equal(again, vertices) and torch.equal(same, faces)

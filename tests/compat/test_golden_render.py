@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from tests.paths import GOLDEN
 
 CASES = {
     "look_at_rgb": "look_at",
@@ -22,8 +23,8 @@ def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_case(shared, device, case):
-    data = np.load(shared / "golden" / f"render_{case}.npz")
+def test_case(device, case):
+    data = np.load(GOLDEN / f"render_{case}.npz")
 
     def get(name: str) -> torch.Tensor:
         return torch.from_numpy(data[name]).to(device)

@@ -167,10 +167,8 @@ def test_local_response_normalisation() -> None:
     from neural_renderer.features.googlenet import LocalResponse
 
     values = 300 * torch.randn(2, 9, 4, 5, generator=torch.Generator().manual_seed(0))
-    # Five squares, a power and a quotient.
-    torch.testing.assert_close(
-        LocalResponse()(values), F.local_response_norm(values, 5, 1e-4, 0.75, 1.0), **relative(24)
-    )
+    expected = F.local_response_norm(values, 5, 1e-4, 0.75, 1.0)
+    torch.testing.assert_close(LocalResponse()(values), expected, **relative(24))  # five squares, a power, a quotient
     for channels in (1, 2, 9):
         values = (30 * torch.randn(2, channels, 3, 4, dtype=torch.float64)).requires_grad_()
         assert torch.autograd.gradcheck(LocalResponse(), values)

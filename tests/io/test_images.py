@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import shutil
+import struct
+import tracemalloc
 import warnings
+import zlib
+from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
+import trimesh
 from PIL import Image
 
+from neural_renderer.io.formats import load_mesh
 from neural_renderer.io.images import load_image, save_animation, save_image
+from neural_renderer.meshes.uv_mesh import UVMesh
 from tests.rounding import relative
 
 
@@ -81,6 +88,58 @@ def test_errors(tmp_path):
         save_image(tmp_path / "a.png", torch.zeros(3, 8, 8, device="meta"))
     with pytest.raises(TypeError, match="image: expected a dense tensor"):
         save_image(tmp_path / "a.png", torch.ones(3, 8, 8).to_sparse())
+
+
+def zeros_png(path: Path, width: int, height: int, rows: int) -> Path:
+    """A PNG of black pixels, as small as can be, whose header tells of more rows than it may have."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    packed = zlib.compressobj(9)
+    data = b"".join(packed.compress(bytes(1 + 3 * width)) for _ in range(rows)) + packed.flush()
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", data) + chunk(b"IEND", b""))
+    return path
+
+
+LARGE = r"bomb\.png: expected a picture of at most [\d,]+ pixels, got 10000 x 10000; .*PIL\.Image\.MAX_IMAGE_PIXELS"
+
+
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_a_picture_is_measured_before_it_is_unpacked(tmp_path):
+    path = zeros_png(tmp_path / "bomb.png", 10_000, 10_000, 1)
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=LARGE):
+        load_image(path)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
+    (tmp_path / "m.mtl").write_text("newmtl m\nmap_Kd bomb.png\n")
+    uv = "vt 0 0\nvt 1 0\nvt 0 1\n"
+    (tmp_path / "m.obj").write_text(f"mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\n{uv}usemtl m\nf 1/1 2/2 3/3\n")
+    for load in (load_mesh, UVMesh.load):
+        with pytest.raises(ValueError, match=LARGE):
+            load(tmp_path / "m.obj")
+    picture = Image.open(path)
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.new("RGB", (64, 64)))
+    visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [0, 1]], material=material)
+    mesh = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], visual=visual, process=False)
+    mesh.export(tmp_path / "m.glb")
+    picture.close()
+    assert load_mesh(tmp_path / "m.glb")[2] is not None
+
+
+def test_the_limit_of_a_program_counts(tmp_path, monkeypatch):
+    save_image(tmp_path / "a.png", torch.zeros(20, 30))
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 599)
+    with (
+        pytest.warns(Image.DecompressionBombWarning),
+        pytest.raises(ValueError, match="at most 599 pixels, got 30 x 20"),
+    ):
+        load_image(tmp_path / "a.png")
+    for limit in (600, None):
+        monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", limit)
+        assert load_image(tmp_path / "a.png").shape == (20, 30, 3)
 
 
 def moving_square(size: tuple[int, int]) -> torch.Tensor:

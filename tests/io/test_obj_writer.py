@@ -24,7 +24,7 @@ def photo(path: Path) -> bytes:
 
 
 def refused(name: str, save: str = r"a\.obj") -> pytest.RaisesExc[FileExistsError]:
-    sentence = rf"{name}: expected no such file, or one that was written with {save}, got another; overwrite=True"
+    sentence = rf"{name}: expected nothing there, or a file that was written with {save}, got another; overwrite=True"
     return pytest.raises(FileExistsError, match=sentence)
 
 
@@ -59,7 +59,8 @@ def test_what_others_made_is_replaced_only_when_asked(tmp_path: Path, name: str,
 
     (tmp_path / "a.obj").write_text("o somebody's\n")
     (tmp_path / "a.mtl").write_text("newmtl wood\nmap_Kd a.png\n")
-    photo(tmp_path / name) if name.endswith("png") else None
+    if name.endswith("png"):
+        photo(tmp_path / name)
     before = contents(tmp_path)
     with refused(r"a\.mtl"):
         saved()

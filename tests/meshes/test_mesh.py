@@ -13,6 +13,7 @@ from neural_renderer.io import load_obj, save_obj
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import cube, icosphere
 from neural_renderer.validate import check_values
+from tests.paths import TEAPOT
 
 
 @pytest.fixture
@@ -54,7 +55,7 @@ def test_old_forms(file):
     assert torch.equal(loaded.textures, load_obj(file, False, 2, True)[2])
 
 
-def test_load_save_normalize(file, tmp_path, shared):
+def test_load_save_normalize(file, tmp_path):
     mesh = Mesh.load(file, texture_size=2)
     assert mesh.vertices.max() == 3.5
     assert torch.equal(mesh.normalize().vertices, Mesh.load(file, 2, normalize=True).vertices)
@@ -64,7 +65,7 @@ def test_load_save_normalize(file, tmp_path, shared):
         again = Mesh.load(tmp_path / name, texture_size=2)
         assert again.num_faces == 12
         assert torch.allclose(again.vertices[again.faces.long()], mesh.vertices[mesh.faces.long()])
-    teapot = Mesh.load(shared / "data/references/neural_renderer/teapot.obj")
+    teapot = Mesh.load(TEAPOT)
     assert teapot.texture_size == 4 and (teapot.textures == 1).all()
     with pytest.raises(ValueError, match="all coincide"):
         Mesh(torch.ones(3, 3), torch.tensor([[0, 1, 2]])).normalize()

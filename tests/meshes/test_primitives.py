@@ -10,6 +10,7 @@ import torch
 
 from neural_renderer.io.obj import load_obj
 from neural_renderer.meshes.primitives import cube, icosphere, torus
+from tests.paths import DATA
 
 
 def volume(vertices: torch.Tensor, faces: torch.Tensor) -> float:
@@ -38,8 +39,8 @@ def test_icosphere_counts(level):
     assert torch.allclose(vertices.norm(dim=1), torch.tensor(0.5))
 
 
-def test_icosphere_is_the_published_template(shared):
-    theirs = load_obj(shared / "data/meshes/standard/sphere_642_kato.obj", False)[0].numpy()
+def test_icosphere_is_the_published_template():
+    theirs = load_obj(DATA / "mesh_reconstruction/sphere_642.obj", False)[0].numpy()
     vertices, faces = icosphere(3)
     ours = vertices.numpy()
     distance = np.linalg.norm(ours[:, None] - theirs[None], axis=-1)

@@ -10,6 +10,7 @@ from neural_renderer.raster.ops.barycentrics import barycentrics
 from neural_renderer.raster.ops.coverage import coverage
 from neural_renderer.raster.ops.texture_cubes import sample_textures
 from neural_renderer.raster.visibility.nmr import nmr_edges
+from tests.paths import GOLDEN
 
 CASES = ("offscreen", "soup_all", "soup_alpha", "soup_depth", "soup_rgb", "tiny_faces")
 
@@ -19,8 +20,8 @@ def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_case(shared, device, case):
-    data = np.load(shared / "golden" / f"raster_{case}.npz")
+def test_case(device, case):
+    data = np.load(GOLDEN / f"raster_{case}.npz")
 
     def get(name: str) -> torch.Tensor:
         """A map, turned so that its row 0 is at the top; or another array."""

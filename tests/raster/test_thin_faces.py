@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from tests.paths import DATA
 
 ALL = pytest.mark.parametrize(
     ("gradient", "anti_aliasing", "orthographic"),
@@ -59,9 +60,9 @@ def test_a_mesh_that_has_collapsed(device, size, gradient, anti_aliasing, orthog
 
 
 @pytest.mark.parametrize("gradient", ["nmr", "edge"])
-def test_a_car_from_its_end(shared, device, gradient):
+def test_a_car_from_its_end(device, gradient):
     """Its sides are planes that are seen edge on."""
-    mesh = nr.Mesh.load(shared / "data" / "models" / "car" / "kenney_car__sedan.obj")
+    mesh = nr.Mesh.load(DATA / "kenney" / "sedan.obj")
     vertices, faces = mesh.vertices.detach().to(device), mesh.faces.to(device)
     low, high = vertices.amin(0), vertices.amax(0)
     vertices = (vertices - (low + high) / 2) / ((high - low).max() / 2)

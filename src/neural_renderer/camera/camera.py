@@ -21,8 +21,8 @@ from .lens import (
     pixels_to_screen,
     viewing_angle,
 )
-from .parameters import Array, Scalar, batch_of, batch_size, common_device, float_type, outside, parameter, scalar, wide
-from .view import look_at_frame, look_frame, transform
+from .parameters import Array, Scalar, batch_of, batch_size, common_device, float_type, outside, parameter, scalar
+from .view import look_at_frame, look_frame, rotate, transform
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +187,7 @@ class Camera:
         R, shift = R.expand(batch, 3, 3), shift.expand(batch, 2)
         across = scale[:, None] if isinstance(scale, Tensor) and scale.ndim else scale
         place = torch.cat((shift / across, shift.new_full((batch, 1), distance)), 1)
-        origin = -(R.transpose(1, 2) @ place[..., None])[..., 0]
+        origin = -rotate(R.transpose(1, 2), place[:, None])[:, 0]
         up = R * R.new_tensor([1.0, -1.0, 1.0])[:, None]
         return cls(rotation=up, origin=origin, translation=torch.zeros_like(origin), scale=scale)
 
@@ -214,7 +214,7 @@ class Camera:
             TypeError, ValueError: wrong types or shapes, batches that do not fit, an aspect that is not positive;
                 vertices that are not finite if values are checked.
         """
-        vertices = wide(validate.vertices(vertices))
+        vertices = validate.wide(validate.vertices(vertices))
         aspect = validate.positive("aspect", aspect)
         points = transform(vertices, self.rotation, self.origin)
         if self.K is not None and self.orig_size is not None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, outside, parameter, scalar, wide
+from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, outside, parameter, scalar
 from .view import rotate
 
 _NEAREST = 1e-6  # |z| by which x and y are divided at the least, in world units
@@ -152,9 +152,9 @@ def pixels_to_screen(
     points: Tensor, K: Tensor, dist_coeffs: Tensor | None, size: tuple[float, float], eps: float = 1e-9
 ) -> Tensor:
     """The part of `projection` after R and t: camera coordinates [..., V, 3] to the screen; size = (height, width)."""
-    if wide(points) is not points:  # half precision has no r⁶
-        dist_coeffs = None if dist_coeffs is None else wide(dist_coeffs)
-        return pixels_to_screen(wide(points), wide(K), dist_coeffs, size, eps).to(points.dtype)
+    if validate.wide(points) is not points:  # half precision has no r⁶
+        dist_coeffs = None if dist_coeffs is None else validate.wide(dist_coeffs)
+        return pixels_to_screen(validate.wide(points), validate.wide(K), dist_coeffs, size, eps).to(points.dtype)
     z = points[..., 2]
     near = _away_from_zero(z + eps)
     x, y = points[..., 0] / near, points[..., 1] / near

@@ -57,11 +57,6 @@ def scalar(name: str, value: Any, dtype: torch.dtype, device: torch.device | Non
     return parameter(name, value, (), dtype, device)
 
 
-def wide(vertices: Tensor) -> Tensor:
-    """float16 and bfloat16 as float32, in which cameras compute; float32 and float64 as they are."""
-    return vertices if vertices.dtype in (torch.float32, torch.float64) else vertices.float()
-
-
 def outside(value: Scalar, low: float, high: float) -> bool:
     """Whether a number lies outside (low, high), or one of a tensor's if values are checked."""
     if isinstance(value, Tensor):

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter, wide
+from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter
 
 _FLOOR = 1e-5  # lengths below it count as zero, as in the published code
 _LARGE = 1e4  # coordinates up to which lengths are computed as they are
@@ -149,6 +149,6 @@ def _normalized(vectors: Tensor) -> Tensor:
     whose squares overflow.
     """
     largest = vectors.detach().abs().amax(-1, keepdim=True)
-    v = wide(vectors / (largest / _LARGE).clamp(min=1))
+    v = validate.wide(vectors / (largest / _LARGE).clamp(min=1))
     x, y, z = v[..., :1], v[..., 1:2], v[..., 2:]
     return (v / (x * x + y * y + z * z).clamp(min=_FLOOR**2).sqrt()).to(vectors.dtype)

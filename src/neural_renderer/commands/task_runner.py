@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import time
 import zlib
 from collections.abc import Callable
@@ -12,7 +13,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from ..io.atomic_write import replacing
+from ..io.atomic_write import write_file
 from ..io.files import load_tensors, why_not_loaded
 from .common import interruption
 
@@ -101,8 +102,9 @@ class TaskRunner:
     def _save(self) -> None:
         self._preview(self._folder / "preview.png")
         state = {"task": self._task.state_dict(), "history": self.history, "seconds": self.seconds}
-        with replacing(self._checkpoint) as fresh:
-            torch.save({**state, "inputs": self._settings}, fresh)
+        file = io.BytesIO()  # torch.save to a path does not report why it cannot write
+        torch.save({**state, "inputs": self._settings}, file)
+        write_file(self._checkpoint, file.getbuffer())
 
     def _restore(self) -> None:
         try:

@@ -13,7 +13,7 @@ from .. import validate
 from ..camera import look, look_at, projection
 from ..camera.lens import in_perspective
 from ..camera.lens import viewing_angle as checked_angle
-from ..camera.parameters import as_tensor, common_device, scalar, wide
+from ..camera.parameters import as_tensor, common_device, scalar
 from ..raster.rasterize import Images, checked_faces, rasterize_images, vertices_to_faces, world_corners
 from ..raster.settings import image_size
 from ..shading.lights import Light
@@ -213,7 +213,7 @@ class Renderer(nn.Module):
     ) -> Images:
         validate.floating("vertices", vertices, ("B", "V", 3))
         faces = checked_faces(faces)
-        screen, perspective = self._project(wide(vertices), *camera)
+        screen, perspective = self._project(validate.wide(vertices), *camera)
         screen = validate.in_float32("vertices on the screen", screen)
         light = None
         if "rgb" in outputs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,6 +24,9 @@ from .surface_colors import Skin
 
 if TYPE_CHECKING:
     import trimesh
+
+# trimesh logs the traceback of an image that is missing, and tells of it here: what nobody asks for is not printed.
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 _READABLE = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 
@@ -83,6 +87,8 @@ def read_mesh(
 def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarray, np.ndarray, Skin | None]:
     import trimesh  # here, since importing it takes longer than most calls to this package
 
+    if suffix == ".glb":
+        _check_chunks(path)
     with _NamedFiles(path, allow_outside) as named, _reading(path, suffix):
         loaded = trimesh.load(path, process=False, maintain_order=True, resolver=named)  # type: ignore[arg-type]
         parts = list(_parts(loaded))
@@ -95,7 +101,8 @@ def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarr
     offset = 0
     for part, matrix in parts:
         corners = np.asarray(part.faces, dtype=np.int64)
-        points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        with np.errstate(over="ignore", invalid="ignore"):
+            points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         good = fits_float32(points)
         if not good.all():
             raise ValueError(
@@ -115,6 +122,19 @@ def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarr
     if all(skin is None for skin in skins):
         return points, corners, None
     return points, corners, Skin.joined([skin or Skin.plain(len(f), 1) for skin, f in zip(skins, faces, strict=True)])
+
+
+def _check_chunks(path: Path) -> None:
+    """Raise ValueError if a chunk of a GLB file ends beyond the file: trimesh would ask for so much memory first."""
+    size = path.stat().st_size
+    place = 12  # after the file's header
+    with path.open("rb") as file:
+        while place + 8 <= size:
+            file.seek(place)
+            length = int.from_bytes(file.read(4), "little")
+            place += 8 + length
+            if place > size:
+                raise ValueError(f"{path}: expected chunks within its {size} bytes, got one of {length} bytes")
 
 
 @contextmanager

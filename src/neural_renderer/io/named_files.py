@@ -10,6 +10,7 @@ from urllib.parse import unquote
 
 from .files import read_text, short
 
+_LONGEST = 4096  # characters of a name: what is longer is data
 _NAMING = (".obj", ".mtl", ".ply", ".gltf", ".glb", ".json", ".csv")  # files that name others
 
 
@@ -119,8 +120,12 @@ def names_file(path: Path, other: Path, *folders: Path) -> bool:
 
 def _names(line: str) -> Iterator[str]:
     """What may be the name of a file in a line: its last words, parts in quotes and between commas."""
-    words = line.split()
-    names = [" ".join(words[start:]).strip('"') for start in range(len(words))]
-    for name in (*names, *re.findall(r'"([^"]*)"', line), *line.split(",")):
-        if len(name) < 4096:  # longer ones are data
+    end = ""
+    for word in reversed(line.split()):
+        end = f"{word} {end}".rstrip()
+        if len(end) > _LONGEST:
+            break
+        yield from (end.strip('"'), os.path.basename(end.strip('"')))
+    for name in (*re.findall(r'"([^"]*)"', line), *line.split(",")):
+        if len(name) <= _LONGEST:
             yield from (name, os.path.basename(name))

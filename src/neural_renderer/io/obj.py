@@ -123,7 +123,7 @@ def obj_skin(
         if material.image is not None and len(chosen):
             path = find_file(obj.path, material.image, material.folder, obj.path.parent, allow_outside=allow_outside)
             if path is None:
-                _warn_missing(obj, "image", material.image)
+                _warn_missing(obj, "image", material.image, allow_outside)
                 continue
             _paint(skin, chosen, material, obj, load(path), wrapping)
             coloured = True
@@ -157,14 +157,13 @@ def _materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
         for name in re.split(r"(?<!\\)\s+", text):
             path = find(name.replace("\\ ", " "))
             if path is None:
-                _warn_missing(obj, "material file", name)
+                _warn_missing(obj, "material file", name, allow_outside)
             else:
                 materials |= read_mtl(path)
     return materials
 
 
-def _warn_missing(obj: ObjFile, what: str, name: str) -> None:
-    elsewhere = (
-        " in its folder (allow_outside=True looks where its path leads, too)" if Path(name).is_absolute() else ""
-    )
-    warn(f"{obj.path}: its {what} {short(name)} is missing{elsewhere}")
+def _warn_missing(obj: ObjFile, what: str, name: str, allow_outside: bool) -> None:
+    unseen = Path(name).is_absolute() and not allow_outside
+    hint = " in its folder; allow_outside=True (--allow-outside) looks where its path leads, too" if unseen else ""
+    warn(f"{obj.path}: its {what} {short(name)} is missing{hint}")

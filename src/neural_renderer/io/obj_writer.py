@@ -87,7 +87,7 @@ def write_obj(
     ``points`` [V, 3], ``corners`` [F, 3]; without parts there is neither MTL nor PNG. Errors as `save_obj`.
     """
     numbers = [""] if len(parts) == 1 else [f"_{number}" for number in range(1, len(parts) + 1)]
-    pictures = [f"{texture}{number}.png" for number in numbers[: len(parts)]]
+    pictures = [f"{texture}{number}.png" for number in numbers]
     library = f"{path.stem}.mtl"
     if parts and not overwrite:
         check_own(path, [path.with_name(name) for name in (library, *pictures)], "overwrite=True replaces it")
@@ -106,7 +106,7 @@ def write_obj(
     with replacing(path) as fresh:
         fresh.write_text("".join(text), encoding="utf-8")
         if parts:
-            materials = [_material(*row) for row in zip(range(1, len(parts) + 1), pictures, parts, strict=True)]
+            materials = [_material(number, *shown) for number, shown in enumerate(zip(pictures, parts, strict=True), 1)]
             fresh.with_name(library).write_text("\n".join([f"# {_note(path)}", *materials]), encoding="utf-8")
         for name, part in zip(pictures, parts, strict=True):
             fresh.with_name(name).write_bytes(_png(part.picture, _note(path)))
@@ -139,16 +139,19 @@ def check_own(path: Path, files: Iterable[Path] | None, advice: str) -> None:
     ``files`` may exist or not; None means all that `save_mesh` or `UVMesh.save` could write beside ``path``.
     """
     if files is None:
-        files = [path.with_suffix(".mtl"), *path.parent.glob(f"{glob.escape(path.stem)}_texture*.png")]
+        names = (f"{glob.escape(path.stem)}_texture{number}.png" for number in ("", "_[0-9]*"))
+        files = [path.with_suffix(".mtl"), *(file for name in names for file in path.parent.glob(name))]
     for file in files:
         if file.exists() and not _is_own(path, file):
             raise FileExistsError(
-                f"{file}: expected no such file, or one that was written with {path.name}, got another; {advice}"
+                f"{file}: expected nothing there, or a file that was written with {path.name}, got another; {advice}"
             )
 
 
 def _is_own(path: Path, file: Path) -> bool:
     """Whether a library or picture was written with the OBJ at ``path``, by us or by the first packages."""
+    if not file.is_file():
+        return False
     library = path.with_suffix(".mtl")
     text = library.read_text(encoding="utf-8", errors="replace") if library.is_file() else ""
     if text == f"newmtl material_1\nmap_Kd {path.stem}.png\n":  # theirs has no note
@@ -158,5 +161,5 @@ def _is_own(path: Path, file: Path) -> bool:
     try:
         with Image.open(file) as picture:
             return picture.info.get("Comment") == _note(path)
-    except (OSError, SyntaxError, ValueError):
+    except Exception:  # Pillow's errors for broken files are of many kinds
         return False

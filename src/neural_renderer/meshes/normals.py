@@ -9,7 +9,7 @@ from torch.nn import functional
 from .. import validate
 from ..raster.rasterize import checked_faces, vertices_to_faces
 
-_LARGE = 1e4  # coordinates up to which normals are computed as they are; in float16 even less has no squares
+_LARGE = 1e4  # coordinates up to which normals are computed as they are
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -59,14 +59,15 @@ def face_normals(corners: Tensor) -> Tensor:
     Returns:
         [..., 3], differentiable.
     """
-    v0, v1, v2 = _in_range(corners, (-2, -1)).unbind(-2)
+    v0, v1, v2 = _in_range(validate.wide(corners), (-2, -1)).unbind(-2)
     a, b = v0 - v1, v2 - v1
     normal = torch.linalg.cross(a, b, dim=-1)
     # The first packages divide by max(area, 1e-5), which darkens the small faces of a fine mesh. Here the floor is
     # relative to the squared edge length: it affects slivers only, and equals theirs for edges longer than 1.
     size = torch.maximum((a * a).sum(-1, keepdim=True), (b * b).sum(-1, keepdim=True)).detach()
     floor = 1e-5 * size.clamp(1e-12, 1)
-    return normal / torch.maximum(torch.linalg.vector_norm(normal, dim=-1, keepdim=True), floor)
+    normal = normal / torch.maximum(torch.linalg.vector_norm(normal, dim=-1, keepdim=True), floor)
+    return normal.to(corners.dtype)
 
 
 def _in_range(corners: Tensor, dims: tuple[int, ...]) -> Tensor:

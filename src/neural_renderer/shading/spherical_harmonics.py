@@ -61,15 +61,15 @@ class SphericalHarmonicLight:
         values = parameter("coefficients", self.coefficients, (9, 3), normals.dtype, normals.device)
         batch_size(normals=normals.shape[0], coefficients=batch_of(values, 2))
         kept = values.reshape(-1, 9, 3) * _BANDS.to(values)[:, None]
-        flat = normals.flatten(1, -2)
-        light = (_harmonics(flat) @ kept).clamp(min=0)
-        return light.view(len(light), *normals.shape[1:-1], 3)
+        kept = kept.reshape(-1, *(1,) * (normals.ndim - 2), 9, 3)
+        # Not matmul: it rounds under autocast, and adds in an order that depends on the batch.
+        bands = zip(_harmonics(normals), kept.unbind(-2), strict=True)
+        return sum((value[..., None] * band for value, band in bands), torch.zeros_like(kept[..., 0, :])).clamp(min=0)
 
 
-def _harmonics(n: Tensor) -> Tensor:
-    """Evaluate the nine real spherical harmonics of order 2: unit vectors [..., 3] → [..., 9]."""
+def _harmonics(n: Tensor) -> list[Tensor]:
+    """Evaluate the nine real spherical harmonics of order 2: unit vectors [..., 3] → nine times [...]."""
     x, y, z = n.unbind(-1)
     one, two = math.sqrt(3 / (4 * _PI)), math.sqrt(15 / (4 * _PI))
     bands = [torch.full_like(x, math.sqrt(1 / (4 * _PI))), one * y, one * z, one * x, two * x * y, two * y * z]
-    bands += [math.sqrt(5 / (16 * _PI)) * (3 * z * z - 1), two * x * z, two / 2 * (x * x - y * y)]
-    return torch.stack(bands, -1)
+    return [*bands, math.sqrt(5 / (16 * _PI)) * (3 * z * z - 1), two * x * z, two / 2 * (x * x - y * y)]

@@ -179,6 +179,66 @@ def test_bad_input(folder: Path, spoil: Any, sentence: str, capsys: pytest.Captu
     assert not (folder / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "sentence"),
+    [
+        ("transforms.json", "[" * 100_000, "expected JSON, got "),
+        ("transforms.json", '{"frames": ' + "1" * 5000, "expected JSON, got "),
+        ("cameras.csv", "file,azimuth\n" + "x" * 200_000 + ",1", "expected CSV, got a file that cannot be read"),
+        ("cameras.csv", "file,azimuth\n" + "x" * 5000 + ",1", "expected a file 'xxx"),
+    ],
+)
+def test_hostile_camera_files(tmp_path: Path, name: str, text: str, sentence: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises((ValueError, FileNotFoundError), match=rf"{name}: {sentence}") as error:
+        load_views(tmp_path / name)
+    assert len(str(error.value)) < len(str(tmp_path)) + 250
+
+
+HOSTILE = {
+    "long": 10**400,
+    "large": "1e39",
+    "small": [[1]],
+    "object": {"a": 1},
+    "text": "x" * 5000,
+    "integers": [[10**30] * 4] * 4,
+    "past float32": [[1e300] * 4] * 4,
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_hostile_numbers(folder: Path, kind: str) -> None:
+    for key in ("transform_matrix", "fl_x"):
+        changed(folder, **({"transform_matrix": torch.eye(4).tolist()} | {key: HOSTILE[kind]}))
+        with pytest.raises(ValueError, match=rf"transforms\.json: image 1: {key}: expected .*, got") as error:
+            load_views(folder)
+        assert len(str(error.value)) < len(str(folder)) + 250
+
+
+@pytest.mark.parametrize("key", ["file_path", "mask_path"])
+@pytest.mark.parametrize("absolute", [False, True])
+def test_images_outside_are_read_only_if_asked_for(folder: Path, key: str, absolute: bool) -> None:
+    inner = folder / "cameras"
+    inner.mkdir()
+    given = json.loads((folder / "transforms.json").read_text())
+    for frame in given["frames"]:
+        frame["file_path"] = f"../{frame['file_path']}" if key == "file_path" else f"{frame['file_path']}.png"
+    if key == "mask_path":
+        for path in folder.glob("*.png"):
+            path.rename(inner / path.name)
+        (inner / "r_0.png").rename(folder / "mask.png")
+        (inner / "r_0.png").write_bytes((folder / "mask.png").read_bytes())
+    name = "mask.png" if key == "mask_path" else "r_0.png"
+    given["frames"][0][key] = str(folder / name) if absolute else f"../{name}"
+    (inner / "transforms.json").write_text(json.dumps(given))
+    with pytest.raises(ValueError, match=r"transforms\.json: expected names of files in its folder, .*--allow-outside"):
+        load_views(inner)
+    assert len(load_views(inner, allow_outside=True)) == 6
+    if not absolute:
+        command = ["fit", str(inner), "-o", str(folder / "out"), *SMALL]
+        assert cli.main(command) == 1 and cli.main([*command, "--allow-outside"]) == 0
+
+
 def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, sentence in (
         ([str(tmp_path / "nothing")], "expected a folder of images or a camera file"),

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
+from tests.faults import contents, full_disk
 
 
 def write(folder: Path, name: str = "chair", split: str = "test", count: int = 2, **other: Any) -> np.ndarray:
@@ -151,6 +152,59 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
     assert open_split(tmp_path, "test").voxels == {}
 
 
+def packed(path: Path, header: bytes, numbers: int) -> None:
+    """An npz of zeros, with a header of its own."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        magic = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little")
+        archive.writestr("arr_0.npy", magic + header + bytes(numbers))
+
+
+ONE = b"{'descr': '|u1', 'fortran_order': False, 'shape': (1, 24, 4, 64, 64), }\n"
+
+
+@pytest.mark.parametrize(
+    ("header", "numbers", "sentence"),
+    [
+        (ONE, 1 << 25, "expected 393216 numbers according to its header, got 33554432"),
+        (ONE, 100, "expected 393216 numbers according to its header, got 100"),
+        (ONE.replace(b"(1,", b"(-1,"), 393216, "expected -393216 numbers"),
+        (ONE[:-4], 393216, r"expected uint8 \(N, 24, 4, 64, 64\), got no array"),
+        (b"(" * 500, 393216, r"expected uint8 \(N, 24, 4, 64, 64\), got no array"),
+        (ONE.replace(b"(1,", b"(1, " + b"1, " * 500), 393216, r"got uint8 \(1, 1.*\.\.\."),
+    ],
+)
+def test_nothing_is_unpacked_that_the_header_does_not_tell_of(
+    tmp_path: Path, header: bytes, numbers: int, sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path)
+    packed(tmp_path / "chair_test_images.npz", header, numbers)
+    monkeypatch.setattr(zipfile.ZipExtFile, "read", bounded(zipfile.ZipExtFile.read))
+    with pytest.raises(ValueError, match=rf"images\.npz: .*{sentence}"):
+        open_split(tmp_path, "test")
+
+
+def bounded(read: Any) -> Any:
+    """Reads nothing but headers."""
+
+    def checked(member: Any, count: int = -1) -> bytes:
+        data = read(member, count)
+        assert member.tell() < 10_000
+        return data
+
+    return checked
+
+
+@pytest.mark.parametrize("array", [np.zeros((3, 5)), np.zeros((2, 24, 4, 64, 64), np.int8), np.array({}, object)])
+def test_a_wrong_copy_is_made_anew(tmp_path: Path, array: np.ndarray) -> None:
+    images = write(tmp_path)
+    open_split(tmp_path, "test")
+    copy = tmp_path / "chair_test_images.npy"
+    stamp = copy.stat().st_mtime_ns
+    np.save(copy, array)
+    os.utime(copy, ns=(stamp, stamp))
+    assert np.array_equal(open_split(tmp_path, "test").images["chair"], images)
+
+
 def test_names(tmp_path: Path) -> None:
     write(tmp_path)
     (tmp_path / "dataset.json").write_text(json.dumps({"names": {"test": {"chair": ["a", "b"]}}}))
@@ -159,10 +213,14 @@ def test_names(tmp_path: Path) -> None:
 
 def test_a_full_disk_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path)
-    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1000))
-    with pytest.raises(OSError, match=r"chair_test_images\.npy: expected to unpack .* No space left on device"):
+    before = contents(tmp_path)
+    full = r"chair_test_images\.npy: expected to write it, got: "
+    with full_disk(10_000), pytest.raises(OSError, match=full + "File too large"):
         open_split(tmp_path, "test")
-    assert not [path for path in tmp_path.iterdir() if path.suffix == ".npy"]
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1000))
+    with pytest.raises(OSError, match=full + "No space left on device"):
+        open_split(tmp_path, "test")
+    assert contents(tmp_path) == before
 
 
 def test_images_without_objects(tmp_path: Path) -> None:

@@ -85,9 +85,8 @@ def test_a_right_prediction_scores_one(data: Path, kind: str) -> None:
     assert scores.of_class("ball") == 1 and scores.of_class("ball", "chamfer") == 0
     assert scores.of_class("ball", "silhouette_iou") > (0.97 if kind == "mesh" else 0.85)
     above = scores_of(split, network_predictor(ConstantNetwork("voxel"), threshold=0.7))
-    assert above.of_class("ball") == 0 and above.of_class("ball", "chamfer") == pytest.approx(
-        math.sqrt(3), rel=32 * EPS
-    )
+    assert above.of_class("ball") == 0
+    assert above.of_class("ball", "chamfer") == pytest.approx(math.sqrt(3), rel=32 * EPS)
 
 
 def test_means_are_over_views_objects_and_classes(data: Path) -> None:
@@ -117,9 +116,8 @@ def test_silhouettes_come_from_the_side_too(data: Path) -> None:
 def test_chamfer_of_shifted_plates() -> None:
     plates = torch.zeros(3, 32, 32, 32, dtype=torch.bool)
     plates[0, 5], plates[1, 8] = True, True
-    assert chamfer(plates[:1], plates[1:2]).item() == pytest.approx(
-        2 * 3 / 31, rel=32**2 * EPS
-    )  # means over 32 x 32 voxels
+    # Means over 32 x 32 voxels.
+    assert chamfer(plates[:1], plates[1:2]).item() == pytest.approx(2 * 3 / 31, rel=32**2 * EPS)
     both = chamfer(plates, plates[:1])
     assert both.tolist() == pytest.approx([0, 6 / 31, math.sqrt(3)], rel=32**2 * EPS)
     assert torch.allclose(chamfer(plates[:1], plates), both)

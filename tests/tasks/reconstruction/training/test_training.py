@@ -22,6 +22,7 @@ from neural_renderer.tasks.reconstruction.networks.make_network import make_netw
 from neural_renderer.tasks.reconstruction.training.callbacks import Checkpoints
 from neural_renderer.tasks.reconstruction.training.train import train
 from neural_renderer.tasks.reconstruction.training.training import Training, schedule
+from tests.faults import contents, full_disk
 from tests.features.test_features import torchvision_googlenet, torchvision_vgg
 from tests.programs import run_python
 from tests.tasks.reconstruction.synthetic import SMALL, synthetic_split, write_split
@@ -113,20 +114,14 @@ def test_a_loss_that_is_no_number(tmp_path: Path) -> None:
         small_training(tmp_path, config=replace(SMALL, laplacian=float("nan")))
 
 
-def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk(tmp_path: Path) -> None:
     path = tmp_path / "best.ckpt"
     network = make_network("mesh", SMALL)
     save_model(path, network, ["box"])
     before = path.read_bytes()
-
-    def full(content: Any, file: Path) -> None:
-        Path(file).write_bytes(b"half of it")
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(torch, "save", full)
-    with pytest.raises(OSError, match=r"best.ckpt: expected to write it, got: No space left on device"):
+    with pytest.raises(OSError, match=r"best.ckpt: expected to write it, got: File too large"), full_disk(1000):
         save_model(path, network, ["box"])
-    assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+    assert contents(tmp_path) == {"best.ckpt": before}
 
 
 def test_a_disk_that_is_full_for_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

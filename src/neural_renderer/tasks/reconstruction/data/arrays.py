@@ -15,7 +15,6 @@ import math
 import os
 import re
 import shutil
-import tempfile
 import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from ....io.atomic_write import replacing
 from ....io.files import reason, short
 from .framing import GRID, SIZE, VIEWS
 
@@ -150,18 +150,10 @@ def _unpacked_copy(source: Path, kind: str) -> Path:
     for target in (source.with_suffix(".npy"), folder / f"{source.stem}.npy"):
         if target.is_file() and target.stat().st_mtime_ns == stamp:
             return target
-    # A temporary name, renamed at the end: several processes may unpack at the same time.
-    handle, fresh = tempfile.mkstemp(dir=folder, prefix=f".{source.stem}.", suffix=".npy")
-    try:
-        with os.fdopen(handle, "wb") as out:
+    with replacing(target) as fresh:
+        with fresh.open("wb") as out:
             _unpack(source, kind, out, folder)
         os.utime(fresh, ns=(stamp, stamp))
-        os.chmod(fresh, source.stat().st_mode & 0o777)
-        os.replace(fresh, target)
-    except OSError as error:
-        raise OSError(f"{target}: expected to unpack {source.name}, got: {error.strerror or error}") from error
-    finally:
-        Path(fresh).unlink(missing_ok=True)
     return target
 
 

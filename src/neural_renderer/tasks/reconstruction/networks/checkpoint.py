@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from torch import Tensor
 
 from ....features import features_like
 from ....features.network import Plan
-from ....io.atomic_write import replacing
+from ....io.atomic_write import write_file
 from ....io.files import load_tensors, reason, short
 from ....version import __version__
 from .configs import Config
@@ -64,8 +65,9 @@ def save_model(path: str | os.PathLike[str], model: Model, classes: Sequence[str
         OSError: The file cannot be written.
     """
     content = {HEADER: header(model, classes, "") | {"facts": facts}, "state_dict": model.state_dict()}
-    with replacing(path) as fresh:
-        torch.save(content, fresh)
+    file = io.BytesIO()  # since torch.save does not say why it cannot write
+    torch.save(content, file)
+    write_file(path, file.getbuffer())
 
 
 def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu") -> Model:

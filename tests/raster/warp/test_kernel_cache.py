@@ -1,0 +1,111 @@
+"""Compiled kernels in files: damaged ones are compiled again, a full disk is a sentence, what was left is removed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import warp as wp
+
+from neural_renderer.raster.warp import kernel_cache, launch
+
+# In a process of its own, with a cache of its own: a kernel that compiles in a second, damaged in every way.
+SCRIPT = """
+import sys, warnings
+from pathlib import Path
+import torch, warp as wp
+from neural_renderer.raster.warp import launch
+wp.config.log_level = wp.LOG_WARNING
+
+@wp.kernel(enable_backward=False)
+def count(first: int, result: wp.array(dtype=float)):
+    result[first + wp.tid()] = float(first + wp.tid() + 1)
+
+def run():
+    result = torch.zeros(3)
+    launch.launch(count, 3, [launch.array(result)], torch.device("cpu"))
+    assert result.tolist() == [1, 2, 3]
+
+def damage(suffix, change):
+    [path] = Path(wp.config.kernel_cache_dir).glob("wp_*/*" + suffix)
+    path.write_bytes(change(path.read_bytes()))
+    count.module.unload()
+    launch._ready.clear()
+
+run()
+for suffix, change in (
+    (".o", lambda data: b""),
+    (".o", lambda data: data[: len(data) // 2]),
+    (".o", lambda data: bytes(len(data))),
+    (".o", lambda data: bytes(64) + data[64:]),
+    (".meta", lambda data: b"{"),
+    (".meta", lambda data: b""),
+):
+    damage(suffix, change)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        run()
+    [warning] = found
+    assert "wp_" in str(warning.message) and "compiled again" in str(warning.message), warning.message
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        count.module.unload()
+        launch._ready.clear()
+        run()
+
+damage(".o", lambda data: b"")
+import shutil
+shutil.rmtree = lambda *_, **__: None  # as of a folder of somebody else
+try:
+    run()
+except OSError as error:
+    assert "a damaged kernel" in str(error) and "; delete " in str(error) and "WARP_CACHE_PATH" in str(error), error
+else:
+    raise AssertionError
+"""
+
+
+def test_a_damaged_kernel_is_compiled_again(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / "cache")}
+    command = [sys.executable, str(tmp_path / "script.py")]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+class Unknown:
+    """A kernel of a module that no cache has."""
+
+    module = SimpleNamespace(name="neural_renderer.none", get_module_identifier=lambda _: "wp_neural_renderer.none_0")
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache, for which nothing is to be compiled."""
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    monkeypatch.setattr(wp, "load_module", lambda *_, **__: pytest.fail("compiled"))
+    return tmp_path
+
+
+def test_a_full_disk_is_told_before_the_compiler_ends_the_process(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=70_000))
+    monkeypatch.setattr(wp, "init", lambda: None)
+    with pytest.raises(OSError, match=rf"{cache.name}: expected a folder .* No space left on device; WARP_CACHE_PATH"):
+        launch.load_kernel(Unknown(), "cpu")
+
+
+def test_folders_of_killed_processes_are_removed(cache: Path) -> None:
+    old, new, other = (cache / f"wp_{name}_0123abc_p12_t34" for name in ("neural_renderer.a", "neural_renderer.b", "c"))
+    kept = cache / "wp_neural_renderer.a_0123abc"
+    for folder in (old, new, other, kept):
+        folder.mkdir()
+        (folder / "a.cpp").write_text("")
+        if folder != new:
+            os.utime(folder, (0, 0))
+    kernel_cache._prepare()
+    assert sorted(cache.iterdir()) == sorted((new, other, kept))
