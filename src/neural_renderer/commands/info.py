@@ -87,7 +87,7 @@ def _check_sphere(device: torch.device) -> list[str]:
     vertices, index = icosphere(1, 0.7)
     screen = (vertices + torch.tensor([0.03, -0.02, 2.0]))[None].to(device)
     faces = vertices_to_faces(screen, index.to(device)).requires_grad_()
-    images = rasterize_images(faces, 24, outputs="alpha", anti_aliasing=False, eps=1e-3)
+    images = rasterize_images(faces, 24, outputs="alpha", anti_aliasing=False, gradient="nmr", eps=1e-3)
     weight = torch.linspace(-1, 1, 24, device=device).expand(1, 24, 24)
     (found,) = torch.autograd.grad((images.alpha * weight).sum(), faces)  # type: ignore[operator]
 
