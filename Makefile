@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # torch comes first and alone: with the version of constraints.txt there, nothing later replaces it.
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 
-.PHONY: demo test test-all lint format benchmark coverage package docs clean
+.PHONY: demo test test-all test-cuda-emulated lint format benchmark coverage package docs clean
 
 demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
@@ -16,6 +16,10 @@ test: $(VENV)/installed
 # With the tests that are marked as slow.
 test-all: $(VENV)/installed
 	$(BIN)/python -m pytest -m ""
+
+# The kernels' CUDA code on a processor, with unordered memory accesses counted; needs a C compiler, no GPU.
+test-cuda-emulated: $(VENV)/installed
+	$(BIN)/python -m pytest --emulated-cuda races tests/raster/ops tests/raster/visibility tests/raster/test_rasterize.py
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
