@@ -252,7 +252,7 @@ def test_an_object_is_in_one_split(models: Path, tmp_path: Path, capsys: pytest.
     capsys.readouterr()
     assert command(models, out, "--set", "train") == 1
     told = capsys.readouterr().err
-    assert "expected a folder in which ball/big is in train, got one that has it in test" in told
+    assert "expected a folder in which ball/big is in train, got one with it in test" in told
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.npz")} == before
 
 
@@ -309,7 +309,7 @@ def test_interrupted(
     monkeypatch.setattr("neural_renderer.tasks.reconstruction.data.dataset.as_completed", press)
     assert command(models, out, "-j", "1") == 130
     told = capsys.readouterr()
-    assert "the same command goes on" in told.out and "Traceback" not in told.err
+    assert "the same command continues" in told.out and "Traceback" not in told.err
     made = {file.stem for file in out.glob("objects/*/*.npz")}
     assert {"big", "w0", "w1"} <= made and len(made) < 12 and not list(out.glob("*.npz"))
 
@@ -317,7 +317,7 @@ def test_interrupted(
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--set", "test", "--splits", "x.csv"], "--set: expected it alone or --splits alone"),
+        (["--set", "test", "--splits", "x.csv"], "--set: expected only one of --set and --splits, got both"),
         (["--splits", "nowhere.csv"], "nowhere.csv: expected a file, got nothing there"),
         (["--samples", "1"], "--samples: expected at least 4, got 1"),
         (["--views", "0"], "--views: expected at least 1, got 0"),

@@ -227,7 +227,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
         write_split(data, split, 1)
     assert main([*command, "--steps", "2", "--classes", "box"]) == 0
     assert "2 steps in" in capsys.readouterr().out and load_model(out / "best.ckpt").kind == "mesh"
-    assert main(command) == 1 and "--resume goes on from there" in capsys.readouterr().err
+    assert main(command) == 1 and "--resume continues it" in capsys.readouterr().err
     assert main([*command, "--resume", "--model", "voxel"]) == 1
     assert "expected a checkpoint with model voxel, got mesh" in " ".join(capsys.readouterr().err.split())
     assert main([*command, "--steps", "3", "--classes", "box", "--resume"]) == 0
@@ -236,7 +236,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
     for option, value, sentence in (
         ("--classes", "ball", "expected a checkpoint with classes ['ball'], got ['box']"),
         ("--seed", "1", "expected a checkpoint with seed 1, got 0"),
-        ("--steps", "2", "--steps: expected at least the 3 that are taken, got 2"),
+        ("--steps", "2", "--steps: expected at least the 3 steps already taken, got 2"),
     ):
         assert main([*command, "--classes", "box", "--resume", option, value]) == 1
         assert sentence in " ".join(capsys.readouterr().err.split())
@@ -250,7 +250,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
     assert "best.ckpt: expected a folder without a network" in " ".join(capsys.readouterr().err.split())
     (out / "last.ckpt").write_bytes((out / "best.ckpt").read_bytes())
     assert main([*command, "--classes", "box", "--resume"]) == 1
-    assert "expected the state of a training, got a network alone" in " ".join(capsys.readouterr().err.split())
+    assert "expected the state of a training, got a network only" in " ".join(capsys.readouterr().err.split())
     assert main([*command[:3], str(tmp_path / "shared"), "--devices", "3"]) == 1  # of 4 objects
     told = " ".join(capsys.readouterr().err.split())
     assert "--devices: expected a divisor of the batch of 4 objects, got 3" in told
@@ -273,14 +273,14 @@ def test_command_with_features(
     command = ["reconstruct", "train", str(data), str(out), "--device", "cpu", "--steps", "1"]
     assert main([*command, "--features", str(data / "none.pth")]) == 1 and "none.pth" in capsys.readouterr().err
     assert main([*command, "--features", str(weights)]) == 0
-    assert "ball, box: no pictures of the split val" in " ".join(capsys.readouterr().err.split())
+    assert "ball, box: no images of the split val" in " ".join(capsys.readouterr().err.split())
     assert torch.equal(*(load_model(out / f"{name}.ckpt").sphere for name in ("best", "last")))
     torch.save(torchvision_vgg(16), tmp_path / "vgg.pth")
     torch.save({name: value * 2 for name, value in torchvision_googlenet().items()}, tmp_path / "other.pth")
     for other in ("vgg", "other"):
         assert main([*command, "--resume", "--features", str(tmp_path / f"{other}.pth")]) == 1
         told = " ".join(capsys.readouterr().err.split())
-        assert "last.ckpt: expected a checkpoint with the features of" in told and "got other ones" in told
+        assert "last.ckpt: expected a checkpoint with the features of" in told and "got other features" in told
     assert main([*command, "--resume", "--features", str(weights)]) == 0
     weights.unlink()
     assert load_model(out / "last.ckpt").config.encoder == "features"
