@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import re
+import shlex
+import shutil
 from pathlib import Path
 
 import pytest
+
+from neural_renderer import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("benchmarks/*.md"), *ROOT.glob("docs/**/*.md")]
 NAMED = re.compile(r"`((?:[\w-]+/)*[\w-]+\.py)`")
 LINKED = re.compile(r"\]\((?!https?://|#|mailto:)([^)\s#]+)")
+
+COMMANDS = re.compile(r"^ *neural-renderer ((?:.*\\\n)*.*)$", re.MULTILINE)
 
 pytestmark = pytest.mark.skipif(not (ROOT / "docs").is_dir(), reason="the documentation is not here")
 
@@ -27,3 +33,23 @@ def test_files_exist(page: Path) -> None:
         assert not missing, f"{page.name}: expected names of files, got {', '.join(missing)}"
     broken = [link for link in LINKED.findall(text) if not (page.parent / link).exists()]
     assert not broken, f"{page.name}: expected links to files, got {', '.join(broken)}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_commands_are_understood(page: Path) -> None:
+    for command in COMMANDS.findall(page.read_text(encoding="utf-8")):
+        alone = re.sub(r"\$\w+", "1", command.partition(";")[0].replace("\\\n", " "))  # variables of the shell
+        arguments = shlex.split(alone, comments=True)
+        if "--help" not in arguments:
+            cli._parse(arguments)
+
+
+def test_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its programs, one after the other, in a clone."""
+    blocks = re.findall(
+        r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
+    shutil.copytree(ROOT / "examples" / "data", tmp_path / "examples" / "data")
+    monkeypatch.chdir(tmp_path)
+    assert "range(200)" in blocks[0]
+    exec("\n".join(blocks).replace("range(200)", "range(2)"), {})

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+import neural_renderer as nr
+from neural_renderer.tasks.fit import load_views
 from tests.paths import EXAMPLES
 
 Run = Callable[..., str]
@@ -65,6 +67,16 @@ def test_example4_finds_the_camera(run: Run) -> None:
     assert int(re.findall(r"after (\d+) steps", printed)[0]) < 400
     eye = [float(x) for x in re.findall(r"camera at \((.*), (.*), (.*)\)", printed)[0]]
     assert eye == pytest.approx([-0.612, 1.366, -2.285], abs=0.05)
+
+
+def test_photographs_are_what_fit_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = ["photos.py", "-o", str(tmp_path / "photos"), "-n", "3", "-s", "64"]
+    monkeypatch.setattr(sys, "argv", arguments)
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    runpy.run_path(str(EXAMPLES / "photos.py"), run_name="__main__")
+    views, spot = load_views(tmp_path / "photos"), nr.UVMesh.load(EXAMPLES / "data" / "spot.obj")
+    # Cameras come back from decimal numbers: a pixel whose samples are within a rounding of an edge may differ.
+    assert len(views) == 3 and views.quality((spot.vertices, spot.faces))["iou"].min() > 0.99
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4])

@@ -72,12 +72,13 @@ def write_obj(folder: Path) -> list[str]:
 def write_mesh(suffix: str) -> Callable[[Path], list[str]]:
     def write(folder: Path) -> list[str]:
         vertices, faces, textures = sphere()
-        nr.save_mesh(folder / "m.glb", vertices, faces, textures)
-        if suffix == ".glb":
-            return ["m.glb"]
-        if suffix == ".gltf":
+        if suffix in (".glb", ".gltf"):
+            nr.save_mesh(folder / "m.glb", vertices, faces, textures)
+            if suffix == ".glb":
+                return ["m.glb"]
             for name, content in trimesh.exchange.gltf.export_gltf(trimesh.load(folder / "m.glb")).items():
                 (folder / name.replace("model", "m")).write_bytes(content)
+            (folder / "m.glb").unlink()
             return ["m.gltf", "gltf_buffer_0.bin"]
         mesh = trimesh.Trimesh(vertices.numpy(), faces.numpy(), process=False, vertex_colors=[[9, 99, 200, 255]] * 12)
         mesh.export(folder / f"m{suffix}")

@@ -1,4 +1,4 @@
-"""The console command `neural-renderer`: finds the subcommand, and turns errors into one sentence and an exit code."""
+"""The console command `neural-renderer`: runs a subcommand and turns errors into a message and an exit code."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ import tyro
 from rich.console import Console
 from rich.text import Text
 
-# Name → (module below `commands`, its dataclass with a method `run` that returns the exit code, summary). The dataclass
-# adds that method to the command's options, which `commands.options` has, and is imported only when there is something
-# to do: help and complaints about options come at once, without torch. A table in place of the dataclass makes a group.
+# Command → summary. The options of the command `render` are the class `RenderOptions` in `commands.options.render`; the
+# function `run(options)` in `commands.render` returns the exit code, and likewise for other commands. A command is
+# imported when it runs, so that help and messages about wrong options do not wait for the import of torch.
 COMMANDS = {
-    "render": ("render", "Render", "Draw a mesh file as a picture or as a turntable."),
-    "info": ("info", "Info", "Show versions and devices, and check that rendering works."),
-    "fit": ("fit", "Fit", "Recover a textured mesh from images with known cameras."),
-    "reconstruct": ("reconstruct", "COMMANDS", "Turn one picture into a mesh."),
-    "style": ("style", "Style", "Give a mesh the style of a painting."),
-    "dream": ("dream", "Dream", "Turn a mesh into what a network sees in it."),
-    "demo": ("demo", "Demo", "Make pictures that show what the package does."),
+    "render": "Draw a mesh file as a picture or a turntable.",
+    "info": "Show versions and devices, and check that rendering works.",
+    "fit": "Recover a textured mesh from images with known cameras.",
+    "reconstruct": "Reconstruct a mesh from a single picture.",
+    "style": "Transfer the style of a painting to a mesh.",
+    "dream": "Apply DeepDream to a mesh.",
+    "demo": "Make pictures that show what the package does.",
 }
+_GROUPS = ("reconstruct",)  # commands with subcommands, which their package lists as COMMANDS
 
-_DESCRIPTION = """A differentiable mesh renderer: `neural-renderer COMMAND --help` explains each command.
+_DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command.
 
-Exit codes: 0 done, 1 something was wrong (one sentence says what), 2 wrong usage, 130 interrupted. With --debug after
-the command, or NEURAL_RENDERER_DEBUG=1 in the environment, an error shows where it happened."""
+Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 130 interrupted. With --debug after the command, or
+NEURAL_RENDERER_DEBUG=1 in the environment, an error shows its traceback."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -40,52 +41,49 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
     try:
         with _plain_warnings():
-            module, kind, options = _parse(arguments)
-            return getattr(_load(module), kind)(**vars(options)).run()
+            module, options = _parse(arguments)
+            return _load(module).run(options)
     except SystemExit as stop:  # --help (0) and wrong usage (2)
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except KeyboardInterrupt:
         _say("interrupted", "yellow")
         return 130
-    except BrokenPipeError:  # the reader of our output, such as `head`, has left
+    except BrokenPipeError:  # the reader of the output, such as `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
         if debug:
             raise
-        _say(_in_options(_sentence(error), arguments), "red")
+        _say(_name_option(_message(error), arguments), "red")
         return 1
 
 
 def _parse(
     arguments: list[str],
-    table: dict[str, tuple[str, str, str]] = COMMANDS,
-    folder: str = "",
+    commands: dict[str, str] = COMMANDS,
+    package: str = "",
     prog: str = "neural-renderer",
     description: str = _DESCRIPTION,
-) -> tuple[str, str, Any]:
-    """The module and the class of the command that ``arguments`` name, and its options, filled in."""
+) -> tuple[str, Any]:
+    """Parse arguments: return the module of the command, relative to `commands`, and its options."""
     name = arguments[0]
-    module, kind, _ = table.get(name, ("", "", ""))
-    module = folder + module
-    if kind == "COMMANDS":
+    module = package + name
+    if name in _GROUPS:
         group = _load(module)
-        prog = f"{prog} {name}"
-        return _parse(arguments[1:] or ["--help"], group.COMMANDS, f"{module}.", prog, group.DESCRIPTION)
-    called = getattr(_load(f"options.{module}"), f"{kind}Options") if kind else None
-    commands: dict[str, Any] = {
-        other: called if other == name else _stand_in(summary) for other, (_, _, summary) in table.items()
-    }
-    options = tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=description, args=arguments)
-    return module, kind, options
+        return _parse(arguments[1:] or ["--help"], group.COMMANDS, f"{module}.", f"{prog} {name}", group.DESCRIPTION)
+    choices: dict[str, Any] = {command: _placeholder(summary) for command, summary in commands.items()}
+    if name in commands:
+        choices[name] = getattr(_load(f"options.{module}"), f"{name.capitalize()}Options")
+    options = tyro.extras.subcommand_cli_from_dict(choices, prog=prog, description=description, args=arguments)
+    return module, options
 
 
 def _load(module: str) -> Any:
     return importlib.import_module(f"neural_renderer.commands.{module}")
 
 
-def _stand_in(summary: str) -> Callable[..., Any]:
-    """A command as the list of commands needs it."""
+def _placeholder(summary: str) -> Callable[..., Any]:
+    """Make a command without options, for the list of commands."""
 
     def command() -> None: ...
 
@@ -94,34 +92,34 @@ def _stand_in(summary: str) -> Callable[..., Any]:
 
 
 def _say(message: str, style: str) -> None:
-    """One line to the user, beside what the command puts out."""
+    """Print one line to standard error."""
     Console(stderr=True).print(Text(message, style=style), soft_wrap=True)
 
 
 @contextlib.contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Warnings as what they say, without a place in a program that the user did not write."""
+    """Print warnings without the place in the source code."""
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_, **__: _say(" ".join(str(message).splitlines()), "yellow")
         yield
 
 
-def _in_options(message: str, arguments: Sequence[str]) -> str:
-    """The message, with the library's name of an argument replaced by the option that gave it: ``--texture-size``."""
+def _name_option(message: str, arguments: Sequence[str]) -> str:
+    """Replace the name of a library argument at the start of a message by the option that set it, if there is one."""
     name, _, rest = message.partition(":")
     option = "--" + name.replace("_", "-")
     given = {argument.partition("=")[0].replace("_", "-") for argument in arguments}
     return f"{option}:{rest}" if option in given else message
 
 
-def _sentence(error: Exception) -> str:
-    """What went wrong, on one line; an error that nobody foresaw is named and says how to learn more."""
+def _message(error: Exception) -> str:
+    """Format an error on one line; unexpected errors are named and mention --debug."""
     message = " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
         return f"{os.fsdecode(error.filename)}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, (ValueError, TypeError, OSError)) and message:
         return message
-    return f"{type(error).__name__}: {message} (--debug shows where)"
+    return f"{type(error).__name__}: {message} (--debug shows a traceback)"
 
 
 if __name__ == "__main__":

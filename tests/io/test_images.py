@@ -129,6 +129,13 @@ def test_a_picture_is_measured_before_it_is_unpacked(tmp_path):
     assert load_mesh(tmp_path / "m.glb")[2] is not None
 
 
+def test_no_program_is_run_to_read_a_picture(tmp_path, monkeypatch):
+    (tmp_path / "a.png").write_text("%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\nshowpage\n%%EOF\n")
+    monkeypatch.setattr("subprocess.Popen", lambda *_, **__: pytest.fail("run"))
+    with pytest.raises(ValueError, match=r"a\.png: expected a picture of pixels, got PostScript"):
+        load_image(tmp_path / "a.png")
+
+
 def test_the_limit_of_a_program_counts(tmp_path, monkeypatch):
     save_image(tmp_path / "a.png", torch.zeros(20, 30))
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 599)

@@ -1,1 +1,1 @@
-"""The subcommands of `neural-renderer`, one module each, imported only when they are called for (see `cli`)."""
+"""Subcommands of `neural-renderer`, one module each with a function `run`, imported when called (see `cli`)."""

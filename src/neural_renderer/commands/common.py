@@ -1,4 +1,4 @@
-"""What the subcommands share: checks of their options, and a first Ctrl-C that lets a step end."""
+"""Checks and messages shared by the subcommands."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import torch
+from rich.console import Console
 
 from ..io.named_files import names_file
 
 
-def chosen_device(name: str) -> torch.device:
-    """The device that an option names: "cpu", "cuda", or "auto"; ValueError where CUDA is asked for and missing."""
+def choose_device(name: str) -> torch.device:
+    """Choose a device by the name "cpu", "cuda" or "auto". Raises ValueError if CUDA is requested and missing."""
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     if name == "cuda" and not torch.cuda.is_available():
@@ -23,15 +25,16 @@ def chosen_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-def checked_count(name: str, value: int, least: int) -> int:
-    """``value`` if it is at least ``least``; otherwise ValueError names the option."""
-    if value < least:
-        raise ValueError(f"--{name.replace('_', '-')}: expected at least {least}, got {value}")
-    return value
+def check_counts(options: Any, **least: int) -> None:
+    """Raise ValueError if an option is below its least value, given by keyword. Options that are None are skipped."""
+    for name, limit in least.items():
+        value = getattr(options, name)
+        if value is not None and value < limit:
+            raise ValueError(f"--{name.replace('_', '-')}: expected at least {limit}, got {value}")
 
 
-def output_folder(option: str, folder: Path) -> Path:
-    """The folder, made if missing; OSError names the ``option`` if it cannot be, or cannot be written to."""
+def make_folder(option: str, folder: Path) -> None:
+    """Make the folder of an option if it is missing. Raises OSError if that fails, or if it is not writable."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         reason = None if os.access(folder, os.W_OK) else "no permission"
@@ -39,13 +42,14 @@ def output_folder(option: str, folder: Path) -> Path:
         reason = error.strerror
     if reason:
         raise OSError(f"{option}: expected a folder that can be written, got {folder} ({reason})")
-    return folder
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
-    """Raise ValueError if a file that is to be written is one of ``inputs``, or one that they name, such as a texture.
+    """Raise ValueError if an output file is an input, or a file that an input names, such as a texture.
 
-    What does not exist is in nobody's way, and None stands for an input that is not given.
+    Args:
+        outputs: Files that will be written.
+        inputs: Files that will be read; None for inputs that are not given.
     """
     given = [path for path in inputs if path is not None and path.is_file()]
     read = {(status.st_dev, status.st_ino) for status in map(Path.stat, given)}
@@ -58,9 +62,22 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> Non
                 raise ValueError(f"--output: expected a file that may be replaced, got {output}, which {path} uses")
 
 
+def say(text: str, color: str | None = None, markup: bool = False) -> None:
+    """Print a line: to standard output, or in a color, for warnings and errors, to standard error."""
+    console = Console(stderr=color is not None)
+    console.print(text, style=color, markup=markup, highlight=False, soft_wrap=True)
+
+
+def say_finished(seconds: float, folder: Path, interrupted_after: int | None) -> None:
+    """Print the time of a run, whether it was interrupted after so many steps, and the folder of its results."""
+    interruption = "" if interrupted_after is None else f", interrupted after {interrupted_after} steps"
+    resume = "" if interrupted_after is None else " (--resume continues)"
+    say(f"{seconds:.1f} s{interruption}{resume}; the results are in {folder}")
+
+
 @contextmanager
 def interruption() -> Iterator[list[int]]:
-    """A list that the first Ctrl-C puts a signal into; the second one interrupts as ever."""
+    """Catch the first Ctrl-C: the list that this yields gets the number of the signal. The second one interrupts."""
     found: list[int] = []
 
     def note(number: int, _: FrameType | None) -> None:

@@ -1,9 +1,8 @@
-"""`neural-renderer demo`: what the package does, in pictures, in less than a minute."""
+"""`neural-renderer demo`: pictures that show what the package does, in less than a minute."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import torch
 from rich.console import Console
@@ -19,105 +18,105 @@ from ..pictures.clay import clay_mesh
 from ..pictures.photograph import lowest_point, photograph
 from ..pictures.sheet import sheet
 from ..tasks.fit import ShapeFit, TextureFit, Views
-from .common import checked_count, chosen_device
+from .common import check_counts, choose_device, say
 from .demo_models import duck, knot
 from .options.demo import DemoOptions
 
-_ANGLES = (145.0, 90.0, 180.0, 250.0, 20.0)
+_AZIMUTHS = (145.0, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, in degrees
+_STAGES = 24  # of the fit, in the animation
+_TEXTURE_SIZE, _TEXTURE_STEPS, _BATCH = 8, 20, 8
+_RESULTS = {
+    "turntable.gif": "a lit, textured mesh (.mp4 too)",
+    "fit.png": "from a sphere to a duck",
+    "fit.gif": "the same as an animation, beside the target",
+    "fitted.obj": "the result, with material and texture",
+}
 
 
-@dataclass(frozen=True)
-class Demo(DemoOptions):
-    """Makes the pictures."""
+def run(options: DemoOptions) -> int:
+    """Make all pictures; return the exit code."""
+    start = time.perf_counter()
+    check_counts(options, frames=1, size=32, iterations=1, views=1, view_size=16)
+    check_own(options.output / "fitted.obj", None, "-o names another folder")
+    device = choose_device(options.device)
+    torch.manual_seed(options.seed)
+    label, note = TextColumn("{task.description:<28}"), TextColumn("{task.fields[note]}")
+    columns = (label, BarColumn(), note, TimeElapsedColumn())
+    with Progress(*columns, console=Console()) as progress:
+        _make_turntable(options, knot().to(device), progress)
+        iou = _fit_sphere(options, duck().to(device), progress)
+    seconds = time.perf_counter() - start
+    numbers = f"[bold]{iou.mean():.3f}[/bold] (least {iou.min():.3f}); {seconds:.0f} s in total."
+    say(f"Silhouette IoU over {options.views} views: {numbers}", markup=True)
+    say("Results:")
+    for name, description in _RESULTS.items():
+        say(f"  {options.output / name}  {description}")
+    return 0
 
-    def run(self) -> int:
-        """Make everything; returns the exit code 0."""
-        start = time.perf_counter()
-        limits = {"frames": 1, "size": 32, "iterations": 1, "views": 1, "view_size": 16}
-        for name, least in limits.items():
-            checked_count(name, getattr(self, name), least)
-        check_own(self.output / "fitted.obj", None, "-o names another folder")
-        device = chosen_device(self.device)
-        console = Console()
-        torch.manual_seed(self.seed)
-        label, note = TextColumn("{task.description:<28}"), TextColumn("{task.fields[note]}")
-        columns = (label, BarColumn(), note, TimeElapsedColumn())
-        with Progress(*columns, console=console) as progress:
-            self._turntable(knot().to(device), progress)
-            iou = self._fit(duck().to(device), progress)
-        console.print(
-            f"Silhouette IoU over {self.views} views: [bold]{iou.mean():.3f}[/bold] (least {iou.min():.3f}); "
-            f"{time.perf_counter() - start:.0f} s in all."
-        )
-        console.print("Now look at:")
-        for name, what in (
-            ("turntable.gif", "a lit, textured mesh (.mp4 too)"),
-            ("fit.png", "from a sphere to a duck"),
-            ("fit.gif", "the same as it happens, beside the target"),
-            ("fitted.obj", "the result, with its material and texture"),
-        ):
-            console.print(f"  {self.output / name}  [dim]{what}[/dim]", highlight=False, soft_wrap=True)
-        return 0
 
-    def _turntable(self, mesh: Mesh, progress: Progress) -> None:
-        task = progress.add_task("Turntable", total=self.frames, note="compiling kernels at the first run")
-        pictures = []
-        for index in range(self.frames):
-            pictures.append(photograph(mesh, 180 + 360 * index / self.frames, size=self.size).cpu())
-            progress.update(task, advance=1, note=f"{index + 1} of {self.frames} pictures")
-        save_animation(self.output / "turntable.gif", pictures, fps=20)
-        save_animation(self.output / "turntable.mp4", pictures, fps=20)
+def _make_turntable(options: DemoOptions, mesh: Mesh, progress: Progress) -> None:
+    task = progress.add_task("Turntable", total=options.frames, note="compiling kernels at the first run")
+    pictures = []
+    for index in range(options.frames):
+        pictures.append(photograph(mesh, 180 + 360 * index / options.frames, size=options.size).cpu())
+        progress.update(task, advance=1, note=f"{index + 1} of {options.frames} pictures")
+    save_animation(options.output / "turntable.gif", pictures, fps=20)
+    save_animation(options.output / "turntable.mp4", pictures, fps=20)
 
-    def _fit(self, target: Mesh, progress: Progress) -> Tensor:
-        cameras = around(self.views, target.vertices.device)
-        views = Views.of(target, cameras, self.view_size)
-        fit = ball(views, self.iterations, self.seed)
-        vertices, faces = fit.shape[:2]
-        history = [vertices]
-        task = progress.add_task("Sphere to duck: shape", total=fit.steps, note="")
-        while not fit.done:
-            row = fit.advance()
-            if fit.step % max(self.iterations // 24, 1) == 0:
-                history.append(fit.shape[0].detach())
-            progress.update(task, advance=1, note=f"loss {row['loss']:.3f}  IoU {row['iou']:.3f}")
-        iou = views.quality(fit.shape)["iou"]
-        progress.update(task, note=f"IoU {iou.mean():.3f}")
 
-        photos = Views.of(target, cameras, 2 * self.view_size)
-        paint = TextureFit(photos, fit.shape[0], faces, size=8, steps=min(20, self.iterations), batch=8)
-        task = progress.add_task("Sphere to duck: colours", total=paint.steps, note="")
-        while not paint.done:
-            progress.update(task, advance=1, note=f"loss {paint.advance()['loss']:.4f}")
-        fitted = Mesh(*paint.shape)
-        fitted.save(self.output / "fitted.obj")
-        self._draw([clay_mesh(v, faces) for v in history], fitted, target, progress)
-        return iou
+def _fit_sphere(options: DemoOptions, target: Mesh, progress: Progress) -> Tensor:
+    """Fit a sphere to silhouettes of the target, then its texture; write results and return the IoU of each view."""
+    cameras = around(options.views, target.vertices.device)
+    views = Views.of(target, cameras, options.view_size)
+    fit = ball(views, options.iterations, options.seed)
+    vertices, faces = fit.shape[:2]
+    history = [vertices]
+    task = progress.add_task("Sphere to duck: shape", total=fit.steps, note="")
+    while not fit.done:
+        row = fit.advance()
+        if fit.step % max(options.iterations // _STAGES, 1) == 0:
+            history.append(fit.shape[0].detach())
+        progress.update(task, advance=1, note=f"loss {row['loss']:.3f}  IoU {row['iou']:.3f}")
+    iou = views.quality(fit.shape)["iou"]
+    progress.update(task, note=f"IoU {iou.mean():.3f}")
 
-    def _draw(self, history: list[Mesh], fitted: Mesh, target: Mesh, progress: Progress) -> None:
-        """fit.png, a sheet of stages by angles, and fit.gif, the stages beside the target."""
-        stages = stages_of(history, fitted, target)
-        last = [fitted] * max(len(history) // 3, 1)
-        task = progress.add_task("Pictures", total=len(stages) * len(_ANGLES) + len(history) + len(last), note="")
-        floor = lowest_point(target)
+    photos = Views.of(target, cameras, 2 * options.view_size)
+    steps = min(_TEXTURE_STEPS, options.iterations)
+    texture = TextureFit(photos, fit.shape[0], faces, size=_TEXTURE_SIZE, steps=steps, batch=_BATCH)
+    task = progress.add_task("Sphere to duck: colours", total=texture.steps, note="")
+    while not texture.done:
+        progress.update(task, advance=1, note=f"loss {texture.advance()['loss']:.4f}")
+    fitted = Mesh(*texture.shape)
+    fitted.save(options.output / "fitted.obj")
+    _draw_stages(options, [clay_mesh(v, faces) for v in history], fitted, target, progress)
+    return iou
 
-        def picture(mesh: Mesh, angle: float, size: int) -> Tensor:
-            return photograph(mesh, angle, size=size, floor=floor)
 
-        rows = []
-        for mesh in stages.values():
-            rows.append([picture(mesh, angle, self.size * 3 // 4) for angle in _ANGLES])
-            progress.update(task, advance=len(_ANGLES))
-        save_image(self.output / "fit.png", sheet(rows, list(stages)))
-        frames = []
-        for index, mesh in enumerate(history + last):
-            angle = 145 + 360 * index / len(history + last)
-            frames.append(sheet([[picture(m, angle, self.size * 5 // 8) for m in (mesh, target)]]))
-            progress.update(task, advance=1)
-        save_animation(self.output / "fit.gif", frames, fps=12)
+def _draw_stages(options: DemoOptions, history: list[Mesh], fitted: Mesh, target: Mesh, progress: Progress) -> None:
+    """Write fit.png, a sheet of stages by azimuths, and fit.gif, the stages beside the target."""
+    stages = stages_of(history, fitted, target)
+    still = [fitted] * max(len(history) // 3, 1)
+    task = progress.add_task("Pictures", total=len(stages) * len(_AZIMUTHS) + len(history) + len(still), note="")
+    floor = lowest_point(target)
+
+    def picture(mesh: Mesh, azimuth: float, size: int) -> Tensor:
+        return photograph(mesh, azimuth, size=size, floor=floor)
+
+    rows = []
+    for mesh in stages.values():
+        rows.append([picture(mesh, azimuth, options.size * 3 // 4) for azimuth in _AZIMUTHS])
+        progress.update(task, advance=len(_AZIMUTHS))
+    save_image(options.output / "fit.png", sheet(rows, list(stages)))
+    frames = []
+    for index, mesh in enumerate(history + still):
+        azimuth = 145 + 360 * index / len(history + still)
+        frames.append(sheet([[picture(m, azimuth, options.size * 5 // 8) for m in (mesh, target)]]))
+        progress.update(task, advance=1)
+    save_animation(options.output / "fit.gif", frames, fps=12)
 
 
 def around(count: int, device: torch.device) -> Camera:
-    """Cameras whose azimuths go round evenly and whose elevations take turns at three heights."""
+    """Make cameras with evenly spaced azimuths and three alternating elevations."""
     index = torch.arange(count)
     elevation = torch.tensor([-25.0, 10.0, 40.0])[index % 3]
     eye = get_points_from_angles(3.2, elevation, 360 / count * index).to(device)
@@ -125,20 +124,18 @@ def around(count: int, device: torch.device) -> Camera:
 
 
 def ball(views: Views, steps: int, seed: int = 0) -> ShapeFit:
-    """The fit of a sphere of 1280 faces to silhouettes."""
+    """Make the fit of a sphere with 1280 faces to silhouettes."""
     vertices, faces = (part.to(views.masks.device) for part in icosphere(3, radius=0.5))
-    return ShapeFit(views, vertices, faces, steps=steps, batch=8, rate=0.02, smooth=1.0, seed=seed)
+    return ShapeFit(views, vertices, faces, steps=steps, batch=_BATCH, rate=0.02, smooth=1.0, seed=seed)
 
 
 def stages_of(history: list[Mesh], fitted: Mesh, target: Mesh) -> dict[str, Mesh]:
-    """The rows of the sheet: label and mesh."""
-    early, late = history[len(history) // 8], history[len(history) // 3]
-    plain = clay_mesh(fitted.vertices, fitted.faces)
+    """Select the rows of the sheet: label → mesh."""
     return {
         "start": history[0],
-        "at first": early,
-        "half-way": late,
-        "shape": plain,
+        "at first": history[len(history) // 8],
+        "half-way": history[len(history) // 3],
+        "shape": clay_mesh(fitted.vertices, fitted.faces),
         "shape and colours": fitted,
         "target": target,
     }

@@ -1,4 +1,4 @@
-"""The demo's models, made from formulas: a rubber duck and a knot, painted with texture cubes."""
+"""Procedural models of the demo: a rubber duck and a knot with texture cubes."""
 
 from __future__ import annotations
 
@@ -13,30 +13,36 @@ from ..io.cubes import barycentric_grid
 from ..meshes.isosurface import isosurface
 from ..meshes.mesh import Mesh
 
-_EYE, _GLINT = (0.215, 0.56, 0.70), (0.0, 0.035, 0.03)
+_EYE, _GLINT = (0.215, 0.56, 0.70), (0.0, 0.035, 0.03)  # centre of an eye, and of its highlight relative to that
 _YELLOW, _ORANGE, _BLACK = (1.0, 0.78, 0.12), (0.96, 0.42, 0.07), (0.07, 0.06, 0.06)
 
 
 def duck(steps: int = 56, texture_size: int = 4) -> Mesh:
-    """A rubber duck that looks along +z, in [-1, 1]: about 6·steps² faces and no holes."""
+    """Make a closed rubber duck in [-1, 1]³ that looks along +z.
+
+    Args:
+        steps: Grid cells along each axis; the mesh has about 6 · steps² faces.
+        texture_size: T, texels along the edge of a face's texture cube.
+    """
 
     def field(p: np.ndarray) -> np.ndarray:
         return _blend(_blend(_plumage(p), _beak(p), 0.04), _tail(p), 0.25)
 
     vertices, faces = isosurface(field, steps)
-    return Mesh(vertices, faces, paint(vertices[faces], _duck_colour, texture_size)).normalize()
+    return Mesh(vertices, faces, bake(vertices[faces], _duck_color, texture_size)).normalize()
 
 
-def _duck_colour(p: Tensor) -> Tensor:
+def _duck_color(p: Tensor) -> Tensor:
+    """Compute RGB [..., 3] at points [..., 3]."""
     beak = torch.from_numpy(_beak(p.numpy()) < _plumage(p.numpy()) - 0.005)
     from_eye = torch.stack((p[..., 0].abs(), p[..., 1], p[..., 2]), dim=-1) - torch.tensor(_EYE)
     eye = from_eye.norm(dim=-1)
     glint = (from_eye - torch.tensor(_GLINT)).norm(dim=-1)
-    colour = torch.tensor(_YELLOW).expand(p.shape).clone()
-    colour[beak] = torch.tensor(_ORANGE)
-    colour[eye < 0.085] = torch.tensor(_BLACK)
-    colour[glint < 0.035] = 1.0
-    return colour
+    color = torch.tensor(_YELLOW).expand(p.shape).clone()
+    color[beak] = torch.tensor(_ORANGE)
+    color[eye < 0.085] = torch.tensor(_BLACK)
+    color[glint < 0.035] = 1.0
+    return color
 
 
 def _plumage(p: np.ndarray) -> np.ndarray:
@@ -58,54 +64,69 @@ def _tail(p: np.ndarray) -> np.ndarray:
     return _ellipsoid(turned, (0, 0, 0), (0.19, 0.12, 0.34))
 
 
-def _ellipsoid(p: np.ndarray, centre: tuple[float, ...], radii: tuple[float, ...]) -> np.ndarray:
-    """Roughly the distance to an ellipsoid."""
-    scaled = np.linalg.norm((p - centre) / radii, axis=-1)
-    slope = np.linalg.norm((p - centre) / np.square(radii), axis=-1)
+def _ellipsoid(p: np.ndarray, center: tuple[float, ...], radii: tuple[float, ...]) -> np.ndarray:
+    """Approximate the signed distance of points [..., 3] to an ellipsoid."""
+    scaled = np.linalg.norm((p - center) / radii, axis=-1)
+    slope = np.linalg.norm((p - center) / np.square(radii), axis=-1)
     return scaled * (scaled - 1) / np.maximum(slope, 1e-9)
 
 
 def _blend(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
-    """The union of two shapes with a fillet of the given width where they meet."""
+    """Unite two signed distances smoothly, with a fillet of this width."""
     near = np.maximum(width - np.abs(a - b), 0) / width
     return np.minimum(a, b) - near**3 * width / 6
 
 
 def knot(segments: int = 320, sides: int = 28, texture_size: int = 4) -> Mesh:
-    """A trefoil knot with a ribbon of colours wound around it, in [-1, 1]."""
+    """Make a trefoil knot in [-1, 1]³ with a helical pattern.
+
+    Args:
+        segments: Segments along the knot.
+        sides: Segments around the tube.
+        texture_size: T, texels along the edge of a face's texture cube.
+    """
     around = torch.arange(segments) * (2 * math.pi / segments)
     across = torch.arange(sides) * (2 * math.pi / sides)
 
-    def centre(t: Tensor) -> Tensor:
+    def center(t: Tensor) -> Tensor:
         return torch.stack((t.sin() + 2 * (2 * t).sin(), t.cos() - 2 * (2 * t).cos(), -1.1 * (3 * t).sin()), dim=-1)
 
-    along = torch.nn.functional.normalize(centre(around + 1e-2) - centre(around - 1e-2), dim=-1)
-    out = centre(around) * torch.tensor([1.0, 1.0, 0.0])
+    along = torch.nn.functional.normalize(center(around + 1e-2) - center(around - 1e-2), dim=-1)
+    out = center(around) * torch.tensor([1.0, 1.0, 0.0])
     normal = torch.nn.functional.normalize(out - (out * along).sum(-1, keepdim=True) * along, dim=-1)
     binormal = torch.linalg.cross(along, normal)
     ring = across.cos()[None, :, None] * normal[:, None] + across.sin()[None, :, None] * binormal[:, None]
-    vertices = (centre(around)[:, None] + 0.72 * ring).reshape(-1, 3)
+    vertices = (center(around)[:, None] + 0.72 * ring).reshape(-1, 3)
     i, j = (index.reshape(-1) for index in torch.meshgrid(torch.arange(segments), torch.arange(sides), indexing="ij"))
     right, up = (i + 1) % segments, (j + 1) % sides
     a, b, c, d = i * sides + j, right * sides + j, right * sides + up, i * sides + up
     faces = torch.stack((a, c, b, a, d, c), dim=1).reshape(-1, 3)
-    # The pattern lives on (u, v), not in space; corners past the seam count on.
+    # Colours are a function of (u, v); at the seam corners continue beyond 1 instead of wrapping around.
     u, v = torch.stack((i, i + 1, i + 1, i, i, i + 1)), torch.stack((j, j + 1, j, j, j + 1, j + 1))
     uv = torch.stack((u / segments, v / sides), dim=-1).movedim(0, 1).reshape(-1, 3, 2)
-    return Mesh(vertices, faces, paint(uv, _ribbon, texture_size)).normalize()
+    return Mesh(vertices, faces, bake(uv, _ribbon, texture_size)).normalize()
 
 
 def _ribbon(uv: Tensor) -> Tensor:
-    """Colours [..., 3] of points (u, v) in turns along and across the knot."""
+    """Compute RGB [..., 3] at points (u, v), in turns along the knot and around the tube."""
     palette = torch.tensor([[0.93, 0.27, 0.32], [0.98, 0.72, 0.26], [0.16, 0.68, 0.62], [0.20, 0.36, 0.72]])
     place = (uv[..., 0] * 12 + uv[..., 1] * 1.0) % 4
     first = place.floor().long().clamp(max=3)
-    colour = palette[first]
+    color = palette[first]
     stripe = ((place - first) < 0.12) | ((place - first) > 0.88)
-    return torch.where(stripe[..., None], torch.tensor([0.97, 0.95, 0.90]), colour)
+    return torch.where(stripe[..., None], torch.tensor([0.97, 0.95, 0.90]), color)
 
 
-def paint(corners: Tensor, colour: Callable[[Tensor], Tensor], size: int) -> Tensor:
-    """Texture cubes [F, T, T, T, 3] of the colour at each texel's place between the faces' corners [F, 3, D]."""
+def bake(corners: Tensor, color: Callable[[Tensor], Tensor], size: int) -> Tensor:
+    """Bake a colour function into texture cubes.
+
+    Args:
+        corners: [F, 3 corners, D], arguments of the function at the corners of faces.
+        color: Maps [..., D] to RGB [..., 3].
+        size: T, texels along the edge of a cube.
+
+    Returns:
+        [F, T, T, T, 3].
+    """
     weights = torch.from_numpy(barycentric_grid(size)).to(corners).reshape(size, size, size, 3)
-    return colour(torch.einsum("ijkc,fcd->fijkd", weights, corners))
+    return color(torch.einsum("ijkc,fcd->fijkd", weights, corners))

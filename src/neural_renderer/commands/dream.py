@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from ..tasks import editing
-from .common import output_folder
-from .edit import Edit, Preset
+from ..tasks.editing import PUBLISHED_DREAM, Dream, DreamWeights
+from .common import make_folder
+from .edit import Preset, check_options, load_initial_mesh, load_network, loss_weights, run_edit
 from .options.dream import DreamOptions
 
 _PRESETS = {
@@ -15,18 +13,13 @@ _PRESETS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Dream(DreamOptions, Edit):
-    """Dreams, as the options say."""
-
-    def run(self) -> int:
-        """Dream; returns the exit code. Raises ValueError, TypeError or OSError with a sentence."""
-        self.checked()
-        mesh, coloured = self.loaded()
-        output_folder("--output", self.output)  # before a network is fetched and steps are taken
-        published = self.preset == "published"
-        weights = self.loss_weights(editing.PUBLISHED_DREAM if published else editing.DreamWeights())
-        dream = editing.Dream(
-            self.network("googlenet"), layer=self.layer, channel=self.channel, weights=weights, relative=not published
-        )
-        return self.edited(mesh, coloured, dream, _PRESETS[self.preset], weights)
+def run(options: DreamOptions) -> int:
+    """Run DeepDream and write the results; return the exit code."""
+    check_options(options)
+    mesh, colored = load_initial_mesh(options)
+    make_folder("--output", options.output)  # fails before a network is downloaded
+    published = options.preset == "published"
+    weights = loss_weights(options, PUBLISHED_DREAM if published else DreamWeights())
+    network = load_network(options, "googlenet")
+    dream = Dream(network, layer=options.layer, channel=options.channel, weights=weights, relative=not published)
+    return run_edit(options, mesh, colored, dream, _PRESETS[options.preset], weights)

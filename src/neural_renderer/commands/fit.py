@@ -1,174 +1,140 @@
-"""`neural-renderer fit`: a textured mesh from images with known cameras, a texture for a mesh, or an image's camera."""
+"""`neural-renderer fit`: a textured mesh from images with cameras, a texture, or the camera of one image."""
 
 from __future__ import annotations
 
-import json
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from typing import Any
 
-from rich.console import Console
 from torch import Tensor
 
 from ..io import save_image
-from ..io.atomic_write import write_file
 from ..io.obj_writer import check_own
 from ..meshes.mesh import Mesh
-from ..pictures.curve import curve
 from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
-from ..tasks.fit.fit_pictures import comparison, turntable
+from ..tasks.fit.fit_pictures import comparison
 from ..tasks.fit.load import camera_file
-from ..version import __version__
-from .common import check_outputs, checked_count, chosen_device, output_folder
+from .common import check_counts, check_outputs, choose_device, make_folder
+from .fit_report import RESULTS, report_camera, report_mesh, write_mesh
 from .options.fit import FitOptions
-from .task_runner import Run, fingerprint
+from .task_runner import TaskRunner, setting_value
 
-# What may change when a fit goes on; of the images only what is in them counts.
-_FREE = ("images", "output", "steps", "texture_steps", "turntable", "allow_outside", "resume", "force", "device")
-_RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png", "turntable.gif", "report.json")
+_ANY = ("images", "output", "steps", "texture_steps", "turntable", "allow_outside", "resume", "force", "device")
+"""Options that may differ when a fit is resumed; the contents of the images may not."""
+_PREVIEW_COLUMNS = 4
 
 
-@dataclass(frozen=True)
-class Fit(FitOptions):
-    """Fits a mesh, its texture, or a camera, as the options say."""
+def run(options: FitOptions) -> int:
+    """Fit and write the results; return the exit code: 0, or 130 after Ctrl-C."""
+    check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, starts=1)
+    check_counts(options, turntable=0, seed=0)
+    if options.recover != "shape" and options.mesh is None:
+        raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
+    images = options.images if options.recover == "camera" else camera_file(options.images)
+    check_outputs([options.output / name for name in RESULTS], [images, options.mesh])
+    return _fit_camera(options) if options.recover == "camera" else _fit_mesh(options)
 
-    def run(self) -> int:
-        """Fit; returns the exit code: 0, or 130 after Ctrl-C. Raises ValueError, TypeError or OSError."""
-        limits = {"cells": 8, "size": 16, "steps": 1, "texture_steps": 1, "texture_size": 3, "batch": 1, "starts": 1}
-        for name, least in {**limits, "turntable": 0, "seed": 0}.items():
-            checked_count(name, getattr(self, name), least)
-        if self.recover != "shape" and self.mesh is None:
-            raise ValueError(f"--mesh: expected the mesh whose {self.recover} is looked for, got none")
-        images = self.images if self.recover == "camera" else camera_file(self.images)
-        check_outputs([self.output / name for name in _RESULTS], [images, self.mesh])
-        return self._camera() if self.recover == "camera" else self._mesh()
 
-    def _mesh(self) -> int:
-        if not self.force:
-            check_own(self.output / "mesh.obj", None, "--force replaces it")
-        device = chosen_device(self.device)
-        views = load_views(
-            self.images,
-            size=self.size,
-            photos=self.photos,
-            background=self.background,
-            allow_outside=self.allow_outside,
-        ).to(device)
-        seen, unseen = self._split(views)
-        fit = MeshFit(
-            seen,
-            self.start if self.mesh is None else Mesh.load(self.mesh, texture_size=2, allow_outside=self.allow_outside),
-            recover="texture" if self.recover == "texture" else "shape",
-            steps=self.steps,
-            texture_steps=self.texture_steps,
-            cells=self.cells,
-            texture_size=self.texture_size,
-            color_from=self.color_from,
-            weights=self.weights,
-            batch=self.batch,
-            gradient=self.gradient,
-            seed=self.seed,
-        )
-        output_folder("--output", self.output)
-        camera = (getattr(seen.camera, part.name) for part in fields(seen.camera))
-        run = self._run(fit, (seen.masks, seen.photos, *camera), lambda: (fit.views, fit.shape))
-        finished = run.work(self.resume)
-        mesh = fit.mesh()
-        mesh.save(self.output / "mesh.obj", overwrite=self.force)
-        mesh.save(self.output / "mesh.glb")
-        save_image(self.output / "comparison.png", comparison(fit.views, fit.shape))
-        found: dict[str, Any] = {"views": len(seen), "vertices": mesh.num_vertices, "faces": mesh.num_faces}
-        for name, part in (("fitted", fit.views), ("held_out", unseen and fit.normalize(unseen))):
-            if part is not None:
-                quality = part.quality(fit.shape)
-                found[name] = {
-                    key: {"mean": round(value.mean().item(), 4), "least": round(value.min().item(), 4)}
-                    for key, value in quality.items()
-                }
-        if self.turntable:
-            turntable(self.output / "turntable.gif", seen, mesh, self.turntable)
-        return self._report(run, found, finished)
+def _fit_mesh(options: FitOptions) -> int:
+    if not options.force:
+        check_own(options.output / "mesh.obj", None, "--force replaces it")
+    views = load_views(
+        options.images,
+        size=options.size,
+        photos=options.photos,
+        background=options.background,
+        allow_outside=options.allow_outside,
+    ).to(choose_device(options.device))
+    fitted, held_out = _split(views, options.held_out)
+    start: Any = options.start
+    if options.mesh is not None:
+        start = Mesh.load(options.mesh, texture_size=2, allow_outside=options.allow_outside)
+    fit = MeshFit(
+        fitted,
+        start,
+        recover="texture" if options.recover == "texture" else "shape",
+        steps=options.steps,
+        texture_steps=options.texture_steps,
+        cells=options.cells,
+        texture_size=options.texture_size,
+        color_from=options.color_from,
+        weights=options.weights,
+        batch=options.batch,
+        gradient=options.gradient,
+        seed=options.seed,
+    )
+    make_folder("--output", options.output)
+    camera = (getattr(fitted.camera, part.name) for part in fields(fitted.camera))
+    runner = _runner(options, fit, (fitted.masks, fitted.photos, *camera), lambda: (fit.views, fit.shape))
+    finished = runner.run(options.resume)
+    write_mesh(options, fit, fitted)
+    report_mesh(options, runner, fit, held_out, finished)
+    return 0 if finished else 130
 
-    def _camera(self) -> int:
-        device = chosen_device(self.device)
-        mask, photo = load_photo(self.images, size=self.size, photos=self.photos, background=self.background)
-        mesh = Mesh.load(
-            self.mesh,  # type: ignore[arg-type]
-            texture_size=self.texture_size,
-            allow_outside=self.allow_outside,
-        ).to(device)
-        shape: tuple[Tensor, ...] = mesh.vertices.detach(), mesh.faces, mesh.textures.detach()
-        mask, photo = mask.to(device), None if photo is None else photo.to(device)
-        fit = CameraFit(
-            shape,
-            mask,
-            photo,
-            viewing_angle=self.viewing_angle,
-            starts=self.starts,
-            steps=self.steps,
-            gradient=self.gradient,
-            seed=self.seed,
-        )
-        output_folder("--output", self.output)
 
-        def state() -> tuple[Views, tuple[Tensor, ...]]:
-            return Views(fit.best(), mask[None], None if photo is None else photo[None]), shape
+def _fit_camera(options: FitOptions) -> int:
+    device = choose_device(options.device)
+    mask, photo = load_photo(options.images, size=options.size, photos=options.photos, background=options.background)
+    mask, photo = mask.to(device), None if photo is None else photo.to(device)
+    mesh = Mesh.load(
+        options.mesh,  # type: ignore[arg-type]
+        texture_size=options.texture_size,
+        allow_outside=options.allow_outside,
+    ).to(device)
+    shape: tuple[Tensor, ...] = mesh.vertices.detach(), mesh.faces, mesh.textures.detach()
+    fit = CameraFit(
+        shape,
+        mask,
+        photo,
+        viewing_angle=options.viewing_angle,
+        starts=options.starts,
+        steps=options.steps,
+        gradient=options.gradient,
+        seed=options.seed,
+    )
+    make_folder("--output", options.output)
 
-        run = self._run(fit, (mask, photo, *shape), state)
-        finished = run.work(self.resume)
-        views, _ = state()
-        save_image(self.output / "comparison.png", comparison(views, shape))
-        eye, forward = views.eyes()
-        found = {
-            "camera": {
-                "eye": eye[0].tolist(),
-                "direction": forward[0].tolist(),
-                "up": views.camera.rotation[0, 1].tolist(),
-                "viewing_angle": self.viewing_angle,
-            },
-            "fitted": {"iou": {"mean": round(views.quality(shape[:2])["iou"].item(), 4)}},
-            "starts": [round(value, 4) for value in fit.losses().tolist()],
-        }
-        return self._report(run, found, finished)
+    def state() -> tuple[Views, tuple[Tensor, ...]]:
+        return Views(fit.best(), mask[None], None if photo is None else photo[None]), shape
 
-    def _run(
-        self,
-        fit: MeshFit | CameraFit,
-        images: tuple[Any, ...],
-        state: Callable[[], tuple[Views, tuple[Tensor, ...]]],
-    ) -> Run:
-        inputs = {name: fingerprint(value) for name, value in asdict(self).items() if name not in _FREE}
-        contents = b"".join(part.cpu().numpy().tobytes() for part in images if isinstance(part, Tensor))
-        inputs["images"] = f"#{zlib.crc32(contents):08x}"
-        return Run(
-            self.output,
-            fit,
-            inputs,
-            lambda path: save_image(path, comparison(*state(), columns=4)),
-            device=chosen_device(self.device),
-        )
+    runner = _runner(options, fit, (mask, photo, *shape), state)
+    finished = runner.run(options.resume)
+    report_camera(options, runner, fit, *state(), finished)
+    return 0 if finished else 130
 
-    def _split(self, views: Views) -> tuple[Views, Views | None]:
-        if not self.held_out:
-            return views, None
-        rows = list(range(checked_count("held_out", self.held_out, 2) - 1, len(views), self.held_out))
-        if not rows:
-            raise ValueError(f"--held-out: expected at most the {len(views)} views there are, got {self.held_out}")
-        return views[[index for index in range(len(views)) if index not in rows]], views[rows]
 
-    def _report(self, run: Run, found: dict[str, Any], finished: bool) -> int:
-        report = {"version": __version__, "recover": self.recover, "gradient": self.gradient, "finished": finished}
-        report |= {"seconds": round(run.seconds, 1), **found, "history": run.history}
-        write_file(self.output / "report.json", json.dumps(report, indent=1) + "\n")
-        if run.history:
-            save_image(self.output / "loss.png", curve(run.history, "loss", "iou"))
-        console = Console()
-        for name in ("fitted", "held_out"):
-            if name in found:
-                numbers = ", ".join(f"{key} {value['mean']:.4f}" for key, value in found[name].items())
-                console.print(f"{name.replace('_', '-')} views: [bold]{numbers}[/bold]", highlight=False)
-        ending = "" if finished else f", interrupted after {len(run.history)} steps (--resume goes on)"
-        text = f"{report['seconds']} s{ending}; the results are in {self.output}"
-        console.print(text, highlight=False, soft_wrap=True)
-        return 0 if finished else 130
+def _runner(
+    options: FitOptions,
+    fit: MeshFit | CameraFit,
+    images: tuple[Any, ...],
+    state: Callable[[], tuple[Views, tuple[Tensor, ...]]],
+) -> TaskRunner:
+    """Make the runner of a fit.
+
+    Args:
+        options: The options of the command.
+        fit: The fit.
+        images: Tensors whose contents identify the fit; others than tensors are ignored.
+        state: Returns views and shape to compare in previews.
+    """
+    settings = {name: setting_value(value) for name, value in asdict(options).items() if name not in _ANY}
+    contents = b"".join(part.cpu().numpy().tobytes() for part in images if isinstance(part, Tensor))
+    settings["images"] = f"#{zlib.crc32(contents):08x}"
+
+    def preview(path: Any) -> None:
+        save_image(path, comparison(*state(), columns=_PREVIEW_COLUMNS))
+
+    return TaskRunner(options.output, fit, settings, preview, device=choose_device(options.device))
+
+
+def _split(views: Views, every: int) -> tuple[Views, Views | None]:
+    """Hold out every n-th view."""
+    if not every:
+        return views, None
+    if every < 2:
+        raise ValueError(f"--held-out: expected at least 2, got {every}")
+    rows = list(range(every - 1, len(views), every))
+    if not rows:
+        raise ValueError(f"--held-out: expected at most {len(views)}, the number of views, got {every}")
+    return views[[index for index in range(len(views)) if index not in rows]], views[rows]

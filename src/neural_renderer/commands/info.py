@@ -1,10 +1,9 @@
-"""`neural-renderer info`: what is installed, where kernels are kept, and whether rendering works here."""
+"""`neural-renderer info`: versions, devices, the kernel cache, and a self-check of rendering."""
 
 from __future__ import annotations
 
 import platform
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +18,8 @@ from ..raster.reference.operators import coverage_reference, nmr_edges_reference
 from ..version import __version__
 from .options.info import InfoOptions
 
-# Two triangles and a pixel each, with the gradient that the first package published for them: the loss is |I − target|
-# at (row, column) of a silhouette of 64 x 64 pixels, the gradient is in (x, y) of the three corners.
+# Two test cases of the first package: corners of a triangle; pixel (row, column); target of the loss |I − target| at
+# this pixel of a silhouette of 64 × 64; and the gradient in (x, y) of the corners.
 _CASES = (
     ([[0.8, 0.8], [0.0, -0.5], [0.2, -0.4]], (25, 35), 1.0,
      [[1.6725862, -0.26021874], [1.41986704, -1.64284933], [0.0, 0.0]]),
@@ -29,48 +28,42 @@ _CASES = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Info(InfoOptions):
-    """Prints the table, and checks."""
-
-    def run(self) -> int:
-        """Print the table; returns 0 if every check is as expected, else 1."""
-        devices = ["cpu", *(f"cuda:{i}" for i in range(torch.cuda.device_count()))]
-        table = Table(show_header=False, box=None, pad_edge=False)
-        table.add_row("neural-renderer", __version__)
-        table.add_row("python", f"{platform.python_version()} on {platform.system()} {platform.machine()}")
-        table.add_row("torch", str(torch.__version__))
-        table.add_row("warp", wp.__version__)
-        table.add_row("numpy", np.__version__)
-        table.add_row("CPU threads", str(torch.get_num_threads()))
-        for device in devices[1:] or ["none"]:
-            table.add_row(
-                "CUDA device", device if device == "none" else f"{device} {torch.cuda.get_device_name(device)}"
-            )
-        good = True
-        for device in devices:
-            start = time.perf_counter()
-            problems = self_check(torch.device(device))
-            good = good and not problems
-            took = f" ({time.perf_counter() - start:.1f} s)"
-            table.add_row(
-                f"check on {device}", "[red]" + "; ".join(problems) if problems else f"[green]ok[/green]{took}"
-            )
-        table.add_row("kernel cache", _cache())  # known to Warp only after its first kernel
-        Console().print(table, highlight=False, soft_wrap=True)
-        return 0 if good else 1
+def run(_: InfoOptions) -> int:
+    """Print a table of versions, devices and checks; return 0 if all checks passed, else 1."""
+    devices = ["cpu", *(f"cuda:{i}" for i in range(torch.cuda.device_count()))]
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_row("neural-renderer", __version__)
+    table.add_row("python", f"{platform.python_version()} on {platform.system()} {platform.machine()}")
+    table.add_row("torch", str(torch.__version__))
+    table.add_row("warp", wp.__version__)
+    table.add_row("numpy", np.__version__)
+    table.add_row("CPU threads", str(torch.get_num_threads()))
+    for device in devices[1:] or ["none"]:
+        table.add_row("CUDA device", device if device == "none" else f"{device} {torch.cuda.get_device_name(device)}")
+    passed = True
+    for device in devices:
+        start = time.perf_counter()
+        problems = self_check(torch.device(device))
+        passed = passed and not problems
+        seconds = f" ({time.perf_counter() - start:.1f} s)"
+        table.add_row(
+            f"check on {device}", "[red]" + "; ".join(problems) if problems else f"[green]ok[/green]{seconds}"
+        )
+    table.add_row("kernel cache", _cache())  # Warp chooses the folder at its first kernel
+    Console().print(table, highlight=False, soft_wrap=True)
+    return 0 if passed else 1
 
 
 def self_check(device: torch.device) -> list[str]:
-    """What a small picture, its depth and its gradient have that they should not; empty if all is as expected."""
+    """Check an image, a silhouette and gradients on a device; return descriptions of the failures."""
     try:
-        return [*_picture(device), *_sphere(device), *_gradient(device)]
-    except Exception as error:  # whatever it is, the rest of the table is worth seeing
+        return [*_check_image(device), *_check_sphere(device), *_check_gradient(device)]
+    except Exception as error:  # reported in the table, beside the other checks
         return [f"{type(error).__name__}: {error}"]
 
 
-def _picture(device: torch.device) -> list[str]:
-    """A square of depth 2 in red on the left and one of depth 3 in blue behind it, both on the pixels' borders."""
+def _check_image(device: torch.device) -> list[str]:
+    """Check colours and depth of a red square in front of a blue one; both end at borders of pixels."""
 
     def square(left: float, right: float, z: float) -> list[list[list[float]]]:
         a, b, c, d = [left, -0.5, z], [right, -0.5, z], [right, 0.5, z], [left, 0.5, z]
@@ -86,31 +79,32 @@ def _picture(device: torch.device) -> list[str]:
     depth[:, 4:12, 4:10], depth[:, 4:12, 10:12] = 2, 3
     expected = {"rgb": rgb, "alpha": rgb.sum(1), "depth": depth}
     found = {name: getattr(images, name) for name in expected}
-    return [_difference(n, found[n], e, 1e-4) for n, e in expected.items() if _off(found[n], e, 1e-4)]
+    return [_difference(n, found[n], e, 1e-4) for n, e in expected.items() if _differs(found[n], e, 1e-4)]
 
 
-def _sphere(device: torch.device) -> list[str]:
-    """A sphere's silhouette and its gradient, against the float64 reference of the kernels."""
+def _check_sphere(device: torch.device) -> list[str]:
+    """Check a sphere's silhouette and its gradient against the float64 reference of the kernels."""
     vertices, index = icosphere(1, 0.7)
     screen = (vertices + torch.tensor([0.03, -0.02, 2.0]))[None].to(device)
     faces = vertices_to_faces(screen, index.to(device)).requires_grad_()
-    images = rasterize_images(faces, 24, outputs="alpha", anti_aliasing=False, eps=1e-3)
+    images = rasterize_images(faces, 24, outputs="alpha", anti_aliasing=False, gradient="nmr", eps=1e-3)
     weight = torch.linspace(-1, 1, 24, device=device).expand(1, 24, 24)
     (found,) = torch.autograd.grad((images.alpha * weight).sum(), faces)  # type: ignore[operator]
 
     corners = faces.detach().cpu()
-    seen = coverage_reference(corners, 24, 24, 0.1, 100.0, False, True)
-    alpha = (seen >= 0).float()
-    expected = nmr_edges_reference(weight.cpu()[:, None], alpha[:, None], corners, seen, 1e-3, False).float()
+    faces_seen = coverage_reference(corners, 24, 24, 0.1, 100.0, False, True)
+    alpha = (faces_seen >= 0).float()
+    expected = nmr_edges_reference(weight.cpu()[:, None], alpha[:, None], corners, faces_seen, 1e-3, False).float()
     problems = []
-    if _off(images.alpha, alpha, 0):  # type: ignore[arg-type]
+    if _differs(images.alpha, alpha, 0):  # type: ignore[arg-type]
         problems.append(_difference("sphere", images.alpha, alpha, 0))  # type: ignore[arg-type]
-    if _off(found, expected, 1e-3):
+    if _differs(found, expected, 1e-3):
         problems.append(_difference("sphere's gradient", found, expected, 1e-3))
     return problems
 
 
-def _gradient(device: torch.device) -> list[str]:
+def _check_gradient(device: torch.device) -> list[str]:
+    """Check the published gradients of two triangles."""
     problems = []
     for number, (corners, (row, column), target, gradient) in enumerate(_CASES, 1):
         screen = torch.tensor(corners, device=device).requires_grad_()
@@ -121,13 +115,13 @@ def _gradient(device: torch.device) -> list[str]:
         loss = (images.alpha[0, row, column] - target).abs()  # type: ignore[index]
         (found,) = torch.autograd.grad(loss, screen)
         expected = torch.tensor(gradient)
-        if _off(found, expected, 1e-2):
+        if _differs(found, expected, 1e-2):
             problems.append(_difference(f"gradient {number}", found, expected, 1e-2))
     return problems
 
 
-def _off(found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> bool:
-    # Sums of large terms that cancel are as exact as the terms are.
+def _differs(found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> bool:
+    # A sum of large terms that cancel has the absolute error of its terms.
     least = 1e-5 * max(1.0, expected.abs().max().item())
     return not torch.allclose(found.detach().cpu(), expected, rtol=tolerance, atol=least)
 
@@ -138,6 +132,7 @@ def _difference(name: str, found: torch.Tensor, expected: torch.Tensor, toleranc
 
 
 def _cache() -> str:
+    """Describe folder and size of the kernel cache."""
     folder = Path(wp.config.kernel_cache_dir or "")
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
     return f"{folder} ({size / 2**20:.1f} MiB)"

@@ -1,14 +1,12 @@
-"""`neural-renderer style`: the style of a painting for a mesh."""
+"""`neural-renderer style`: style transfer from a painting to a mesh."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from ..io import load_image
 from ..io.files import warn
-from ..tasks import editing
-from .common import chosen_device, output_folder
-from .edit import Edit, Preset
+from ..tasks.editing import PUBLISHED_STYLE, Style, StyleWeights
+from .common import choose_device, make_folder
+from .edit import Preset, check_options, load_initial_mesh, load_network, loss_weights, run_edit
 from .options.style import StyleOptions
 
 _PRESETS = {
@@ -17,29 +15,24 @@ _PRESETS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Style(StyleOptions, Edit):
-    """Transfers a style, as the options say."""
-
-    def run(self) -> int:
-        """Transfer the style; returns the exit code. Raises ValueError, TypeError or OSError with a sentence."""
-        self.checked()
-        device = chosen_device(self.device)
-        painting = load_image(self.painting, upright=True).permute(2, 0, 1).to(device)
-        mesh, coloured = self.loaded()
-        output_folder("--output", self.output)  # before a network is fetched and steps are taken
-        published = self.preset == "published"
-        weights = self.loss_weights(editing.PUBLISHED_STYLE if published else editing.StyleWeights())
-        network = self.network("vgg16-original")
-        if published and network.name != "VGG-16":
-            warn(f"--preset published: its losses are made for VGG-16, of another scale than those of {network.name}")
-        style = editing.Style(
-            network,
-            painting,
-            self.size,
-            layers=self.layers,
-            weights=weights,
-            painting_scale=self.painting_scale,
-            relative=not published,
-        )
-        return self.edited(mesh, coloured, style, _PRESETS[self.preset], weights)
+def run(options: StyleOptions) -> int:
+    """Transfer a style and write the results; return the exit code."""
+    check_options(options, options.painting)
+    painting = load_image(options.painting, upright=True).permute(2, 0, 1).to(choose_device(options.device))
+    mesh, colored = load_initial_mesh(options)
+    make_folder("--output", options.output)  # fails before a network is downloaded
+    published = options.preset == "published"
+    weights = loss_weights(options, PUBLISHED_STYLE if published else StyleWeights())
+    network = load_network(options, "vgg16-original")
+    if published and network.name != "VGG-16":
+        warn(f"--preset published: its loss weights suit the features of VGG-16, not those of {network.name}")
+    style = Style(
+        network,
+        painting,
+        options.size,
+        layers=options.layers,
+        weights=weights,
+        painting_scale=options.painting_scale,
+        relative=not published,
+    )
+    return run_edit(options, mesh, colored, style, _PRESETS[options.preset], weights)

@@ -1,4 +1,4 @@
-"""Running a task of many steps: progress, a preview, checkpoints, Ctrl-C."""
+"""Running a task of many steps: progress bars, previews, checkpoints and interruption."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ..io.atomic_write import write_file
 from ..io.files import load_tensors, why_not_loaded
 from .common import interruption
 
-_SECONDS = 4.0  # from one preview and checkpoint to the next
+_SECONDS = 4.0  # between two previews and checkpoints, unless their number of steps is given
 
 
 class Task(Protocol):
-    """What takes steps until it is done, in one phase or several."""
+    """A task that takes steps until it is done, in one phase or several."""
 
     @property
     def phase(self) -> str: ...
@@ -36,42 +36,51 @@ class Task(Protocol):
     def load_state_dict(self, state: dict[str, Any], /) -> None: ...
 
 
-class Run:
-    """Steps of a task with progress, a preview and a checkpoint from time to time, until it is done or interrupted.
+class TaskRunner:
+    """Runs a task with progress bars, previews and checkpoints, until it is done or interrupted.
 
     Args:
-        folder: where ``preview.png`` and ``checkpoint.pt`` go.
-        task: what takes the steps.
-        inputs: plain values that tell what the task works on; a checkpoint is used if they are the same.
-        preview: writes the picture to show meanwhile to the path that it is given, by `save_image`.
-        every: steps from one preview and checkpoint to the next; None: a few seconds.
-        device: where the task computes; a checkpoint may come from another.
+        folder: Folder for ``preview.png`` and ``checkpoint.pt``.
+        task: The task.
+        settings: Plain values that identify the task. A checkpoint is accepted only if its settings are equal.
+        preview: Writes a preview to the given path.
+        every: Steps between two previews and checkpoints; None for every few seconds.
+        device: Device of the task; a checkpoint may come from another.
+
+    Attributes:
+        history: The numbers that each step returned, and its "phase".
+        seconds: Time of all steps, including those before an interruption.
     """
 
     def __init__(
         self,
         folder: Path,
         task: Task,
-        inputs: dict[str, Any],
+        settings: dict[str, Any],
         preview: Callable[[Path], None],
         every: int | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
-        self._folder, self._task, self._inputs, self._preview, self._every = folder, task, inputs, preview, every
+        self._folder, self._task, self._settings, self._preview, self._every = folder, task, settings, preview, every
         self._checkpoint, self._device = folder / "checkpoint.pt", device
         self.history: list[dict[str, Any]] = []
-        """What each step returned, and its phase."""
         self.seconds = 0.0
-        """Time that the steps took, those before an interruption too."""
 
-    def work(self, resume: bool) -> bool:
-        """All steps that are left, after those of the checkpoint if ``resume``; False if Ctrl-C ended them early.
+    def run(self, resume: bool) -> bool:
+        """Take all remaining steps.
 
-        Raises ValueError for a checkpoint of another task.
+        Args:
+            resume: Whether to continue from the checkpoint, if there is one.
+
+        Returns:
+            False if Ctrl-C interrupted the task.
+
+        Raises:
+            ValueError: The checkpoint is unreadable or belongs to a task with other settings.
         """
         if resume and self._checkpoint.is_file():
             self._restore()
-        task, begun, shown = self._task, time.monotonic() - self.seconds, self.seconds
+        task, start, saved = self._task, time.monotonic() - self.seconds, self.seconds
         label, note = TextColumn("{task.description:<8}"), TextColumn("{task.fields[note]}")
         columns = label, BarColumn(), note, TimeElapsedColumn(), TimeRemainingColumn()
         with Progress(*columns, console=Console()) as progress, interruption() as interrupted:
@@ -83,38 +92,37 @@ class Run:
                     bars[task.phase] = progress.add_task(task.phase, note="", completed=task.step - 1, total=task.steps)
                 text = "  ".join(f"{name} {value:.4f}" for name, value in list(row.items())[:2])
                 progress.update(bars[task.phase], completed=task.step, total=task.steps, note=text)
-                self.seconds = time.monotonic() - begun
-                if self.seconds - shown > _SECONDS if self._every is None else task.step % self._every == 0:
+                self.seconds = time.monotonic() - start
+                if self.seconds - saved > _SECONDS if self._every is None else task.step % self._every == 0:
                     self._save()
-                    shown = self.seconds
+                    saved = self.seconds
             self._save()
         return not interrupted
 
     def _save(self) -> None:
-        """A preview and a checkpoint; whoever looks at the files meanwhile never finds half of one."""
         self._preview(self._folder / "preview.png")
         state = {"task": self._task.state_dict(), "history": self.history, "seconds": self.seconds}
-        file = io.BytesIO()  # since torch.save does not say why it cannot write
-        torch.save({**state, "inputs": self._inputs}, file)
+        file = io.BytesIO()  # torch.save to a path does not report why it cannot write
+        torch.save({**state, "inputs": self._settings}, file)
         write_file(self._checkpoint, file.getbuffer())
 
     def _restore(self) -> None:
         try:
             state = load_tensors(self._checkpoint, self._device)
-            inputs, task = state["inputs"], state["task"]
+            settings, task = state["inputs"], state["task"]
             self.history, self.seconds = state["history"], state["seconds"]
-        except Exception as error:  # whatever torch says of a file that is none of ours
+        except Exception as error:  # torch raises errors of many classes for files that are not checkpoints
             raise ValueError(
                 f"{self._checkpoint}: expected a checkpoint, got another file ({why_not_loaded(error)})"
             ) from None
-        # What an older checkpoint does not know was not there to be chosen.
-        names = [k for k in (self._inputs | inputs) if self._inputs.get(k) != inputs.get(k)]
+        # Settings absent from older checkpoints compare as None.
+        names = [name for name in (self._settings | settings) if self._settings.get(name) != settings.get(name)]
         if names:
-            mine, theirs = (", ".join(f"{k} {each.get(k)}" for k in names) for each in (self._inputs, inputs))
+            mine, theirs = (", ".join(f"{k} {each.get(k)}" for k in names) for each in (self._settings, settings))
             raise ValueError(f"{self._checkpoint}: expected a checkpoint of this run ({mine}), got one of {theirs}")
         self._task.load_state_dict(task)
 
 
-def fingerprint(value: Any) -> Any:
-    """A setting as a checkpoint knows it: of a file its name and contents, wherever it lies."""
+def setting_value(value: Any) -> Any:
+    """Convert a setting for a checkpoint. A file becomes its name and checksum, so that it may be moved."""
     return f"{value.name} #{zlib.crc32(value.read_bytes()):08x}" if isinstance(value, Path) else value

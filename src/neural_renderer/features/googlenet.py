@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from .network import FeatureNetwork, Normalise, convolution, linear, plan_of
+from .network import FeatureNetwork, Normalize, convolution, linear, plan_of
 
 _BLOCKS = ("3a", "3b", "4a", "4b", "4c", "4d", "4e", "5a", "5b")
 _BRANCHES = ("1x1", "3x3_reduce", "3x3", "5x5_reduce", "5x5", "pool_proj")
@@ -65,15 +65,15 @@ def googlenet(weights: Mapping[str, Tensor]) -> FeatureNetwork:
             stages["pool4"] = nn.MaxPool2d(2 if from_torchvision else 3, 2, ceil_mode=True)
     stages["pool5"] = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten())
     stages["classifier"] = linear(*layers.weight_and_bias("loss3.classifier", (layers.width,)))
-    normalise = Normalise((127.5,) * 3, (127.5,) * 3) if from_torchvision else Normalise((104, 117, 123), bgr=True)
-    return FeatureNetwork("GoogLeNet", normalise, stages, plan_of(weights))
+    normalize = Normalize((127.5,) * 3, (127.5,) * 3) if from_torchvision else Normalize((104, 117, 123), bgr=True)
+    return FeatureNetwork("GoogLeNet", normalize, stages, plan_of(weights))
 
 
 class LocalResponse(nn.Module):
     """Local response normalisation x / (1 + 1e-4 · mean of x² over 5 neighbouring channels)^0.75."""
 
     def forward(self, values: Tensor) -> Tensor:
-        """Normalise values [B, C, H, W]."""
+        """Normalize values [B, C, H, W]."""
         return _LocalResponse.apply(values)
 
 

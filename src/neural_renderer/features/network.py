@@ -33,10 +33,10 @@ class FeatureNetwork(nn.Module):
         torch.Size([4, 512, 14, 14])
     """
 
-    def __init__(self, name: str, normalise: nn.Module, stages: dict[str, nn.Module], plan: Plan | None = None) -> None:
+    def __init__(self, name: str, normalize: nn.Module, stages: dict[str, nn.Module], plan: Plan | None = None) -> None:
         super().__init__()
         self.name = name
-        self._normalise = normalise
+        self._normalise = normalize  # this spelling is part of saved state_dicts
         self._stages = nn.ModuleDict(stages)
         self.layers = tuple(stages)
         self.plan: Plan = plan or {}
@@ -96,7 +96,7 @@ def plan_of(weights: Mapping[str, Tensor]) -> Plan:
     return {name: tuple(value.shape) for name, value in weights.items()}
 
 
-class Normalise(nn.Module):
+class Normalize(nn.Module):
     """Input normalisation (255 · image − mean) / std of images in [0, 1]; channels are reversed to BGR if ``bgr``."""
 
     _gain: Tensor
@@ -109,7 +109,7 @@ class Normalise(nn.Module):
         self._bgr = bgr
 
     def forward(self, images: Tensor) -> Tensor:
-        """Normalise images [B, 3, H, W] of any floating dtype."""
+        """Normalize images [B, 3, H, W] of any floating dtype."""
         images = images.flip(1) if self._bgr else images
         return images * self._gain - self._offset
 

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from .network import IMAGENET_MEAN, IMAGENET_STD, FeatureNetwork, Normalise, Padding, convolution, linear, plan_of
+from .network import IMAGENET_MEAN, IMAGENET_STD, FeatureNetwork, Normalize, Padding, convolution, linear, plan_of
 
 _NAMED = re.compile(r"conv([1-5])_?([1-4])\.(weight|bias)")
 _ORIGINAL_MEAN = (123.68, 116.779, 103.939)  # RGB
@@ -43,7 +43,7 @@ def vgg(weights: Mapping[str, Tensor]) -> FeatureNetwork:
     """
     from_torchvision = "features.0.weight" in weights
     convolutions = _from_torchvision(weights) if from_torchvision else _from_names(weights)
-    normalise, padding = _input_stage(weights)
+    normalize, padding = _input_stage(weights)
     stages, width = _convolution_stages(convolutions, padding)
     depth = len(convolutions) + 3
     if max(block for block, _ in convolutions) == 5 and max(place for block, place in convolutions if block == 5) > 1:
@@ -52,18 +52,18 @@ def vgg(weights: Mapping[str, Tensor]) -> FeatureNetwork:
             stages |= _classifier(weights, width)
     elif max(convolutions) == (5, 1):
         depth = 19  # truncated after conv5_1, the last layer that style transfer uses
-    return FeatureNetwork(f"VGG-{depth}", normalise, stages, plan_of(weights))
+    return FeatureNetwork(f"VGG-{depth}", normalize, stages, plan_of(weights))
 
 
 def _input_stage(weights: Mapping[str, Tensor]) -> tuple[nn.Module, Padding]:
     """Choose the input normalisation and the padding of the convolutions; see `vgg`."""
     if "features.0.weight" in weights:
         if _has_classifier(weights):
-            return Normalise(IMAGENET_MEAN, IMAGENET_STD), "zeros"
-        return Normalise(_ORIGINAL_MEAN), "zeros"
+            return Normalize(IMAGENET_MEAN, IMAGENET_STD), "zeros"
+        return Normalize(_ORIGINAL_MEAN), "zeros"
     if "conv0.weight" in weights:
         return convolution(weights["conv0.weight"], weights["conv0.bias"]), "reflect"
-    return Normalise(_ORIGINAL_MEAN[::-1], bgr=True), "zeros"
+    return Normalize(_ORIGINAL_MEAN[::-1], bgr=True), "zeros"
 
 
 def _convolution_stages(convolutions: _Convolutions, padding: Padding) -> tuple[dict[str, nn.Module], int]:

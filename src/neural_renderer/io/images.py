@@ -50,6 +50,8 @@ def unpack(where: str, file: Image.Image, *, upright: bool = False, transparency
 
     ``where`` is what the errors call it. Raises ValueError for a picture that is broken or too large.
     """
+    if file.format == "EPS":  # to draw it, Pillow would run another program on it
+        raise ValueError(f"{where}: expected a picture of pixels, got PostScript")
     limit = Image.MAX_IMAGE_PIXELS
     if limit is not None and file.width * file.height > limit:
         raise ValueError(

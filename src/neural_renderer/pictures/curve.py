@@ -1,4 +1,4 @@
-"""How losses went, as a picture."""
+"""Plots of losses over the steps of a run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-_INKS = (196, 78, 62), (52, 110, 180)
+_INKS = (196, 78, 62), (52, 110, 180)  # of the left and of the right curve
+_LINES, _TEXT = (200, 200, 200), (120, 120, 120)
+_FONT_SIZE = 14
 
 
 def curve(
@@ -20,41 +22,45 @@ def curve(
     logarithmic: bool = True,
     size: tuple[int, int] = (420, 720),
 ) -> np.ndarray:
-    """Draw two numbers of a run over its steps, [H, W, 3] uint8; each phase begins at a line.
+    """Plot two numbers over the steps of a run. Vertical lines separate phases.
 
     Args:
-        history: a row for each step, with its ``phase`` and with numbers; not every row needs to have both.
-        left, right: the names of the numbers, on the left and on the right axis.
-        logarithmic: whether the left one is drawn so.
-        size: height and width in pixels.
+        history: A row per step, with its "phase" and numbers by name. A number may be missing in some rows.
+        left: Name of the number on the left axis.
+        right: Name of the number on the right axis.
+        logarithmic: Whether the left axis is logarithmic.
+        size: Height and width in pixels.
+
+    Returns:
+        [H, W, 3] uint8.
     """
     height, width = size
     image = Image.new("RGB", (width, height), "white")
-    draw, font = ImageDraw.Draw(image), ImageFont.load_default(14)
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(_FONT_SIZE)
     low_x, high_x, top, bottom = 60, width - 60, 30, height - 40
-    draw.rectangle((low_x, top, high_x, bottom), outline=(200, 200, 200))
+    draw.rectangle((low_x, top, high_x, bottom), outline=_LINES)
     across = (high_x - low_x) / max(len(history) - 1, 1)
     for index in range(1, len(history)):
         if history[index]["phase"] != history[index - 1]["phase"]:
-            draw.line((low_x + index * across, top, low_x + index * across, bottom), fill=(200, 200, 200))
-            draw.text((low_x + index * across + 4, top + 4), history[index]["phase"], (120, 120, 120), font)
+            draw.line((low_x + index * across, top, low_x + index * across, bottom), fill=_LINES)
+            draw.text((low_x + index * across + 4, top + 4), history[index]["phase"], _TEXT, font)
     for name, ink, side in zip((left, right), _INKS, (4, high_x + 4), strict=True):
         steps = [index for index, row in enumerate(history) if name in row]
         if not steps:
             continue
         values = torch.tensor([float(history[index][name]) for index in steps])
-        drawn = values.clamp(min=1e-8).log10() if logarithmic and name == left else values
-        low, high = float(drawn.min()), float(drawn.max())
+        scaled = values.clamp(min=1e-8).log10() if logarithmic and name == left else values
+        low, high = float(scaled.min()), float(scaled.max())
         span = max(high - low, 1e-6)
         points = [
             (low_x + i * across, bottom - (float(v) - low) / span * (bottom - top))
-            for i, v in zip(steps, drawn, strict=True)
+            for i, v in zip(steps, scaled, strict=True)
         ]
         for (start, here), (end, there) in pairwise(zip(steps, points, strict=True)):
-            if history[start]["phase"] == history[end]["phase"]:  # the phases' losses are not the same
+            if history[start]["phase"] == history[end]["phase"]:  # phases have different losses
                 draw.line((here, there), fill=ink, width=2)
         draw.text((side, top - 18), f"{name} (log)" if logarithmic and name == left else name, ink, font)
         draw.text((side, top), f"{float(values.max()):.3g}", ink, font)
         draw.text((side, bottom - 14), f"{float(values.min()):.3g}", ink, font)
-    draw.text((low_x, bottom + 10), f"{len(history)} steps", (120, 120, 120), font)
+    draw.text((low_x, bottom + 10), f"{len(history)} steps", _TEXT, font)
     return np.asarray(image)

@@ -1,7 +1,7 @@
-"""How `Images`, `Fragments`, `Mesh` and `UVMesh` look in a notebook: as PNG pictures, a mesh as a turntable.
+"""Pictures of `Images`, `Fragments`, `Mesh` and `UVMesh` in notebooks.
 
-A notebook asks an object for its picture by calling ``_repr_png_``. The classes lie below this module and know nothing
-of pictures, so `show_in_notebooks` gives them that method from here.
+A notebook calls the method ``_repr_png_`` of an object to show it. The classes are below this module in the order of
+imports, so `show_in_notebooks` adds the method to them from here.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _MANY_FACES = 200_000  # a turntable of a larger mesh would take many seconds; o
 
 
 def show_in_notebooks() -> None:
-    """Give the four classes the method that notebooks call."""
+    """Add the method ``_repr_png_`` to the four classes."""
     Images._repr_png_ = images_png  # type: ignore[attr-defined]
     Fragments._repr_png_ = fragments_png  # type: ignore[attr-defined]
     Mesh._repr_png_ = UVMesh._repr_png_ = mesh_png  # type: ignore[attr-defined]
@@ -35,9 +35,10 @@ def show_in_notebooks() -> None:
 
 @torch.no_grad()
 def images_png(images: Images) -> bytes | None:
-    """The first images of a batch side by side: colours in the first row, then silhouettes, then depth (near is white).
+    """Draw the first images of a batch: a row of colours, a row of silhouettes, a row of depth (near is white).
 
-    Returns None, so that the notebook shows text, for a batch without images or of images without pixels.
+    Returns:
+        A PNG file, or None for a batch without pixels; the notebook then shows text.
     """
     rows = []
     if images.rgb is not None:
@@ -51,11 +52,11 @@ def images_png(images: Images) -> bytes | None:
 
 @torch.no_grad()
 def fragments_png(fragments: Fragments) -> bytes | None:
-    """Maps of the visible faces, one colour for each face and white where there is none; None without pixels."""
+    """Draw maps of the visible faces, a colour per face, on white. Returns None for a batch without pixels."""
     index = fragments.face_index[:_MOST_IMAGES]
     if not index.numel():
         return None
-    # Steps by the golden ratio give neighbouring numbers different hues.
+    # Multiples of the golden ratio give consecutive faces different hues.
     hue = torch.frac(index.double() * 0.6180339887)[:, None] * 6 + torch.tensor([0.0, 4.0, 2.0]).view(3, 1, 1).to(index)
     color = ((hue % 6 - 3).abs() - 1).clamp(0, 1) * 0.55 + 0.35
     color = torch.where(index[:, None] >= 0, color, 1.0).float()
@@ -63,7 +64,7 @@ def fragments_png(fragments: Fragments) -> bytes | None:
 
 
 def mesh_png(mesh: Mesh | UVMesh) -> bytes | None:
-    """A turntable of a mesh as an animated PNG; a still picture of a very fine mesh; None if it has no size."""
+    """Draw a turntable as an animated PNG, or one picture of a very fine mesh. Returns None for a mesh of no extent."""
     try:
         mesh = mesh.normalize()
     except ValueError:
@@ -73,7 +74,7 @@ def mesh_png(mesh: Mesh | UVMesh) -> bytes | None:
 
 
 def _nearness(depth: Tensor) -> Tensor:
-    """Depth [B, H, W] as grey: 1 for the nearest surface, about 0.2 for the farthest, 0 where there is none."""
+    """Convert depth [B, H, W] to grey: 1 for the nearest surface, about 0.2 for the farthest, 0 for background."""
     depth = depth.nan_to_num(posinf=0.0)
     covered = depth[depth < 0.9 * depth.amax()]
     if not covered.numel():  # one depth everywhere: a surface that fills the image, or none
@@ -85,7 +86,7 @@ def _nearness(depth: Tensor) -> Tensor:
 
 
 def _rows_side_by_side(rows: Sequence[Tensor]) -> Tensor:
-    """Rows of images [B, 3, H, W] as one picture [3, H', W'] of a size that is comfortable to look at."""
+    """Arrange rows of images [B, 3, H, W] in one picture [3, H', W'], enlarged or reduced to a comfortable size."""
     whole = torch.cat([torch.cat(list(row), dim=2) for row in rows], dim=1).float()[None]
     enlarged = max(min(-(-_LEAST_SIDE // rows[0].shape[2]), _MOST_WIDTH // whole.shape[3]), 1)
     if enlarged > 1:
@@ -97,7 +98,7 @@ def _rows_side_by_side(rows: Sequence[Tensor]) -> Tensor:
 
 
 def _png(frames: Sequence[Tensor]) -> bytes:
-    """Pictures [3, H, W] in [0, 1] as a PNG file, animated if there are several."""
+    """Encode pictures [3, H, W] in [0, 1] as a PNG file, animated if there are several."""
     pixels = [(frame.nan_to_num().clamp(0, 1) * 255).round().byte().permute(1, 2, 0).cpu().numpy() for frame in frames]
     first, *others = [Image.fromarray(array) for array in pixels]
     file = io.BytesIO()

@@ -24,8 +24,9 @@ FILES = (*MESH, "views.png", "loss.png", "turntable.mp4", "turntable.gif")
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("six_views", "preview", "turntable"):
-        monkeypatch.setattr(f"neural_renderer.commands.edit.{name}", partial(getattr(edit_pictures, name), size=48))
+    for name, module in {"preview": "edit", "six_views": "edit_report", "turntable": "edit_report"}.items():
+        small = partial(getattr(edit_pictures, name), size=48)
+        monkeypatch.setattr(f"neural_renderer.commands.{module}.{name}", small)
 
 
 @pytest.fixture
@@ -52,7 +53,7 @@ def style(files: dict[str, str], *options: str, **other: str) -> int:
 def test_style_writes_its_results(files: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     assert style(files, "--texture-rate", "0.5", "--preview", "2") == 0
     told = capsys.readouterr().out
-    assert "views that no step saw" in told and "results are in" in told
+    assert "on held-out views" in told and "results are in" in told
     out = Path(files["out"])
     for name in (*FILES, "preview.png", "checkpoint.pt"):
         assert (out / name).stat().st_size > 50, name
@@ -115,7 +116,7 @@ def test_presets(files: dict[str, str], command: str, capsys: pytest.CaptureFixt
         out = Path(files["out"]) / preset
         arguments = [command, *inputs, "-o", str(out), "--weights", files["weights"], "--preset", preset, *layer]
         assert cli.main([*arguments, "--iterations", "1", *SMALL, "--turntable", "0"]) == 0
-        warned = "its losses are made for VGG-16, of another scale than those of VGG-13" in capsys.readouterr().err
+        warned = "its loss weights suit the features of VGG-16, not those of VGG-13" in capsys.readouterr().err
         assert warned == (preset == "published" and command == "style")
         found[preset] = json.loads((out / "report.json").read_text())["settings"]
         assert not (out / "turntable.gif").exists()
@@ -138,7 +139,7 @@ def test_interrupted_and_resumed(
 
     monkeypatch.setattr(MeshEdit, "advance", interrupted)
     assert style(files) == 130
-    assert "interrupted after 2 steps (--resume goes on)" in capsys.readouterr().out
+    assert "interrupted after 2 steps (--resume continues)" in capsys.readouterr().out
     assert (Path(files["out"]) / "mesh.glb").is_file()
     monkeypatch.setattr(MeshEdit, "advance", advance)
     assert style(files, "--resume") == 0

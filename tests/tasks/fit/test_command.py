@@ -242,9 +242,9 @@ def test_images_outside_are_read_only_if_asked_for(folder: Path, key: str, absol
 def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, sentence in (
         ([str(tmp_path / "nothing")], "expected a folder of images or a camera file"),
-        ([str(folder), "--recover", "texture"], "--mesh: expected the mesh whose texture is looked for"),
+        ([str(folder), "--recover", "texture"], "--mesh: expected a mesh for --recover texture, got none"),
         ([str(folder), "--steps", "0"], "--steps: expected at least 1"),
-        ([str(folder), "--held-out", "9"], "--held-out: expected at most the 6 views"),
+        ([str(folder), "--held-out", "9"], "--held-out: expected at most 6, the number of views"),
         ([str(folder), "--color-from", "2", *SMALL], "--color-from: expected a fraction in [0, 1]"),
     ):
         assert cli.main(["fit", *arguments, "-o", str(tmp_path / "out")]) == 1

@@ -239,7 +239,7 @@ def test_camera_from_a_photo() -> None:
 
 
 def test_options_that_do_not_fit(views: Views) -> None:
-    with pytest.raises(ValueError, match="laplacian: expected a weight of at least 0"):
+    with pytest.raises(ValueError, match="laplacian: expected a finite weight of at least 0"):
         Weights(laplacian=-1)
     with pytest.raises(ValueError, match='start: expected "hull", "sphere" or a Mesh'):
         MeshFit(views, "cube")  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""What can be typed after each command of `neural-renderer`, without what it does: help needs no torch.
+"""Options of the subcommands, which `--help` shows. These modules do not import torch, so that help starts fast.
 
-The modules are named as those of `commands` that do the work, and ``RenderOptions`` are the options of ``Render``.
+The module `options.render` with the class `RenderOptions` belongs to the command `commands.render`, and so on.
 """

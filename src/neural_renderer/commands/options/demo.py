@@ -11,24 +11,24 @@ import tyro
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """Render a textured knot as a turntable, and sculpt a sphere into a duck from 24 silhouettes. No downloads.
+    """Render a turntable of a textured knot, and fit a sphere to 24 silhouettes of a duck. Needs no downloads.
 
     Example: neural-renderer demo -o out
     """
 
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out")
-    """Folder for the files; it is made if missing."""
+    """Folder for the results; it is made if missing."""
     frames: int = 48
-    """Pictures of the turntable, at least 1."""
+    """Pictures of the turntable (at least 1)."""
     size: int = 320
-    """Side of the pictures in pixels, at least 32."""
+    """Side of the pictures in pixels (at least 32)."""
     iterations: int = 300
-    """Steps of gradient descent for the shape, at least 1."""
+    """Steps of gradient descent for the shape (at least 1)."""
     views: int = 24
-    """Silhouettes that the sphere is fitted to, at least 1."""
+    """Silhouettes to fit (at least 1)."""
     view_size: int = 96
-    """Side of these silhouettes in pixels, at least 16."""
+    """Side of the silhouettes in pixels (at least 16)."""
     seed: int = 0
-    """Seed of the order in which the views are used."""
+    """Seed of the order of the views."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to compute; auto is CUDA where there is one."""
+    """Device to compute on; auto is CUDA if available."""

@@ -10,22 +10,22 @@ from .edit import EditOptions
 
 @dataclass(frozen=True, kw_only=True)
 class DreamOptions(EditOptions):
-    """Paint a mesh, and bend it, into what a network sees in it.
+    """Apply DeepDream to the texture and the shape of a mesh.
 
-    The images of the mesh, from all around, excite a layer of GoogLeNet more and more: torchvision's, which is fetched
-    once (50 MB), or the network of --weights.
+    Images of the mesh from all sides are optimised for large activations in a layer of GoogLeNet: torchvision's, which
+    is downloaded once (50 MB), or the network of --weights.
 
     Example: neural-renderer dream bunny.obj -o out
 
     Example: neural-renderer dream teapot.obj -o out --layer inception_4d --channel 3 --weights googlenet.safetensors
 
-    Preset paper: 1000 steps, rates 5e-5 and 0.01, elevations -10 to 30, distance 2.5, the mesh's colours.
-    Published: rates 1e-4 and 0.01, random colours, faces with texels of their own.
+    Preset paper: 1000 steps, learning rates 5e-5 and 0.01, elevations -10 to 30, distance 2.5, the mesh's colours.
+    Preset published: learning rates 1e-4 and 0.01, random colours, not seamless.
 
-    Ctrl-C ends it and writes what there is; --resume goes on.
+    Ctrl-C ends the run and writes the current result; --resume continues it.
     """
 
     layer: str = DREAM_LAYER
-    """Layer of the network that is excited."""
+    """Layer of the network whose activations are maximised."""
     channel: int | None = None
-    """Only this channel of the layer, from 0; all by default."""
+    """Channel of the layer, from 0; by default all."""

@@ -13,10 +13,10 @@ from ...tasks.settings import FitWeights
 
 @dataclass(frozen=True)
 class FitOptions:
-    """Recover a textured mesh from images with known cameras; or for a known mesh its texture, or an image's camera.
+    """Recover a textured mesh from images with cameras, the texture of a known mesh, or the camera of one image.
 
-    IMAGES is a folder with a transforms.json (NeRF), a cameras.json or a cameras.csv (file, azimuth, elevation,
-    distance), or that file itself. For --recover camera it is one image.
+    IMAGES is a folder with a camera file, or that file: transforms.json (NeRF), cameras.json or cameras.csv (file,
+    azimuth, elevation, distance). For --recover camera it is one image.
 
     Example: neural-renderer fit photos -o out
 
@@ -24,58 +24,58 @@ class FitOptions:
 
     Example: neural-renderer fit photo.png -o out --recover camera --mesh bunny.obj
 
-    Ctrl-C ends the fit and writes what there is; --resume goes on.
+    Ctrl-C ends the fit and writes the current result; --resume continues it.
     """
 
     images: tyro.conf.Positional[Path]
-    """Folder of the images, or the file of their cameras; one image for --recover camera."""
+    """Folder of the images, or their camera file; one image for --recover camera."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the results; it is made if missing."""
     recover: Literal["shape", "texture", "camera"] = "shape"
-    """What to find: the shape (and then its texture, if there are photos), the texture alone, or the camera."""
+    """What to recover: the shape, followed by the texture if there are photos; the texture only; or the camera."""
     mesh: Path | None = None
-    """Mesh to begin with, or whose texture or camera is looked for; in the world of the cameras."""
+    """Initial mesh, or the known mesh for --recover texture or camera, in the world of the cameras."""
     start: Literal["hull", "sphere"] = "hull"
-    """Without a mesh, begin with the visual hull of the silhouettes, holes and handles included, or with a sphere."""
+    """Initial shape without --mesh: the visual hull of the silhouettes, with its holes and handles, or a sphere."""
     cells: int = 64
-    """Cells along each side of the grid that the hull is carved from (at least 8): more for thin parts."""
+    """Grid cells along each axis for the visual hull (at least 8). Thin parts need more."""
     photos: bool = True
-    """Use the colours of the images; without them they are silhouettes."""
+    """Use the colours of the images. Without, images are silhouettes."""
     background: tuple[float, float, float] | None = None
-    """Red, green and blue (0 to 1) of what is behind the object, for images without transparency or masks."""
+    """Red, green and blue (0 to 1) of the background, for images without transparency or mask."""
     size: int = 256
-    """Images are scaled down to at most this many pixels on their longer side (at least 16)."""
+    """Longer side in pixels to which larger images are scaled down (at least 16)."""
     held_out: int = 0
-    """Keep every n-th view for the report instead of fitting it (0: none, else at least 2)."""
+    """Hold out every n-th view for the report (at least 2; 0: none)."""
     steps: int = 150
-    """Steps of descent for the shape or the camera (at least 1)."""
+    """Steps of gradient descent for the shape or the camera (at least 1)."""
     texture_steps: int = 20
     """Steps of conjugate gradients for the texture (at least 1)."""
     texture_size: int = 4
     """Texels along the edge of a face's texture (at least 3)."""
     batch: int = 6
-    """Views that each step looks at (at least 1)."""
+    """Views per step (at least 1)."""
     starts: int = 16
-    """Cameras to begin with, side by side, for --recover camera (at least 1)."""
+    """Number of initial cameras for --recover camera (at least 1)."""
     viewing_angle: float = 30.0
     """Half of the vertical field of view in degrees, for --recover camera (above 0, below 90)."""
     gradient: Literal["edge", "nmr"] = "edge"
-    """The renderer's gradient through visibility."""
+    """Gradient estimator of the renderer."""
     color_from: Annotated[float, tyro.conf.arg(aliases=["--colour-from"])] = 1.0
-    """The part of the steps (0 to 1) after which colours move the shape too: 0.3 finds some hollows that silhouettes do
-    not show, in twice the time."""
+    """Fraction of the steps (0 to 1) after which colours move the shape too. 0.3 recovers some hollows that silhouettes
+    do not show, in twice the time."""
     weights: FitWeights = field(default_factory=FitWeights)
-    """How much each loss counts."""
+    """Weights of the losses."""
     turntable: int = 36
     """Pictures of the turntable (0: none)."""
     seed: int = 0
-    """Seed of the order in which the views are used, and of the cameras to begin with."""
+    """Seed of the order of the views, and of the initial cameras."""
     allow_outside: bool = False
-    """Read images and materials outside the folder of the file that names them, too; for files that you trust."""
+    """Allow camera and mesh files to name images and materials outside of their folders. For trusted files only."""
     resume: bool = False
-    """Go on from the checkpoint in the output folder, if there is one. It must be of the same images and options, but
-    for the numbers of steps."""
+    """Resume from the checkpoint in the output folder, if there is one. Images and options must be the same, except for
+    numbers of steps."""
     force: bool = False
-    """Replace mesh.mtl and mesh_texture.png in the output folder even if something else wrote them."""
+    """Replace mesh.mtl and mesh_texture.png in the output folder even if another program wrote them."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to compute; auto is CUDA where there is one."""
+    """Device to compute on; auto is CUDA if available."""

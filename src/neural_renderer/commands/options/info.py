@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class InfoOptions:
-    """Show versions and devices, and check on each device that a small picture and its gradient come out right.
+    """Show versions and devices, and check a small image and its gradient on each device.
 
     Example: neural-renderer info
     """

@@ -36,7 +36,7 @@ class Deformation:
 
     @property
     def bend(self) -> Tensor:
-        """Mean over edges of |change of the edge vector|² / |initial edge vector|², scalar.
+        """Mean over edges of the squared change of the edge vector, relative to the squared initial length; scalar.
 
         It is 0 for a translation and large for new creases and spikes. Small faces count as much as large ones.
         """

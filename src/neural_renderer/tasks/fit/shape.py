@@ -14,7 +14,7 @@ from ..settings import FitWeights as Weights
 from .descent import SmoothDescent
 from .fit_views import Views, mask_iou, views_of_step
 
-_REGULARISERS = {"laplacian": 2, "edge_length": 1, "normal_consistency": 1, "smoothness": 1}
+_REGULARIZERS = {"laplacian": 2, "edge_length": 1, "normal_consistency": 1, "smoothness": 1}
 """Losses on the mesh alone → exponent of the number of vertices that makes their values independent of it.
 
 On V vertices edges are as long as V^(-1/2). Distances from the mean of neighbours, and so bends, are squares of that.
@@ -125,7 +125,7 @@ class ShapeFit:
         loss = weights.silhouette * losses.silhouette_iou_loss(images.alpha, views.masks)  # type: ignore[arg-type]
         if colors is not None:
             loss = loss + weights.photometric * losses.photometric(images.rgb, views.photos, views.masks)  # type: ignore[arg-type]
-        for name, exponent in _REGULARISERS.items():
+        for name, exponent in _REGULARIZERS.items():
             if getattr(weights, name):
                 scale = (len(vertices) / _TYPICAL_VERTICES) ** exponent
                 loss = loss + scale * getattr(weights, name) * getattr(losses, name)(vertices, self._topology)

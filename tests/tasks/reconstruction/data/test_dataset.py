@@ -212,6 +212,20 @@ def test_changed_models_are_rendered_again(models: Path, tmp_path: Path) -> None
     assert np.load(path)["images"].shape == (24, 4, 64, 64)
 
 
+def test_images_in_a_sibling_folder(models: Path, tmp_path: Path) -> None:
+    """As those of ShapeNetCore.v2; what is finished with them is not what is finished without."""
+    path = models / "ball" / "big.obj"
+    path.write_text("mtllib ../paint.mtl\nusemtl paint\n" + path.read_text())
+    (models / "paint.mtl").write_text("newmtl paint\nKd 0.1 0.9 0.1\n")
+    found = [Model("ball", "big", path)]
+    [(_, problem, _)] = make_objects(found, tmp_path, SMALL, 0)
+    assert problem is not None and "--allow-outside" in problem
+    [(_, problem, notes)] = make_objects(found, tmp_path, SMALL, 0, allow_outside=True)
+    assert problem is None and not notes
+    [(_, problem, _)] = make_objects(found, tmp_path, SMALL, 0)
+    assert problem is not None
+
+
 def test_changed_materials_and_their_warnings(models: Path, tmp_path: Path) -> None:
     path = models / "ball" / "big.obj"
     path.write_text("mtllib paint.mtl\nusemtl paint\n" + path.read_text())
@@ -238,7 +252,7 @@ def test_an_object_is_in_one_split(models: Path, tmp_path: Path, capsys: pytest.
     capsys.readouterr()
     assert command(models, out, "--set", "train") == 1
     told = capsys.readouterr().err
-    assert "expected a folder in which ball/big is in train, got one that has it in test" in told
+    assert "expected a folder in which ball/big is in train, got one with it in test" in told
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.npz")} == before
 
 
@@ -295,7 +309,7 @@ def test_interrupted(
     monkeypatch.setattr("neural_renderer.tasks.reconstruction.data.dataset.as_completed", press)
     assert command(models, out, "-j", "1") == 130
     told = capsys.readouterr()
-    assert "the same command goes on" in told.out and "Traceback" not in told.err
+    assert "the same command continues" in told.out and "Traceback" not in told.err
     made = {file.stem for file in out.glob("objects/*/*.npz")}
     assert {"big", "w0", "w1"} <= made and len(made) < 12 and not list(out.glob("*.npz"))
 
@@ -303,7 +317,7 @@ def test_interrupted(
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--set", "test", "--splits", "x.csv"], "--set: expected it alone or --splits alone"),
+        (["--set", "test", "--splits", "x.csv"], "--set: expected only one of --set and --splits, got both"),
         (["--splits", "nowhere.csv"], "nowhere.csv: expected a file, got nothing there"),
         (["--samples", "1"], "--samples: expected at least 4, got 1"),
         (["--views", "0"], "--views: expected at least 1, got 0"),

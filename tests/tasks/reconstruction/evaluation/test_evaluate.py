@@ -236,7 +236,7 @@ def test_interrupted_it_keeps_what_is_done(
             raise KeyboardInterrupt
         return Scores({name: {"x": {"voxel_iou": 0.5, "silhouette_iou": 0.5, "chamfer": 0.5}} for name in SHAPES})
 
-    monkeypatch.setattr("neural_renderer.commands.reconstruct.evaluate._measured", interrupted)
+    monkeypatch.setattr("neural_renderer.commands.reconstruct.evaluate._evaluate", interrupted)
     for name in ("mesh", "voxel"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "best.ckpt").touch()
@@ -264,7 +264,7 @@ def test_what_is_wrong_is_a_sentence(
             [checkpoint, str(data), "--features", "vgg16"],
             "--features: expected --baseline retrieval with it, got vgg16",
         ),
-        (["none", str(data)], "checkpoint: expected a network or --baseline retrieval, got none of them"),
+        (["none", str(data)], "checkpoint: expected a network or --baseline retrieval, got neither"),
     ):
         assert cli.main(["reconstruct", "evaluate", *arguments]) == 1
         told = capsys.readouterr().err
@@ -283,5 +283,5 @@ def test_voxels_of_other_axes_are_noticed(
         tmp_path / "pole_test_voxels.npz", np.load(data / "pole_test_voxels.npz")["arr_0"].transpose(0, 2, 1, 3).copy()
     )
     assert cli.main(["reconstruct", "evaluate", str(tmp_path / "mesh.ckpt"), str(tmp_path)]) == 0
-    told = capsys.readouterr().out
-    assert "pole: the outlines of voxels and images do not agree as in the published data; with the axes (" in told
+    told = capsys.readouterr().err
+    assert "pole: the silhouettes of voxels and images differ, unlike the published data; with the axes (" in told

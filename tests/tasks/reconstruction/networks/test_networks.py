@@ -124,7 +124,7 @@ def test_gradients_reach_every_weight(kind: str) -> None:
     drawn = network.silhouettes(shapes, torch.tensor([3, 11]))
     target = torch.zeros_like(drawn)
     target[:, 10:20, 8:14] = 1
-    (nr.losses.silhouette_iou_loss(drawn, target) + network.regulariser(shapes)).backward()
+    (nr.losses.silhouette_iou_loss(drawn, target) + network.regularizer(shapes)).backward()
     for name, value in network.named_parameters():
         assert value.grad is not None and torch.isfinite(value.grad).all() and value.grad.abs().max() > 0, name
 

@@ -6,6 +6,7 @@ import csv
 import errno
 import itertools
 import shutil
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,7 @@ from typing import Any
 import pytest
 import torch
 
-from neural_renderer.features import googlenet
+from neural_renderer.features import googlenet, load_features
 from neural_renderer.tasks.reconstruction.networks import configs
 from neural_renderer.tasks.reconstruction.networks.checkpoint import load_model, read_checkpoint, save_model
 from neural_renderer.tasks.reconstruction.networks.configs import Config
@@ -175,6 +176,34 @@ def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:
         load_model(path)
 
 
+@pytest.mark.parametrize("lie", [{"width": 1 << 28}, {"hidden": [1 << 30, 1 << 30]}, {"hidden": [4096] * 1000}])
+def test_a_header_of_a_larger_network_takes_no_memory(tmp_path: Path, lie: dict[str, Any]) -> None:
+    path = tmp_path / "x.ckpt"
+    save_model(path, make_network("mesh", SMALL), ["box"])
+    content = torch.load(path, weights_only=True)
+    content["reconstruction"]["config"] |= lie
+    torch.save(content, path)
+    with pytest.raises(
+        ValueError, match=r"x\.ckpt: expected the weights that its header .*at least \d+ numbers, got \d+"
+    ):
+        load_model(path)
+
+
+def test_a_checkpoint_that_unpacks_to_more_than_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "x.ckpt"
+    torch.save({"state_dict": {"zeros": torch.zeros(1 << 20)}}, path)
+    with zipfile.ZipFile(path) as source:
+        members = {info.filename: source.read(info) for info in source.infolist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, content in members.items():
+            packed.writestr(name, content)
+    assert path.stat().st_size < 1 << 16
+    with pytest.raises(ValueError, match=r"x\.ckpt: expected a checkpoint, got a file that is broken"):
+        load_model(path)
+    with pytest.raises(ValueError, match=r"x\.ckpt: .*it is compressed"):
+        load_features(path)
+
+
 def test_code_in_a_checkpoint_is_not_run(tmp_path: Path) -> None:
     class Trap:
         def __reduce__(self) -> Any:
@@ -198,7 +227,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
         write_split(data, split, 1)
     assert main([*command, "--steps", "2", "--classes", "box"]) == 0
     assert "2 steps in" in capsys.readouterr().out and load_model(out / "best.ckpt").kind == "mesh"
-    assert main(command) == 1 and "--resume goes on from there" in capsys.readouterr().err
+    assert main(command) == 1 and "--resume continues it" in capsys.readouterr().err
     assert main([*command, "--resume", "--model", "voxel"]) == 1
     assert "expected a checkpoint with model voxel, got mesh" in " ".join(capsys.readouterr().err.split())
     assert main([*command, "--steps", "3", "--classes", "box", "--resume"]) == 0
@@ -207,7 +236,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
     for option, value, sentence in (
         ("--classes", "ball", "expected a checkpoint with classes ['ball'], got ['box']"),
         ("--seed", "1", "expected a checkpoint with seed 1, got 0"),
-        ("--steps", "2", "--steps: expected at least the 3 that are taken, got 2"),
+        ("--steps", "2", "--steps: expected at least the 3 steps already taken, got 2"),
     ):
         assert main([*command, "--classes", "box", "--resume", option, value]) == 1
         assert sentence in " ".join(capsys.readouterr().err.split())
@@ -221,7 +250,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
     assert "best.ckpt: expected a folder without a network" in " ".join(capsys.readouterr().err.split())
     (out / "last.ckpt").write_bytes((out / "best.ckpt").read_bytes())
     assert main([*command, "--classes", "box", "--resume"]) == 1
-    assert "expected the state of a training, got a network alone" in " ".join(capsys.readouterr().err.split())
+    assert "expected the state of a training, got a network only" in " ".join(capsys.readouterr().err.split())
     assert main([*command[:3], str(tmp_path / "shared"), "--devices", "3"]) == 1  # of 4 objects
     told = " ".join(capsys.readouterr().err.split())
     assert "--devices: expected a divisor of the batch of 4 objects, got 3" in told
@@ -244,14 +273,14 @@ def test_command_with_features(
     command = ["reconstruct", "train", str(data), str(out), "--device", "cpu", "--steps", "1"]
     assert main([*command, "--features", str(data / "none.pth")]) == 1 and "none.pth" in capsys.readouterr().err
     assert main([*command, "--features", str(weights)]) == 0
-    assert "ball, box: no pictures of the split val" in " ".join(capsys.readouterr().err.split())
+    assert "ball, box: no images of the split val" in " ".join(capsys.readouterr().err.split())
     assert torch.equal(*(load_model(out / f"{name}.ckpt").sphere for name in ("best", "last")))
     torch.save(torchvision_vgg(16), tmp_path / "vgg.pth")
     torch.save({name: value * 2 for name, value in torchvision_googlenet().items()}, tmp_path / "other.pth")
     for other in ("vgg", "other"):
         assert main([*command, "--resume", "--features", str(tmp_path / f"{other}.pth")]) == 1
         told = " ".join(capsys.readouterr().err.split())
-        assert "last.ckpt: expected a checkpoint with the features of" in told and "got other ones" in told
+        assert "last.ckpt: expected a checkpoint with the features of" in told and "got other features" in told
     assert main([*command, "--resume", "--features", str(weights)]) == 0
     weights.unlink()
     assert load_model(out / "last.ckpt").config.encoder == "features"

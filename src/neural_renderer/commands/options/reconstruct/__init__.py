@@ -1,1 +1,1 @@
-"""What can be typed after each command of `neural-renderer reconstruct`."""
+"""Options of the subcommands of `neural-renderer reconstruct`."""

@@ -11,12 +11,11 @@ import tyro
 
 @dataclass(frozen=True)
 class EvaluateOptions:
-    """Measure trained networks by class: voxel IoU at 32³ as in the paper's Table 1, silhouette IoU, chamfer distance.
+    """Evaluate networks by class: voxel IoU at 32³ as in the paper's Table 1, silhouette IoU, chamfer distance.
 
-    Every object of a split is predicted from each of its 24 views. CHECKPOINT is what train has written, of a mesh or
-    of a voxel network; "none" measures the baseline alone. Written to the output folder: scores.json, table.md, and
-    sheet.png with an input, each method's prediction from three views, and the true voxels. Ctrl-C keeps the
-    methods that are done.
+    Each object of a split is predicted from each of its 24 views. CHECKPOINT is a file written by train, of a mesh or
+    a voxel network; "none" evaluates the baseline only. Results are scores.json, table.md, and sheet.png with inputs,
+    predictions from three views, and the true voxels. Ctrl-C keeps the methods that are finished.
 
     Example: neural-renderer reconstruct evaluate trained/best.ckpt data
 
@@ -25,25 +24,26 @@ class EvaluateOptions:
     """
 
     checkpoint: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CHECKPOINT")]
-    """The trained network, or "none"."""
+    """Checkpoint of the network, or "none"."""
     data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
-    """Folder that dataset has written, or the published one."""
+    """Folder of the data set, written by dataset or published."""
     set: Literal["train", "val", "test"] = "test"
-    """The split to measure on."""
+    """Split to evaluate on."""
     also: tuple[Path, ...] = ()
-    """Further networks, for rows of their own in the same table."""
+    """Checkpoints of further networks for the same table."""
     baseline: Literal["retrieval"] | None = None
-    """Measure too how well the voxels of the most alike training image do."""
+    """Evaluate also the voxels of the most similar training image."""
     features: str | None = None
-    """The network that says what is alike to the baseline: vgg16 (its layer fc6, as in the paper) or googlenet (the
-    default), which are fetched once, or a file of weights of either."""
+    """Feature network of the baseline: vgg16 (layer fc6, as in the paper) or googlenet (the default), which are
+    downloaded once, or a file of weights of either."""
     refine: int | None = None
-    """Steps by which a predicted mesh is fitted to the silhouette that went in, in place of the recipe's (0: none)."""
+    """Steps of test-time refinement, which fits a predicted mesh to the silhouette of its image (0: none); by default
+    the configuration's."""
     classes: tuple[str, ...] = ()
-    """Measure these classes only (default: all there are)."""
+    """Classes to evaluate; by default all."""
     threshold: float = 0.5
-    """The probability (above 0, below 1) from which on a voxel network's voxels are solid."""
+    """Probability (above 0, below 1) above which voxels of a voxel network are filled."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder for the results; by default "evaluation", with the split's name, beside the checkpoint."""
+    """Folder for the results; by default "evaluation_" and the name of the split, beside the checkpoint."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to compute; auto is CUDA where there is one."""
+    """Device to compute on; auto is CUDA if available."""

@@ -13,11 +13,11 @@ from ....tasks.settings import ConfigName, ModelName
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """Train a network that turns one picture of an object into its shape, from pictures of objects alone.
+    """Train a network for single-image reconstruction from images only.
 
-    DATA is a folder that `neural-renderer reconstruct dataset` has written, or the published one. What is learned from
-    is the split "train"; what is measured on, "val". OUT gets last.ckpt (after every round of steps; --resume goes on
-    from it), best.ckpt (the best on "val"), log.csv, pictures of predictions, and records for TensorBoard.
+    DATA is a folder written by `neural-renderer reconstruct dataset`, or the published data set. The split "train" is
+    used for training and "val" for validation. OUT gets last.ckpt (from which --resume continues), best.ckpt (the best
+    network on "val"), log.csv, pictures of predictions, and logs for TensorBoard.
 
     Example: neural-renderer reconstruct train data out --config small
 
@@ -26,46 +26,46 @@ class TrainOptions:
     Example: torchrun --nnodes 2 --nproc-per-node 4 --rdzv-endpoint HOST:29500 -m neural_renderer.cli reconstruct train
     data out --nodes 2 --devices 4
 
-    Ctrl-C ends the training after the step it is at and keeps all of it.
+    Ctrl-C ends the training after the current step and keeps it.
     """
 
     data: tyro.conf.Positional[Path]
-    """Folder of the data."""
+    """Folder of the data set."""
     out: tyro.conf.Positional[Path]
     """Folder for the results; it is made if missing."""
     model: ModelName = "mesh"
     """Deform a sphere (the paper's method), or predict voxels (the baseline of Yan et al. 2016)."""
     config: ConfigName = "best"
-    """The recipe: the paper's (a million steps: days), the best known one, or "small", that one with fewer steps
-    (a quarter of an hour of one core)."""
+    """Configuration: the paper's (a million steps, which take days); the best one known for a short training; or small,
+    the same with fewer steps (15 minutes on one core)."""
     classes: tuple[str, ...] = ()
-    """Learn these classes only (default: all there are)."""
+    """Classes to train on; by default all."""
     steps: int | None = None
-    """Steps of the training, in place of the recipe's (at least 1)."""
+    """Number of steps (at least 1); by default the configuration's."""
     minutes: float | None = None
-    """End after this time at the latest, and let the learning rate's schedule fit into it."""
+    """Time limit. The schedule of the learning rate is fitted into it."""
     features: str | None = None
-    """A network for recognition to look at the pictures with, in place of the recipe's encoder: googlenet, which is
-    fetched once, or a file of weights. With few objects to learn from it knows far more than they can teach."""
+    """Use a frozen recognition network in place of the configuration's encoder: googlenet, which is downloaded once, or
+    a file of weights. This helps most if there are few training objects."""
     smoothness: float | None = None
-    """Weight of the smoothness loss, in place of the recipe's."""
+    """Weight of the smoothness loss; by default the configuration's."""
     laplacian: float | None = None
-    """Weight of the Laplacian loss, likewise."""
+    """Weight of the Laplacian loss; by default the configuration's."""
     blur: float | None = None
-    """How far neighbouring vertices move alike (0: each for itself), likewise."""
+    """Strength of the smoothing of vertex displacements (0: none); by default the configuration's."""
     every: int = 250
-    """Steps between two measurements, checkpoints and pictures (at least 1)."""
+    """Steps between two validations, checkpoints and pictures (at least 1)."""
     seed: int = 0
-    """Seed of the network's first weights and of the order of the pictures."""
+    """Seed of the initial weights and of the batches."""
     resume: bool = False
-    """Go on from last.ckpt in OUT, if it is there."""
+    """Resume from last.ckpt in OUT, if there is one."""
     devices: int = 1
-    """Processes on this machine, each with a GPU where there are GPUs; they share the batch."""
+    """Processes on this machine, each with a GPU if there are GPUs. All processes share each batch."""
     nodes: int = 1
-    """Machines, started by torchrun or SLURM."""
+    """Number of machines, started by torchrun or SLURM."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to compute; auto is CUDA where there is one."""
+    """Device to compute on; auto is CUDA if available."""
     precision: Literal["auto", "32", "bf16"] = "auto"
-    """Of the networks; auto is bfloat16 if the recipe says so and the hardware is made for it."""
+    """Precision of the networks. auto is bfloat16 if the configuration allows it and the hardware is fast at it."""
     workers: int = 0
-    """Processes that read pictures ahead: some on disks that are slow."""
+    """Processes that load images ahead. Slow disks need some."""

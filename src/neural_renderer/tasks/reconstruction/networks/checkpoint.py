@@ -109,7 +109,7 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
 
 
 def _check_size(kind: str, config: Config, features: Plan, weights: dict[str, Tensor]) -> None:
-    """ValueError for a header of a larger network than the weights are of, before memory is taken for it."""
+    """Raise ValueError if a header describes a larger network than the file holds, before memory is allocated."""
     widths = (FEATURES, *config.hidden) if kind == "mesh" else ()
     needed = config.width**2 + sum(math.prod(pair) for pair in pairwise(widths))
     needed += sum(math.prod(shape) for shape in features.values())

@@ -88,7 +88,7 @@ class MeshNetwork(nn.Module):
         reflected = vertices[:, self.partners] * vertices.new_tensor([1.0, 1.0, -1.0])
         return (vertices + reflected) / 2
 
-    def regulariser(self, shapes: Tensor) -> Tensor:
+    def regularizer(self, shapes: Tensor) -> Tensor:
         """Compute the weighted regularisation losses of vertices [B, 642, 3]."""
         loss = shapes.new_zeros(())
         if self.config.smoothness:

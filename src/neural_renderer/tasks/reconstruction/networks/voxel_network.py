@@ -48,7 +48,7 @@ class VoxelNetwork(nn.Module):
         samples = F.grid_sample(shapes[:, None], self._rays[views], align_corners=True)
         return samples.amax(2).squeeze(1)
 
-    def regulariser(self, shapes: Tensor) -> Tensor:
+    def regularizer(self, shapes: Tensor) -> Tensor:
         """Return 0: there is no regularisation."""
         return shapes.new_zeros(())
 

@@ -149,7 +149,7 @@ class Training(lightning.LightningModule):
             paired, paired_views, target = pair_with_views(shapes, alpha, views)
             silhouettes = self.network.silhouettes(paired, paired_views)
             error = silhouette_iou_loss(silhouettes, downsample_like(silhouettes, target))
-            loss = error + self.network.regulariser(shapes)
+            loss = error + self.network.regularizer(shapes)
         self.latest = {"loss": loss.detach(), "iou": 1 - error.detach()}  # type: ignore[dict-item]
         return loss
 

@@ -1,0 +1,104 @@
+"""Result files and reports of `neural-renderer fit`."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from torch import Tensor
+
+from ..io import save_image
+from ..io.atomic_write import write_file
+from ..pictures.curve import curve
+from ..tasks.fit import CameraFit, MeshFit, Views
+from ..tasks.fit.fit_pictures import comparison, turntable
+from ..version import __version__
+from .common import say, say_finished
+from .options.fit import FitOptions
+from .task_runner import TaskRunner
+
+RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png", "turntable.gif", "report.json")
+"""Files that a fit writes."""
+
+
+def write_mesh(options: FitOptions, fit: MeshFit, views: Views) -> None:
+    """Write a fitted mesh and pictures of it.
+
+    Args:
+        options: The options of the command.
+        fit: The fit.
+        views: The fitted views, in the world of the mesh.
+    """
+    folder, mesh = options.output, fit.mesh()
+    mesh.save(folder / "mesh.obj", overwrite=options.force)
+    mesh.save(folder / "mesh.glb")
+    save_image(folder / "comparison.png", comparison(fit.views, fit.shape))
+    if options.turntable:
+        turntable(folder / "turntable.gif", views, mesh, options.turntable)
+
+
+def report_mesh(options: FitOptions, runner: TaskRunner, fit: MeshFit, held_out: Views | None, finished: bool) -> None:
+    """Measure a fitted mesh on fitted and held-out views; write ``report.json`` and print a summary."""
+    vertices, faces, *_ = fit.shape
+    results: dict[str, Any] = {"views": len(fit.views), "vertices": len(vertices), "faces": len(faces)}
+    for name, views in (("fitted", fit.views), ("held_out", held_out and fit.normalize(held_out))):
+        if views is not None:
+            results[name] = {
+                measure: {"mean": round(values.mean().item(), 4), "least": round(values.min().item(), 4)}
+                for measure, values in views.quality(fit.shape).items()
+            }
+    _report(options, runner, results, finished)
+
+
+def report_camera(
+    options: FitOptions,
+    runner: TaskRunner,
+    fit: CameraFit,
+    views: Views,
+    shape: tuple[Tensor, ...],
+    finished: bool,
+) -> None:
+    """Write a picture and the report of a fitted camera, and print a summary.
+
+    Args:
+        options: The options of the command.
+        runner: The runner of the fit.
+        fit: The fit.
+        views: The image with the fitted camera.
+        shape: The known mesh.
+        finished: Whether all steps were taken.
+    """
+    save_image(options.output / "comparison.png", comparison(views, shape))
+    eye, forward = views.eyes()
+    results = {
+        "camera": {
+            "eye": eye[0].tolist(),
+            "direction": forward[0].tolist(),
+            "up": views.camera.rotation[0, 1].tolist(),
+            "viewing_angle": options.viewing_angle,
+        },
+        "fitted": {"iou": {"mean": round(views.quality(shape[:2])["iou"].item(), 4)}},
+        "starts": [round(value, 4) for value in fit.losses().tolist()],
+    }
+    _report(options, runner, results, finished)
+
+
+def _report(options: FitOptions, runner: TaskRunner, results: dict[str, Any], finished: bool) -> None:
+    """Write ``report.json`` and the curve of the losses, and print a summary."""
+    report = {
+        "version": __version__,
+        "recover": options.recover,
+        "gradient": options.gradient,
+        "finished": finished,
+        "seconds": round(runner.seconds, 1),
+        **results,
+        "history": runner.history,
+    }
+    write_file(options.output / "report.json", json.dumps(report, indent=1) + "\n")
+    if runner.history:
+        save_image(options.output / "loss.png", curve(runner.history, "loss", "iou"))
+    for name in ("fitted", "held_out"):
+        if name in results:
+            numbers = ", ".join(f"{measure} {value['mean']:.4f}" for measure, value in results[name].items())
+            say(f"{name.replace('_', '-')} views: [bold]{numbers}[/bold]", markup=True)
+    say_finished(runner.seconds, options.output, None if finished else len(runner.history))
