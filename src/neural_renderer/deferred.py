@@ -31,12 +31,14 @@ class Fragments:
         triangles: [F, 3] or [B, F, 3], the faces' vertices.
         face_index: [B, H, W] int32, the face that is seen; -1 for none. Row 0 is at the top.
         settings: how it was drawn.
+        rings: as `Settings.rings` gives them.
     """
 
     corners: Tensor
     triangles: Tensor
     face_index: Tensor
     settings: Settings
+    rings: Tensor | None = None
 
     @property
     def weights(self) -> Tensor:
@@ -56,7 +58,7 @@ class Fragments:
             points = barycentrics(
                 self.corners, self.face_index, self.settings.near, self.settings.far, self.settings.perspective
             )
-            if torch.is_grad_enabled() or not self.corners.requires_grad:
+            if torch.is_grad_enabled() or not (self.corners.requires_grad or torch.is_inference_mode_enabled()):
                 self.__dict__["_kept"] = points
         return points
 
@@ -113,7 +115,7 @@ class Fragments:
         image = composite(colors.float(), behind, self.face_index)
         validate.finite("colors", image)
         seams = validate.flag("seams", seams)
-        image = self.settings.through_visibility(image, self.corners, self.face_index, seams, triangles=self.triangles)
+        image = self.settings.through_visibility(image, self.corners, self.face_index, seams, rings=self.rings)
         return halve(image) if self.settings.anti_aliasing else image.contiguous()
 
 
@@ -157,4 +159,4 @@ def seen_on(screen: Tensor, faces: Tensor, settings: Settings) -> Fragments:
     faces = checked_faces(faces)
     corners = settings.corners(vertices_to_faces(screen, faces), 8)
     face_index = settings.face_index(corners)
-    return Fragments(corners, faces, face_index, settings)
+    return Fragments(corners, faces, face_index, settings, settings.rings(corners, faces))

@@ -136,7 +136,7 @@ def _sampled(
         settings,
         outputs,
         lambda: image_marks(mesh.uv, mesh.image_index, factors),
-        mesh.faces,
+        seen.rings,
     )
 
 

@@ -125,9 +125,10 @@ def rasterize_images(
         inside = corners if gradient == "edge" else corners.detach()  # the derivative inside of faces, too
         layers["rgb"] = sample_textures(cubes, factors, behind, inside, face_index, settings.eps, perspective)
     marks = (lambda: texture_marks(cubes, factors)) if "rgb" in outputs else None
+    rings = None
     if triangles is not None:
-        _check_triangles(triangles, batch, count)
-    return finish_images(layers, depth, corners, face_index, settings, outputs, marks, triangles)
+        rings = settings.rings(corners, _checked_triangles(triangles, faces))
+    return finish_images(layers, depth, corners, face_index, settings, outputs, marks, rings)
 
 
 def finish_images(
@@ -138,13 +139,13 @@ def finish_images(
     settings: Settings,
     outputs: Collection[str],
     marks: Callable[[], Tensor] | None = None,
-    triangles: Tensor | None = None,
+    rings: Tensor | None = None,
 ) -> Images:
     """Images of the ``outputs`` from what is drawn: through visibility, and averaged if they are anti-aliased.
 
     layers: "rgb", [B, 3, H, W] with the background, if it is among the outputs. depth: [B, H, W], likewise. corners,
-        face_index: [B, F, 3, 3] and [B, H, W], which faces were drawn and which of them is seen. marks, triangles:
-        see `Settings.through_visibility`.
+        face_index: [B, F, 3, 3] and [B, H, W], which faces were drawn and which of them is seen. marks, rings: see
+        `Settings.through_visibility`.
     """
     whole = settings.gradient == "edge"
     if "alpha" in outputs:
@@ -155,7 +156,7 @@ def finish_images(
     if layers:
         image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
         colored = "rgb" in outputs
-        image = settings.through_visibility(image, corners, face_index, colored, not colored, marks, triangles)
+        image = settings.through_visibility(image, corners, face_index, colored, not colored, marks, rings)
         if settings.anti_aliasing:
             image = halve(image)
         # Views where there is one layer: the gradient of a slice is a larger tensor, filled and copied. Copies where
@@ -193,14 +194,17 @@ def checked_outputs(outputs: Collection[str]) -> Collection[str]:
     return names
 
 
-def _check_triangles(triangles: Any, batch: int, count: int) -> None:
-    checked_faces(triangles)
-    shape = triangles.shape if triangles.dim() == 3 else (1, *triangles.shape)
-    if shape[0] not in (1, batch) or shape[1] != count:
+def _checked_triangles(triangles: Any, faces: Tensor) -> Tensor:
+    batch, count = faces.shape[:2]
+    shape = ("F", 3) if getattr(triangles, "ndim", 3) == 2 else ("B", "F", 3)
+    triangles = validate.indices("triangles", triangles, shape)
+    if triangles.shape[-2] != count or (triangles.dim() == 3 and len(triangles) not in (1, batch)):
         raise ValueError(
             f"triangles: expected [{count}, 3] or [{batch} or 1, {count}, 3] like faces, "
             f"got {validate.shape_of(triangles)}"
         )
+    validate.same_device(faces=faces, triangles=triangles)
+    return triangles
 
 
 def _checked_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:

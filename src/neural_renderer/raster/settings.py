@@ -78,6 +78,11 @@ class Settings:
         height, width = self.height * self.scale, self.width * self.scale
         return coverage(corners.detach(), height, width, self.near, self.far, self.two_sided, self.perspective)
 
+    def rings(self, corners: Tensor, triangles: Tensor) -> Tensor | None:
+        """The `edge_rings` of ``triangles``, which the corners were gathered by; None if no gradient will need them."""
+        needed = self.gradient == "edge" and corners.requires_grad and torch.is_grad_enabled()
+        return edge_rings(triangles) if needed else None
+
     def through_visibility(
         self,
         image: Tensor,
@@ -86,18 +91,16 @@ class Settings:
         seams: bool = False,
         binary: bool = False,
         marks: Callable[[], Tensor] | None = None,
-        triangles: Tensor | None = None,
+        rings: Tensor | None = None,
     ) -> Tensor:
         """The image [B, C, H, W] unchanged, with the gradient to the corners of `nmr_edges` or `boundaries`.
 
-        marks: gives those of `boundaries`, if they are needed. triangles: [F, 3] or [B or 1, F, 3], the indices of the
-            vertices that the corners were gathered from, if there are any.
+        marks: gives those of `boundaries`, if they are needed. rings: as `rings` gives them.
         """
         if not (corners.requires_grad and torch.is_grad_enabled()):
             return image
         if self.gradient == "edge":
             own = marks() if marks and seams else None
-            rings = None if triangles is None else edge_rings(triangles if triangles.dim() == 3 else triangles[None])
             return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams, own, rings)
         if not self.perspective:  # depth has no part in it: a corner behind an orthographic camera is like any other
             corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)

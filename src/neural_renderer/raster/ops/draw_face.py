@@ -77,7 +77,9 @@ _EIGHT = """
             ints depth, shown;
             memcpy(&depth, nearest.data + row + at, sizeof(depth));
             memcpy(&shown, face_index.data + row + at, sizeof(shown));
-            const ints bits = inside ? (ints)z : (shown & 0) + 0x7fffffff;
+            // Only pixels of the row's span: far from a thin face rounding alone decides on which side of it they lie.
+            const ints spanned = (column >= first - at) & (column <= last - at);
+            const ints bits = (inside & spanned) ? (ints)z : (shown & 0) + 0x7fffffff;
             const ints wins = (bits < depth) | ((bits == depth) & (shown > index));
             depth = __builtin_elementwise_min(bits, depth);
             shown = wins ? (shown & 0) + index : shown;
@@ -126,6 +128,7 @@ def draw_into_keys(
     typedef float floats __attribute__((ext_vector_type(8)));
     typedef int ints __attribute__((ext_vector_type(8)));
     const floats ahead = {{0.0f, 2.0f, 4.0f, 6.0f, 8.0f, 10.0f, 12.0f, 14.0f}};
+    const ints column = {{0, 1, 2, 3, 4, 5, 6, 7}};
     {_loop(_EIGHT, "floats", 8)}
 #endif
 """)

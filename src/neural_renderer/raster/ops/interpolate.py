@@ -186,8 +186,9 @@ _EIGHT = """
                 w[k] = share < 0.0f ? none : share > 1.0f ? none + 1.0f : share;
             }
             const floats whole = w[0] + w[1] + w[2];
-            if (__builtin_reduce_or(here & (whole == 0.0f))) {
-                plain = false;  // the pixels of this face one by one
+            // Then the pixels of this face one by one. (0 / 0 beside the face counts, too: times 0 it is not 0.)
+            if (__builtin_reduce_or(whole == 0.0f)) {
+                plain = false;
                 break;
             }
             const floats part = 1.0f / whole;

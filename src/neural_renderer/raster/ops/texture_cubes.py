@@ -67,7 +67,7 @@ def sample_textures_backward(
     lanes = face_lanes(faces, height * width)
     # A face's only task clears its cubes itself, which spares the memory one pass.
     to_textures = torch.empty(textures.shape, dtype=torch.float32, device=faces.device)
-    if lanes > 1:
+    if lanes > 1 or batch == 0:
         to_textures.zero_()
     to_light = zeros((batch, *light.shape[1:]), faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)

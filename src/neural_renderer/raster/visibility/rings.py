@@ -25,7 +25,7 @@ _lock = threading.Lock()
 
 
 def edge_rings(faces: Tensor) -> Tensor:
-    """The rings of the edges that ``faces`` [1 or B, F, 3] (int32 or int64) share, [1 or B, F + 1, 3] int32.
+    """The rings of the edges that ``faces`` [F, 3] or [1 or B, F, 3] of integers share, [1 or B, F + 1, 3] int32.
 
     Edge k of face f, from corner k to the next, is number 3 f + k. Its entry is the next edge with the same two
     vertices, around in a ring; itself where no other face has it. The last row holds how many those are, three times.
@@ -43,7 +43,8 @@ def _edge_rings(faces: Tensor) -> Tensor:
 
 @torch.library.register_fake("neural_renderer::_edge_rings")
 def _(faces):  # type: ignore[no-untyped-def]
-    return faces.new_empty((faces.shape[0], faces.shape[1] + 1, 3), dtype=torch.int32)
+    batch, count = (1, *faces.shape)[-3:-1]
+    return faces.new_empty((batch, count + 1, 3), dtype=torch.int32)
 
 
 def _known_rings(faces: Tensor) -> Tensor:
@@ -52,12 +53,15 @@ def _known_rings(faces: Tensor) -> Tensor:
     on_cpu = faces.device.type == "cpu"
     version = -1 if faces.is_inference() else faces._version
     for one in reversed(kept):
-        if one.rings.device != faces.device or one.rings.shape[1] != faces.shape[1] + 1:
+        if one.rings.device != faces.device:
             continue
-        same = torch.equal(one.faces, faces) if on_cpu else one.source() is faces and one.version == version >= 0
+        if on_cpu:
+            same = one.faces.shape == faces.shape and one.faces.dtype == faces.dtype and torch.equal(one.faces, faces)
+        else:
+            same = one.source() is faces and one.version == version >= 0
         if same:
             return one.rings
-    rings = _find_rings(faces)
+    rings = _find_rings(faces if faces.dim() == 3 else faces[None])
     copy = faces.clone() if on_cpu else faces[:0]
     with _lock:
         _kept.append(_Kept(copy, weakref.ref(faces), version, rings))

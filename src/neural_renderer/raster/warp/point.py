@@ -29,7 +29,9 @@ struct Face {{
         const vec3 w((v1[0] - x) * (v2[1] - y) - (v1[1] - y) * (v2[0] - x),
                      (v2[0] - x) * (v0[1] - y) - (v2[1] - y) * (v0[0] - x),
                      (v0[0] - x) * (v1[1] - y) - (v0[1] - y) * (v1[0] - x));
-        return w[0] + w[1] + w[2] == 0.0f ? vec3(1.0f, 1.0f, 1.0f) : w;
+        const float whole = w[0] + w[1] + w[2], third = 1.0f / 3.0f;
+        // Divided at once: products of them with 1 / z could be too large or too small for a float.
+        return whole == 0.0f ? vec3(third, third, third) : vec3(w[0] / whole, w[1] / whole, w[2] / whole);
     }}
 
     // The matrix takes a pixel (column, row from the bottom, 1) to its weights; 0 where the edge functions must do.

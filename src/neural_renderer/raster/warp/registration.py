@@ -74,7 +74,10 @@ def differentiable_once(function: Callable[..., Any]) -> Any:
 
 
 def is_plain(inputs: tuple[Any, ...]) -> bool:
-    """Whether the tensors are torch's own, with memory, and nothing traces or transforms what is done with them."""
+    """Whether the tensors are torch's own, with memory, and nothing traces or transforms what is done with them.
+
+    The memory has to hold the numbers themselves, which that of a lazily negated view does not.
+    """
     if (
         torch.compiler.is_compiling()
         or torch._C._len_torch_dispatch_stack()
@@ -82,7 +85,7 @@ def is_plain(inputs: tuple[Any, ...]) -> bool:
     ):
         return False
     return all(
-        value.device.type != "meta" and type(value) in (Tensor, nn.Parameter)
+        value.device.type != "meta" and type(value) in (Tensor, nn.Parameter) and not value.is_neg()
         for value in inputs
         if isinstance(value, Tensor)
     )
