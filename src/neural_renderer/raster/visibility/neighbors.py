@@ -27,7 +27,7 @@ def neighbors(
     with a face that would, has the same two corners, to the last bit, and lies on the edge's other side; with
     the one of lowest index if there are several. No topology is asked for, so it works for any faces: the edges are
     found through a hash table for each image. With rings, the table is only for edges that stand alone in them, and
-    faces that are neither seen nor beside one that is get -1.
+    faces that are neither seen nor beside one that is get -1 for their other edges.
     """
     batch, count = faces.shape[:2]
     result = torch.empty((batch, count, 3), dtype=torch.int32, device=faces.device)
@@ -97,7 +97,11 @@ _WALK = """
     int* to = result.data + (b * count + f) * 3;
     to[0] = to[1] = to[2] = -1;
     int near = visible[f];
-    for (int k = 0; k < 3; ++k) near |= visible[next[3 * f + k] / 3];
+    for (int k = 0; k < 3; ++k) {
+        int entry = next[3 * f + k];
+        near |= entry == 3 * f + k;  // whose neighbour is not known yet
+        for (int n = 0; n < MOST && !near && entry != 3 * f + k; ++n, entry = next[entry]) near = visible[entry / 3];
+    }
     const auto* v = corners + 3 * (wp::int64)f;
     if (!near || !Drawn::is(v, two_sided, perspective)) return;
     for (int k = 0; k < 3; ++k) {
