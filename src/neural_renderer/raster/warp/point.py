@@ -21,11 +21,16 @@ struct Face {{
 
     static CUDA_CALLABLE float centre(int i, int size) {{ return (float)(2 * i + 1 - size) / (float)size; }}
     static CUDA_CALLABLE float larger(float a, float b) {{ return a > b ? a : b; }}
-    // Rare, and kept out of the loops, whose registers they would take.
-    static CUDA_CALLABLE __attribute__((noinline)) wp::vec_t<3, double> homogeneous(
+    // Rare, and on the CPU kept out of the loops, whose registers they would take.
+    #if defined(__CUDA_ARCH__)
+    #define RARE CUDA_CALLABLE
+    #else
+    #define RARE __attribute__((noinline))
+    #endif
+    static RARE wp::vec_t<3, double> homogeneous(
         vec3 v0, vec3 v1, vec3 v2, float x, float y) {{ {HOMOGENEOUS} }}
     // The weights by the edge functions of `coverage`: where it drew the face, they have one sign and are not all 0.
-    static CUDA_CALLABLE __attribute__((noinline)) vec3 by_edges(vec3 v0, vec3 v1, vec3 v2, float x, float y) {{
+    static RARE vec3 by_edges(vec3 v0, vec3 v1, vec3 v2, float x, float y) {{
         const vec3 w((v1[0] - x) * (v2[1] - y) - (v1[1] - y) * (v2[0] - x),
                      (v2[0] - x) * (v0[1] - y) - (v2[1] - y) * (v0[0] - x),
                      (v0[0] - x) * (v1[1] - y) - (v0[1] - y) * (v1[0] - x));
