@@ -63,28 +63,70 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(composite, _to_inputs, _save)
 
 
+# The usual three channels are spelled out in one pass, so that compilers make vector instructions of it.
 _ROW = """
     const int channels = image.shape[1], height = image.shape[2], width = image.shape[3];
     const wp::int64 area = (wp::int64)height * width, first = (wp::int64)row * width;
     const int b = row / height, j = row % height;
-    const int* shown = face_index.data + first;
-    for (int c = 0; c < channels; ++c) {
-        float* plane = image.data + (b * (wp::int64)channels + c) * area + (wp::int64)j * width;
-        auto* color = colors.data + first * channels + c;
-        DO
+    const int* __restrict__ shown = face_index.data + first;
+    float* __restrict__ plane = image.data + b * channels * area + (wp::int64)j * width;
+    auto* __restrict__ color = colors.data + first * channels;
+    if (channels == 3) {
+        float *__restrict__ red = plane, *__restrict__ green = plane + area, *__restrict__ blue = plane + 2 * area;
+        THREE
+        return;
+    }
+    for (int c = 0; c < channels; ++c, plane += area) {
+        EACH
     }
 """
-_FORWARD = """
-        const float* behind = background.data
-            + ((wp::int64)b * background.strides[0] + c * (wp::int64)background.strides[1]
-            + j * (wp::int64)background.strides[2]) / (wp::int64)sizeof(float);
-        const wp::int64 step = background.strides[3] / (int)sizeof(float);
-        for (int i = 0; i < width; ++i) plane[i] = shown[i] < 0 ? behind[i * step] : color[(wp::int64)i * channels];
-"""
-_BACKWARD = "for (int i = 0; i < width; ++i) color[(wp::int64)i * channels] = shown[i] < 0 ? 0.0f : plane[i];"
+# The background's strides are bytes, and 0 along the axes that it is expanded over.
+_FORWARD = {
+    "THREE": """
+        const char *behind = (const char*)background.data + b * (wp::int64)background.strides[0]
+            + j * (wp::int64)background.strides[2];
+        const wp::int64 next = background.strides[1], step = background.strides[3];
+        const auto at = [&](int c, int i) { return *(const float*)(behind + c * next + i * step); };
+        if (step == 0) {
+            const float r = at(0, 0), g = at(1, 0), b = at(2, 0);
+            for (int i = 0; i < width; ++i) {
+                red[i] = shown[i] < 0 ? r : color[3 * i];
+                green[i] = shown[i] < 0 ? g : color[3 * i + 1];
+                blue[i] = shown[i] < 0 ? b : color[3 * i + 2];
+            }
+        } else {
+            for (int i = 0; i < width; ++i) {
+                red[i] = shown[i] < 0 ? at(0, i) : color[3 * i];
+                green[i] = shown[i] < 0 ? at(1, i) : color[3 * i + 1];
+                blue[i] = shown[i] < 0 ? at(2, i) : color[3 * i + 2];
+            }
+        }
+    """,
+    "EACH": """
+        const char* behind = (const char*)background.data + b * (wp::int64)background.strides[0]
+            + c * (wp::int64)background.strides[1] + j * (wp::int64)background.strides[2];
+        for (int i = 0; i < width; ++i)
+            plane[i] = shown[i] < 0 ? *(const float*)(behind + i * (wp::int64)background.strides[3])
+                                    : color[(wp::int64)i * channels + c];
+    """,
+}
+_BACKWARD = {
+    "THREE": """
+        for (int i = 0; i < width; ++i) {
+            color[3 * i] = shown[i] < 0 ? 0.0f : red[i];
+            color[3 * i + 1] = shown[i] < 0 ? 0.0f : green[i];
+            color[3 * i + 2] = shown[i] < 0 ? 0.0f : blue[i];
+        }
+    """,
+    "EACH": "for (int i = 0; i < width; ++i) color[(wp::int64)i * channels + c] = shown[i] < 0 ? 0.0f : plane[i];",
+}
 
 
-@wp.func_native(_ROW.replace("DO", _FORWARD))
+def _row(parts: dict[str, str]) -> str:
+    return _ROW.replace("THREE", parts["THREE"]).replace("EACH", parts["EACH"])
+
+
+@wp.func_native(_row(_FORWARD))
 def compose_row(
     colors: wp.array4d(dtype=float),
     background: wp.array4d(dtype=float),
@@ -96,7 +138,7 @@ def compose_row(
     ...
 
 
-@wp.func_native(_ROW.replace("DO", _BACKWARD))
+@wp.func_native(_row(_BACKWARD))
 def part_row(
     image: wp.array4d(dtype=float), face_index: wp.array3d(dtype=int), colors: wp.array4d(dtype=float), row: int
 ):
