@@ -96,7 +96,10 @@ _ROWS = over_rows(
             weights_at.data[pixel] = weights;
             depth.data[pixel] = z < near ? near : z > far ? far : z;  // where it was drawn, but for rounding
     """,
-    "weights_at.data[pixel] = wp::vec_t<3, float>(0.0f), depth.data[pixel] = far;",
+    """
+                for (int n = 0; n < empty; ++n) depth.data[pixel + n] = far;
+                memset(weights_at.data + pixel, 0, empty * sizeof(wp::vec_t<3, float>));
+    """,
 )
 
 

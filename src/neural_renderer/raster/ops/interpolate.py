@@ -95,7 +95,7 @@ _MIX = """
 @wp.func_native(
     over_rows(
         _MIX,
-        "for (int c = 0; c < channels; ++c) result.data[pixel * channels + c] = 0.0f;",
+        "memset(result.data + pixel * channels, 0, (wp::int64)empty * channels * sizeof(float));",
         "const int channels = attributes.shape[3];",
     )
 )

@@ -197,8 +197,11 @@ _EMPTY = """
                 const int* step = background.strides;
                 const char* behind = (const char*)background.data + b * (wp::int64)step[0]
                     + (row % height) * (wp::int64)step[2] + i * (wp::int64)step[3];
-                for (int c = 0; c < 3; ++c)
-                    color.data[pixel + (2 * b + c) * area] = *(const float*)(behind + c * (wp::int64)step[1]);
+                for (int c = 0; c < 3; ++c, behind += step[1]) {
+                    float* to = color.data + pixel + (2 * b + c) * area;
+                    if (step[3] == 0) for (int n = 0; n < empty; ++n) to[n] = *(const float*)behind;
+                    else for (int n = 0; n < empty; ++n) to[n] = *(const float*)(behind + n * (wp::int64)step[3]);
+                }
 """
 
 

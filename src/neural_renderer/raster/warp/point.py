@@ -143,7 +143,7 @@ _ROWS = """
     #if defined(__CUDA_ARCH__)
     enum { KEPT = 1 };
     #else
-    enum { KEPT = 64 };  // the rows before show the same faces
+    enum { KEPT = 128 };  // the rows before show the same faces
     #endif
     const int height = face_index.shape[1], width = face_index.shape[2];
     const wp::int64 count = faces.shape[1];
@@ -153,11 +153,21 @@ _ROWS = """
     BEGIN
     for (int row = first; row < last; ++row) {
         const int b = row / height, j = height - 1 - row % height;
+        const int* shown = face_index.data + (wp::int64)row * width;
         for (int i = 0; i < width; ++i) {
             const wp::int64 pixel = (wp::int64)row * width + i;
-            const int f = face_index.data[pixel];
-            if (f < 0) {
+            const int f = shown[i];
+            if (f < 0) {  // as most pixels of most images: so many at once
+                int empty = 1;
+                #if !defined(__CUDA_ARCH__)
+                for (int four[4]; i + empty + 4 <= width; empty += 4) {
+                    memcpy(four, shown + i + empty, sizeof(four));
+                    if ((four[0] & four[1] & four[2] & four[3]) >= 0) break;
+                }
+                #endif
+                while (i + empty < width && shown[i + empty] < 0) ++empty;
                 EMPTY
+                i += empty - 1;
                 continue;
             }
             const wp::int64 own = b * count + f;
@@ -181,8 +191,8 @@ def over_rows(shown: str, empty: str, begin: str = "", fresh: str = "") -> str:
     """A native function's body for the rows [first, last) of all images.
 
     shown: statements for a pixel that shows a face, with row, pixel, i, b, f, own (f among the faces of all images),
-        face, weights and z. empty: for other pixels. begin: before the loop. fresh: for a face that was not among the
-        KEPT ones, with its ``slot``.
+        face, weights and z. empty: for as many others in a row as the variable ``empty`` says, from i and pixel on.
+        begin: before the loop. fresh: for a face that was not among the KEPT ones, with its ``slot``.
     """
     body = FACE + _ROWS
     for name, part in {"BEGIN": begin, "EMPTY": empty, "FRESH": fresh, "SHOWN": shown}.items():
