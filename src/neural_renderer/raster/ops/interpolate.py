@@ -1,8 +1,6 @@
 """Anything given at the corners of faces, at every pixel."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
-import re
-
 import torch
 import warp as wp
 from torch import Tensor
@@ -164,6 +162,7 @@ _EIGHT = """
     typedef float floats __attribute__((ext_vector_type(8)));
     typedef int ints __attribute__((ext_vector_type(8)));
     const ints ahead = {0, 1, 2, 3, 4, 5, 6, 7};
+    const auto sum = [](floats v) { return v[0] + v[1] + v[2] + v[3] + (v[4] + v[5] + v[6] + v[7]); };
     const floats none = 0.0f;
     const int most = 8;
     bool plain = face.front && face.known && width >= 8 && channels <= most;
@@ -226,14 +225,13 @@ _EIGHT = """
     }
     if (plain) {
         for (int c = 0; c < channels; ++c)
-            for (int k = 0; k < 3; ++k) to[k * channels + c] += SUM(sums[3 * c + k]);
-        for (int k = 0; k < 9; ++k) face.to[k] = SUM(corner[k]);
+            for (int k = 0; k < 3; ++k) to[k * channels + c] += sum(sums[3 * c + k]);
+        for (int k = 0; k < 9; ++k) face.to[k] = sum(corner[k]);
         if (faces_too) face.give(to_faces.data + (b * count + f) * 3, true);
         return;
     }
     #endif
 """
-_EIGHT = re.sub(r"SUM\(([^;]*)\);", r"\1[0] + \1[1] + \1[2] + \1[3] + (\1[4] + \1[5] + \1[6] + \1[7]);", _EIGHT)
 
 
 @wp.func_native(_UNMIX.replace("EIGHT", _EIGHT))

@@ -3,6 +3,8 @@
 ``FACE`` declares a struct inside of a native function. ``set`` takes the corners of a face; ``at`` gives depth and
 weights at a pixel; ``gather``, ``pull`` and ``give`` send the gradients of weights and depths to the corners.
 `over_rows` makes a loop over pixels of it.
+
+It is C++ because the code that Warp generates from the same formulas in Python takes about twice as long on the CPU.
 """
 
 from .geometry import HOMOGENEOUS, NARROWEST
