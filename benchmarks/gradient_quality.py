@@ -22,7 +22,8 @@ from rich.table import Table
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer.raster.rasterize import rasterize_images, world_corners
+from neural_renderer.raster.faces import world_corners
+from neural_renderer.raster.rasterize import rasterize_images
 
 SIDES = (4, 16, 64)
 # What the loss asks of the triangle, as a weight on the area at (x, y): sides from its centre, x towards a corner.

@@ -1,11 +1,10 @@
-"""Shading of one's own: what each pixel shows, anything interpolated there, and the image made of the result."""
+"""Deferred shading: per-pixel face, weights and depth for torch code of any kind, then images with all gradients."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from . import validate
@@ -13,69 +12,53 @@ from .camera import Camera
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
-from .raster.ops.barycentrics import barycentrics
+from .raster.background import background_image
+from .raster.faces import checked_faces, vertices_to_faces
 from .raster.ops.composite import composite
 from .raster.ops.corners import gather_corners
-from .raster.ops.downsample import halve
 from .raster.ops.interpolate import interpolate
-from .raster.rasterize import behind_image, checked_faces, vertices_to_faces
 from .raster.settings import Settings
+from .raster.visible import VisibleFaces
 
 
 @dataclass(frozen=True, eq=False)
-class Fragments:
-    """What is seen at each pixel of B images of H x W; twice the size asked for if they are anti-aliased.
+class Fragments(VisibleFaces):
+    """The visible face of each pixel of B images, for shading of your own.
+
+    Under anti-aliasing, H and W are twice the size asked for; `composite` averages to that size.
 
     Attributes:
-        corners: [B, F, 3, 3] float32, the faces' corners on the screen.
-        triangles: [F, 3] or [B, F, 3], the faces' vertices.
-        face_index: [B, H, W] int32, the face that is seen; -1 for none. Row 0 is at the top.
-        settings: how it was drawn.
-        rings: as `Settings.rings` gives them.
+        corners: Screen-space corners of the faces, [B, F, 3, 3] float32.
+        face_index: Visible face of each pixel, [B, H, W] int32; -1 for none. Row 0 is at the top.
+        settings: How the faces were drawn.
+        rings: Neighbours of the faces, for the gradient.
+        triangles: Vertex indices of the faces, [F, 3] or [B, F, 3].
+
+    Example:
+        >>> seen = nr.fragments(mesh, camera, 64)
+        >>> height = seen.interpolate(mesh.vertices)[..., 1:2]
+        >>> seen.composite(height, background=0.0).shape
+        torch.Size([1, 1, 64, 64])
     """
 
-    corners: Tensor
     triangles: Tensor
-    face_index: Tensor
-    settings: Settings
-    rings: Tensor | None = None
-
-    @property
-    def weights(self) -> Tensor:
-        """[B, H, W, 3], the shares of the face's corners in the point that is seen, perspective-correct, of sum 1."""
-        return self._points[0]
-
-    @property
-    def depth(self) -> Tensor:
-        """[B, H, W], along the viewing axis in world units, ``far`` where no face is seen."""
-        return self._points[1]
-
-    @property
-    def _points(self) -> tuple[Tensor, Tensor]:
-        # Made when they are first asked for, and kept, but not without a gradient for those who ask for it later.
-        points = self.__dict__.get("_kept")
-        if points is None:
-            points = barycentrics(
-                self.corners, self.face_index, self.settings.near, self.settings.far, self.settings.perspective
-            )
-            if torch.is_grad_enabled() or not (self.corners.requires_grad or torch.is_inference_mode_enabled()):
-                self.__dict__["_kept"] = points
-        return points
-
-    @property
-    def mask(self) -> Tensor:
-        """[B, H, W] bool: whether a face is seen."""
-        return self.face_index >= 0
 
     def interpolate(self, attributes: Tensor, triangles: Tensor | None = None) -> Tensor:
-        """Attributes at every pixel, [B, H, W, C] float32, 0 where no face is seen.
-
-        attributes: [V, C] or [B, V, C] floating, one for each vertex, any number of channels.
-        triangles: [F, 3] or [B, F, 3] integer, which attributes belong to a face's corners, where they have an order of
-            their own, as texture coordinates have; None: the mesh's own faces.
+        """Interpolate attributes of vertices at every pixel, perspective-correct.
 
         Gradients reach the attributes and, through the weights, vertices and camera (``gradient="edge"``).
-        Raises TypeError or ValueError for other types, shapes, devices or indices.
+
+        Args:
+            attributes: [V, C] or [B, V, C] floating, any number of channels.
+            triangles: Per-face indices into ``attributes``, [F, 3] or [B, F, 3] integer, if they are indexed separately
+                from vertices (e.g. texture coordinates). Default: the faces of the mesh.
+
+        Returns:
+            [B, H, W, C] float32; 0 where no face is visible.
+
+        Raises:
+            TypeError: A tensor of another dtype.
+            ValueError: Another shape, device or index, NaN or infinite attributes.
         """
         shape = ("V", "C") if getattr(attributes, "ndim", 3) == 2 else ("B", "V", "C")
         validate.floating("attributes", attributes, shape)
@@ -96,27 +79,31 @@ class Fragments:
         return interpolate(own, self.corners, self.face_index, self.settings.perspective)
 
     def composite(self, colors: Tensor, background: Any = 0.0, *, seams: bool = False) -> Tensor:
-        """The images [B, C, height, width] float32 of colours, with the gradient through visibility.
+        """Put colors before a background and add the gradient through visibility.
 
-        colors: [B, H, W, C] floating, of each pixel that shows a face; what others hold does not matter.
-        background: a number; a colour [C] or [B, C]; or an image [C, height, width] or [B, C, height, width]. It gets
-            gradients.
-        seams: colours may jump where two faces of the surface meet, as with texture charts that do not match or light
-            by the face: then ``"edge"`` looks for their motion there too. Without, which is quicker and less noisy,
-            colours have to be continuous over the surface, or its gradient is wrong at the jumps.
+        Args:
+            colors: Colors of the pixels, [B, H, W, C] floating. Those of pixels without a face are ignored.
+            background: Number, color [C] or [B, C], or image [C, height, width] or [B, C, height, width]. It gets
+                gradients.
+            seams: Whether colors may jump where two faces of the surface meet, as with texture charts that do not
+                match, or light per face. Then ``"edge"`` differentiates the motion of those jumps too. False is faster
+                and less noisy, but the gradient is wrong at jumps.
 
-        Raises TypeError or ValueError for other types, shapes or devices.
+        Returns:
+            Images [B, C, height, width] float32 of the size that `fragments` was asked for.
+
+        Raises:
+            TypeError: A tensor of another dtype.
+            ValueError: Another shape or device, NaN or infinite colors.
         """
         batch, rows, columns = self.face_index.shape
         validate.floating("colors", colors, (batch, rows, columns, "C"))
         validate.same_device(colors=colors, faces=self.corners)
         channels = colors.shape[3]
-        behind = behind_image(background, batch, channels, self.settings, colors.device)
+        behind = background_image(background, batch, channels, self.settings, colors.device)
         image = composite(colors.float(), behind, self.face_index)
         validate.finite("colors", image)
-        seams = validate.flag("seams", seams)
-        image = self.settings.through_visibility(image, self.corners, self.face_index, seams, rings=self.rings)
-        return halve(image) if self.settings.anti_aliasing else image.contiguous()
+        return self.image(image, seams=validate.flag("seams", seams)).contiguous()
 
 
 def fragments(
@@ -131,19 +118,25 @@ def fragments(
     gradient: str = "edge",
     eps: float = 1e-3,
 ) -> Fragments:
-    """What every camera of a batch sees of a mesh, to be shaded by any torch code.
+    """Find what every camera of a batch sees of a mesh.
 
-    mesh: a `Mesh`, a `UVMesh`, or (vertices, faces) with vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or
-        [B, F, 3] integer.
-    camera, size, near, far, anti_aliasing, two_sided, gradient, eps: as in `render`.
+    Args:
+        mesh: `Mesh`, `UVMesh`, or (vertices, faces) with vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or
+            [B, F, 3] integer.
+        camera, size, near, far, anti_aliasing, two_sided, gradient, eps: As in `render`.
 
-    Raises TypeError or ValueError with a sentence for anything that does not fit.
+    Returns:
+        Fragments. Their H and W are twice ``size`` under anti-aliasing.
 
-    >>> mesh = Mesh.icosphere()
-    >>> seen = fragments(mesh, Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30), 64)
-    >>> normals = torch.nn.functional.normalize(seen.interpolate(mesh.vertices), dim=-1)
-    >>> seen.composite(normals.clamp(min=0), background=1.0).shape
-    torch.Size([1, 3, 64, 64])
+    Raises:
+        TypeError: An argument of another type.
+        ValueError: An argument of another shape, device or range.
+
+    Example:
+        >>> seen = nr.fragments(mesh, camera, 64)
+        >>> normals = torch.nn.functional.normalize(seen.interpolate(mesh.vertices), dim=-1)
+        >>> seen.composite(normals.clamp(min=0), background=1.0).shape
+        torch.Size([1, 3, 64, 64])
     """
     vertices, faces, _ = mesh_parts(mesh)
     if not isinstance(camera, Camera):
@@ -151,12 +144,11 @@ def fragments(
     settings = Settings.checked(
         size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
     )
-    return seen_on(camera(vertices, aspect=settings.width / settings.height), faces, settings)
+    return visible_fragments(camera(vertices, aspect=settings.width / settings.height), faces, settings, 8)
 
 
-def seen_on(screen: Tensor, faces: Tensor, settings: Settings) -> Fragments:
-    """`fragments` of vertices [B, V, 3] that are on the screen already."""
+def visible_fragments(screen: Tensor, faces: Tensor, settings: Settings, channels: int) -> Fragments:
+    """Find the visible faces of vertices [B, V, 3] in screen space, for images of at most so many channels."""
     faces = checked_faces(faces)
-    corners = settings.corners(vertices_to_faces(screen, faces), 8)
-    face_index = settings.face_index(corners)
-    return Fragments(corners, faces, face_index, settings, settings.rings(corners, faces))
+    corners = settings.corners(vertices_to_faces(screen, faces), channels)
+    return Fragments(corners, settings.face_index(corners), settings, settings.rings(corners, faces), faces)

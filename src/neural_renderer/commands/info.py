@@ -89,15 +89,15 @@ def _check_sphere(device: torch.device) -> list[str]:
     faces = vertices_to_faces(screen, index.to(device)).requires_grad_()
     images = rasterize_images(faces, 24, outputs="alpha", anti_aliasing=False, gradient="nmr", eps=1e-3)
     weight = torch.linspace(-1, 1, 24, device=device).expand(1, 24, 24)
-    (found,) = torch.autograd.grad((images.alpha * weight).sum(), faces)  # type: ignore[operator]
+    (found,) = torch.autograd.grad((images.alpha * weight).sum(), faces)
 
     corners = faces.detach().cpu()
     faces_seen = coverage_reference(corners, 24, 24, 0.1, 100.0, False, True)
     alpha = (faces_seen >= 0).float()
     expected = nmr_edges_reference(weight.cpu()[:, None], alpha[:, None], corners, faces_seen, 1e-3, False).float()
     problems = []
-    if _differs(images.alpha, alpha, 0):  # type: ignore[arg-type]
-        problems.append(_difference("sphere", images.alpha, alpha, 0))  # type: ignore[arg-type]
+    if _differs(images.alpha, alpha, 0):
+        problems.append(_difference("sphere", images.alpha, alpha, 0))
     if _differs(found, expected, 1e-3):
         problems.append(_difference("sphere's gradient", found, expected, 1e-3))
     return problems
@@ -112,7 +112,7 @@ def _check_gradient(device: torch.device) -> list[str]:
         images = rasterize_images(
             faces, 64, outputs="alpha", anti_aliasing=False, two_sided=True, perspective=False, gradient="nmr"
         )
-        loss = (images.alpha[0, row, column] - target).abs()  # type: ignore[index]
+        loss = (images.alpha[0, row, column] - target).abs()
         (found,) = torch.autograd.grad(loss, screen)
         expected = torch.tensor(gradient)
         if _differs(found, expected, 1e-2):

@@ -120,7 +120,7 @@ def draw(options: RenderOptions, mesh: Mesh | UVMesh, azimuth: float) -> Tensor:
     if options.mode in ("silhouettes", "depth"):
         shape = mesh.vertices, mesh.faces
         images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far)
-        alpha, depth = images.alpha[0], images.depth[0]  # type: ignore[index]
+        alpha, depth = images.alpha[0], images.depth[0]
         return alpha if options.mode == "silhouettes" else _grey_depth(depth, alpha, far)
     color = options.background if isinstance(options.background, tuple) else _COLORS[options.background or "white"]
     if options.mode == "normals":
@@ -128,7 +128,7 @@ def draw(options: RenderOptions, mesh: Mesh | UVMesh, azimuth: float) -> Tensor:
     else:
         light = Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera, _LAMP)) if options.light else None
         images = render(mesh, camera, size, light=light, background=color, outputs=("rgb", "alpha"), near=near, far=far)
-        rgb, alpha = images.rgb[0], images.alpha[0]  # type: ignore[index]
+        rgb, alpha = images.rgb[0], images.alpha[0]
     if options.background != "transparent":
         return rgb
     # Colours over black are multiplied by alpha at the outline; PNG stores them without.

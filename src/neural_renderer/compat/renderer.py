@@ -14,7 +14,9 @@ from ..camera import look, look_at, projection
 from ..camera.lens import in_perspective
 from ..camera.lens import viewing_angle as checked_angle
 from ..camera.parameters import as_tensor, common_device, scalar
-from ..raster.rasterize import Images, checked_faces, rasterize_images, vertices_to_faces, world_corners
+from ..raster.faces import checked_faces, vertices_to_faces, world_corners
+from ..raster.images import Images
+from ..raster.rasterize import rasterize_images
 from ..raster.settings import image_size
 from ..shading.lights import Light
 from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR
@@ -180,28 +182,28 @@ class Renderer(nn.Module):
         """(rgb [B, 3, H, W], depth [B, H, W], alpha [B, H, W]) of vertices [B, V, 3], faces [B, F, 3] or [F, 3] and
         textures [B, F, T, T, T, 3]; K, R, t, dist_coeffs, orig_size replace the attributes for this call."""
         images = self._draw(("rgb", "alpha", "depth"), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size))
-        return images.rgb, images.depth, images.alpha  # type: ignore[return-value]
+        return images.rgb, images.depth, images.alpha
 
     def render_rgb(
         self, vertices: Tensor, faces: Tensor, textures: Tensor | None, K: Any = None, R: Any = None, t: Any = None,
         dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
     ) -> Tensor:  # fmt: skip
         """Colour [B, 3, H, W]; arguments as in `render`."""
-        return self._draw(("rgb",), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size)).rgb  # type: ignore[return-value]
+        return self._draw(("rgb",), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size)).rgb
 
     def render_silhouettes(
         self, vertices: Tensor, faces: Tensor, K: Any = None, R: Any = None, t: Any = None,
         dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
     ) -> Tensor:  # fmt: skip
         """Silhouettes [B, H, W]; arguments as in `render`."""
-        return self._draw(("alpha",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).alpha  # type: ignore[return-value]
+        return self._draw(("alpha",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).alpha
 
     def render_depth(
         self, vertices: Tensor, faces: Tensor, K: Any = None, R: Any = None, t: Any = None,
         dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
     ) -> Tensor:  # fmt: skip
         """Depth [B, H, W]; arguments as in `render`."""
-        return self._draw(("depth",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).depth  # type: ignore[return-value]
+        return self._draw(("depth",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).depth
 
     def _draw(
         self,

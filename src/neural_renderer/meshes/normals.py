@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from .. import validate
-from ..raster.rasterize import checked_faces, vertices_to_faces
+from ..raster.faces import checked_faces, vertices_to_faces
 
 _LARGE = 1e4  # coordinates up to which normals are computed as they are
 

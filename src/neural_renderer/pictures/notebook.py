@@ -41,12 +41,13 @@ def images_png(images: Images) -> bytes | None:
         A PNG file, or None for a batch without pixels; the notebook then shows text.
     """
     rows = []
-    if images.rgb is not None:
-        rows.append(images.rgb[:_MOST_IMAGES])
-    if images.alpha is not None:
-        rows.append(images.alpha[:_MOST_IMAGES, None].expand(-1, 3, -1, -1))
-    if images.depth is not None:
-        rows.append(_nearness(images.depth[:_MOST_IMAGES])[:, None].expand(-1, 3, -1, -1))
+    rgb, alpha, depth = images
+    if rgb is not None:
+        rows.append(rgb[:_MOST_IMAGES])
+    if alpha is not None:
+        rows.append(alpha[:_MOST_IMAGES, None].expand(-1, 3, -1, -1))
+    if depth is not None:
+        rows.append(_nearness(depth[:_MOST_IMAGES])[:, None].expand(-1, 3, -1, -1))
     return _png([_rows_side_by_side(rows)]) if rows and rows[0].numel() else None
 
 

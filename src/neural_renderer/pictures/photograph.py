@@ -61,7 +61,7 @@ def photograph(
     seen = fragments((mesh.vertices, mesh.faces), camera, size)
     normal = seen.composite(seen.interpolate(vertex_normals(mesh.vertices, mesh.faces)))[0]
     normal = F.normalize(normal, dim=0)  # anti-aliasing shortens normals towards the outline
-    rgb, alpha = images.rgb[0], images.alpha[0]  # type: ignore[index]
+    rgb, alpha = images.rgb[0], images.alpha[0]
 
     ground = lowest_point(mesh) if floor is None else floor
     backdrop = _backdrop(size).to(rgb) * (1 - _SHADOW * _shadow(mesh, camera, lamp, ground, size))
@@ -99,7 +99,7 @@ def _shadow(mesh: Mesh | UVMesh, camera: Camera, lamp: Tensor, ground: float, si
     """
     steep = F.normalize(lamp * lamp.new_tensor([1.0, _SHADOW_STEEPNESS, 1.0]), dim=0)
     flat = mesh.vertices - (mesh.vertices[:, 1:2] - ground) / steep[1] * steep
-    shadow = render((flat, mesh.faces), camera, size, outputs="alpha").alpha[None]  # type: ignore[index]
+    shadow = render((flat, mesh.faces), camera, size, outputs="alpha").alpha[None]
     radius = max(int(size[0] * _SHADOW_BLUR), 1)
     for _ in range(3):  # three box blurs are close to a Gaussian
         shadow = F.avg_pool2d(F.pad(shadow, [radius] * 4, mode="replicate"), 2 * radius + 1, stride=1)

@@ -1,6 +1,8 @@
 """The rasteriser: faces in screen space in, images out, with gradients. It knows nothing of cameras, files or tasks."""
 
-from .rasterize import Images, rasterize_images, vertices_to_faces
+from .faces import vertices_to_faces
+from .images import Images
+from .rasterize import rasterize_images
 from .settings import GRADIENTS
 
 __all__ = ["GRADIENTS", "Images", "rasterize_images", "vertices_to_faces"]

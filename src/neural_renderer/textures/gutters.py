@@ -75,7 +75,7 @@ def _shown(uv: Tensor, height: int, width: int, repeat: bool) -> Tensor:
     corners = functional.pad(2 * torch.cat([uv - uv.new_tensor(shift) for shift in shifts]) - 1, (0, 1), value=1.0)
     drawn = {"two_sided": True, "perspective": False, "anti_aliasing": False, "near": 0.5, "far": 2.0}
     alpha = rasterize_images(corners[None], (height, width), outputs=("alpha",), **drawn).alpha  # type: ignore[arg-type]
-    shown = alpha[0] > 0  # type: ignore[index]
+    shown = alpha[0] > 0
 
     size = uv.new_tensor((width, height))
     places = torch.stack((uv[..., 0], 1 - uv[..., 1]), 2) * size - 0.5  # integers at the centres of texels

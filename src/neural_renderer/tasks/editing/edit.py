@@ -196,14 +196,14 @@ class MeshEdit:
         images = self._draw(mesh, camera, light, background)
         drawn = clock()
         rgb, alpha = images.rgb, images.alpha
-        pixels = rgb.detach().requires_grad_()  # type: ignore[union-attr]
+        pixels = rgb.detach().requires_grad_()
         deformation = Deformation(self._vertices, self._start, self._topology)
-        parts = self._objective.losses(pixels, alpha.detach(), deformation)  # type: ignore[union-attr]
+        parts = self._objective.losses(pixels, alpha.detach(), deformation)
         loss = torch.stack(list(parts.values())).sum()
         self._optimizer.zero_grad()
         loss.backward()
         judged = clock()
-        rgb.backward(pixels.grad)  # type: ignore[union-attr]
+        rgb.backward(pixels.grad)
         returned = clock()
         self._descend()
         if self._colors.grad is not None:
@@ -222,7 +222,7 @@ class MeshEdit:
             images = self._draw(self._mesh_to_draw(), camera, light, background)
             found = [
                 self._objective.measure(rgb, alpha)
-                for rgb, alpha in zip(images.rgb.split(self._batch), images.alpha.split(self._batch), strict=True)  # type: ignore[union-attr]
+                for rgb, alpha in zip(images.rgb.split(self._batch), images.alpha.split(self._batch), strict=True)
             ]
         return torch.cat(found).mean().item()
 

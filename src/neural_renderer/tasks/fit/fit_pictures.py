@@ -36,7 +36,7 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
     some = views[sorted({round(i * (len(views) - 1) / max(columns - 1, 1)) for i in range(columns)})]
     photos = some.photos is not None and len(shape) == 3
     images = some.draw(with_texture(shape), ("rgb", "alpha"))
-    rgb, alpha = images.rgb.clamp(0, 1), images.alpha[:, None]  # type: ignore[union-attr, index]
+    rgb, alpha = images.rgb.clamp(0, 1), images.alpha[:, None]
     mask = some.masks[:, None]
     target = some.photos if some.photos is not None else mask * torch.tensor(CLAY).to(mask)[:, None, None]
     excess, lack = (alpha - mask).clamp(min=0), (mask - alpha).clamp(min=0)

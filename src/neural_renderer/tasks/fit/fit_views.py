@@ -78,7 +78,7 @@ class Views:
         """
         with torch.no_grad():
             images = render(mesh, camera, size, outputs=("rgb", "alpha"), **{"light": None, **options})
-        return cls(camera, images.alpha, images.rgb)  # type: ignore[arg-type]
+        return cls(camera, images.alpha, images.rgb)
 
     def __getitem__(self, index: Sequence[int] | slice) -> Views:
         """Select views."""
@@ -144,9 +144,9 @@ class Views:
             for start in range(0, len(self), _VIEWS_AT_ONCE):
                 part = self[start : start + _VIEWS_AT_ONCE]
                 images = part.draw(shape, ("rgb", "alpha") if colored else "alpha")
-                found["iou"].append(mask_iou(images.alpha, part.masks))  # type: ignore[arg-type]
-                if colored:
-                    error = (images.rgb.clamp(0, 1) - part.photos).square().mean((1, 2, 3))  # type: ignore[union-attr, operator]
+                found["iou"].append(mask_iou(images.alpha, part.masks))
+                if part.photos is not None and colored:
+                    error = (images.rgb.clamp(0, 1) - part.photos).square().mean((1, 2, 3))
                     found["psnr"].append(-10 * error.clamp(min=1e-10).log10())
         return {name: torch.cat(values) for name, values in found.items()}
 

@@ -190,7 +190,7 @@ class CameraFit:
             far=1e3,
             gradient=self._gradient,
         )
-        return images.rgb, images.alpha  # type: ignore[return-value]
+        return images.rgb, images.alpha
 
     def _losses(self, axes: Tensor, offset: Tensor, longest: int) -> Tensor:
         """Compute the loss of each start, [S], on images of this longer side."""

@@ -122,14 +122,14 @@ class ShapeFit:
             shape = (*shape, _corner_textures(colors, self._faces))
         images = views.draw(shape, "alpha" if colors is None else ("rgb", "alpha"), self._gradient)
         weights = self._weights
-        loss = weights.silhouette * losses.silhouette_iou_loss(images.alpha, views.masks)  # type: ignore[arg-type]
+        loss = weights.silhouette * losses.silhouette_iou_loss(images.alpha, views.masks)
         if colors is not None:
             loss = loss + weights.photometric * losses.photometric(images.rgb, views.photos, views.masks)  # type: ignore[arg-type]
         for name, exponent in _REGULARIZERS.items():
             if getattr(weights, name):
                 scale = (len(vertices) / _TYPICAL_VERTICES) ** exponent
                 loss = loss + scale * getattr(weights, name) * getattr(losses, name)(vertices, self._topology)
-        return loss, mask_iou(images.alpha, views.masks).mean()  # type: ignore[arg-type]
+        return loss, mask_iou(images.alpha, views.masks).mean()
 
     def _set_shape(self, vertices: Tensor, faces: Tensor, colors: Tensor | None) -> None:
         self._vertices, self._faces, self._colors = vertices, faces, colors

@@ -115,8 +115,8 @@ class TextureFit:
         total = torch.zeros_like(values)
         for index, (part, weights) in enumerate(zip(self._parts, self._weights, strict=True)):
             rgb = part.draw((self._vertices, self._faces, self._texels.cubes(values)), "rgb").rgb
-            error = rgb.detach() if photos is None else rgb.detach() - photos[index]  # type: ignore[union-attr]
-            total += torch.autograd.grad(rgb, values, weights[:, None] * error)[0]  # type: ignore[arg-type]
+            error = rgb.detach() if photos is None else rgb.detach() - photos[index]
+            total += torch.autograd.grad(rgb, values, weights[:, None] * error)[0]
         values = values.detach()
         first, second = self._edges.unbind(1)
         difference = self._smooth * (values[first] - values[second])
@@ -144,6 +144,6 @@ def _pixel_weights(part: Views, vertices: Tensor, faces: Tensor) -> Tensor:
     cosines = (rays * normals).sum(2).abs()[..., None, None, None, None].expand(-1, -1, 2, 2, 2, 3)
     with torch.no_grad():
         images = part.draw((vertices, faces, cosines.contiguous()), ("rgb", "alpha"))
-    covered = torch.minimum(part.masks, images.alpha)  # type: ignore[arg-type]
+    covered = torch.minimum(part.masks, images.alpha)
     inside = -F.max_pool2d(-covered, 3, 1, 1) > 0.999
-    return images.rgb[:, 0].square() * torch.where(inside, 1.0, _OUTLINE * part.masks)  # type: ignore[index]
+    return images.rgb[:, 0].square() * torch.where(inside, 1.0, _OUTLINE * part.masks)

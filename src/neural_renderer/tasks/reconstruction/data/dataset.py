@@ -85,9 +85,9 @@ def render_views(
         images = render(
             (vertices, faces, textures), camera, size, light=light, outputs=("rgb", "alpha"), anti_aliasing=False
         )
-        alpha = F.avg_pool2d(images.alpha[:, None], settings.samples)  # type: ignore[index]
+        alpha = F.avg_pool2d(images.alpha[:, None], settings.samples)
         # Means over a black background are multiplied by alpha; divide by it to get the mean of the object's samples.
-        rgb = F.avg_pool2d(images.rgb, settings.samples) / alpha.clamp(min=1e-6)  # type: ignore[arg-type]
+        rgb = F.avg_pool2d(images.rgb, settings.samples) / alpha.clamp(min=1e-6)
         pictures.append(torch.cat((rgb.clamp(0, 1) * (alpha > 0), alpha), 1))
     return (torch.cat(pictures) * 255 + 0.5).to(torch.uint8)
 

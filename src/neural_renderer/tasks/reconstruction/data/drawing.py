@@ -42,7 +42,7 @@ def draw_mesh(
     camera = view_camera(torch.tensor([view], device=vertices.device))
     mesh = vertices, faces, plain_texture(faces, color)
     rgb = render(mesh, camera, size, light=shoulder_light(camera), background=(PAPER,) * 3, outputs="rgb").rgb
-    return rgb[0].clamp(0, 1)  # type: ignore[index]
+    return rgb[0].clamp(0, 1)
 
 
 def on_paper(image: Tensor) -> Tensor:

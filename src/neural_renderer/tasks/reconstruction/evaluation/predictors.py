@@ -56,7 +56,7 @@ class MeshPredictions:
         images = render(
             (vertices, self.faces), view_camera(views.flatten()), SIZE, outputs="alpha", anti_aliasing=False
         )
-        return images.alpha.reshape(-1, count, SIZE, SIZE)  # type: ignore[union-attr]
+        return images.alpha.reshape(-1, count, SIZE, SIZE)
 
     def picture(self, index: int, view: float, size: int) -> Tensor:
         """Draw one mesh, [3, size, size]; see `Predictions`."""
@@ -83,7 +83,7 @@ class VoxelPredictions:
         for row, voxels in enumerate(self.filled):
             if bool(voxels.any()):
                 surface, camera = voxel_surface(voxels), view_camera(views[row])
-                result[row] = render(surface, camera, SIZE, outputs="alpha", anti_aliasing=False).alpha  # type: ignore[assignment]
+                result[row] = render(surface, camera, SIZE, outputs="alpha", anti_aliasing=False).alpha
         return result
 
     def picture(self, index: int, view: float, size: int) -> Tensor:

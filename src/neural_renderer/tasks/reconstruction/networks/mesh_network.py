@@ -79,7 +79,7 @@ class MeshNetwork(nn.Module):
             outputs="alpha",
             gradient=config.gradient,
             anti_aliasing=config.anti_aliasing,
-        ).alpha  # type: ignore[return-value]
+        ).alpha
 
     def symmetrize(self, vertices: Tensor) -> Tensor:
         """Average vertices [B, 642, 3] with their mirror images at z = 0, if the configuration is symmetric."""

@@ -1,0 +1,60 @@
+"""What is seen where no face is: a number, a color or an image."""
+
+from __future__ import annotations
+
+import reprlib
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .. import validate
+from .settings import Settings
+
+
+def background_image(background: Any, batch: int, channels: int, settings: Settings, device: torch.device) -> Tensor:
+    """Check a background and bring it to a shape that broadcasts to the images before anti-aliasing.
+
+    Args:
+        background: Number; color [C] or [B, C]; or image [C, height, width] or [B, C, height, width] of the size that
+            is returned. Array-likes are converted. uint8 is refused: its numbers are in [0, 255].
+        batch: Number of images B.
+        channels: Number of channels C.
+        settings: Size and anti-aliasing of the images.
+        device: Device of the images.
+
+    Returns:
+        [1 or B, C, 1 or H, 1 or W] float32, with H and W twice the returned size under anti-aliasing.
+
+    Raises:
+        TypeError: It has no numbers, or numbers of a wrong type.
+        ValueError: Its shape fits none of the above, or a value is NaN or infinite.
+    """
+    height, width = settings.height, settings.width
+    if not isinstance(background, Tensor):
+        try:
+            background = torch.as_tensor(background, dtype=torch.float32, device=device)
+        except (TypeError, ValueError, RuntimeError, OverflowError):
+            raise TypeError(
+                f"background: expected a number, a colour [{channels}] or [B, {channels}], or an image, "
+                f"got {reprlib.repr(background)}"
+            ) from None
+    elif background.dtype == torch.uint8:  # an image as it comes from a file, most likely
+        raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")
+    validate.dense("background", background)
+    if device.type != "meta":
+        validate.has_numbers("background", background)
+    color = background.to(device=device, dtype=torch.float32)
+    validate.finite("background", color)
+    color = color.expand(channels) if color.dim() == 0 else color
+    shape = tuple(color.shape)
+    image = (channels, height, width)
+    if shape == (channels,) or (len(shape) == 2 and shape[0] in (1, batch) and shape[1] == channels):
+        return color.reshape(-1, channels, 1, 1)
+    if shape == image or (len(shape) == 4 and shape[0] in (1, batch) and shape[1:] == image):
+        color = color.reshape(-1, *image)
+        return color.repeat_interleave(2, 2).repeat_interleave(2, 3) if settings.anti_aliasing else color
+    raise ValueError(
+        f"background: expected a number, [{channels}], [{batch}, {channels}], {list(image)} or {[batch, *image]}, "
+        f"got {list(shape)}"
+    )

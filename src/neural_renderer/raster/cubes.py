@@ -1,0 +1,86 @@
+"""Colors from texture cubes under light, at every pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .. import validate
+from .background import background_image
+from .ops.texture_cubes import sample_textures
+from .visibility.continuity import texture_marks
+from .visible import VisibleFaces
+
+
+def cube_colors(
+    visible: VisibleFaces, textures: Any, light: Tensor | None, background: Any
+) -> tuple[Tensor, Callable[[], Tensor]]:
+    """Color an image by texture cubes.
+
+    Args:
+        visible: Visible faces of B images.
+        textures: Cubes [B or 1, F, T, T, T, 3] floating; T = 1 is one color per face.
+        light: Factors [B or 1, 2, F, 3] on the front and the back of each face; None for 1.
+        background: As in `background_image`.
+
+    Returns:
+        [B, 3, H, W] float32, and a function that hashes the colors along edges (`texture_marks`).
+
+    Raises:
+        TypeError: A tensor of another dtype.
+        ValueError: A tensor of another shape or device, or with NaN or infinite values.
+    """
+    corners, settings = visible.corners, visible.settings
+    batch, count = corners.shape[:2]
+    cubes = _checked_textures(textures, batch, count, corners.device)
+    factors = _checked_light(light, batch, count, corners.device)
+    behind = background_image(background, batch, 3, settings, corners.device)
+    behind = behind.expand(batch, 3, *visible.face_index.shape[1:])
+    # Only "edge" differentiates what moves inside of faces.
+    inside = corners if settings.gradient == "edge" else corners.detach()
+    rgb = sample_textures(cubes, factors, behind, inside, visible.face_index, settings.eps, settings.perspective)
+    return rgb, lambda: texture_marks(cubes, factors)
+
+
+def light_on_pixels(visible: VisibleFaces, light: Tensor) -> Tensor:
+    """Look up the light on the visible side of each pixel's face.
+
+    Args:
+        visible: Visible faces of B images of F faces.
+        light: Factors [B or 1, 2, F, 3] on the front and the back of each face.
+
+    Returns:
+        [B, H, W, 3] float32; 0 where no face is visible. Differentiable in ``light``.
+    """
+    settings, index = visible.settings, visible.face_index
+    white = torch.ones((1, visible.corners.shape[1], 1, 1, 1, 3), device=index.device)
+    black = white.new_zeros(()).expand(len(index), 3, *index.shape[1:])
+    corners = visible.corners.detach()
+    return sample_textures(white, light, black, corners, index, settings.eps, settings.perspective).movedim(1, 3)
+
+
+def _checked_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:
+    if textures is None:
+        raise ValueError('textures: expected a tensor [B, F, T, T, T, 3] to draw "rgb", got None')
+    validate.cubes("textures", textures, "B", "F")
+    validate.same_device(faces=torch.empty(0, device=device), textures=textures)
+    if textures.shape[0] not in (1, batch) or textures.shape[1] != count:
+        raise ValueError(
+            f"textures: expected [{batch} or 1, {count}, T, T, T, 3] like faces, got {validate.shape_of(textures)}"
+        )
+    validate.finite("textures", textures)
+    return textures.float()
+
+
+def _checked_light(light: Tensor | None, batch: int, count: int, device: torch.device) -> Tensor:
+    if light is None:
+        return torch.ones((1, 2, count, 3), dtype=torch.float32, device=device)
+    validate.floating("light", light, ("B", 2, count, 3))
+    validate.same_device(faces=torch.empty(0, device=device), light=light)
+    if light.shape[0] not in (1, batch):
+        raise ValueError(f"light: expected parameters for {batch} images or for all, got {light.shape[0]}")
+    validate.finite("light", light)
+    return light.float()

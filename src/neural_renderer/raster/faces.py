@@ -1,0 +1,77 @@
+"""Faces as corners: gathered from vertices, checked at the border."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .. import validate
+from .ops.corners import gather_corners
+
+
+def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Gather the corners of each face.
+
+    Args:
+        vertices: [B, V, 3] floating.
+        faces: Vertex indices in [0, V), [F, 3] for all meshes or [B or 1, F, 3]; whole numbers of any real dtype. A
+            face of (-1, -1, -1) is padding: meshes of different size fill up one batch with it.
+
+    Returns:
+        [B, F, 3, 3] float32; zeros for padding.
+
+    Raises:
+        TypeError: Another dtype.
+        ValueError: Another shape, device or index.
+
+    Example:
+        >>> nr.vertices_to_faces(torch.rand(2, 4, 3), torch.tensor([[0, 1, 2], [0, 2, 3]])).shape
+        torch.Size([2, 2, 3, 3])
+    """
+    validate.floating("vertices", vertices, ("B", "V", 3))
+    faces = checked_faces(faces)
+    validate.same_device(vertices=vertices, faces=faces)
+    faces = faces[None] if faces.dim() == 2 else faces
+    if faces.shape[0] not in (1, vertices.shape[0]):
+        raise ValueError(f"faces: expected a batch of {vertices.shape[0]} like vertices, got {faces.shape[0]}")
+    validate.in_range("faces", faces, vertices.shape[1], padded=True)
+    if faces.dtype == torch.int64:  # an index that is out of range stays so in 32 bits
+        faces = faces.clamp(-1, 2**31 - 1)
+    return gather_corners(vertices.float(), faces.int())
+
+
+def world_corners(vertices: Tensor, faces: Tensor, images: int) -> Tensor:
+    """Gather the corners in world space, where light falls.
+
+    One mesh seen by several cameras with faces of their own is repeated for each of them.
+
+    Args:
+        vertices: [V, 3] or [B, V, 3] floating.
+        faces: [F, 3] or [B, F, 3].
+        images: Number of images.
+    """
+    vertices = vertices if vertices.dim() == 3 else vertices[None]
+    if faces.dim() == 3 and len(faces) == images:
+        vertices = vertices.expand(images, -1, -1)
+    return vertices_to_faces(vertices, faces)
+
+
+def checked_faces(faces: Any) -> Tensor:
+    """Return ``faces`` [F, 3] or [B, F, 3] as int32 or int64 (`validate.indices`) or raise TypeError or ValueError."""
+    return validate.indices("faces", faces, ("F", 3) if getattr(faces, "ndim", 3) == 2 else ("B", "F", 3))
+
+
+def checked_triangles(triangles: Any, corners: Tensor) -> Tensor:
+    """Return ``triangles`` as indices that fit to ``corners`` [B, F, 3, 3] or raise TypeError or ValueError."""
+    batch, count = corners.shape[:2]
+    shape = ("F", 3) if getattr(triangles, "ndim", 3) == 2 else ("B", "F", 3)
+    triangles = validate.indices("triangles", triangles, shape)
+    if triangles.shape[-2] != count or (triangles.dim() == 3 and len(triangles) not in (1, batch)):
+        raise ValueError(
+            f"triangles: expected [{count}, 3] or [{batch} or 1, {count}, 3] like faces, "
+            f"got {validate.shape_of(triangles)}"
+        )
+    validate.same_device(faces=corners, triangles=triangles)
+    return triangles

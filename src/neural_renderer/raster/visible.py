@@ -1,0 +1,121 @@
+"""The one road from visible faces to images: every way of coloring them meets here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .images import Images
+from .ops.barycentrics import barycentrics
+from .ops.coverage import silhouette
+from .ops.downsample import halve
+from .settings import Settings
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleFaces:
+    """The face that each pixel of B images shows, at twice the size that is returned under anti-aliasing.
+
+    Attributes:
+        corners: Screen-space corners of the faces, [B, F, 3, 3] float32.
+        face_index: Visible face of each pixel, [B, H, W] int32; -1 for none. Row 0 is at the top.
+        settings: How the faces were drawn.
+        rings: Neighbours of the faces, as from `Settings.rings`.
+    """
+
+    corners: Tensor
+    face_index: Tensor
+    settings: Settings
+    rings: Tensor | None
+
+    @property
+    def mask(self) -> Tensor:
+        """Whether a face is visible, [B, H, W] bool."""
+        return self.face_index >= 0
+
+    @property
+    def weights(self) -> Tensor:
+        """Perspective-correct barycentric weights of the visible point, [B, H, W, 3]; their sum is 1."""
+        return self._points[0]
+
+    @property
+    def depth(self) -> Tensor:
+        """Depth along the viewing axis in world units, [B, H, W]; ``far`` where no face is visible."""
+        return self._points[1]
+
+    @property
+    def _points(self) -> tuple[Tensor, Tensor]:
+        # Computed at first use and kept, but not without gradients for a later use with gradients.
+        points = self.__dict__.get("_kept")
+        if points is None:
+            settings = self.settings
+            points = barycentrics(self.corners, self.face_index, settings.near, settings.far, settings.perspective)
+            if torch.is_grad_enabled() or not (self.corners.requires_grad or torch.is_inference_mode_enabled()):
+                self.__dict__["_kept"] = points
+        weights, depth = points
+        return weights, depth
+
+    def image(
+        self,
+        layers: Tensor,
+        *,
+        seams: bool = False,
+        binary: bool = False,
+        marks: Callable[[], Tensor] | None = None,
+    ) -> Tensor:
+        """Add the gradient through visibility to an image and average it to the size that is returned.
+
+        Args:
+            layers: Image with its background, [B, C, H, W] float32.
+            seams, binary, marks: As in `Settings.through_visibility`.
+
+        Returns:
+            [B, C, height, width] float32.
+        """
+        settings = self.settings
+        layers = settings.through_visibility(layers, self.corners, self.face_index, seams, binary, marks, self.rings)
+        return halve(layers) if settings.anti_aliasing else layers
+
+    def images(
+        self, outputs: Collection[str], rgb: Tensor | None = None, marks: Callable[[], Tensor] | None = None
+    ) -> Images:
+        """Make the images that were asked for.
+
+        Args:
+            outputs: Some of "rgb", "alpha", "depth".
+            rgb: Colors with their background, [B, 3, H, W] float32, if "rgb" is among the outputs.
+            marks: As in `Settings.through_visibility`.
+        """
+        layers = {} if rgb is None else {"rgb": rgb}
+        if "alpha" in outputs:
+            layers["alpha"] = silhouette(self.face_index)
+        through = "depth" in outputs and self.settings.gradient == "edge"  # "nmr" sends no depth through visibility
+        if through:
+            layers["depth"] = self.depth[:, None]
+        if layers:
+            image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
+            image = self.image(image, seams=rgb is not None, binary=rgb is None, marks=marks)
+            layers = _split(image, layers)
+        if "depth" in outputs and not through:
+            layers["depth"] = self._depth_alone()[:, None]
+        flat = {name: layers[name].squeeze(1) for name in ("alpha", "depth") if name in layers}
+        return Images(rgb=layers.get("rgb"), **flat)
+
+    def _depth_alone(self) -> Tensor:
+        if self.settings.anti_aliasing:
+            return halve(self.depth[:, None])[:, 0]
+        # Its gradient needs the values as they are, and callers may change theirs in place.
+        return self.depth.clone() if self.depth.requires_grad else self.depth
+
+
+def _split(image: Tensor, layers: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Cut an image into layers of the given numbers of channels."""
+    if len(layers) == 1:  # the gradient of a slice is a larger tensor, filled and copied
+        return dict.fromkeys(layers, image)
+    # Copies, for autograd lets nobody change one of several views in place.
+    parts = image.split([layer.shape[1] for layer in layers.values()], 1)
+    copies = (part.clone(memory_format=torch.contiguous_format) for part in parts)
+    return dict(zip(layers, copies, strict=True))
