@@ -35,7 +35,19 @@ ROOMS = [
     "interface",
 ]
 
-RASTER = ["warp", "ops", "visibility", "reference", "settings", "rasterize"]
+RASTER = [
+    "warp",
+    "ops",
+    "visibility",
+    "reference",
+    "settings",
+    "images",
+    "faces",
+    "background",
+    "visible",
+    "cubes",
+    "rasterize",
+]
 RECONSTRUCTION = ["data", "networks", "evaluation", "training"]
 
 

@@ -140,7 +140,11 @@ def test_outputs_and_plain_meshes(device):
     mesh = white_sphere(device)
     camera = nr.Camera.look_at((0, 0, 3))
     images = nr.render((mesh.vertices, mesh.faces), camera, 24, outputs=("alpha", "depth"))
-    assert images.rgb is None and torch.equal(images.alpha, nr.render(mesh, camera, 24).alpha)
+    rgb, alpha, depth = images
+    assert rgb is None and alpha is images.alpha and depth is images.depth
+    assert torch.equal(alpha, nr.render(mesh, camera, 24).alpha)
+    with pytest.raises(AttributeError, match='rgb: expected an output .*, got images of alpha, depth; add "rgb"'):
+        _ = images.rgb
     with pytest.raises(ValueError, match="textures"):
         nr.render((mesh.vertices, mesh.faces), camera, 24)
 
