@@ -55,6 +55,11 @@ def join(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]:
 
     Raises:
         TypeError, ValueError: An item is not a `Mesh`, or devices or texture sizes differ.
+
+    Example:
+        >>> vertices, faces, textures = join([nr.Mesh.icosphere(1), nr.Mesh.icosphere(2)])
+        >>> faces.shape
+        torch.Size([400, 3])
     """
     _check(meshes)
     firsts = itertools.accumulate((len(mesh.vertices) for mesh in meshes[:-1]), initial=0)
