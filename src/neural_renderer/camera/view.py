@@ -86,7 +86,7 @@ def look_frame(
 ) -> tuple[Tensor, Tensor]:
     """Compute the axes and position of `look`; see `look_at_frame`."""
     eye, direction, up = _vectors(dtype, eye=eye, direction=direction, up=up)
-    return _axes(direction, up, mirrored, "direction: expected a vector, got one of no length"), eye
+    return _axes(direction, up, mirrored, "direction: expected a vector of positive length, got one of length 0"), eye
 
 
 def transform(vertices: Tensor, rotation: Tensor, origin: Tensor) -> Tensor:
@@ -160,7 +160,7 @@ def _axes(forward: Tensor, up: Tensor, mirrored: bool, problem: str) -> Tensor:
         if not bool((forward.detach().norm(dim=-1) >= _FLOOR).all()):
             raise ValueError(problem)
         if not bool((side.detach().norm(dim=-1) >= _FLOOR).all()):
-            raise ValueError("up: expected a vector across the viewing direction, got one along it or of no length")
+            raise ValueError("up: expected a vector not parallel to the viewing direction, got a parallel or zero one")
     x = _normalized(side)
     y = _normalized(torch.linalg.cross(*torch.broadcast_tensors(z, x), dim=-1))
     return torch.stack(torch.broadcast_tensors(x if mirrored else -x, y, z), dim=-2)

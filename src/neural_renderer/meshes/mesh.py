@@ -162,7 +162,7 @@ class Mesh(nn.Module):
         """
         result = copy.deepcopy(self)
         with torch.no_grad():
-            result.vertices.copy_(centred(self.vertices))
+            result.vertices.copy_(centered(self.vertices))
         return result
 
     def get_batch(self, batch_size: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -200,7 +200,7 @@ class Mesh(nn.Module):
         return f"Mesh({self.num_vertices} vertices, {self.num_faces} faces, textures of {self.texture_size}³, {device})"
 
 
-def centred(vertices: Tensor) -> Tensor:
+def centered(vertices: Tensor) -> Tensor:
     """Move and scale vertices [V, 3] into [−1, 1], detached, in float64; see `Mesh.normalize`."""
     vertices = validate.vertices(validate.has_numbers("vertices", vertices)).detach().double()
     center, half = bounding_box(vertices)

@@ -12,11 +12,11 @@ from torch.nn import functional
 
 from .. import validate
 from ..io.formats import read_mesh
-from ..io.mesh_writer import save_painted
-from ..io.surface_colors import Skin
+from ..io.mesh_writer import save_uv_mesh
+from ..io.surface_colors import SurfaceColors
 from ..textures.gutters import fill_gutters
 from ..textures.sample_texture import checked_wrap, sampled
-from .mesh import centred
+from .mesh import centered
 
 if TYPE_CHECKING:
     from ..deferred import Fragments
@@ -73,14 +73,14 @@ class UVMesh:
         Example:
             >>> spot = nr.UVMesh.load("spot.obj")  # doctest: +SKIP
         """
-        vertices, faces, skin, _ = read_mesh(path, allow_outside)
-        skin = skin or Skin.plain(len(faces), validate.number("grey", grey))
-        uv = torch.from_numpy(skin.uv).float()
-        index = torch.from_numpy(skin.image).long()
-        wraps = tuple("repeat" if wrapping == "REPEAT" else "clamp" for wrapping in skin.wrapping)
+        vertices, faces, surface, _ = read_mesh(path, allow_outside)
+        surface = surface or SurfaceColors.plain(len(faces), validate.number("grey", grey))
+        uv = torch.from_numpy(surface.uv).float()
+        index = torch.from_numpy(surface.image).long()
+        wraps = tuple("repeat" if wrapping == "REPEAT" else "clamp" for wrapping in surface.wrapping)
         images = [
             fill_gutters(torch.from_numpy(image).float(), uv[index == number], wrap=wrap)
-            for number, (image, wrap) in enumerate(zip(skin.images, wraps, strict=True))
+            for number, (image, wrap) in enumerate(zip(surface.images, wraps, strict=True))
         ]
         return cls(
             vertices=torch.from_numpy(vertices).float(),
@@ -88,7 +88,7 @@ class UVMesh:
             uv=uv,
             image_index=index,
             images=tuple(images),
-            colors=torch.from_numpy(skin.colors),
+            colors=torch.from_numpy(surface.colors),
             wraps=wraps,
         )
 
@@ -110,14 +110,14 @@ class UVMesh:
             OSError: A file cannot be written. All existing files stay as they were.
         """
         self._check(always=True)
-        skin = Skin(
+        surface = SurfaceColors(
             self.colors.detach().float().cpu().numpy(),
             self.image_index.long().cpu().numpy(),
             self.uv.detach().double().cpu().numpy(),
             [image.detach().float().cpu().numpy() for image in self.images],
             ["REPEAT" if wrap == "repeat" else "CLAMP_TO_EDGE" for wrap in self.wraps],
         )
-        save_painted(path, self.vertices, self.faces, skin, overwrite=overwrite)
+        save_uv_mesh(path, self.vertices, self.faces, surface, overwrite=overwrite)
 
     def shade(self, seen: Fragments) -> Tensor:
         """Sample the albedo of each pixel, with mipmaps.
@@ -182,7 +182,7 @@ class UVMesh:
 
     def normalize(self) -> UVMesh:
         """Copy the mesh, centred at the origin, with its longest side from −1 to 1; see `Mesh.normalize`."""
-        return replace(self, vertices=centred(self.vertices).float())
+        return replace(self, vertices=centered(self.vertices).float())
 
     def resized(self, side: int) -> UVMesh:
         """Copy the mesh with all images resized to ``side`` × ``side`` pixels, with antialiasing."""
