@@ -1,4 +1,4 @@
-"""Functions of the first packages' modules that the package itself does not export."""
+"""Functions of the first packages' modules. Only `cross` is exported by ``neural_renderer``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,22 @@ from .rasterize import Rasterize
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
-    """Compute cross products [N, 3] of vectors [N, 3]; `torch.linalg.cross` does the same for any shape."""
+    """Compute cross products. New code uses `torch.linalg.cross`.
+
+    Args:
+        a: [N, 3] floating.
+        b: [N, 3] floating.
+
+    Returns:
+        [N, 3], differentiable.
+
+    Raises:
+        TypeError, ValueError: A type or shape does not fit.
+
+    Example:
+        >>> cross(torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([[0.0, 1.0, 0.0]]))
+        tensor([[0., 0., 1.]])
+    """
     validate.floating("a", a, ("N", 3))
     return torch.linalg.cross(a, validate.floating("b", b, (len(a), 3)))
 
@@ -68,7 +83,7 @@ def create_texture_image(textures: Tensor, texture_size_out: int = 16) -> tuple[
 
 
 class RasterizeFunction:
-    """`Rasterize` in the form of a torch function; only ``RasterizeFunction.apply`` exists."""
+    """`Rasterize` as a torch function; only ``RasterizeFunction.apply`` exists."""
 
     @staticmethod
     def apply(faces: Tensor, textures: Tensor | None, *settings: Any) -> tuple[Tensor | None, ...]:

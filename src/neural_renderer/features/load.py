@@ -43,6 +43,10 @@ def load_features(source: str | os.PathLike[str], progress: bool = True) -> Feat
         ValueError: The file is unreadable or holds another network.
         ConnectionError: The checkpoint is not cached and cannot be downloaded.
         ModuleNotFoundError: The file is ``.safetensors`` and the package safetensors is not installed.
+
+    Example:
+        >>> from neural_renderer.features import load_features
+        >>> network = load_features("vgg16-original")  # doctest: +SKIP
     """
     if isinstance(source, str) and source in PUBLISHED:
         return _network(_published(source, progress), source)
@@ -55,6 +59,11 @@ def features_like(plan: Plan) -> FeatureNetwork:
 
     Raises:
         ValueError: The plan belongs to no known network.
+
+    Example:
+        >>> network = features_like({"conv1_1.weight": (8, 3, 3, 3), "conv1_1.bias": (8,)})
+        >>> network.layers
+        ('conv1_1',)
     """
     return _network({name: torch.zeros(tuple(shape)) for name, shape in plan.items()}, "plan")
 
