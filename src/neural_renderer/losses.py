@@ -194,6 +194,7 @@ def _bend(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 
 
 def _prepared(vertices: Tensor, faces: Tensor | Topology) -> tuple[Tensor, Topology]:
+    """Check vertices and faces; return the vertices in at least float32, and the topology."""
     validate.vertices(vertices)
     topology = faces if isinstance(faces, Topology) else Topology.of(faces)
     validate.same_device(vertices=vertices, faces=topology.edges)
@@ -203,10 +204,12 @@ def _prepared(vertices: Tensor, faces: Tensor | Topology) -> tuple[Tensor, Topol
 
 
 def _wide(value: Tensor) -> Tensor:
+    """Convert to at least float32."""
     return value.to(torch.promote_types(value.dtype, torch.float32))
 
 
 def _mean(value: Tensor) -> Tensor:
+    """Average; 0 for an empty tensor."""
     return value.mean() if value.numel() else value.sum()
 
 

@@ -155,6 +155,7 @@ def has_numbers(name: str, value: Tensor) -> Tensor:
 
 
 def _match(name: str, value: Tensor, shape: Sequence[int | str]) -> None:
+    """Raise ValueError unless the shape fits; see `floating`."""
     dense(name, value)
     if len(shape) != value.dim() or any(
         isinstance(want, int) and want != have for want, have in zip(shape, value.shape, strict=True)

@@ -148,6 +148,7 @@ class _LayerBuilder:
         self.width = 3
 
     def convolution(self, name: str, inputs: int | None = None, stride: int = 1) -> nn.Module:
+        """Make a convolution with ReLU; ``inputs`` is its number of input channels, by default ``width``."""
         kernel = self._weights.get(f"{name}.weight")
         side = kernel.shape[-1] if kernel is not None and kernel.dim() == 4 else 1
         weight, bias = self.weight_and_bias(name, (self.width if inputs is None else inputs, side, side))

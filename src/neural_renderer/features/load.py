@@ -69,6 +69,7 @@ def features_like(plan: Plan) -> FeatureNetwork:
 
 
 def _network(weights: dict[str, Tensor], source: str) -> FeatureNetwork:
+    """Build the network of a checkpoint; messages name ``source``."""
     weights = {name: value.float() for name, value in weights.items() if isinstance(value, Tensor)}
     try:
         if is_googlenet(weights) or is_vgg(weights):
@@ -83,6 +84,7 @@ def _network(weights: dict[str, Tensor], source: str) -> FeatureNetwork:
 
 
 def _finite(network: FeatureNetwork) -> FeatureNetwork:
+    """Return the network if its weights are finite; raise ValueError otherwise."""
     for name, value in network.named_parameters():
         if not bool(torch.isfinite(value).all()):
             raise ValueError(f"expected finite weights, got NaN or infinity in {name.removeprefix('_stages.')}")
@@ -90,6 +92,7 @@ def _finite(network: FeatureNetwork) -> FeatureNetwork:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    """Read the tensors of a weight file, by name."""
     if path.suffix.lower() == ".safetensors":
         try:
             from safetensors.torch import load_file
@@ -118,6 +121,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _published(name: str, progress: bool) -> dict[str, Any]:
+    """Download a published checkpoint, or load it from the cache."""
     address = _ADDRESS + PUBLISHED[name]
     try:
         return torch.hub.load_state_dict_from_url(

@@ -105,6 +105,7 @@ def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.n
 
 
 def _on_host(name: str, value: Any) -> Any:
+    """Convert an array or a tensor to a detached tensor on the CPU; return other values unchanged."""
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
     return validate.has_numbers(name, value).detach().cpu().resolve_neg() if isinstance(value, Tensor) else value

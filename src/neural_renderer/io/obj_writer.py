@@ -143,6 +143,7 @@ def _png(picture: np.ndarray, note: str) -> bytes:
 
 
 def _note(path: Path) -> str:
+    """Return the comment that marks files written with the OBJ at ``path``."""
     return f"written by neural_renderer with {path.name}"
 
 

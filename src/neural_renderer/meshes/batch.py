@@ -84,6 +84,7 @@ def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
 
 
 def _check(meshes: Sequence[Mesh]) -> None:
+    """Raise TypeError or ValueError unless all items are meshes on one device with one texture size."""
     if not isinstance(meshes, (list, tuple)) or not all(isinstance(mesh, Mesh) for mesh in meshes):
         kinds = [type(mesh).__name__ for mesh in meshes] if isinstance(meshes, (list, tuple)) else type(meshes).__name__
         raise TypeError(f"meshes: expected a list of Mesh, got {kinds}")

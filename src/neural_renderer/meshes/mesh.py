@@ -210,11 +210,13 @@ def centered(vertices: Tensor) -> Tensor:
 
 
 def _as_tensor(value: Any) -> Any:
+    """Convert an array to a tensor; return other values unchanged."""
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
     return value
 
 
 def _white(faces: Tensor, texture_size: int) -> Tensor:
+    """Make white texture cubes [F, T, T, T, 3]."""
     size = validate.whole("texture_size", texture_size, 1)
     return torch.ones(len(faces), size, size, size, 3, device=faces.device)

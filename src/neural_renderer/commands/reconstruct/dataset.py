@@ -33,7 +33,7 @@ def run(options: DatasetOptions) -> int:
     settings = Settings(options.views, options.size, options.samples)
     make_folder("OUT", options.out)
     if not _make(options, [model for model in models if _key(model) in chosen], settings, broken):
-        say(f"interrupted; the same command continues from what is in {options.out}")
+        say(f"interrupted; the same command continues with the finished objects in {options.out}")
         return 130
     splits: Splits = {}
     for model in models:
@@ -47,6 +47,7 @@ def run(options: DatasetOptions) -> int:
 
 
 def _key(model: Model) -> tuple[str, str]:
+    """Return category and name of a model."""
     return model.category, model.name
 
 
@@ -74,8 +75,8 @@ def _check_earlier_splits(options: DatasetOptions, chosen: dict[tuple[str, str],
                 now = chosen.get((category, name), earlier)
                 if now != earlier:
                     raise ValueError(
-                        f"{options.out}: expected a folder in which {category}/{name} is in {now}, got one with it in "
-                        f"{earlier}; choose another folder"
+                        f"{options.out}: expected {category}/{name} in the split {now}, got it in {earlier} from an "
+                        "earlier run; choose another folder"
                     )
 
 

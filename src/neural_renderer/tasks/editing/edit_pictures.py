@@ -21,7 +21,7 @@ from .edit import MeshEdit
 _FRONT = 150.0  # azimuth of the first picture, in degrees
 _PREVIEW = (_FRONT, 270.0, 30.0)  # azimuths of a preview
 _ELEVATION, _VIEWING_ANGLE = 20.0, 19.0  # degrees
-_MARGIN = 1.03  # of the distance at which the whole mesh is in the picture
+_MARGIN = 1.03  # factor on the least distance at which the whole mesh is in the picture
 
 
 def six_views(before: Mesh | UVMesh, after: Mesh | UVMesh, size: int = 320) -> Tensor:

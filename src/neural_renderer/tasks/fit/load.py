@@ -32,6 +32,8 @@ from .fit_views import Views, downscale
 
 _CAMERA_FILES = ("transforms.json", "transforms_train.json", "cameras.json", "cameras.csv")
 _LARGEST = torch.finfo(torch.float32).max
+_VIEWING_ANGLE = 30.0  # default of ``viewing_angle``
+_LEAST_SIZE = 16  # pixels
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG")
 
 
@@ -83,8 +85,11 @@ def load_views(
         ValueError: A file is malformed, a key is missing, image sizes differ, an image is larger than `load_image`
             accepts or outside of the folder without ``allow_outside``, a mask is empty, or an image has neither mask
             nor alpha channel and ``background`` is None.
+
+    Example:
+        >>> views = load_views("photos", size=128)  # doctest: +SKIP
     """
-    size = validate.whole("size", size, 16)
+    size = validate.whole("size", size, _LEAST_SIZE)
     _check_background(background)
     source = camera_file(Path(path))
     common, frames = _frames(source, allow_outside)
@@ -115,11 +120,17 @@ def load_photo(
 
     Returns:
         The mask [H, W], and RGB multiplied by the mask [3, H, W], or None without ``photos``.
+
+    Example:
+        >>> nr.save_image("disc.png", nr.render(nr.Mesh.icosphere(2), camera, 64).alpha[0])
+        >>> mask, photo = load_photo("disc.png", size=32, photos=False)
+        >>> mask.shape
+        torch.Size([32, 32])
     """
     _check_background(background)
     frame = _Frame(str(path), existing(path), None, {})
     image = load_image(path)
-    rgb, mask = _prepare(frame, image, validate.whole("size", size, 16), photos, background, tolerance)
+    rgb, mask = _prepare(frame, image, validate.whole("size", size, _LEAST_SIZE), photos, background, tolerance)
     return mask, rgb if photos else None
 
 
@@ -139,13 +150,14 @@ def _prepare(
 
 
 def _check_background(background: tuple[float, float, float] | None) -> None:
+    """Raise ValueError if a colour is outside [0, 1]."""
     for value in background or ():
         if not 0 <= validate.number("background", value) <= 1:
             raise ValueError(f"background: expected red, green and blue in [0, 1], got {background}")
 
 
 def camera_file(path: Path) -> Path:
-    """The file of the cameras that ``path`` is, or that is in the folder ``path``; FileNotFoundError if none is."""
+    """Find the camera file: ``path`` itself, or a file in the folder ``path``. Raises FileNotFoundError."""
     if path.is_file():
         return path
     if not path.is_dir():
@@ -199,6 +211,7 @@ def _file(camera_file: Path, name: Any, allow_outside: bool) -> Path:
 
 
 def _key(where: str, row: dict[str, Any], key: str) -> Any:
+    """Return the value of a key; raise ValueError if it is missing or empty."""
     if key in row and row[key] in (None, ""):
         raise ValueError(f'{where}: expected a value for the key "{key}", got none')
     if key not in row:
@@ -207,6 +220,7 @@ def _key(where: str, row: dict[str, Any], key: str) -> Any:
 
 
 def _number(where: str, row: dict[str, Any], key: str, default: float | None = None) -> float:
+    """Return the number of a key, or ``default`` if it is missing; raise ValueError if it is not finite."""
     value = row.get(key, default) if default is not None else _key(where, row, key)
     try:
         number = validate.number(key, float(value if value not in (None, "") else default))  # type: ignore[arg-type]
@@ -218,6 +232,7 @@ def _number(where: str, row: dict[str, Any], key: str, default: float | None = N
 
 
 def _above_zero(where: str, row: dict[str, Any], key: str, default: float | None = None) -> float:
+    """Return a number as `_number` does; raise ValueError if it is not > 0."""
     value = _number(where, row, key, default)
     if value <= 0:
         raise ValueError(f"{where}: {key}: expected a number above 0, got {value:g}")
@@ -225,6 +240,7 @@ def _above_zero(where: str, row: dict[str, Any], key: str, default: float | None
 
 
 def _same_size(path: Path, image: Tensor, full: tuple[int, int]) -> None:
+    """Raise ValueError if an image [H, W, C] is not of this height and width."""
     if tuple(image.shape[:2]) != full:
         raise ValueError(
             f"{path}: expected {full[1]} x {full[0]} pixels like the others, got {image.shape[1]} x {image.shape[0]}"
@@ -256,8 +272,9 @@ def _mask(
 
 
 def _angles_camera(path: Path, common: dict[str, Any], frames: list[_Frame], full: tuple[int, int]) -> Camera:
+    """Make cameras from distances and angles (``cameras.json``, ``cameras.csv``)."""
     rows = [[_number(f.where, f.numbers, key) for key in ("distance", "elevation", "azimuth")] for f in frames]
-    default = _number(str(path), common, "viewing_angle", 30.0)
+    default = _number(str(path), common, "viewing_angle", _VIEWING_ANGLE)
     angles = [_number(f.where, f.numbers, "viewing_angle", default) for f in frames]
     for frame, (far, height, _), angle in zip(frames, rows, angles, strict=True):
         if abs(abs(height) - 90) < 1e-3:
@@ -271,6 +288,7 @@ def _angles_camera(path: Path, common: dict[str, Any], frames: list[_Frame], ful
 
 
 def _nerf_camera(path: Path, common: dict[str, Any], frames: list[_Frame], full: tuple[int, int]) -> Camera:
+    """Make calibrated cameras (``transforms.json``)."""
     matrices, lenses, distortions = [], [], []
     for frame in frames:
         given = {**{k: v for k, v in common.items() if k != "frames"}, **frame.numbers}
@@ -293,7 +311,7 @@ def _nerf_camera(path: Path, common: dict[str, Any], frames: list[_Frame], full:
         lenses.append([[across * sx, 0.0, cx * sx], [0.0, down * sy, cy * sy], [0.0, 0.0, 1.0]])
         distortions.append([_number(frame.where, given, key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")])
     pose, distortion = torch.tensor(matrices), torch.tensor(distortions)
-    # From OpenGL's camera axes (looks along -z, y up) to OpenCV's (looks along z, y down).
+    # OpenGL's camera looks along −z with y up; OpenCV's looks along z with y down.
     rotation = torch.diag(torch.tensor([1.0, -1.0, -1.0])) @ pose[:, :3, :3].transpose(1, 2)
     translation = -torch.einsum("bij,bj->bi", rotation, pose[:, :3, 3])
     coefficients = distortion if bool(distortion.any()) else None

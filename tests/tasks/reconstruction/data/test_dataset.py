@@ -252,7 +252,7 @@ def test_an_object_is_in_one_split(models: Path, tmp_path: Path, capsys: pytest.
     capsys.readouterr()
     assert command(models, out, "--set", "train") == 1
     told = capsys.readouterr().err
-    assert "expected a folder in which ball/big is in train, got one with it in test" in told
+    assert "expected ball/big in the split train, got it in test from an earlier run" in told
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.npz")} == before
 
 

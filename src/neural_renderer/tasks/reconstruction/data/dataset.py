@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -44,7 +44,7 @@ _RECIPE = 1  # version of finished objects; objects of another version are rende
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a data set. The defaults are those of the published one, which training expects.
+    """Settings of a data set. The defaults are those of the published data set; training needs them.
 
     Attributes:
         views: Number of views around an object.
@@ -148,28 +148,38 @@ def make_objects(
     while waiting:
         # A worker that dies breaks the whole pool. A second pass with one worker finds the model that kills it.
         for count in dict.fromkeys((processes, 1)):
-            crashed = False
-            with _pool(count) as pool:
-                futures = {
-                    pool.submit(_make_file, model, folder, settings, key, allow_outside): model
-                    for model, key in waiting.items()
-                }
-                try:
-                    for future in as_completed(futures):
-                        problem, notes = future.result()
-                        del waiting[futures[future]]
-                        yield futures[future], problem, notes
-                except BrokenProcessPool:
-                    crashed = True
-            if not crashed:
+            yield from _make_in_pool(waiting, folder, settings, count, allow_outside)
+            if not waiting:
                 return
         culprit = next(iter(waiting))
         del waiting[culprit]
         yield culprit, f"{culprit.path}: expected to render it, got a worker process that died (out of memory?)", []
 
 
+def _make_in_pool(
+    waiting: dict[Model, str], folder: Path, settings: Settings, processes: int, allow_outside: bool
+) -> Iterator[tuple[Model, str | None, list[str]]]:
+    """Make objects in worker processes until all are finished or a worker dies.
+
+    Args:
+        waiting: Model → key; finished models are removed.
+        folder: See `make_objects`, like the other arguments.
+    """
+    with _pool(processes) as pool:
+        futures = {
+            pool.submit(_make_file, model, folder, settings, key, allow_outside): model
+            for model, key in waiting.items()
+        }
+        with suppress(BrokenProcessPool):
+            for future in as_completed(futures):
+                problem, notes = future.result()
+                del waiting[futures[future]]
+                yield futures[future], problem, notes
+
+
 @contextmanager
 def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """Open a pool of worker processes; at its end, waiting tasks are cancelled."""
     pool = ProcessPoolExecutor(processes, get_context("spawn"), _start_worker, (os.getpid(),))
     try:
         yield pool
@@ -230,7 +240,7 @@ def _finished_notes(model: Model, folder: Path, key: str) -> list[str] | None:
     try:
         with np.load(object_file(model, folder)) as arrays:
             return arrays["notes"].tolist() if str(arrays["key"]) == key else None
-    except Exception:  # none, or broken in any way
+    except Exception:  # the file is missing or damaged
         return None
 
 
@@ -303,7 +313,7 @@ def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
             try:
                 with np.load(path) as arrays:
                     array = arrays[kind]
-            except Exception as error:  # numpy's and zipfile's errors for broken files are of many kinds
+            except Exception as error:  # numpy and zipfile raise errors of many classes for damaged files
                 raise ValueError(
                     f"{path}: expected a finished object, got a broken file; delete it to make the object again"
                 ) from error
@@ -313,5 +323,6 @@ def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
 
 
 def _write_header(member: IO[bytes], array: np.ndarray, count: int) -> None:
+    """Write the npy header of ``count`` arrays like ``array``."""
     header = {"descr": array.dtype.str, "fortran_order": False, "shape": (count, *array.shape)}
     np.lib.format.write_array_header_1_0(member, header)
