@@ -24,7 +24,7 @@ COMMANDS = {
     "reconstruct": "Reconstruct a mesh from a single picture.",
     "style": "Transfer the style of a painting to a mesh.",
     "dream": "Apply DeepDream to a mesh.",
-    "demo": "Make example pictures: a turntable, and a sphere fitted to a duck.",
+    "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
 _GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
 

@@ -142,7 +142,17 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 
 
 def edge_length(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
-    """Compute the mean squared edge length over edges and batch. Arguments and errors: see `laplacian`.
+    """Compute the mean squared edge length.
+
+    Args:
+        vertices: [V, 3] or [B, V, 3] floating.
+        faces: [F, 3] whole numbers, or a `Topology`; see `laplacian`.
+
+    Returns:
+        Scalar tensor, ≥ 0: the mean over edges and batch.
+
+    Raises:
+        TypeError, ValueError: As `laplacian`.
 
     Example:
         >>> triangle = torch.tensor([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
@@ -156,10 +166,19 @@ def edge_length(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 
 
 def normal_consistency(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
-    """Compute the mean of 1 − cos φ over edges, φ being the angle between the normals of the two adjacent faces.
+    """Compute the mean of 1 − cos φ over edges; φ is the angle between the normals of the two adjacent faces.
 
-    The loss of a flat surface is 0. The winding of faces does not matter. The mean is over edges and batch. Arguments
-    and errors: see `laplacian`.
+    The loss of a flat surface is 0. The winding of faces does not matter.
+
+    Args:
+        vertices: [V, 3] or [B, V, 3] floating.
+        faces: [F, 3] whole numbers, or a `Topology`; see `laplacian`.
+
+    Returns:
+        Scalar tensor in [0, 2]: the mean over edges and batch.
+
+    Raises:
+        TypeError, ValueError: As `laplacian`.
 
     Example:
         >>> vertices, faces = nr.cube()
@@ -173,7 +192,17 @@ def normal_consistency(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
 def smoothness(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
     """Sum (cos θ + 1)² over edges and average over the batch: the paper's smoothness loss (section 4.1).
 
-    θ is the dihedral angle, 180° on a flat surface. Arguments and errors: see `laplacian`.
+    θ is the dihedral angle, 180° on a flat surface.
+
+    Args:
+        vertices: [V, 3] or [B, V, 3] floating.
+        faces: [F, 3] whole numbers, or a `Topology`; see `laplacian`.
+
+    Returns:
+        Scalar tensor, ≥ 0: a sum over edges, a mean over the batch.
+
+    Raises:
+        TypeError, ValueError: As `laplacian`.
 
     Example:
         >>> vertices, faces = nr.cube()

@@ -92,7 +92,18 @@ def rasterize(
     background_color: Any = DEFAULT_BACKGROUND_COLOR,
     gradient: str = "nmr",
 ) -> Tensor:
-    """Draw colour, [B, 3, H, W]. Arguments and errors: see `rasterize_rgbad`.
+    """Draw colour.
+
+    Args:
+        faces: [B, F, 3 corners, 3] floating, in screen space.
+        textures: [B, F, T, T, T, 3] floating.
+        image_size: See `rasterize_rgbad`, as for all further arguments.
+
+    Returns:
+        [B, 3, H, W] float32, differentiable in faces and textures.
+
+    Raises:
+        TypeError, ValueError: As `rasterize_rgbad`.
 
     Example:
         >>> faces = torch.tensor([[[[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0]]]])
@@ -112,7 +123,17 @@ def rasterize_silhouettes(
     eps: float = DEFAULT_EPS,
     gradient: str = "nmr",
 ) -> Tensor:
-    """Draw silhouettes, [B, H, W]: 1 on faces, 0 elsewhere. Arguments and errors: see `rasterize_rgbad`.
+    """Draw silhouettes.
+
+    Args:
+        faces: [B, F, 3 corners, 3] floating, in screen space.
+        image_size: See `rasterize_rgbad`, as for all further arguments.
+
+    Returns:
+        [B, H, W] float32: 1 on faces, 0 elsewhere, fractions with ``anti_aliasing``. Differentiable in faces.
+
+    Raises:
+        TypeError, ValueError: As `rasterize_rgbad`.
 
     Example:
         >>> faces = torch.tensor([[[[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0]]]])
@@ -132,7 +153,17 @@ def rasterize_depth(
     eps: float = DEFAULT_EPS,
     gradient: str = "nmr",
 ) -> Tensor:
-    """Draw depth, [B, H, W]; the background is ``far``. Arguments and errors: see `rasterize_rgbad`.
+    """Draw depth.
+
+    Args:
+        faces: [B, F, 3 corners, 3] floating, in screen space.
+        image_size: See `rasterize_rgbad`, as for all further arguments.
+
+    Returns:
+        [B, H, W] float32, ``far`` in the background. Differentiable in faces.
+
+    Raises:
+        TypeError, ValueError: As `rasterize_rgbad`.
 
     Example:
         >>> faces = torch.tensor([[[[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0]]]])
@@ -146,7 +177,7 @@ def rasterize_depth(
 class Rasterize(nn.Module):
     """Rasteriser as a module: no anti-aliasing, rows from the **bottom**, channels last.
 
-    Args: see `rasterize_rgbad`.
+    Arguments: see `rasterize_rgbad`.
 
     Raises:
         ValueError: Nothing is requested.

@@ -55,7 +55,13 @@ def load_features(source: str | os.PathLike[str], progress: bool = True) -> Feat
 
 
 def features_like(plan: Plan) -> FeatureNetwork:
-    """Build a network of zeros from a `FeatureNetwork.plan`; `load_state_dict` fills it.
+    """Build a network of zeros; `load_state_dict` fills it.
+
+    Args:
+        plan: `FeatureNetwork.plan` of a network with the same architecture.
+
+    Returns:
+        The network, on the CPU.
 
     Raises:
         ValueError: The plan belongs to no known network.

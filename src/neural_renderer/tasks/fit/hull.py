@@ -23,6 +23,9 @@ _LEAST_COMPONENT = 0.01  # smaller components, relative to the largest one, are 
 def object_bounds(views: Views) -> tuple[Tensor, float]:
     """Find the object: the box around the visual hull of all silhouettes.
 
+    Args:
+        views: Views of the object.
+
     Returns:
         The centre [3] of the box and half its longest side, in world space.
 

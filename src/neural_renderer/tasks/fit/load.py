@@ -71,7 +71,7 @@ def load_views(
     Args:
         path: Camera file (``transforms.json``, ``cameras.json`` or ``cameras.csv``; see the formats at the top of this
             module), or a folder that contains one.
-        size: Longer side in pixels, ≥ 16, to which larger images are scaled down.
+        size: Longer side in pixels, ≥ 16; larger images are scaled down.
         photos: Whether to use colours. Without them, an image that has no mask is itself the mask, white on black.
         background: RGB in [0, 1] of the background, for images without mask and alpha channel.
         tolerance: Largest difference from ``background``, in any channel, of a background pixel.
@@ -116,10 +116,20 @@ def load_photo(
     background: tuple[float, float, float] | None = None,
     tolerance: float = 0.05,
 ) -> tuple[Tensor, Tensor | None]:
-    """Load one image without a camera. Arguments and errors: see `load_views`.
+    """Load one image without a camera.
+
+    Args:
+        path: Image file.
+        size: Longer side in pixels, ≥ 16; larger images are scaled down.
+        photos: Whether to use colours; see `load_views`.
+        background: RGB in [0, 1] of the background, for an image without alpha channel.
+        tolerance: Largest difference from ``background``, in any channel, of a background pixel.
 
     Returns:
         The mask [H, W], and RGB multiplied by the mask [3, H, W], or None without ``photos``.
+
+    Raises:
+        OSError, TypeError, ValueError: As `load_views`.
 
     Example:
         >>> nr.save_image("disc.png", nr.render(nr.Mesh.icosphere(2), camera, 64).alpha[0])

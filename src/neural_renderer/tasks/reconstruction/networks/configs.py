@@ -142,6 +142,12 @@ def make_config(name: ConfigName, classes: Sequence[str]) -> Config:
         name: "paper"; "best", the best configuration known for a short training; or "small", with fewer steps.
         classes: Names of the classes to train on.
 
+    Returns:
+        The configuration.
+
+    Raises:
+        KeyError: The name is unknown.
+
     Example:
         >>> make_config("small", ["chair"]).steps
         4000

@@ -22,6 +22,10 @@ class MeshNetwork(nn.Module):
 
     Vertices are in the reconstruction frame (see `framing`).
 
+    Args:
+        config: Configuration of the network.
+        features: Recognition network of the encoder "features".
+
     Attributes:
         kind: "mesh".
         config: Configuration of the network.
