@@ -28,7 +28,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import neural_renderer as nr
-from neural_renderer.commands.task_runner import Run
+from neural_renderer.commands.task_runner import TaskRunner
 from neural_renderer.features import load_features
 from neural_renderer.tasks.fit import load_views
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
@@ -189,7 +189,7 @@ def write_weights(folder: Path) -> list[str]:
 def read_weights(folder: Path) -> None:
     load_model(folder / "best.ckpt")
     load_features(folder / "vgg.pth")
-    run = Run(folder, FakeTask(), {"steps": 3}, lambda path: None)
+    run = TaskRunner(folder, FakeTask(), {"steps": 3}, lambda path: None)
     run._restore()
 
 
