@@ -100,7 +100,7 @@ class Camera:
             viewing_angle: Half the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
             orthographic: Draw without perspective, with ``scale`` in place of ``viewing_angle``.
             scale: Screen units per world unit: a number, or a tensor [] or [B]. The image is 2 screen units high.
-            mirrored: Give the mirror image, as the old functions do.
+            mirrored: Mirror the picture, as the old functions do.
 
         Raises:
             TypeError, ValueError: As the functions `look_at` and `perspective`.

@@ -31,7 +31,7 @@ _TEXTURE_SIZE, _TEXTURE_STEPS, _BATCH = 8, 20, 8
 _RESULTS = {
     "turntable.gif": "a lit, textured mesh (.mp4 too)",
     "fit.png": "from a sphere to a duck",
-    "fit.gif": "the same as an animation, beside the target",
+    "fit.gif": "the fit as an animation, beside the target",
     "fitted.obj": "the result, with material and texture",
 }
 

@@ -68,8 +68,8 @@ class Renderer(nn.Module):
         light_direction: See `Light.direction`.
         gradient: Gradient estimator, "nmr" or "edge".
         camera_up: Direction that is up in the picture, [3] or [B, 3].
-        image_height: Height in pixels; replaces that of ``image_size``.
-        image_width: Width in pixels; replaces that of ``image_size``.
+        image_height: Height in pixels; takes precedence over ``image_size``.
+        image_width: Width in pixels; takes precedence over ``image_size``.
 
     Attributes:
         eye: Position of the camera, [3] or [B, 3].

@@ -50,7 +50,7 @@ def find_file(source: Path, name: str, *folders: Path, allow_outside: bool = Fal
     if absolute.is_absolute() and (allow_outside or _inside(name, home)) and is_file(absolute):
         return absolute
     if beyond and not allow_outside:
-        raise outside(source, name)
+        raise outside_error(source, name)
     return None
 
 
@@ -59,7 +59,7 @@ def is_outside(source: Path, name: str) -> bool:
     return _inside(os.path.join(source.parent, name), source.parent) is None
 
 
-def outside(source: Path, name: str) -> ValueError:
+def outside_error(source: Path, name: str) -> ValueError:
     """Make the error for a name in ``source`` that refers outside its folder."""
     return ValueError(
         f"{source}: expected names of files in its folder, got {short(name)}, which is outside; "

@@ -171,7 +171,7 @@ class _Parser:
         if with_uv and self.texture:  # indices of coordinates are ignored in a file without coordinates
             texture_corners = np.array(self.texture_corners)
             self._check(texture_corners, len(self.texture), "texture coordinate")
-            # The extra entry at the end is what −1, a corner without coordinates, reads.
+            # −1, a corner without coordinates, reads the extra entry at the end.
             uv = np.array([*self.texture, (np.nan, np.nan)])[texture_corners[triangles]]
         colors = np.full(vertices.shape, np.nan)
         if self.colors:

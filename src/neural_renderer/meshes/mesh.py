@@ -33,7 +33,7 @@ class Mesh(nn.Module):
         faces: [F, 3] tensor or array of whole numbers, on the device of the vertices.
         textures: [F, T, T, T, 3] floating, or None for noise.
         texture_size: T of the noise, ≥ 1.
-        normalization: For an OBJ file: move its bounding box to the origin and its longest side to [−1, 1].
+        normalization: For an OBJ file: centre its bounding box at the origin and scale its longest side to [−1, 1].
 
     Attributes:
         vertices: Parameter, float32 [V, 3].
@@ -97,7 +97,18 @@ class Mesh(nn.Module):
         texture_size: int = 4,
         allow_outside: bool = False,
     ) -> Mesh:
-        """Read an OBJ file with its colours (``load_texture=True``) or with noise as texture; see `load_obj`."""
+        """Read an OBJ file.
+
+        Args:
+            filename_obj: Path of the file.
+            normalization: Centre the bounding box at the origin and scale its longest side to [−1, 1].
+            load_texture: Read the colours; otherwise the texture is noise.
+            texture_size: T, texels along a cube's edge, ≥ 1.
+            allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
+
+        Raises:
+            OSError, TypeError, ValueError: As `load_obj`.
+        """
         loaded = load_obj(filename_obj, normalization, texture_size, load_texture, allow_outside=allow_outside)
         textures = loaded[2] if len(loaded) == 3 else None
         return cls(loaded[0], loaded[1], textures, texture_size)

@@ -96,8 +96,8 @@ class UVMesh:
         """Write the mesh as OBJ or GLB, with colours clamped to [0, 1].
 
         With ``spot.obj`` this writes ``spot.mtl`` and ``spot_texture.png``, or ``spot_texture_1.png`` and so on. Faces
-        are grouped by image; those without an image share one more image, with a tile for each. GLB files have no
-        "clamp": their images repeat beyond [0, 1].
+        are grouped by image; those without an image share one more image, with a tile for each. Images of GLB files
+        always repeat beyond [0, 1].
 
         Args:
             path: Name that ends in ``.obj`` or ``.glb``. A file of this name is replaced, missing folders are made.
@@ -150,7 +150,7 @@ class UVMesh:
             uv = seen.interpolate(self.uv.reshape(-1, 2), corners)
             shown = None
             if len(self.images) > 1 or parts:
-                # The extra entry at the end is what face −1 (background) reads.
+                # Face −1 (background) reads the extra entry at the end.
                 shown = torch.cat((self.image_index, self.image_index.new_tensor([-1])))[seen.face_index.long()]
             for number, (image, wrap) in enumerate(zip(self.images, self.wraps, strict=True)):
                 own = seen.face_index if shown is None else torch.where(shown == number, seen.face_index, -1)

@@ -56,7 +56,7 @@ def turntable(folder: Path, mesh: Mesh | UVMesh, frames: int = 36, size: int = 3
 
 @torch.no_grad()
 def normalized_like(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
-    """Apply the transformation that takes ``other``, a mesh with the same faces, to [-1, 1]³; drop unused vertices."""
+    """Transform ``mesh`` as ``other``, a mesh with the same faces, is scaled to [-1, 1]³; drop unused vertices."""
     used, faces = torch.unique(mesh.faces, return_inverse=True)
     center, half = bounding_box(other.vertices[used])
     vertices = (mesh.vertices[used] - center) / half

@@ -27,7 +27,7 @@ from ... import validate
 from ...camera import Camera, get_points_from_angles
 from ...io import load_image
 from ...io.files import existing, read_text, reason, short
-from ...io.named_files import is_file, is_outside, outside
+from ...io.named_files import is_file, is_outside, outside_error
 from .fit_views import Views, downscale
 
 _CAMERA_FILES = ("transforms.json", "transforms_train.json", "cameras.json", "cameras.csv")
@@ -212,7 +212,7 @@ def _file(camera_file: Path, name: Any, allow_outside: bool) -> Path:
     """Find a file relative to the camera file; NeRF's data sets leave out suffixes."""
     name = str(name)
     if not allow_outside and is_outside(camera_file, name):
-        raise outside(camera_file, name)
+        raise outside_error(camera_file, name)
     for suffix in _SUFFIXES:
         found = camera_file.parent / (name + suffix)
         if is_file(found):
