@@ -13,8 +13,8 @@ from ..io import save_image
 from ..io.obj_writer import check_own
 from ..meshes.mesh import Mesh
 from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
+from ..tasks.fit.camera_files import camera_file
 from ..tasks.fit.fit_pictures import comparison
-from ..tasks.fit.load import camera_file
 from .common import check_counts, check_outputs, choose_device, make_folder
 from .fit_report import RESULTS, report_camera, report_mesh, write_mesh
 from .options.fit import FitOptions
