@@ -143,7 +143,7 @@ def test_outputs_and_plain_meshes(device):
     rgb, alpha, depth = images
     assert rgb is None and alpha is images.alpha and depth is images.depth
     assert torch.equal(alpha, nr.render(mesh, camera, 24).alpha)
-    with pytest.raises(AttributeError, match='rgb: expected an output .*, got images of alpha, depth; add "rgb"'):
+    with pytest.raises(AttributeError, match=r'rgb: expected an output .*, got images of alpha, depth; add "rgb"'):
         _ = images.rgb
     with pytest.raises(ValueError, match="textures"):
         nr.render((mesh.vertices, mesh.faces), camera, 24)

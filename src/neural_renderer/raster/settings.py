@@ -100,7 +100,7 @@ class Settings:
         if not (corners.requires_grad and torch.is_grad_enabled()):
             return image
         if self.gradient == "edge":
-            own = marks() if marks and seams else None
+            own = marks() if marks is not None and seams else None
             return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams, own, rings)
         if not self.perspective:  # depth has no part in it: a corner behind an orthographic camera is like any other
             corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)

@@ -49,14 +49,16 @@ class VisibleFaces:
     @property
     def _points(self) -> tuple[Tensor, Tensor]:
         # Computed at first use and kept, but not without gradients for a later use with gradients.
-        points = self.__dict__.get("_kept")
+        points: tuple[Tensor, Tensor] | None = self.__dict__.get("_kept")
         if points is None:
-            settings = self.settings
-            points = barycentrics(self.corners, self.face_index, settings.near, settings.far, settings.perspective)
+            points = self._locate()
             if torch.is_grad_enabled() or not (self.corners.requires_grad or torch.is_inference_mode_enabled()):
                 self.__dict__["_kept"] = points
-        weights, depth = points
-        return weights, depth
+        return points
+
+    def _locate(self) -> tuple[Tensor, Tensor]:
+        settings = self.settings
+        return barycentrics(self.corners, self.face_index, settings.near, settings.far, settings.perspective)
 
     def image(
         self,
@@ -93,22 +95,23 @@ class VisibleFaces:
         if "alpha" in outputs:
             layers["alpha"] = silhouette(self.face_index)
         through = "depth" in outputs and self.settings.gradient == "edge"  # "nmr" sends no depth through visibility
-        if through:
-            layers["depth"] = self.depth[:, None]
+        depth = self._locate()[1] if "depth" in outputs else None
+        if depth is not None and through:
+            layers["depth"] = depth[:, None]
         if layers:
             image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
             image = self.image(image, seams=rgb is not None, binary=rgb is None, marks=marks)
             layers = _split(image, layers)
-        if "depth" in outputs and not through:
-            layers["depth"] = self._depth_alone()[:, None]
+        if depth is not None and not through:
+            layers["depth"] = self._average_depth(depth)[:, None]
         flat = {name: layers[name].squeeze(1) for name in ("alpha", "depth") if name in layers}
         return Images(rgb=layers.get("rgb"), **flat)
 
-    def _depth_alone(self) -> Tensor:
+    def _average_depth(self, depth: Tensor) -> Tensor:
         if self.settings.anti_aliasing:
-            return halve(self.depth[:, None])[:, 0]
+            return halve(depth[:, None])[:, 0]
         # Its gradient needs the values as they are, and callers may change theirs in place.
-        return self.depth.clone() if self.depth.requires_grad else self.depth
+        return depth.clone() if depth.requires_grad else depth
 
 
 def _split(image: Tensor, layers: dict[str, Tensor]) -> dict[str, Tensor]:
