@@ -44,6 +44,13 @@ def test_example1_draws_90_pictures(run: Run) -> None:
     assert "90 pictures" in run(1)
 
 
+def test_example2_approaches_a_square(run: Run) -> None:
+    first, *_, last = losses(run(2, 41))
+    assert first == pytest.approx(10103, rel=1e-3)
+    assert last < 0.9 * first
+
+
+@pytest.mark.slow
 def test_example2_fits_a_square(run: Run) -> None:
     printed = run(2)
     first, *_, last = losses(printed)
@@ -58,6 +65,13 @@ def test_example3_paints(run: Run) -> None:
     assert last < 0.8 * first
 
 
+def test_example4_approaches_the_camera(run: Run) -> None:
+    first, *_, last = losses(run(4, 21))
+    assert first == pytest.approx(8445, rel=1e-3)
+    assert last < first - 50  # Adam moves it by 0.1 a step, of 14 to go
+
+
+@pytest.mark.slow
 def test_example4_finds_the_camera(run: Run) -> None:
     printed = run(4)
     first, *_, last = losses(printed)

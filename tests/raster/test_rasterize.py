@@ -336,6 +336,7 @@ print(covered, peak / 1024)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="measures memory with the resource module, in Linux's units")
 def test_a_mesh_of_1600000_faces():
     """Memory grows with pixels and faces, not with their product: some 60 bytes a pixel and 150 a face, 0.3 GiB."""

@@ -100,10 +100,9 @@ def test_closed_surfaces(device, seams, perspective):
 @pytest.mark.parametrize("seams", [False, True])
 def test_surfaces_with_valleys(device, seams):
     told = torch.zeros(2)
-    for seed in range(3):
-        for level in (0, 1):
-            told += compare(device, ball(seed, level, 0.2), 20, 27, 2, seed % 2 == 0, True, seams, seed)
-    assert told[0] >= 0.8 * told[1] and told[1] > 50
+    for seed, level in ((0, 0), (1, 1), (2, 0)):
+        told += compare(device, ball(seed, level, 0.2), 20, 27, 2, seed % 2 == 0, True, seams, seed)
+    assert told[0] >= 0.8 * told[1] and told[1] > 20
 
 
 def test_a_valley_does_not_cut(device):

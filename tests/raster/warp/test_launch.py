@@ -110,9 +110,10 @@ if __name__ == "__main__":
     with multiprocessing.get_context(method).Pool(2) as pool:
         early = pool.map(total, range(4))
     first = total()
-    with multiprocessing.get_context(method).Pool(2) as pool:
-        late = pool.map(total, range(4))
-    assert early == late == [first] * 4 and first > 0
+    assert early == [first] * 4 and first > 0
+    if method == "fork":  # a spawned worker knows nothing of what ran before
+        with multiprocessing.get_context(method).Pool(2) as pool:
+            assert pool.map(total, range(4)) == early
 """
 
 
