@@ -14,8 +14,8 @@ Where to look; `help(nr.render)` and so on explain each name:
     files        load_mesh, save_mesh, load_image, save_image, save_animation
     old code     Renderer, rasterize, look_at, load_obj, Adam, …: the names of the first `neural_renderer` packages
 
-`neural_renderer.tasks` holds what the command line does: fit, editing and reconstruction. The method is that of
-"Neural 3D Mesh Renderer" (Kato, Ushiku and Harada, CVPR 2018).
+`neural_renderer.tasks` contains the tasks of the command line: fit, editing and reconstruction. The method is described
+in "Neural 3D Mesh Renderer" (Kato, Ushiku and Harada, CVPR 2018).
 """
 
 from importlib import import_module

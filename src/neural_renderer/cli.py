@@ -24,9 +24,9 @@ COMMANDS = {
     "reconstruct": "Reconstruct a mesh from a single picture.",
     "style": "Transfer the style of a painting to a mesh.",
     "dream": "Apply DeepDream to a mesh.",
-    "demo": "Make pictures that show what the package does.",
+    "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
-_GROUPS = ("reconstruct",)  # commands with subcommands, which their package lists as COMMANDS
+_GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
 
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command.
 
@@ -79,6 +79,7 @@ def _parse(
 
 
 def _load(module: str) -> Any:
+    """Import a module of `commands`."""
     return importlib.import_module(f"neural_renderer.commands.{module}")
 
 

@@ -1,4 +1,4 @@
-"""The public names, which are those of the package; `__init__` loads this module when the first of them is used."""
+"""Public names of the package. `__init__` loads this module at the first use of one of them."""
 
 from . import losses, metrics
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection

@@ -21,6 +21,12 @@ def silhouette_iou(predicted: Tensor, target: Tensor, threshold: float = 0.5) ->
 
     Raises:
         TypeError, ValueError: An argument is not a tensor, or the shapes differ.
+
+    Example:
+        >>> square = torch.zeros(1, 8, 8)
+        >>> square[:, 2:6, 2:6] = 1
+        >>> silhouette_iou(square, square.roll(1, 2))  # 12 pixels of 20 are shared
+        tensor([0.6000])
     """
     for name, value in (("predicted", predicted), ("target", target)):
         if not isinstance(value, Tensor):

@@ -1,4 +1,4 @@
-"""The checks of the public border: each raises with a sentence "what: expected, got"."""
+"""Validation of public arguments. Messages have the form "what: expected, got"."""
 
 from __future__ import annotations
 
@@ -14,29 +14,36 @@ import torch
 from torch import Tensor
 
 FLOATING = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
-"""The floating dtypes that torch computes in; those of 8 bits and fewer only store."""
+"""Floating dtypes that torch can compute in; 8-bit floats are for storage only."""
 _SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torch.uint64)
 
 _check_values = True
 
 
 def check_values(enabled: bool) -> None:
-    """Turn the checks that must read a tensor's numbers on (default) or off, for hot loops.
+    """Turn checks of tensor values on (default) or off.
 
-    They find numbers that are NaN or infinite and face indices out of range. On CUDA each makes the host wait for the
-    device once; shapes, dtypes and devices are always checked, because that costs nothing, and so is what goes into a
-    file. With the checks off, a face that has such a vertex or index is not drawn and nothing crashes, but gradients
-    may not be numbers.
+    These checks find NaN, infinity and face indices out of range. On CUDA each of them synchronises with the device, so
+    turn them off in hot loops. Types, shapes, dtypes and devices are always checked, and so are values that are written
+    to files. With the checks off, a face with a bad vertex or index is not drawn; gradients may then be NaN.
+
+    Args:
+        enabled: Whether to check values.
+
+    Example:
+        >>> nr.check_values(False)
+        >>> images = nr.render(mesh, camera)
+        >>> nr.check_values(True)
     """
     global _check_values
     _check_values = bool(enabled)
 
 
 def values_are_checked(value: Tensor) -> bool:
-    """Whether the numbers of ``value`` are checked now.
+    """Tell whether values of this tensor are checked now.
 
-    Never where they cannot be read: while torch.compile traces, under torch.func, on the device "meta", in tensors
-    that only look like ones (FakeTensor), while make_fx traces.
+    They are not where they cannot be read: in torch.compile, torch.func and make_fx, on the device "meta", and in
+    tensor subclasses such as FakeTensor.
     """
     return _check_values and not (
         torch.compiler.is_compiling()
@@ -49,7 +56,7 @@ def values_are_checked(value: Tensor) -> bool:
 
 @contextmanager
 def called(**names: str) -> Iterator[None]:
-    """Messages of the checks inside name arguments as the caller wrote them: ``called(size="image_size")``."""
+    """Rename arguments in the messages of checks inside the block: ``called(size="image_size")``."""
     try:
         yield
     except (TypeError, ValueError) as error:
@@ -60,15 +67,16 @@ def called(**names: str) -> Iterator[None]:
 
 
 def shape_of(value: Tensor) -> str:
-    """A tensor's shape and dtype as the messages write it: ``[2, 3] float32``."""
+    """Format a tensor's shape and dtype for messages: ``[2, 3] float32``."""
     return f"{list(value.shape)} {str(value.dtype).removeprefix('torch.')}"
 
 
 def floating(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
-    """``value`` if it is a floating tensor whose shape fits: an int must match, a name stands for any size.
+    """Return ``value`` if it is a floating tensor whose shape fits. In ``shape``, a name stands for any size.
 
-    Raises TypeError for anything else than a floating tensor and
-    ValueError for another shape.
+    Raises:
+        TypeError: ``value`` is not a floating tensor.
+        ValueError: The shape does not fit.
     """
     if not isinstance(value, Tensor):
         raise TypeError(f"{name}: expected a floating-point torch tensor, got {type(value).__name__}")
@@ -77,18 +85,18 @@ def floating(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
 
 
 def real(name: str, value: Tensor) -> Tensor:
-    """``value`` if it is of 16 to 64 bits floating; TypeError otherwise."""
+    """Return ``value`` if its dtype is floating, of 16 to 64 bits; raise TypeError otherwise."""
     if value.dtype not in FLOATING:
         raise TypeError(f"{name}: expected a floating-point tensor of 16 to 64 bits, got {shape_of(value)}")
     return value
 
 
 def indices(name: str, value: Any, shape: Sequence[int | str], always: bool = False) -> Tensor:
-    """``value`` as an int32 or int64 tensor, if it holds whole numbers of any real dtype and its shape fits.
+    """Convert whole numbers of any real dtype to int64; int32 and int64 stay as they are. ``shape`` as in `floating`.
 
-    int32 and int64 come back as they are, others as int64 (see `floating` for the shape). Raises TypeError for anything
-    else than a tensor of real numbers, ValueError for another shape, and for other numbers if values are checked, or
-    ``always``.
+    Raises:
+        TypeError: ``value`` is not a tensor of real numbers.
+        ValueError: The shape does not fit; while values are checked, or with ``always``, also a number is not whole.
     """
     if not isinstance(value, Tensor):
         raise TypeError(f"{name}: expected a torch tensor of whole numbers, got {type(value).__name__}")
@@ -105,14 +113,14 @@ def indices(name: str, value: Any, shape: Sequence[int | str], always: bool = Fa
 
 
 def vertices(value: Any) -> Tensor:
-    """``value`` if it is a floating tensor [V, 3] or [B, V, 3] of finite numbers; TypeError or ValueError otherwise."""
+    """Return ``value`` if it is a finite floating tensor [V, 3] or [B, V, 3]; raise otherwise, see `floating`."""
     floating("vertices", value, ("V", 3) if getattr(value, "ndim", 3) == 2 else ("B", "V", 3))
     finite("vertices", value)
     return value
 
 
 def cubes(name: str, value: Any, *owners: int | str) -> Tensor:
-    """``value`` if it is a floating tensor of texture cubes [*owners, T, T, T, 3], T at least 1 (see `floating`)."""
+    """Return ``value`` if it holds floating texture cubes [*owners, T, T, T, 3] with T ≥ 1; see `floating`."""
     floating(name, value, (*owners, "T", "T", "T", 3))
     if len(set(value.shape[-4:-1])) != 1 or value.shape[-2] < 1:
         raise ValueError(f"{name}: expected cubes [T, T, T, 3] with T at least 1, got {shape_of(value)}")
@@ -120,7 +128,7 @@ def cubes(name: str, value: Any, *owners: int | str) -> Tensor:
 
 
 def in_float32(name: str, value: Tensor) -> Tensor:
-    """``value`` in float32; ValueError if it had another type that does not fit and values are checked."""
+    """Convert ``value`` to float32; raise ValueError if a number overflows, while values are checked."""
     if value.dtype != torch.float32:
         value = value.float()
         finite(f"{name}, in float32", value)
@@ -128,25 +136,26 @@ def in_float32(name: str, value: Tensor) -> Tensor:
 
 
 def wide(value: Tensor) -> Tensor:
-    """float16 and bfloat16 as float32, in which is computed; float32 and float64 as they are."""
+    """Convert float16 and bfloat16 to float32, for computation; float32 and float64 stay as they are."""
     return value if value.dtype in (torch.float32, torch.float64) else value.float()
 
 
 def dense(name: str, value: Tensor) -> Tensor:
-    """``value`` if it is not sparse; TypeError otherwise."""
+    """Return ``value`` if it is not sparse; raise TypeError otherwise."""
     if value.layout != torch.strided:
         raise TypeError(f"{name}: expected a dense tensor, got {shape_of(value)} of layout {value.layout}")
     return value
 
 
 def has_numbers(name: str, value: Tensor) -> Tensor:
-    """``value`` if it is on a device that holds numbers; ValueError otherwise."""
+    """Return ``value`` unless it is on the device "meta", which holds no numbers; raise ValueError otherwise."""
     if value.is_meta:
         raise ValueError(f'{name}: expected a tensor with numbers, got one on the device "meta"')
     return value
 
 
 def _match(name: str, value: Tensor, shape: Sequence[int | str]) -> None:
+    """Raise ValueError unless the shape fits; see `floating`."""
     dense(name, value)
     if len(shape) != value.dim() or any(
         isinstance(want, int) and want != have for want, have in zip(shape, value.shape, strict=True)
@@ -156,7 +165,7 @@ def _match(name: str, value: Tensor, shape: Sequence[int | str]) -> None:
 
 
 def same_device(**tensors: Tensor | None) -> torch.device:
-    """The one device on which all the given tensors live; ValueError names the two that differ."""
+    """Return the common device of tensors, given by argument name; raise ValueError if two differ."""
     first_name, first = next((name, t) for name, t in tensors.items() if t is not None)
     for name, tensor in tensors.items():
         if tensor is not None and tensor.device != first.device:
@@ -165,12 +174,12 @@ def same_device(**tensors: Tensor | None) -> torch.device:
 
 
 def finite(name: str, value: Tensor, always: bool = False) -> None:
-    """ValueError if ``value`` holds NaN or infinity and values are checked (see `check_values`), or ``always``."""
+    """Raise ValueError if a number is not finite, while values are checked (see `check_values`) or with ``always``."""
     if not (always or values_are_checked(value)) or not value.numel():
         return
-    value = value.detach().resolve_neg()  # which NumPy does not know
-    # A sum is NaN or infinite if any term is: one pass without a mask. The second look rules out that finite numbers
-    # overflowed. NumPy's sum on the CPU, because torch's threads would go on spinning where the kernels' want to run.
+    value = value.detach().resolve_neg()  # NumPy does not support the negative bit
+    # A sum is NaN or infinite if any term is: one pass without a mask. The second check excludes that finite numbers
+    # overflowed. On the CPU NumPy sums, because torch's idle threads would spin on cores that the kernels need.
     plain = value.device.type == "cpu" and value.dtype in (torch.float32, torch.float64)
     with np.errstate(all="ignore"):
         total = float(value.numpy().sum()) if plain else value.sum().item()
@@ -181,9 +190,9 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
 
 
 def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: bool = False) -> None:
-    """ValueError if an index is outside ``[0, size)`` and values are checked (see `check_values`), or ``always``.
+    """Raise ValueError if an index is outside [0, size), while values are checked or with ``always``.
 
-    padded: rows of -1 alone are allowed, unless ``size`` is 0.
+    padded: Rows of -1 alone are allowed, unless ``size`` is 0.
     """
     if (always or values_are_checked(value)) and value.numel():
         low, high = (int(v) for v in torch.aminmax(value))
@@ -194,12 +203,12 @@ def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: 
 
 
 def number(name: str, value: Any, dtype: torch.dtype = torch.float64) -> float:
-    """``value`` as a float that is finite in ``dtype``; TypeError or ValueError otherwise."""
+    """Convert ``value`` to a float that is finite in ``dtype``; raise TypeError or ValueError otherwise."""
     try:
-        if isinstance(value, str):  # which float() would read
+        if isinstance(value, str):  # float() accepts strings
             raise TypeError
         found = float(value.item() if isinstance(value, Tensor) else value)
-    except OverflowError:  # a whole number, of too many digits to show
+    except OverflowError:  # an int with too many digits to show
         raise ValueError(f"{name}: expected a finite number, got one beyond {sys.float_info.max:.0e}") from None
     except (TypeError, ValueError, RuntimeError):
         got = shape_of(value) if isinstance(value, Tensor) else type(value).__name__
@@ -213,7 +222,7 @@ def number(name: str, value: Any, dtype: torch.dtype = torch.float64) -> float:
 
 
 def positive(name: str, value: Any) -> float:
-    """``value`` as a finite float above 0; TypeError or ValueError otherwise."""
+    """Convert ``value`` to a finite float > 0; raise TypeError or ValueError otherwise."""
     found = number(name, value)
     if found <= 0:
         raise ValueError(f"{name}: expected a finite number above 0, got {value}")
@@ -221,7 +230,7 @@ def positive(name: str, value: Any) -> float:
 
 
 def not_negative(name: str, value: Any) -> float:
-    """``value`` as a finite float of at least 0; TypeError or ValueError otherwise."""
+    """Convert ``value`` to a finite float ≥ 0; raise TypeError or ValueError otherwise."""
     found = number(name, value)
     if found < 0:
         raise ValueError(f"{name}: expected a number of at least 0, got {value}")
@@ -229,14 +238,14 @@ def not_negative(name: str, value: Any) -> float:
 
 
 def flag(name: str, value: Any) -> bool:
-    """``value`` if it is True or False (0 and 1 pass too); TypeError otherwise."""
+    """Convert True, False, 0 or 1 to a bool; raise TypeError for other values."""
     if not isinstance(value, (bool, int, np.bool_, np.integer)) or value not in (0, 1):
         raise TypeError(f"{name}: expected True or False, got {reprlib.repr(value)}")
     return bool(value)
 
 
 def whole(name: str, value: Any, least: int) -> int:
-    """``value`` as an int of at least ``least``; TypeError or ValueError otherwise."""
+    """Convert ``value`` to an int ≥ ``least``; raise TypeError or ValueError otherwise."""
     found = number(name, value)
     if found != int(found):
         raise TypeError(f"{name}: expected a whole number, got {value}")

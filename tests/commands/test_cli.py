@@ -183,7 +183,7 @@ def test_turntable(ball: str, tmp_path: Path) -> None:
             ["-o", "a.png", "--mode", "depth", "--background", "white"],
             "--background: expected --mode rgb or normals, got",
         ),
-        (["-o", "a.png", "--mode", "silhouettes", "--background", "transparent"], "got silhouettes, which is on black"),
+        (["-o", "a.png", "--mode", "silhouettes", "--background", "transparent"], "got silhouettes (always on black)"),
         (["-o", "a.png", "--background", "0", "0", "2"], "--background: expected three numbers from 0 to 1"),
     ],
 )

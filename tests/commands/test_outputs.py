@@ -104,7 +104,7 @@ def test_what_lies_beside_the_result(tmp_path: Path, command: str, capsys: pytes
         picture(tmp_path / "somebody's.png").rename(other)
         before = contents(tmp_path)
         said = fails(capsys, *start)
-        assert f"{other}: expected nothing there, or a file that was written with {name}.obj, got another" in said
+        assert f"{other}: expected no file, or one that was written with {name}.obj, got a foreign file" in said
         assert contents(tmp_path) == before
         if command == "demo":
             assert "; -o names another folder" in said

@@ -19,8 +19,8 @@ def test_each_face_finds_its_colours() -> None:
 
 def test_tiles_of_one_colour_lie_together() -> None:
     """Mipmaps blend neighbouring tiles: of four colours in random order three borders are left."""
-    colours = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.9, 0.9, 0.9]], dtype=np.float32)
+    colors = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.9, 0.9, 0.9]], dtype=np.float32)
     chosen = np.random.default_rng(0).integers(0, 4, 900)
-    _, pixels = build_atlas(np.broadcast_to(colours[chosen, None, None, None], (900, 2, 2, 2, 3)))
+    _, pixels = build_atlas(np.broadcast_to(colors[chosen, None, None, None], (900, 2, 2, 2, 3)))
     in_order = chosen[np.lexsort((pixels[:, 0, 0], pixels[:, 0, 1]))]
     assert np.count_nonzero(np.diff(in_order)) == 3

@@ -198,7 +198,7 @@ def test_what_cannot_be_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     os.mkfifo(tmp_path / "pipe")
     for name, sentence in (
         ("folder", "Is a directory"),
-        ("pipe", "it is no regular file"),
+        ("pipe", "not a regular file"),
         ("kept/b", "Not a directory|File exists"),
     ):
         with pytest.raises(OSError, match=f"{name}: expected to write it, got: ({sentence})"):

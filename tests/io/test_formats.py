@@ -128,9 +128,9 @@ def test_scene_is_put_together_and_mirrored_parts_stay_outside_out(tmp_path):
     for part in (corners[:12], corners[12:]):
         assert torch.linalg.det(points[part.long()] - points[part.long()].mean((0, 1))).sum() > 0
     assert {-1.0, 1.0, 9.0, 11.0} == set(points[:, 0].tolist())
-    colours = {tuple(round(c, 2) for c in t[0, 0, 0].tolist()) for t in textures}
-    assert (1.0, 0.74, 0.0) in colours  # linear 0.5 is 0.74 in sRGB
-    assert len(colours) == 2
+    colors = {tuple(round(c, 2) for c in t[0, 0, 0].tolist()) for t in textures}
+    assert (1.0, 0.74, 0.0) in colors  # linear 0.5 is 0.74 in sRGB
+    assert len(colors) == 2
 
 
 def test_texture_times_factor_and_upright(tmp_path):

@@ -16,7 +16,7 @@ import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.io.named_files import find_file, is_outside
 
-HINT = r"which leads out of it; allow_outside=True \(--allow-outside\)"
+HINT = r"which is outside; allow_outside=True \(--allow-outside\)"
 
 
 @pytest.fixture

@@ -136,8 +136,8 @@ def test_names_with_spaces_backslashes_and_other_case(tmp_path):
         path = write(tmp_path, f"mtllib my materials.mtl\n{TRIANGLE}{UV}usemtl a b\nf 1/1 2/2 3/3\n")
         if "elsewhere" in line:
             (tmp_path / "Tex/my image.PNG").rename(tmp_path / "my image.PNG")
-        colour = load_obj(path, load_texture=True)[2]
-        assert torch.allclose(colour, torch.tensor([1, 0, 0.2]).expand_as(colour))
+        color = load_obj(path, load_texture=True)[2]
+        assert torch.allclose(color, torch.tensor([1, 0, 0.2]).expand_as(color))
 
 
 def test_several_material_files(tmp_path):
@@ -164,7 +164,7 @@ def test_encodings_and_line_ends(tmp_path, encoding):
             "f -1 -2 -3\n" + TRIANGLE,
             "line 1: expected a vertex index that is above 0, because no vertex comes before it",
         ),
-        ("f 1 2 3\n", "line 1: expected a vertex index of a vertex in the file, got 1"),
+        ("f 1 2 3\n", "line 1: vertex 1 is used, but the file defines none"),
         (TRIANGLE + "f 1 2 x", "line 4: cannot read 'f 1 2 x'"),
         (TRIANGLE + "v 1 2\nf 1 2 3", "line 4: cannot read 'v 1 2'"),
         (TRIANGLE + "v 1 inf 2\nf 1 2 3", "line 4: expected finite coordinates"),

@@ -24,7 +24,7 @@ def photo(path: Path) -> bytes:
 
 
 def refused(name: str, save: str = r"a\.obj") -> pytest.RaisesExc[FileExistsError]:
-    sentence = rf"{name}: expected nothing there, or a file that was written with {save}, got another; overwrite=True"
+    sentence = rf"{name}: expected no file, or one that was written with {save}, got a foreign file; overwrite=True"
     return pytest.raises(FileExistsError, match=sentence)
 
 

@@ -100,21 +100,21 @@ def test_what_does_not_fit(tmp_path):
         nr.UVMesh.load(tmp_path / "plain.obj").shade(nr.fragments(mesh, nr.Camera.look_at((0.0, 0.0, 3.0)), 8))
 
 
-def globe(colour, device="cpu"):
+def globe(color, device="cpu"):
     """A sphere whose corners all look at one image of one colour, and the same with cubes."""
     vertices, faces = nr.icosphere(2)
-    count, colour = len(faces), torch.tensor(colour)
+    count, color = len(faces), torch.tensor(color)
     generator = torch.Generator().manual_seed(1)
     painted = nr.UVMesh(
         vertices,
         faces,
         uv=torch.rand(count, 3, 2, generator=generator),
         image_index=torch.zeros(count, dtype=torch.int64),
-        images=(colour.expand(8, 8, 3).contiguous(),),
+        images=(color.expand(8, 8, 3).contiguous(),),
         colors=torch.zeros(count, 3, 3),
         wraps=("repeat",),
     )
-    cubes = nr.Mesh(vertices, faces, colour.expand(count, 2, 2, 2, 3))
+    cubes = nr.Mesh(vertices, faces, color.expand(count, 2, 2, 2, 3))
     return painted.to(device), cubes.to(device)
 
 

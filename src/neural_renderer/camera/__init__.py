@@ -1,4 +1,4 @@
-"""Cameras: from world vertices to the screen (x right, y up, both in [-1, 1] over the image; z the depth)."""
+"""Cameras: world vertices to screen coordinates (x right, y up, both in [-1, 1] over the image; z is the depth)."""
 
 from __future__ import annotations
 

@@ -27,28 +27,34 @@ from .view import look_at_frame, look_frame, rotate, transform
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A batch of B cameras: ``camera(vertices)`` takes world vertices to the screen.
+    """A batch of B cameras: ``camera(vertices)`` projects world vertices onto the screen.
 
     Build it with `Camera.look_at`, `Camera.look`, `Camera.projection` or `Camera.weak_perspective`. The world is
     right-handed and the picture is not mirrored: x of the screen points to the right of the viewer (viewing direction ×
-    up), and a face whose corners run counter-clockwise seen from outside runs counter-clockwise on the screen.
-    ``mirrored=True`` gives the view of the old functions `look_at` and `look`, which is the mirror image.
+    up). Faces that are counter-clockwise seen from outside are counter-clockwise on the screen. ``mirrored=True`` gives
+    the mirror image, as the old functions `look_at` and `look` do.
 
-    Numbers and arrays are taken in torch's default dtype, unless a tensor beside them has another. A camera is
-    immutable. Its tensors are moved to the vertices' device and dtype at each call, so `to` only saves
-    that copy. Gradients flow to whatever tensors it was built from.
+    Numbers and arrays become tensors of torch's default dtype, or of the dtype of a tensor given with them. A camera is
+    immutable. Each call copies its tensors to the vertices' device and dtype; `to` saves these copies. Gradients flow
+    to the tensors that the camera was built from.
 
     Attributes:
-        rotation: [B, 3, 3], the camera's axes as rows; with the two below, a world point X has the camera coordinates
+        rotation: [B, 3, 3], the camera's axes as rows. Camera coordinates of a world point X are
             rotation · (X − origin) + translation.
         origin: [B, 3], the eye (zero for `projection`).
         translation: [B, 3], the ``t`` of `projection` (zero for the others).
-        viewing_angle: half the **vertical** field of view in degrees, a number or [B]; None without such a lens.
-        scale: screen units per world unit, a number or [B]; used where there is neither a viewing angle nor K.
-        K: [B, 3, 3], the intrinsic matrix of `projection`; None otherwise.
-        dist_coeffs: [B, 5], its distortion, or None.
-        orig_size: (height, width) of the image that K describes.
-        mirrored: whether the picture is the mirror image of what a viewer sees.
+        viewing_angle: Half the **vertical** field of view in degrees, a number or [B]; None for other lenses.
+        scale: Screen units per world unit, a number or [B]; used if ``viewing_angle`` and ``K`` are None.
+        K: [B, 3, 3], the intrinsic matrix of `projection` in pixels; None otherwise.
+        dist_coeffs: [B, 5], the distortion of `projection`, or None.
+        orig_size: (height, width) in pixels of the image that K describes.
+        mirrored: Whether the picture is a mirror image.
+
+    Example:
+        >>> camera = nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30)
+        >>> x, y, depth = camera(torch.zeros(1, 3))[0, 0]  # the origin, at the image's centre
+        >>> depth
+        tensor(2.6926)
     """
 
     rotation: Tensor
@@ -85,18 +91,24 @@ class Camera:
         scale: Scalar = 1.0,
         mirrored: bool = False,
     ) -> Camera:
-        """Cameras at ``eye`` that look at the points ``at``.
+        """Make cameras at ``eye`` that look at the points ``at``.
 
         Args:
-            eye, at, up: [3] or [B, 3] each, in world units: lists, tuples, arrays or tensors (see the function
-                `look_at`).
-            viewing_angle: half the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
-            orthographic: no perspective; ``scale`` is used in place of ``viewing_angle``.
-            scale: screen units per world unit, where the image is 2 high: a number, or a tensor [] or [B].
-            mirrored: the mirror image, as the old functions show it.
+            eye: Position, [3] or [B, 3] in world units: list, tuple, array or tensor.
+            at: Point at the image's centre, likewise.
+            up: Direction that is up in the picture, likewise, of any length.
+            viewing_angle: Half the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
+            orthographic: Draw without perspective, with ``scale`` in place of ``viewing_angle``.
+            scale: Screen units per world unit: a number, or a tensor [] or [B]. The image is 2 screen units high.
+            mirrored: Mirror the picture, as the old functions do.
 
         Raises:
-            TypeError, ValueError: as the function `look_at` and `perspective`.
+            TypeError, ValueError: As the functions `look_at` and `perspective`.
+
+        Example:
+            >>> around = nr.get_points_from_angles(2.7, 30.0, torch.arange(0.0, 360.0, 90.0))
+            >>> len(nr.Camera.look_at(around))
+            4
         """
         dtype = float_type(eye, at, up, viewing_angle, scale)
         frame = look_at_frame(eye, at, up, dtype, mirrored)
@@ -114,7 +126,7 @@ class Camera:
         scale: Scalar = 1.0,
         mirrored: bool = False,
     ) -> Camera:
-        """Cameras at ``eye`` that look along ``direction``, [3] or [B, 3]; everything else as `Camera.look_at`."""
+        """Make cameras at ``eye`` that look along ``direction``, [3] or [B, 3]. Otherwise as `Camera.look_at`."""
         dtype = float_type(eye, direction, up, viewing_angle, scale)
         frame = look_frame(eye, direction, up, dtype, mirrored)
         return cls._with_lens(*frame, viewing_angle, orthographic, scale, mirrored)
@@ -128,19 +140,24 @@ class Camera:
         dist_coeffs: Array | None = None,
         orig_size: float | Sequence[float] | None = None,
     ) -> Camera:
-        """Calibrated cameras in the conventions of OpenCV: see the function `projection`.
+        """Make calibrated cameras in the conventions of OpenCV; see the function `projection`.
 
         Args:
             K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels, with the third row (0, 0, 1).
             R: [3, 3] or [B, 3, 3], world-to-camera rotation.
             t: [3], [B, 3] or [B, 1, 3], world-to-camera translation.
-            dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3); None is no distortion.
-            orig_size: Side or (height, width) in pixels of the image that K describes; it has no default. A render of
-                any size shows this whole image, stretched if its aspect is another.
+            dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3); None means no distortion.
+            orig_size: Side or (height, width) in pixels of the image that K describes. Required. A render of any size
+                shows this whole image, stretched if its aspect is different.
 
         Raises:
             TypeError, ValueError: A type or shape does not fit, or ``orig_size`` is missing or not positive; while
-                values are checked, also numbers that are not finite, another third row of K, and R that is no rotation.
+                values are checked, also a number that is not finite, a wrong third row of K, or R is not a rotation.
+
+        Example:
+            >>> K = [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
+            >>> camera = nr.Camera.projection(K, torch.eye(3), (0.0, 0.0, 3.0), orig_size=(480, 640))
+            >>> images = nr.render(mesh, camera, (240, 320))
         """
         if orig_size is None:
             raise ValueError("orig_size: expected the side or (height, width) of the image that K describes, got None")
@@ -161,19 +178,24 @@ class Camera:
 
     @classmethod
     def weak_perspective(cls, scale: Scalar, R: Array, shift: Array = (0.0, 0.0), *, distance: float = 10.0) -> Camera:
-        """Scaled orthographic cameras, as networks that see one image predict them.
+        """Make scaled orthographic cameras, as predicted by single-image networks.
 
-        A world point X appears at scale · (R X)_xy + shift of an image over [−1, 1]², its depth is (R X)_z + distance.
-        As in `Camera.projection` and OpenCV, R turns the world into axes to the right, **down** and forward.
+        A world point X appears at scale · (R X)_xy + shift in an image over [−1, 1]²; its depth is (R X)_z + distance.
+        As in OpenCV, the camera's axes point to the right, **down** and forward.
 
         Args:
-            scale: a number above 0, or a tensor [] or [B].
-            R: [3, 3] or [B, 3, 3], rotation.
-            shift: [2] or [B, 2], to the right and down.
-            distance: what puts the mesh between ``near`` and ``far``; the picture does not depend on it.
+            scale: Screen units per world unit, > 0: a number, or a tensor [] or [B].
+            R: [3, 3] or [B, 3, 3], world-to-camera rotation.
+            shift: [2] or [B, 2] in screen units, to the right and down.
+            distance: Depth of the world's origin. Choose it so that the mesh lies between ``near`` and ``far``; the
+                picture does not depend on it.
 
         Raises:
-            TypeError, ValueError: wrong types or shapes, batches that do not fit.
+            TypeError, ValueError: A type, shape or batch size does not fit; while values are checked, also R is not a
+                rotation.
+
+        Example:
+            >>> camera = nr.Camera.weak_perspective(0.8, torch.eye(3), (0.1, 0.0))
         """
         dtype = float_type(scale, R, shift)
         device = common_device(scale, R, shift)
@@ -193,26 +215,27 @@ class Camera:
 
     @property
     def perspective(self) -> bool:
-        """Whether far things look smaller: False for an orthographic camera."""
+        """Whether the projection is perspective; False for an orthographic camera."""
         return self.viewing_angle is not None or self.K is not None
 
     def __len__(self) -> int:
         return self.rotation.shape[0]
 
     def __call__(self, vertices: Tensor, aspect: float = 1.0) -> Tensor:
-        """World vertices [V, 3] or [B, V, 3] on the screen, [B, V, 3].
-
-        One mesh is shown to all cameras and one camera shows all meshes. x (right) and y (up) are in [-1, 1] over the
-        image; z is the depth along the viewing direction in world units, negative behind the camera.
+        """Project world vertices onto the screen. One camera can project B meshes, and B cameras one mesh.
 
         Args:
-            vertices: floating; the result is float64 for float64, and float32 for all others.
-            aspect: width / height of the image, by which x is divided so that pixels are square. Not used by
-                `Camera.projection`, whose ``orig_size`` says it.
+            vertices: [V, 3] or [B, V, 3] floating.
+            aspect: Width / height of the image. x is divided by it, which makes pixels square. `Camera.projection`
+                ignores it and uses ``orig_size``.
+
+        Returns:
+            [B, V, 3], float64 for float64 vertices, else float32. x (right) and y (up) are in [-1, 1] over the image; z
+            is the depth along the viewing direction in world units, negative behind the camera.
 
         Raises:
-            TypeError, ValueError: wrong types or shapes, batches that do not fit, an aspect that is not positive;
-                vertices that are not finite if values are checked.
+            TypeError, ValueError: A type, shape or batch size does not fit, or ``aspect`` is not positive; while values
+                are checked, also a vertex that is not finite.
         """
         vertices = validate.wide(validate.vertices(vertices))
         aspect = validate.positive("aspect", aspect)
@@ -231,7 +254,7 @@ class Camera:
         return torch.stack((x / aspect, y, z), dim=-1)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Camera:
-        """The same cameras with their tensors on another device or of another floating dtype (TypeError otherwise)."""
+        """Copy the cameras to another device or floating dtype. Raises TypeError for other dtypes."""
         if not (dtype is None or (isinstance(dtype, torch.dtype) and dtype.is_floating_point)):
             raise TypeError(f"dtype: expected a floating dtype, got {dtype!r}")
         tensors = {f.name: v for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)}
@@ -242,6 +265,7 @@ class Camera:
     def _with_lens(
         cls, rotation: Tensor, eye: Tensor, angle: Any, is_orthographic: bool, scale: Any, mirrored: bool
     ) -> Camera:
+        """Make cameras from axes and eye, with a perspective or an orthographic lens."""
         lens: dict[str, Any]
         if is_orthographic:
             lens = {"scale": scalar("scale", scale, eye.dtype)}

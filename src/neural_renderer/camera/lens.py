@@ -1,4 +1,4 @@
-"""How camera coordinates become screen coordinates: x right, y up, in [-1, 1] over the image; z stays the depth."""
+"""Projection: camera coordinates to screen coordinates (x right, y up, in [-1, 1] over the image; z is the depth)."""
 
 from __future__ import annotations
 
@@ -12,32 +12,37 @@ from .. import validate
 from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, outside, parameter, scalar
 from .view import rotate
 
-_NEAREST = 1e-6  # |z| by which x and y are divided at the least, in world units
-_TWO_DIGITS = 0.02  # in R Rᵀ and in K's third row: what matrices typed in with three digits, or in bfloat16, are off by
-_FARTHEST = 1e9  # |x| and |y| (at z = 1) up to which tangential distortion is followed
-_WIDEST = 1e4  # x² + y² (at z = 1) up to which the radial polynomial is followed: 89.4° off the axis
+_NEAREST = 1e-6  # smallest |z| in the division of x and y by z, in world units
+_TOLERANCE = 0.02  # for R Rᵀ and K's third row; admits matrices typed with three digits, or in bfloat16
+_FARTHEST = 1e9  # bound of |x| and |y| (at z = 1) in tangential distortion
+_WIDEST = 1e4  # bound of x² + y² (at z = 1) in the radial polynomial: 89.4° off the axis
+_THIRD_ROW = (0.0, 0.0, 1.0)  # of an intrinsic matrix
 
 
 def perspective(vertices: Tensor, angle: Scalar = 30.0) -> Tensor:
-    """Camera coordinates to the screen: x / (z · tan angle), y / (z · tan angle), z.
+    """Project camera coordinates in perspective: (x / (z · tan angle), y / (z · tan angle), z).
 
     Args:
-        vertices: camera coordinates [B, V, 3] or [V, 3], floating.
-        angle: **half** the field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
+        vertices: [V, 3] or [B, V, 3] floating, camera coordinates.
+        angle: **Half** the field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
 
     Returns:
-        Like ``vertices`` (with the batch of ``angle``, if it has one); z is returned as it came. Finite also at z = 0,
-        with finite gradients; points behind the camera keep their negative z. Differentiable in both.
+        Screen coordinates of the shape of ``vertices`` (with the batch of ``angle``, if it has one); z is unchanged.
+        Values and gradients are finite, also at z = 0. Differentiable in both arguments.
 
     Raises:
-        TypeError, ValueError: wrong types or shapes; an angle outside (0, 90); numbers that are not finite (a tensor's
-            numbers are only looked at if values are checked).
+        TypeError, ValueError: A type or shape does not fit, or the angle is outside (0, 90); while values are checked,
+            also a number that is not finite. A tensor's angle is only read while values are checked.
+
+    Example:
+        >>> nr.perspective(torch.tensor([[1.0, 2.0, 4.0]]), angle=45)
+        tensor([[0.2500, 0.5000, 4.0000]])
     """
     return in_perspective(validate.vertices(vertices), angle)
 
 
 def in_perspective(vertices: Tensor, angle: Scalar, name: str = "angle") -> Tensor:
-    """`perspective` of vertices that are checked already; errors call the angle ``name``."""
+    """Apply `perspective` to valid vertices; messages call the angle ``name``."""
     angle = viewing_angle(name, angle, vertices.dtype, vertices.device)
     width = torch.tan(torch.deg2rad(as_tensor(name, angle, vertices.dtype)))
     batch_size(vertices=batch_of(vertices, 2), **{name: batch_of(width, 0)})
@@ -48,16 +53,28 @@ def in_perspective(vertices: Tensor, angle: Scalar, name: str = "angle") -> Tens
 
 
 def orthographic(vertices: Tensor, scale: Scalar = 1.0) -> Tensor:
-    """Camera coordinates to the screen without perspective: x · scale, y · scale, z.
+    """Project camera coordinates without perspective: (x · scale, y · scale, z).
 
-    ``scale`` is in screen units (the image is 2 high) per world unit: a number, or a tensor [] or [B]. Otherwise as
-    `perspective`.
+    Args:
+        vertices: [V, 3] or [B, V, 3] floating, camera coordinates.
+        scale: Screen units per world unit: a number, or a tensor [] or [B]. The image is 2 screen units high.
+
+    Returns:
+        Screen coordinates of the shape of ``vertices`` (with the batch of ``scale``, if it has one); z is unchanged.
+        Differentiable in both arguments.
+
+    Raises:
+        TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not finite.
+
+    Example:
+        >>> nr.orthographic(torch.tensor([[1.0, 2.0, 4.0]]), scale=0.5)
+        tensor([[0.5000, 1.0000, 4.0000]])
     """
     return in_parallel(validate.vertices(vertices), scale)
 
 
 def in_parallel(vertices: Tensor, scale: Scalar) -> Tensor:
-    """`orthographic` of vertices that are checked already."""
+    """Apply `orthographic` to valid vertices."""
     scale = scalar("scale", scale, vertices.dtype, vertices.device)
     batch_size(vertices=batch_of(vertices, 2), scale=batch_of(scale, 0))
     across = scale[..., None] if isinstance(scale, Tensor) and scale.ndim else scale
@@ -74,29 +91,37 @@ def projection(
     orig_size: float | Sequence[float] = 1024,
     eps: float = 1e-9,
 ) -> Tensor:
-    """World vertices to the screen through a calibrated camera, in the conventions of OpenCV.
+    """Project world vertices with a calibrated camera, in the conventions of OpenCV.
 
-    X' = R·X + t (x right, y **down**, z forward); x = X'/(Z' + eps), y likewise; distortion with r² = x² + y²:
-    x·(1 + k1·r² + k2·r⁴ + k3·r⁶) + 2·p1·x·y + p2·(r² + 2x²), and y·(…) + p1·(r² + 2y²) + 2·p2·x·y; pixels
-    (u, v) = K·(x, y, 1), where pixel j has its centre at j + 0.5 and v points down; at last the screen, where
-    y points up.
+    1. Camera coordinates X' = R·X + t: x right, y **down**, z forward.
+    2. Division by depth: x = X'/(Z' + eps), y = Y'/(Z' + eps).
+    3. Distortion with r² = x² + y²: x·(1 + k1·r² + k2·r⁴ + k3·r⁶) + 2·p1·x·y + p2·(r² + 2x²), and
+       y·(1 + k1·r² + k2·r⁴ + k3·r⁶) + p1·(r² + 2y²) + 2·p2·x·y.
+    4. Pixels (u, v) = K·(x, y, 1): the centre of pixel j is at j + 0.5, v points down.
+    5. Screen coordinates in [-1, 1], y up.
 
     Args:
-        vertices: [B, V, 3] or [V, 3], floating.
-        K: intrinsic matrix [B, 3, 3] or [3, 3], in pixels.
-        R: world-to-camera rotation [B, 3, 3] or [3, 3].
-        t: world-to-camera translation [B, 1, 3], [B, 3] or [3].
-        dist_coeffs: (k1, k2, p1, p2, k3), [B, 5] or [5]; None is no distortion.
-        orig_size: the size in pixels of the image that K describes: one number if it is square, or (height, width).
-        eps: added to the depth before the division.
+        vertices: [V, 3] or [B, V, 3] floating, in the world.
+        K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels.
+        R: [3, 3] or [B, 3, 3], world-to-camera rotation.
+        t: [3], [B, 3] or [B, 1, 3], world-to-camera translation.
+        dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3); None means no distortion.
+        orig_size: Side or (height, width) in pixels of the image that K describes.
+        eps: Number added to the depth before the division.
 
     Returns:
-        Like ``vertices`` (with the batch of the camera, if it has one); z = Z'. Values and gradients are finite, also
-        on the optical axis and at depth 0. Differentiable in vertices, K, R, t and dist_coeffs.
+        Screen coordinates of the shape of ``vertices`` (with the batch of the camera, if it has one); z = Z'. Values
+        and gradients are finite, also on the optical axis and at depth 0. Differentiable in vertices, K, R, t and
+        dist_coeffs.
 
     Raises:
-        TypeError, ValueError: wrong types or shapes; a size that is not positive; numbers that are not finite if
-            values are checked.
+        TypeError, ValueError: A type or shape does not fit, or a size is not positive; while values are checked, also a
+            number that is not finite.
+
+    Example:
+        >>> K = [[500.0, 0.0, 512.0], [0.0, 500.0, 512.0], [0.0, 0.0, 1.0]]
+        >>> nr.projection(torch.tensor([[0.0, 1.0, 2.0]]), K, torch.eye(3), (0.0, 0.0, 0.0))
+        tensor([[ 0.0000, -0.4883,  2.0000]])
     """
     validate.vertices(vertices)
     eps = validate.number("eps", eps)
@@ -111,7 +136,7 @@ def projection(
 def calibration(
     K: Any, R: Any, t: Any, dist_coeffs: Any, dtype: torch.dtype, device: torch.device
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
-    """The arguments of `projection` as tensors: [3, 3], [3, 3], [3] and [5] or None, each with or without a batch."""
+    """Convert the arguments of `projection` to tensors (K, R, t, dist_coeffs), each with or without a batch."""
     t = as_tensor("t", t, dtype)
     if t.ndim == 3:
         if t.shape[1:] != (1, 3):
@@ -125,24 +150,24 @@ def calibration(
 
 
 def check_intrinsics(K: Tensor) -> None:
-    """ValueError unless the third row of K [3, 3] or [B, 3, 3] is (0, 0, 1), if values are checked."""
+    """Raise ValueError if the third row of K [3, 3] or [B, 3, 3] is not (0, 0, 1), while values are checked."""
     if not validate.values_are_checked(K):
         return
     rows = K.detach()[..., 2, :].reshape(-1, 3)
-    wrong = ((rows - rows.new_tensor([0.0, 0.0, 1.0])).abs() > _TWO_DIGITS).any(1)
+    wrong = ((rows - rows.new_tensor(_THIRD_ROW)).abs() > _TOLERANCE).any(1)
     if bool(wrong.any()):
         raise ValueError(f"K: expected the third row (0, 0, 1), got {tuple(rows[wrong][0].tolist())}")
 
 
 def check_rotation(R: Tensor) -> None:
-    """ValueError unless R [3, 3] or [B, 3, 3] is a rotation, if values are checked."""
+    """Raise ValueError if R [3, 3] or [B, 3, 3] is not a rotation, while values are checked."""
     if not validate.values_are_checked(R):
         return
     turns = R.detach().double().reshape(-1, 3, 3)
-    product = turns[:, :, None] * turns[:, None]  # not matmul: TF32 has three digits
+    product = turns[:, :, None] * turns[:, None]  # not matmul: TF32 rounds to three digits
     off = (product.sum(-1) - torch.eye(3, dtype=turns.dtype, device=turns.device)).abs().amax((1, 2))
     mirrors = torch.linalg.det(turns) < 0
-    if bool((off > _TWO_DIGITS).any()):
+    if bool((off > _TOLERANCE).any()):
         raise ValueError(f"R: expected a rotation, with R Rᵀ = 1, got R Rᵀ off by {float(off.max()):.2g}")
     if bool(mirrors.any()):
         raise ValueError("R: expected a rotation, got a reflection (determinant -1)")
@@ -151,8 +176,8 @@ def check_rotation(R: Tensor) -> None:
 def pixels_to_screen(
     points: Tensor, K: Tensor, dist_coeffs: Tensor | None, size: tuple[float, float], eps: float = 1e-9
 ) -> Tensor:
-    """The part of `projection` after R and t: camera coordinates [..., V, 3] to the screen; size = (height, width)."""
-    if validate.wide(points) is not points:  # half precision has no r⁶
+    """Project camera coordinates [..., V, 3] (steps 2 to 5 of `projection`); size = (height, width) in pixels."""
+    if validate.wide(points) is not points:  # r⁶ overflows half precision
         dist_coeffs = None if dist_coeffs is None else validate.wide(dist_coeffs)
         return pixels_to_screen(validate.wide(points), validate.wide(K), dist_coeffs, size, eps).to(points.dtype)
     z = points[..., 2]
@@ -160,7 +185,7 @@ def pixels_to_screen(
     x, y = points[..., 0] / near, points[..., 1] / near
     if dist_coeffs is not None:
         k1, k2, p1, p2, k3 = dist_coeffs[..., None].unbind(-2)
-        # Squares and r⁶ would overflow for points beside the camera, which no image shows.
+        # The squares and r⁶ of points beside the camera would overflow. No image shows those points.
         a, b = x.clamp(-_FARTHEST, _FARTHEST), y.clamp(-_FARTHEST, _FARTHEST)
         r2 = a * a + b * b
         bounded = r2.clamp(max=_WIDEST)
@@ -175,7 +200,7 @@ def pixels_to_screen(
 
 
 def image_size(orig_size: Any) -> tuple[float, float]:
-    """``orig_size`` of `projection` as (height, width)."""
+    """Convert ``orig_size`` of `projection` to (height, width)."""
     pair = tuple(orig_size) if isinstance(orig_size, (tuple, list)) else (orig_size, orig_size)
     if len(pair) != 2:
         raise ValueError(f"orig_size: expected a number or (height, width), got {orig_size}")
@@ -186,7 +211,7 @@ def image_size(orig_size: Any) -> tuple[float, float]:
 
 
 def viewing_angle(name: str, angle: Any, dtype: torch.dtype, device: torch.device | None = None) -> Scalar:
-    """Half a field of view in degrees, checked to be in (0, 90): a number, or a tensor [] or [B]."""
+    """Check half a field of view, in degrees in (0, 90); return a number, or a tensor [] or [B]."""
     value = scalar(name, angle, dtype, device)
     if outside(value, 0.0, 90.0):
         raise ValueError(f"{name}: expected degrees in (0, 90), half the field of view, got {angle}")
@@ -194,5 +219,5 @@ def viewing_angle(name: str, angle: Any, dtype: torch.dtype, device: torch.devic
 
 
 def _away_from_zero(z: Tensor) -> Tensor:
-    """z, but at least `_NEAREST` from 0 on its side, so that a division by it and its gradient stay finite."""
+    """Move z to at least `_NEAREST` from 0, keeping its sign, so that 1 / z and its gradient are finite."""
     return torch.where(z.abs() < _NEAREST, torch.where(z < 0, -_NEAREST, _NEAREST).to(z.dtype), z)

@@ -1,4 +1,4 @@
-"""Parameters of cameras and lights as tensors: one for all views, or one for each view of a batch."""
+"""Conversion of camera and light parameters to tensors: one value for all views, or one for each view of a batch."""
 
 from __future__ import annotations
 
@@ -20,10 +20,18 @@ Array: TypeAlias = Tensor | np.ndarray | Sequence[Any]
 def parameter(
     name: str, value: Any, size: tuple[int, ...], dtype: torch.dtype, device: torch.device | None = None
 ) -> Tensor:
-    """``value`` as a tensor of shape ``size`` or ``[B, *size]``, of ``dtype``, on ``device`` (None: where it is).
+    """Convert ``value`` to a tensor of shape ``size`` or ``[B, *size]``; gradients flow through.
 
-    Gradients flow through. Raises TypeError for anything that is not numbers; ValueError for another shape, and for
-    NaN or infinity if values are checked.
+    Args:
+        name: Name of the argument, for messages.
+        value: Numbers: tensor, array or nested sequence.
+        size: Shape without the batch.
+        dtype: Dtype of the result.
+        device: Device of the result; None keeps the device.
+
+    Raises:
+        TypeError: ``value`` does not hold numbers.
+        ValueError: The shape does not fit; while values are checked, also a number that is not finite.
     """
     tensor = as_tensor(name, value, dtype)
     dims = tensor.ndim - len(size)
@@ -34,38 +42,38 @@ def parameter(
     if tensor.is_floating_point() or tensor.is_complex():
         validate.real(name, tensor)
     tensor = tensor.to(dtype)
-    validate.finite(name, tensor)  # before the move: what was given on the CPU is read there, without a wait
+    validate.finite(name, tensor)  # before the move: reading a CPU tensor does not synchronise with a GPU
     if device is not None and device.type != "meta":
         validate.has_numbers(name, tensor)
     return tensor.to(device=device)
 
 
 def as_tensor(name: str, value: Any, dtype: torch.dtype) -> Tensor:
-    """A tensor as it is; anything else as a tensor of ``dtype`` on the CPU. TypeError if it is not numbers."""
+    """Return a tensor unchanged; convert other numbers to ``dtype`` on the CPU. TypeError if they are not numbers."""
     if isinstance(value, Tensor):
         return validate.dense(name, value)
     try:
-        return torch.as_tensor(value, dtype=dtype, device="cpu")  # whatever torch.set_default_device says
+        return torch.as_tensor(value, dtype=dtype, device="cpu")  # regardless of torch.set_default_device
     except (TypeError, ValueError, RuntimeError, OverflowError):
         raise TypeError(f"{name}: expected numbers, got {type(value).__name__}") from None
 
 
 def scalar(name: str, value: Any, dtype: torch.dtype, device: torch.device | None = None) -> Scalar:
-    """A Python number as it is; anything else as a tensor [] or [B] of ``dtype`` on ``device`` (see `parameter`)."""
+    """Return a Python number unchanged; convert other values to a tensor [] or [B] (see `parameter`)."""
     if isinstance(value, (int, float)):
         return validate.number(name, value, dtype)
     return parameter(name, value, (), dtype, device)
 
 
 def outside(value: Scalar, low: float, high: float) -> bool:
-    """Whether a number lies outside (low, high), or one of a tensor's if values are checked."""
+    """Tell whether a value lies outside (low, high). Tensors are read only while values are checked."""
     if isinstance(value, Tensor):
         return validate.values_are_checked(value) and not bool(((value > low) & (value < high)).all())
     return not low < value < high
 
 
 def float_type(*values: Any) -> torch.dtype:
-    """The floating dtype in which the tensors among ``values`` meet; torch's default dtype if there is none."""
+    """Promote the floating dtypes of the tensors among ``values``; torch's default dtype if there is no tensor."""
     found = [v.dtype for v in values if isinstance(v, Tensor) and v.dtype in validate.FLOATING]
     if not found:
         return torch.get_default_dtype()
@@ -76,13 +84,13 @@ def float_type(*values: Any) -> torch.dtype:
 
 
 def common_device(*values: Any) -> torch.device:
-    """The accelerator on which one of the values lives, else the CPU, where three numbers are soonest ready."""
+    """Return the device of the first tensor that is not on the CPU, else the CPU."""
     devices = [v.device for v in values if isinstance(v, Tensor)]
     return next((d for d in devices if d.type != "cpu"), torch.device("cpu"))
 
 
 def batch_size(**batches: int) -> int:
-    """The one batch size, where 1 fits any other; ValueError names two that do not fit."""
+    """Broadcast batch sizes, given by argument name, to one; raise ValueError if two of them differ and none is 1."""
     size, owner = 1, ""
     for name, batch in batches.items():
         if batch != 1 and size not in (1, batch):
@@ -93,5 +101,5 @@ def batch_size(**batches: int) -> int:
 
 
 def batch_of(value: Any, dims: int) -> int:
-    """The batch size of a value that has ``dims`` dimensions without a batch."""
+    """Return the batch size of a value with ``dims`` dimensions besides the batch; 1 if it has no batch."""
     return value.shape[0] if isinstance(value, Tensor) and value.ndim > dims else 1

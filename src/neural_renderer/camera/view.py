@@ -1,4 +1,4 @@
-"""Where the camera stands: world coordinates to camera coordinates (x, y across the view, z along it)."""
+"""View transform: world coordinates to camera coordinates (x, y across the view, z along it)."""
 
 from __future__ import annotations
 
@@ -12,30 +12,33 @@ from torch import Tensor
 from .. import validate
 from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter
 
-_FLOOR = 1e-5  # lengths below it count as zero, as in the published code
-_LARGE = 1e4  # coordinates up to which lengths are computed as they are
+_FLOOR = 1e-5  # a shorter vector counts as zero, as in the published code
+_LARGE = 1e4  # vectors with larger coordinates are scaled down before their length is computed
 
 
 def look_at(vertices: Tensor, eye: Array, at: Array | None = None, up: Array | None = None) -> Tensor:
-    """World vertices seen by a camera at ``eye`` that looks at the point ``at``.
+    """Transform world vertices to the coordinates of a camera at ``eye`` that looks at the point ``at``.
 
-    The axes are z = norm(at − eye), x = norm(up × z), y = norm(z × x), as in the published `neural_renderer`: the
-    world is taken as left-handed, so a model of the usual, right-handed kind appears mirrored. `Camera.look_at` does
-    not mirror.
+    The axes are z = norm(at − eye), x = norm(up × z), y = norm(z × x), as in the published `neural_renderer`. They fit
+    a left-handed world, so a model of the usual right-handed kind appears mirrored. `Camera.look_at` does not mirror.
 
     Args:
-        vertices: [B, V, 3] or [V, 3], floating.
-        eye: the camera's position, [3] or [B, 3]: list, tuple, array or tensor.
-        at: the point looked at, likewise; None is the origin.
-        up: the direction that is up in the picture, likewise, of any length; None is +y.
+        vertices: [V, 3] or [B, V, 3] floating.
+        eye: Position of the camera, [3] or [B, 3] in world units: list, tuple, array or tensor.
+        at: Point at the image's centre, likewise; None means the origin.
+        up: Direction that is up in the picture, likewise, of any length; None means +y.
 
     Returns:
-        Camera coordinates [B, V, 3] (one mesh and a batch of eyes give that batch), or [V, 3] if nothing has a batch;
-        z is the distance along the viewing direction in world units. Differentiable in all arguments.
+        Camera coordinates [B, V, 3], or [V, 3] if no argument has a batch. One mesh and B eyes give a batch of B. z is
+        the distance along the viewing direction in world units. Differentiable in all arguments.
 
     Raises:
-        TypeError, ValueError: wrong types or shapes; and, if values are checked, a number that is not finite,
+        TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not finite,
             ``eye`` equal to ``at``, or ``up`` parallel to the viewing direction.
+
+    Example:
+        >>> nr.look_at(torch.zeros(1, 3), eye=(0.0, 0.0, -2.5))
+        tensor([[0.0000, 0.0000, 2.5000]])
     """
     dtype = validate.vertices(vertices).dtype
     rotation, origin = look_at_frame(eye, (0, 0, 0) if at is None else at, (0, 1, 0) if up is None else up, dtype)
@@ -43,9 +46,23 @@ def look_at(vertices: Tensor, eye: Array, at: Array | None = None, up: Array | N
 
 
 def look(vertices: Tensor, eye: Array, direction: Array | None = None, up: Array | None = None) -> Tensor:
-    """World vertices seen by a camera at ``eye`` that looks along ``direction`` (None is +z).
+    """Transform world vertices to the coordinates of a camera at ``eye`` that looks along ``direction``.
 
-    Everything else is as in `look_at`, the handedness too.
+    Args:
+        vertices: [V, 3] or [B, V, 3] floating.
+        eye: Position of the camera, [3] or [B, 3] in world units.
+        direction: Viewing direction, [3] or [B, 3], of any length; None means +z.
+        up: Direction that is up in the picture, likewise; None means +y.
+
+    Returns:
+        Camera coordinates in the same left-handed axes as `look_at`.
+
+    Raises:
+        TypeError, ValueError: As `look_at`, or ``direction`` is 0.
+
+    Example:
+        >>> nr.look(torch.zeros(1, 3), eye=(0.0, 0.0, -2.5), direction=(0.0, 0.0, 1.0))
+        tensor([[0.0000, 0.0000, 2.5000]])
     """
     dtype = validate.vertices(vertices).dtype
     forward = (0, 0, 1) if direction is None else direction
@@ -54,10 +71,10 @@ def look(vertices: Tensor, eye: Array, direction: Array | None = None, up: Array
 
 
 def look_at_frame(eye: Array, at: Array, up: Array, dtype: torch.dtype, mirrored: bool = True) -> tuple[Tensor, Tensor]:
-    """The camera of `look_at` as its axes, the rows of [3, 3] or [B, 3, 3], and its position [3] or [B, 3].
+    """Compute the axes of `look_at`, as rows of [3, 3] or [B, 3, 3], and the camera's position [3] or [B, 3].
 
-    ``mirrored`` is the left-handed view of the old functions; without it x = norm(z × up) points to the right of
-    somebody who stands in a right-handed world.
+    ``mirrored`` gives the left-handed axes of the old functions. Otherwise x = norm(z × up) points to the right of a
+    viewer in a right-handed world.
     """
     eye, at, up = _vectors(dtype, eye=eye, at=at, up=up)
     problem = "eye: expected a point away from `at`, got the same point"
@@ -67,13 +84,13 @@ def look_at_frame(eye: Array, at: Array, up: Array, dtype: torch.dtype, mirrored
 def look_frame(
     eye: Array, direction: Array, up: Array, dtype: torch.dtype, mirrored: bool = True
 ) -> tuple[Tensor, Tensor]:
-    """The camera of `look`, as `look_at_frame` returns it."""
+    """Compute the axes and position of `look`; see `look_at_frame`."""
     eye, direction, up = _vectors(dtype, eye=eye, direction=direction, up=up)
-    return _axes(direction, up, mirrored, "direction: expected a vector, got one of no length"), eye
+    return _axes(direction, up, mirrored, "direction: expected a vector of positive length, got one of length 0"), eye
 
 
 def transform(vertices: Tensor, rotation: Tensor, origin: Tensor) -> Tensor:
-    """rotation · (X − origin) for all X of vertices [V, 3] or [B, V, 3]; the others on any device, of any dtype."""
+    """Compute rotation · (X − origin) for all vertices X, [V, 3] or [B, V, 3]; moves the others to their device."""
     if not vertices.is_meta:
         validate.has_numbers("camera", rotation)
     rotation, origin = rotation.to(vertices), origin.to(vertices)
@@ -82,29 +99,34 @@ def transform(vertices: Tensor, rotation: Tensor, origin: Tensor) -> Tensor:
 
 
 def rotate(matrix: Tensor, points: Tensor) -> Tensor:
-    """Each matrix [3, 3] or [B, 3, 3] times its points [V, 3] or [B, V, 3]."""
-    # Not matmul: under autocast or with TF32 allowed it would round coordinates to 10 bits.
+    """Multiply each matrix [3, 3] or [B, 3, 3] by its points [V, 3] or [B, V, 3]."""
+    # Not matmul: with autocast or TF32 it would round coordinates to 10 bits.
     columns = matrix[..., None, :, :]
     x, y, z = points[..., 0:1], points[..., 1:2], points[..., 2:3]
     return x * columns[..., 0] + y * columns[..., 1] + z * columns[..., 2]
 
 
 def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees: bool = True) -> Any:
-    """Points around the origin: (d·cos e·sin a, d·sin e, −d·cos e·cos a), so that azimuth 0 is on the −z axis.
+    """Convert spherical to Cartesian coordinates: (d·cos e·sin a, d·sin e, −d·cos e·cos a).
 
     Args:
-        distance: from the origin, in world units.
-        elevation: above the xz plane; 90° is +y.
-        azimuth: about the y axis; 90° is +x.
-        degrees: whether the two angles are in degrees (else radians).
+        distance: Distance d from the origin, in world units.
+        elevation: Angle e above the xz plane; 90° is +y.
+        azimuth: Angle a around the y axis; 0° is −z, 90° is +x.
+        degrees: Whether the angles are in degrees; otherwise they are in radians.
 
     Returns:
-        Three Python numbers give a tuple of three floats. If any argument is a tensor, an array or a list, all are
-        broadcast, and a tensor [B, 3] comes back, differentiable, of the tensors' dtype and on their device.
+        A tuple of three floats if all arguments are Python numbers. If one is a tensor, an array or a list, all are
+        broadcast to a tensor [B, 3], differentiable, of the tensors' dtype and on their device.
 
     Raises:
-        TypeError: an argument that is not numbers. ValueError: shapes that do not broadcast; numbers that are not
-            finite (a tensor's only if values are checked).
+        TypeError: An argument does not hold numbers.
+        ValueError: Shapes do not broadcast, or a number is not finite (tensors: while values are checked).
+
+    Example:
+        >>> x, y, z = nr.get_points_from_angles(2.0, 0.0, 90.0)
+        >>> round(x, 6), round(y, 6)
+        (2.0, 0.0)
     """
     values = {"distance": distance, "elevation": elevation, "azimuth": azimuth}
     if all(isinstance(v, Real) for v in values.values()):
@@ -123,6 +145,7 @@ def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees:
 
 
 def _vectors(dtype: torch.dtype, **values: Any) -> list[Tensor]:
+    """Convert vectors, given by argument name, to tensors [3] or [B, 3] with batches that fit."""
     device = common_device(*values.values())
     vectors = [parameter(name, v, (3,), dtype, device) for name, v in values.items()]
     batch_size(**{name: batch_of(v, 1) for name, v in zip(values, vectors, strict=True)})
@@ -130,23 +153,24 @@ def _vectors(dtype: torch.dtype, **values: Any) -> list[Tensor]:
 
 
 def _axes(forward: Tensor, up: Tensor, mirrored: bool, problem: str) -> Tensor:
+    """Compute the camera's axes as rows; raise ValueError with ``problem`` if ``forward`` is too short."""
     z = _normalized(forward)
     side = torch.linalg.cross(*torch.broadcast_tensors(_normalized(up), z), dim=-1)
     if validate.values_are_checked(side):
         if not bool((forward.detach().norm(dim=-1) >= _FLOOR).all()):
             raise ValueError(problem)
         if not bool((side.detach().norm(dim=-1) >= _FLOOR).all()):
-            raise ValueError("up: expected a vector across the viewing direction, got one along it or of no length")
+            raise ValueError("up: expected a vector not parallel to the viewing direction, got a parallel or zero one")
     x = _normalized(side)
     y = _normalized(torch.linalg.cross(*torch.broadcast_tensors(z, x), dim=-1))
     return torch.stack(torch.broadcast_tensors(x if mirrored else -x, y, z), dim=-2)
 
 
 def _normalized(vectors: Tensor) -> Tensor:
-    """Vectors [..., 3] over their lengths, or over `_FLOOR` where they are shorter.
+    """Divide vectors [..., 3] by their lengths, or by `_FLOOR` if that is larger.
 
-    As `torch.nn.functional.normalize`, but the same to the bit for one vector and for it among others, and for vectors
-    whose squares overflow.
+    Unlike `torch.nn.functional.normalize`, the result of a vector does not depend, bit for bit, on the others in the
+    batch, and large vectors do not overflow.
     """
     largest = vectors.detach().abs().amax(-1, keepdim=True)
     v = validate.wide(vectors / (largest / _LARGE).clamp(min=1))

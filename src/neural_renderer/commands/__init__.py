@@ -1,1 +1,1 @@
-"""Subcommands of `neural-renderer`, one module each with a function `run`, imported when called (see `cli`)."""
+"""Subcommands of `neural-renderer`. Each module has a function `run`; `cli` imports it when the command is called."""

@@ -69,7 +69,7 @@ def say(text: str, color: str | None = None, markup: bool = False) -> None:
 
 
 def say_finished(seconds: float, folder: Path, interrupted_after: int | None) -> None:
-    """Print the time of a run, whether it was interrupted after so many steps, and the folder of its results."""
+    """Print the time of a run, the number of steps if it was interrupted, and the folder of the results."""
     interruption = "" if interrupted_after is None else f", interrupted after {interrupted_after} steps"
     resume = "" if interrupted_after is None else " (--resume continues)"
     say(f"{seconds:.1f} s{interruption}{resume}; the results are in {folder}")
@@ -77,7 +77,7 @@ def say_finished(seconds: float, folder: Path, interrupted_after: int | None) ->
 
 @contextmanager
 def interruption() -> Iterator[list[int]]:
-    """Catch the first Ctrl-C: the list that this yields gets the number of the signal. The second one interrupts."""
+    """Catch the first Ctrl-C: the number of the signal is appended to the yielded list. The second one interrupts."""
     found: list[int] = []
 
     def note(number: int, _: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""`neural-renderer demo`: pictures that show what the package does, in less than a minute."""
+"""`neural-renderer demo`: a turntable, and a sphere fitted to a duck, in less than a minute."""
 
 from __future__ import annotations
 
@@ -22,13 +22,16 @@ from .common import check_counts, choose_device, say
 from .demo_models import duck, knot
 from .options.demo import DemoOptions
 
-_AZIMUTHS = (145.0, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, in degrees
+_FIRST_AZIMUTH = 145.0  # degrees, of the animation of the fit
+_AZIMUTHS = (_FIRST_AZIMUTH, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, in degrees
+_ELEVATIONS, _DISTANCE, _VIEWING_ANGLE = (-25.0, 10.0, 40.0), 3.2, 25.0  # of the cameras of the fit
 _STAGES = 24  # of the fit, in the animation
+_RATE, _SMOOTH = 0.02, 1.0  # of the fit of the shape
 _TEXTURE_SIZE, _TEXTURE_STEPS, _BATCH = 8, 20, 8
 _RESULTS = {
     "turntable.gif": "a lit, textured mesh (.mp4 too)",
     "fit.png": "from a sphere to a duck",
-    "fit.gif": "the same as an animation, beside the target",
+    "fit.gif": "the fit as an animation, beside the target",
     "fitted.obj": "the result, with material and texture",
 }
 
@@ -55,6 +58,7 @@ def run(options: DemoOptions) -> int:
 
 
 def _make_turntable(options: DemoOptions, mesh: Mesh, progress: Progress) -> None:
+    """Write turntable.gif and turntable.mp4."""
     task = progress.add_task("Turntable", total=options.frames, note="compiling kernels at the first run")
     pictures = []
     for index in range(options.frames):
@@ -66,9 +70,9 @@ def _make_turntable(options: DemoOptions, mesh: Mesh, progress: Progress) -> Non
 
 def _fit_sphere(options: DemoOptions, target: Mesh, progress: Progress) -> Tensor:
     """Fit a sphere to silhouettes of the target, then its texture; write results and return the IoU of each view."""
-    cameras = around(options.views, target.vertices.device)
+    cameras = make_cameras(options.views, target.vertices.device)
     views = Views.of(target, cameras, options.view_size)
-    fit = ball(views, options.iterations, options.seed)
+    fit = sphere_fit(views, options.iterations, options.seed)
     vertices, faces = fit.shape[:2]
     history = [vertices]
     task = progress.add_task("Sphere to duck: shape", total=fit.steps, note="")
@@ -94,7 +98,7 @@ def _fit_sphere(options: DemoOptions, target: Mesh, progress: Progress) -> Tenso
 
 def _draw_stages(options: DemoOptions, history: list[Mesh], fitted: Mesh, target: Mesh, progress: Progress) -> None:
     """Write fit.png, a sheet of stages by azimuths, and fit.gif, the stages beside the target."""
-    stages = stages_of(history, fitted, target)
+    stages = label_stages(history, fitted, target)
     still = [fitted] * max(len(history) // 3, 1)
     task = progress.add_task("Pictures", total=len(stages) * len(_AZIMUTHS) + len(history) + len(still), note="")
     floor = lowest_point(target)
@@ -109,27 +113,27 @@ def _draw_stages(options: DemoOptions, history: list[Mesh], fitted: Mesh, target
     save_image(options.output / "fit.png", sheet(rows, list(stages)))
     frames = []
     for index, mesh in enumerate(history + still):
-        azimuth = 145 + 360 * index / len(history + still)
+        azimuth = _FIRST_AZIMUTH + 360 * index / len(history + still)
         frames.append(sheet([[picture(m, azimuth, options.size * 5 // 8) for m in (mesh, target)]]))
         progress.update(task, advance=1)
     save_animation(options.output / "fit.gif", frames, fps=12)
 
 
-def around(count: int, device: torch.device) -> Camera:
+def make_cameras(count: int, device: torch.device) -> Camera:
     """Make cameras with evenly spaced azimuths and three alternating elevations."""
     index = torch.arange(count)
-    elevation = torch.tensor([-25.0, 10.0, 40.0])[index % 3]
-    eye = get_points_from_angles(3.2, elevation, 360 / count * index).to(device)
-    return Camera.look_at(eye, viewing_angle=25.0)
+    elevation = torch.tensor(_ELEVATIONS)[index % len(_ELEVATIONS)]
+    eye = get_points_from_angles(_DISTANCE, elevation, 360 / count * index).to(device)
+    return Camera.look_at(eye, viewing_angle=_VIEWING_ANGLE)
 
 
-def ball(views: Views, steps: int, seed: int = 0) -> ShapeFit:
+def sphere_fit(views: Views, steps: int, seed: int = 0) -> ShapeFit:
     """Make the fit of a sphere with 1280 faces to silhouettes."""
     vertices, faces = (part.to(views.masks.device) for part in icosphere(3, radius=0.5))
-    return ShapeFit(views, vertices, faces, steps=steps, batch=_BATCH, rate=0.02, smooth=1.0, seed=seed)
+    return ShapeFit(views, vertices, faces, steps=steps, batch=_BATCH, rate=_RATE, smooth=_SMOOTH, seed=seed)
 
 
-def stages_of(history: list[Mesh], fitted: Mesh, target: Mesh) -> dict[str, Mesh]:
+def label_stages(history: list[Mesh], fitted: Mesh, target: Mesh) -> dict[str, Mesh]:
     """Select the rows of the sheet: label → mesh."""
     return {
         "start": history[0],

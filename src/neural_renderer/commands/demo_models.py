@@ -46,6 +46,7 @@ def _duck_color(p: Tensor) -> Tensor:
 
 
 def _plumage(p: np.ndarray) -> np.ndarray:
+    """Compute the signed distance of points to body, head and wings."""
     body = _ellipsoid(p, (0, -0.36, -0.05), (0.60, 0.44, 0.78))
     head = _ellipsoid(p, (0, 0.44, 0.38), (0.41, 0.40, 0.41))
     wing = _ellipsoid(np.abs(p) * [1, 0, 0] + p * [0, 1, 1], (0.56, -0.27, -0.12), (0.15, 0.24, 0.42))
@@ -53,12 +54,14 @@ def _plumage(p: np.ndarray) -> np.ndarray:
 
 
 def _beak(p: np.ndarray) -> np.ndarray:
+    """Compute the signed distance of points to the beak."""
     upper = _ellipsoid(p, (0, 0.40, 0.80), (0.20, 0.075, 0.22))
     lower = _ellipsoid(p, (0, 0.33, 0.76), (0.16, 0.06, 0.18))
     return _blend(upper, lower, 0.03)
 
 
 def _tail(p: np.ndarray) -> np.ndarray:
+    """Compute the signed distance of points to the tail."""
     x, y, z = p[..., 0], p[..., 1] + 0.13, p[..., 2] + 0.74
     turned = np.stack([x, 0.77 * y + 0.64 * z, 0.77 * z - 0.64 * y], axis=-1)  # 40°: its tip points up
     return _ellipsoid(turned, (0, 0, 0), (0.19, 0.12, 0.34))
@@ -101,7 +104,7 @@ def knot(segments: int = 320, sides: int = 28, texture_size: int = 4) -> Mesh:
     right, up = (i + 1) % segments, (j + 1) % sides
     a, b, c, d = i * sides + j, right * sides + j, right * sides + up, i * sides + up
     faces = torch.stack((a, c, b, a, d, c), dim=1).reshape(-1, 3)
-    # Colours are a function of (u, v); at the seam corners continue beyond 1 instead of wrapping around.
+    # Colours are a function of (u, v). At the seam, (u, v) continue beyond 1 and do not wrap around.
     u, v = torch.stack((i, i + 1, i + 1, i, i, i + 1)), torch.stack((j, j + 1, j, j, j + 1, j + 1))
     uv = torch.stack((u / segments, v / sides), dim=-1).movedim(0, 1).reshape(-1, 3, 2)
     return Mesh(vertices, faces, bake(uv, _ribbon, texture_size)).normalize()

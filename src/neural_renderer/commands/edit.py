@@ -1,4 +1,4 @@
-"""The common part of `neural-renderer style` and `neural-renderer dream`: a mesh edited for an objective."""
+"""Mesh editing: the common part of `neural-renderer style` and `neural-renderer dream`."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from .edit_report import RESULTS, report_edit, write_results
 from .options.edit import EditOptions
 from .task_runner import TaskRunner, setting_value
 
-_ANY = ("output", "iterations", "preview", "turntable", "allow_outside", "resume", "force", "device")
+_MAY_DIFFER = ("output", "iterations", "preview", "turntable", "allow_outside", "resume", "force", "device")
 """Options that may differ when an edit is resumed."""
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
 
 @dataclass(frozen=True)
 class Preset:
-    """Values of the options that are not given."""
+    """Default values of options."""
 
     iterations: int
     vertex_rate: float
@@ -43,7 +43,7 @@ class Preset:
     seamless: bool
 
     def fill(self, options: EditOptions) -> dict[str, Any]:
-        """Return the value of each field: that of the option if it is given, else the preset's."""
+        """Return a value for each field: the option if it is given, else the preset."""
         given = {name: getattr(options, name, None) for name in asdict(self)}
         return {name: value if given[name] is None else given[name] for name, value in asdict(self).items()}
 
@@ -89,7 +89,7 @@ def load_network(options: EditOptions, published: str) -> FeatureNetwork:
 
 
 def loss_weights(options: EditOptions, default: _Weights) -> _Weights:
-    """Return loss weights: those of the options that are given, else ``default``."""
+    """Return loss weights: the option of each weight if it is given, else ``default``."""
     given = {part.name: getattr(options, part.name, None) for part in fields(default)}
     return replace(default, **{name: value for name, value in given.items() if value is not None})
 
@@ -106,10 +106,10 @@ def run_edit(
 
     Args:
         options: The options of the command.
-        mesh: The mesh, and ``colored`` whether it has colours, as `load_initial_mesh` returns them.
-        colored: See ``mesh``.
+        mesh: The mesh.
+        colored: Whether the mesh has colours; see `load_initial_mesh`.
         objective: The objective.
-        preset: Values of the options that are not given.
+        preset: Default values of options.
         weights: Loss weights of the objective, for the report.
 
     Returns:
@@ -138,7 +138,7 @@ def run_edit(
     runner = TaskRunner(
         options.output,
         edit,
-        {name: setting_value(value) for name, value in settings.items() if name not in _ANY},
+        {name: setting_value(value) for name, value in settings.items() if name not in _MAY_DIFFER},
         lambda path: save_image(path, preview(edit)),
         options.preview,
         choose_device(options.device),

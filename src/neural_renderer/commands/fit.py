@@ -13,15 +13,15 @@ from ..io import save_image
 from ..io.obj_writer import check_own
 from ..meshes.mesh import Mesh
 from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
+from ..tasks.fit.camera_files import camera_file
 from ..tasks.fit.fit_pictures import comparison
-from ..tasks.fit.load import camera_file
 from .common import check_counts, check_outputs, choose_device, make_folder
 from .fit_report import RESULTS, report_camera, report_mesh, write_mesh
 from .options.fit import FitOptions
 from .task_runner import TaskRunner, setting_value
 
-_ANY = ("images", "output", "steps", "texture_steps", "turntable", "allow_outside", "resume", "force", "device")
-"""Options that may differ when a fit is resumed; the contents of the images may not."""
+_MAY_DIFFER = ("images", "output", "steps", "texture_steps", "turntable", "allow_outside", "resume", "force", "device")
+"""Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _PREVIEW_COLUMNS = 4
 
 
@@ -37,6 +37,7 @@ def run(options: FitOptions) -> int:
 
 
 def _fit_mesh(options: FitOptions) -> int:
+    """Fit a mesh, or the texture of a known mesh; return the exit code."""
     if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
     views = load_views(
@@ -74,6 +75,7 @@ def _fit_mesh(options: FitOptions) -> int:
 
 
 def _fit_camera(options: FitOptions) -> int:
+    """Fit the camera of one image; return the exit code."""
     device = choose_device(options.device)
     mask, photo = load_photo(options.images, size=options.size, photos=options.photos, background=options.background)
     mask, photo = mask.to(device), None if photo is None else photo.to(device)
@@ -115,10 +117,10 @@ def _runner(
     Args:
         options: The options of the command.
         fit: The fit.
-        images: Tensors whose contents identify the fit; others than tensors are ignored.
-        state: Returns views and shape to compare in previews.
+        images: Tensors that identify the fit by their values. Other values are ignored.
+        state: Returns the views and the shape for previews.
     """
-    settings = {name: setting_value(value) for name, value in asdict(options).items() if name not in _ANY}
+    settings = {name: setting_value(value) for name, value in asdict(options).items() if name not in _MAY_DIFFER}
     contents = b"".join(part.cpu().numpy().tobytes() for part in images if isinstance(part, Tensor))
     settings["images"] = f"#{zlib.crc32(contents):08x}"
 

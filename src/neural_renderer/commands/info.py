@@ -18,8 +18,8 @@ from ..raster.reference.operators import coverage_reference, nmr_edges_reference
 from ..version import __version__
 from .options.info import InfoOptions
 
-# Two test cases of the first package: corners of a triangle; pixel (row, column); target of the loss |I − target| at
-# this pixel of a silhouette of 64 × 64; and the gradient in (x, y) of the corners.
+# Two test cases of the first package. Each has the corners (x, y) of a triangle, a pixel (row, column) of its 64 × 64
+# silhouette, the target of the loss |I − target| at this pixel, and the gradient of the loss in the corners.
 _CASES = (
     ([[0.8, 0.8], [0.0, -0.5], [0.2, -0.4]], (25, 35), 1.0,
      [[1.6725862, -0.26021874], [1.41986704, -1.64284933], [0.0, 0.0]]),
@@ -121,12 +121,14 @@ def _check_gradient(device: torch.device) -> list[str]:
 
 
 def _differs(found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> bool:
-    # A sum of large terms that cancel has the absolute error of its terms.
+    """Tell whether numbers differ by more than a relative tolerance."""
+    # A small sum of large terms has the absolute error of its terms.
     least = 1e-5 * max(1.0, expected.abs().max().item())
     return not torch.allclose(found.detach().cpu(), expected, rtol=tolerance, atol=least)
 
 
 def _difference(name: str, found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> str:
+    """Describe the largest difference."""
     worst = (found.cpu() - expected).abs().max().item()
     return f"{name}: expected agreement within {tolerance:g}, got a difference of {worst:.3g}"
 

@@ -27,9 +27,10 @@ _LAMP = (-0.4, 0.6, 0.7)  # right, up, backward; more frontal than `pictures.lam
 _AMBIENT, _DIRECTIONAL = 0.4, 0.65
 _COLORS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": (0.0, 0.0, 0.0)}
 _GREY = 0.82  # colour of meshes without colours
-_MARGIN = 1.05  # of the distance at which the whole mesh is in the picture
+_MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the picture
 _PLANES = 1.1  # distance of the near and far planes from the origin, in radii of the mesh
 _FRAMES = 60  # of a turntable by default
+_DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
 _PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
 
 
@@ -55,6 +56,7 @@ def run(options: RenderOptions) -> int:
 
 
 def _load(options: RenderOptions) -> Mesh | UVMesh:
+    """Load the mesh, with images or, if --texture-size is given, with texture cubes."""
     if options.texture_size is None:
         return UVMesh.load(options.mesh, _GREY, options.allow_outside)
     vertices, faces, textures = load_mesh(options.mesh, options.texture_size, options.allow_outside)
@@ -81,7 +83,7 @@ def _check(options: RenderOptions) -> None:
     if options.distance is not None:
         _check_between("distance", options.distance, 0, math.inf)
     if options.background is not None and options.mode in ("silhouettes", "depth"):
-        raise ValueError(f"--background: expected --mode rgb or normals, got {options.mode}, which is on black")
+        raise ValueError(f"--background: expected --mode rgb or normals, got {options.mode} (always on black)")
     if options.background == "transparent" and suffix != ".png":
         raise ValueError(f"--background transparent: expected a .png, got {options.output.name!r}")
     if isinstance(options.background, tuple) and not all(0 <= value <= 1 for value in options.background):
@@ -89,6 +91,7 @@ def _check(options: RenderOptions) -> None:
 
 
 def _check_between(name: str, value: float, low: float, high: float) -> None:
+    """Raise ValueError if an option is not above ``low`` and below ``high``."""
     if not low < value < high:
         limit = f" and below {high}" if math.isfinite(high) else ""
         raise ValueError(f"--{name}: expected a number above {low}{limit}, got {value}")
@@ -121,7 +124,7 @@ def draw(options: RenderOptions, mesh: Mesh | UVMesh, azimuth: float) -> Tensor:
         shape = mesh.vertices, mesh.faces
         images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far)
         alpha, depth = images.alpha[0], images.depth[0]  # type: ignore[index]
-        return alpha if options.mode == "silhouettes" else _grey_depth(depth, alpha, far)
+        return alpha if options.mode == "silhouettes" else _shade_depth(depth, alpha, far)
     color = options.background if isinstance(options.background, tuple) else _COLORS[options.background or "white"]
     if options.mode == "normals":
         rgb, alpha = _draw_normals(mesh, camera, size, color, near, far)
@@ -151,7 +154,7 @@ def _draw_normals(
     return seen.composite((normals + 1) / 2, background)[0], alpha
 
 
-def _grey_depth(depth: Tensor, alpha: Tensor, far: float) -> Tensor:
+def _shade_depth(depth: Tensor, alpha: Tensor, far: float) -> Tensor:
     """Convert depth to grey [H, W]: the nearest point is white, the farthest dark, the background black."""
     covered = alpha > 0
     if not covered.any():
@@ -159,5 +162,5 @@ def _grey_depth(depth: Tensor, alpha: Tensor, far: float) -> Tensor:
     # Anti-aliasing mixes the far plane into the depth at the outline; remove its share.
     own = (depth - (1 - alpha) * far) / alpha.clamp(min=1e-6)
     low, high = own[covered].min(), own[covered].max()
-    grey = 1 - 0.8 * (own - low) / (high - low).clamp(min=1e-6)
+    grey = 1 - _DEPTH_CONTRAST * (own - low) / (high - low).clamp(min=1e-6)
     return torch.where(covered, grey * alpha, 0.0)

@@ -1,4 +1,4 @@
-"""Running a task of many steps: progress bars, previews, checkpoints and interruption."""
+"""`TaskRunner`: progress bars, previews, checkpoints and interruption of a task with many steps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,14 @@ _SECONDS = 4.0  # between two previews and checkpoints, unless their number of s
 
 
 class Task(Protocol):
-    """A task that takes steps until it is done, in one phase or several."""
+    """Task of many steps, in one or several phases.
+
+    Attributes:
+        phase: Name of the current phase.
+        step: Number of steps taken in this phase.
+        steps: Number of steps of this phase.
+        done: Whether all phases are over.
+    """
 
     @property
     def phase(self) -> str: ...
@@ -48,7 +55,7 @@ class TaskRunner:
         device: Device of the task; a checkpoint may come from another.
 
     Attributes:
-        history: The numbers that each step returned, and its "phase".
+        history: Numbers of each step (the result of ``advance``), with its "phase".
         seconds: Time of all steps, including those before an interruption.
     """
 
@@ -100,6 +107,7 @@ class TaskRunner:
         return not interrupted
 
     def _save(self) -> None:
+        """Write preview and checkpoint."""
         self._preview(self._folder / "preview.png")
         state = {"task": self._task.state_dict(), "history": self.history, "seconds": self.seconds}
         file = io.BytesIO()  # torch.save to a path does not report why it cannot write
@@ -107,6 +115,7 @@ class TaskRunner:
         write_file(self._checkpoint, file.getbuffer())
 
     def _restore(self) -> None:
+        """Resume from the checkpoint; raise ValueError if it is unreadable or its settings differ."""
         try:
             state = load_tensors(self._checkpoint, self._device)
             settings, task = state["inputs"], state["task"]
@@ -124,5 +133,5 @@ class TaskRunner:
 
 
 def setting_value(value: Any) -> Any:
-    """Convert a setting for a checkpoint. A file becomes its name and checksum, so that it may be moved."""
+    """Convert a setting for a checkpoint. A path becomes name and checksum of the file, so that the file may move."""
     return f"{value.name} #{zlib.crc32(value.read_bytes()):08x}" if isinstance(value, Path) else value

@@ -1,1 +1,1 @@
-"""The interface of the first `neural_renderer` packages; new code does not need it."""
+"""Interface of the first `neural_renderer` packages. New code does not need it."""

@@ -1,4 +1,4 @@
-"""The Adam of the published `neural_renderer`, made for gradients that are exactly zero almost everywhere."""
+"""Adam of the published `neural_renderer`, for gradients that are exactly 0 at most elements."""
 
 from __future__ import annotations
 
@@ -11,30 +11,37 @@ from torch import Tensor
 
 from .. import validate
 
-_PIECE = 1 << 16  # elements
+_PIECE = 1 << 16  # elements that are updated together; they fit into a processor's cache
 
 
 class Adam(torch.optim.Optimizer):
-    """Adam that leaves alone what got no gradient.
+    """Adam that skips elements with a gradient of exactly 0, such as vertices and texels that no image shows.
 
-    A texture's texels and a mesh's vertices that no image of this step shows have a gradient of exactly 0. For those
-    elements the running means and the parameter stay as they are; the others follow Adam (Kingma and Ba, 2015):
-    m += (1 − β1)(g − m), v += (1 − β2)(g² − v), p −= lr · √(1 − β2ᵗ) / (1 − β1ᵗ) · m / (√v + eps). t counts the calls
-    of `step` for the whole group, as in Chainer, and is kept in ``param_groups[i]["step"]``. Half and bfloat16
-    parameters are moved by steps computed in float32.
+    Parameter and running means of these elements do not change. The other elements follow Adam (Kingma and Ba, 2015):
+    m += (1 − β1)(g − m), v += (1 − β2)(g² − v), p −= lr · √(1 − β2ᵗ) / (1 − β1ᵗ) · m / (√v + eps). As in Chainer, t
+    counts the calls of `step` for the whole group; it is stored in ``param_groups[i]["step"]``. Steps of float16 and
+    bfloat16 parameters are computed in float32.
 
-    The rate of a single parameter is multiplied by its attribute ``lr``, if it has one: ``mesh.vertices.lr = 0.01``.
-    That attribute belongs to the tensor, so it is not part of the `state_dict`.
+    The learning rate of a parameter is multiplied by its attribute ``lr``, if it has one: ``mesh.vertices.lr = 0.01``.
+    This attribute belongs to the tensor and is not part of the `state_dict`.
 
     Args:
-        params: parameters, named parameters, or parameter groups, as for any torch optimiser.
-        lr: the rate α, ≥ 0.
-        betas: (β1, β2), each in [0, 1).
-        eps: added to √v, > 0.
-        alpha, beta1, beta2: Chainer's names for ``lr`` and ``betas``; where given they win.
+        params: Parameters, named parameters or parameter groups, as for any torch optimiser.
+        lr: Learning rate α, ≥ 0.
+        betas: Decay rates (β1, β2), each in [0, 1).
+        eps: Number added to √v, > 0.
+        alpha: Chainer's name of ``lr``; it takes precedence.
+        beta1: Chainer's name of the first of ``betas``; it takes precedence.
+        beta2: Chainer's name of the second of ``betas``; it takes precedence.
 
     Raises:
-        TypeError, ValueError: numbers out of these ranges; in `step`, a sparse or complex gradient.
+        TypeError, ValueError: A number is out of range; in `step`, a gradient is sparse or complex.
+
+    Example:
+        >>> mesh = nr.Mesh.icosphere(2)
+        >>> optimizer = nr.Adam(mesh.parameters(), lr=0.01)
+        >>> nr.render(mesh, camera, 64).alpha.mean().backward()
+        >>> optimizer.step()
     """
 
     def __init__(
@@ -54,11 +61,11 @@ class Adam(torch.optim.Optimizer):
         super().__init__(params, defaults)
 
     def add_param_group(self, param_group: dict[str, Any]) -> None:
-        """Add parameters with their own rates, as for any torch optimiser; their t starts at 0."""
+        """Add a parameter group, as for any torch optimiser. Its t starts at 0."""
         options = {**self.defaults, **param_group}
         if validate.number("lr", options["lr"]) < 0:
             raise ValueError(f"lr: expected a number of at least 0, got {options['lr']}")
-        if validate.number("eps", options["eps"]) <= 0:  # an untouched element has m / (√v + eps) = 0 / eps
+        if validate.number("eps", options["eps"]) <= 0:  # a skipped element computes 0 / (√v + eps) with v = 0
             raise ValueError(f"eps: expected a positive number, got {options['eps']}")
         for name, beta in zip(("beta1", "beta2"), _pair(options["betas"]), strict=True):
             if not 0 <= validate.number(name, beta) < 1:
@@ -67,7 +74,14 @@ class Adam(torch.optim.Optimizer):
 
     @torch.no_grad()
     def step(self, closure: Callable[[], Any] | None = None) -> Any:
-        """Update the parameters once; returns what ``closure``, which is called first with gradients on, returns."""
+        """Update the parameters once.
+
+        Args:
+            closure: Function that computes the gradients and returns the loss; it is called first.
+
+        Returns:
+            The result of ``closure``, or None.
+        """
         loss = None
         if closure is not None:
             with torch.enable_grad():
@@ -82,6 +96,7 @@ class Adam(torch.optim.Optimizer):
         return loss
 
     def _update(self, parameter: Tensor, rate: float, beta1: float, beta2: float, eps: float) -> None:
+        """Update one parameter, in place."""
         gradient = parameter.grad
         if gradient is None or gradient.is_sparse or gradient.is_complex():
             raise TypeError("gradient: expected a dense real tensor, got a sparse or complex one")
@@ -93,7 +108,7 @@ class Adam(torch.optim.Optimizer):
         if parameter.device.type != "cpu" or parameter.numel() <= _PIECE:
             _move(parameter, gradient, state["m"], state["v"], rates)
             return
-        # Piece by piece, so that what is computed on the way stays in the processor's caches.
+        # Piece by piece, so that intermediate results stay in the processor's caches.
         rows = max(1, _PIECE * len(parameter) // parameter.numel())
         parts = (t.split(rows) for t in (parameter, gradient, state["m"], state["v"]))
         for part, slope, m, v in zip(*parts, strict=True):
@@ -102,7 +117,7 @@ class Adam(torch.optim.Optimizer):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore what `state_dict` returned, as for any torch optimiser."""
         super().load_state_dict(state_dict)
-        # torch has cast the means to the parameters' dtype, which may not hold them.
+        # torch casts the means to the parameters' dtype, which may lack range and precision.
         numbers = (number for group in state_dict["param_groups"] for number in group["params"])
         parameters = (parameter for group in self.param_groups for parameter in group["params"])
         for number, parameter in zip(numbers, parameters, strict=True):
@@ -111,21 +126,22 @@ class Adam(torch.optim.Optimizer):
 
 
 def _move(parameter: Tensor, gradient: Tensor, m: Tensor, v: Tensor, rates: tuple[float, float, float, float]) -> None:
-    """One step, in place."""
+    """Take one step, in place."""
     rate, beta1, beta2, eps = rates
     gradient = gradient.to(m.dtype)
-    live = (gradient != 0).to(m.dtype)  # as a weight: 0 leaves an element untouched
+    live = (gradient != 0).to(m.dtype)  # a weight of 0 skips an element
     m.lerp_(gradient, live * (1 - beta1))
     v.lerp_(gradient * gradient, live * (1 - beta2))
     parameter.copy_(parameter.to(m.dtype).addcdiv_(live * m, v.sqrt().add_(eps), value=-rate))
 
 
 def _at_least_float32(dtype: torch.dtype) -> torch.dtype:
-    """The dtype of the running means: half types hold neither squares of gradients nor eps."""
+    """Return the dtype of the running means. 16-bit floats cannot hold squared gradients and eps."""
     return torch.promote_types(dtype, torch.float32)
 
 
 def _pair(betas: Any) -> tuple[Any, Any]:
+    """Return the two numbers of ``betas``; raise ValueError if there are not two."""
     if not isinstance(betas, (tuple, list)) or len(betas) != 2:
         raise ValueError(f"betas: expected two numbers, got {betas!r}")
     return betas[0], betas[1]

@@ -1,4 +1,4 @@
-"""`lighting` of the first packages: textures multiplied by the light on their faces."""
+"""`lighting` of the first packages."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def face_light(
     color_directional: Array = _WHITE,
     direction: Array = _UP,
 ) -> Tensor:
-    """The light on each face as the published renderer computes it, [B, F, 3 colours].
+    """Compute the light on each face as the published renderer does, [B, F, 3 colours]. Arguments: see `lighting`.
 
-    It lights the side of (v0 − v1) × (v2 − v1): the one seen through the mirroring cameras of `look_at` and `look`
-    where the corners run counter-clockwise on the screen. Arguments as `lighting`; differentiable in all of them.
+    The lit side is that of (v0 − v1) × (v2 − v1). Through the mirroring cameras of `look_at` and `look`, it is the side
+    whose corners run counter-clockwise on the screen. Differentiable in all arguments.
     """
     light = Light(intensity_ambient, intensity_directional, color_ambient, color_directional, direction)
     return light._shade(light._facing(corners))
@@ -38,20 +38,29 @@ def lighting(
     color_directional: Array = _WHITE,
     direction: Array = _UP,
 ) -> Tensor:
-    """Textures under light: each face's texture times its `face_light`.
+    """Multiply textures by the light on their faces.
+
+    A face is lit by intensity_ambient · color_ambient + intensity_directional · color_directional · max(n · direction,
+    0), with its unit normal n along (v0 − v1) × (v2 − v1).
 
     Args:
-        faces: the faces' corners in world space, [B, F, 3 corners, 3 coordinates], floating.
-        textures: [B, F, T, T, T, 3], floating, T at least 1; they are not changed.
-        intensity_ambient, intensity_directional: numbers, or tensors [] or [B].
-        color_ambient, color_directional: RGB, [3] or [B, 3]: list, tuple, array or tensor.
-        direction: towards the light, likewise; it is used as it is, so its length counts.
+        faces: [B, F, 3 corners, 3] floating, corners of faces in world space.
+        textures: [B, F, T, T, T, 3] floating, T ≥ 1.
+        intensity_ambient: Number, or tensor [] or [B].
+        intensity_directional: Number, or tensor [] or [B].
+        color_ambient: RGB, [3] or [B, 3]: list, tuple, array or tensor.
+        color_directional: RGB, likewise.
+        direction: Vector towards the light, likewise. It is not normalised: its length scales the light.
 
     Returns:
         New textures [B, F, T, T, T, 3]. Differentiable in all arguments.
 
     Raises:
-        TypeError, ValueError: wrong types or shapes; numbers that are not finite if values are checked.
+        TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not finite.
+
+    Example:
+        >>> vertices, faces, textures = mesh.get_batch(1)
+        >>> lit = nr.lighting(nr.vertices_to_faces(vertices, faces), textures, direction=(0.0, 0.0, -1.0))
     """
     validate.floating("faces", faces, ("B", "F", 3, 3))
     validate.cubes("textures", textures, "B", faces.shape[1])

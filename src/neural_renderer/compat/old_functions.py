@@ -1,4 +1,4 @@
-"""Functions of the first packages' modules that the package itself does not export."""
+"""Functions of the first packages' modules. Only `cross` is exported by ``neural_renderer``."""
 
 from __future__ import annotations
 
@@ -14,14 +14,29 @@ from ..io.atlas import build_atlas
 from ..io.cubes import check_size
 from ..io.files import existing
 from ..io.mtl import read_mtl
-from ..io.obj import obj_skin
+from ..io.obj import obj_surface_colors
 from ..io.parse import read_obj
-from ..io.surface_colors import Skin
+from ..io.surface_colors import SurfaceColors
 from .rasterize import Rasterize
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
-    """Compute cross products [N, 3] of vectors [N, 3]; `torch.linalg.cross` does the same for any shape."""
+    """Compute cross products. New code uses `torch.linalg.cross`.
+
+    Args:
+        a: [N, 3] floating.
+        b: [N, 3] floating.
+
+    Returns:
+        [N, 3], differentiable.
+
+    Raises:
+        TypeError, ValueError: A type or shape does not fit.
+
+    Example:
+        >>> cross(torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([[0.0, 1.0, 0.0]]))
+        tensor([[0., 0., 1.]])
+    """
     validate.floating("a", a, ("N", 3))
     return torch.linalg.cross(a, validate.floating("b", b, (len(a), 3)))
 
@@ -29,7 +44,7 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
 def load_mtl(filename_mtl: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Read the colours (Kd, [3] float64) and the image names (map_Kd) of an MTL file, by material."""
     materials = read_mtl(existing(filename_mtl))
-    colors = {name: np.array(material.colour) for name, material in materials.items() if material.colour is not None}
+    colors = {name: np.array(material.color) for name, material in materials.items() if material.color is not None}
     images = {name: material.image for name, material in materials.items() if material.image is not None}
     return colors, images
 
@@ -44,18 +59,21 @@ def load_textures(
     """Bake the materials of an MTL file into textures [F, T, T, T, 3] of an OBJ file; see `load_obj`."""
     obj = read_obj(existing(filename_obj), with_uv=True)
     check_size(len(obj.faces), texture_size)
-    skin = obj_skin(obj, texture_wrapping, materials=read_mtl(existing(filename_mtl))) or Skin.plain(
-        len(obj.faces), 0.5
-    )
-    return torch.from_numpy(skin.bake(texture_size, use_bilinear))
+    surface = obj_surface_colors(obj, texture_wrapping, materials=read_mtl(existing(filename_mtl)))
+    surface = surface or SurfaceColors.plain(len(obj.faces), 0.5)
+    return torch.from_numpy(surface.bake(texture_size, use_bilinear))
 
 
 def create_texture_image(textures: Tensor, texture_size_out: int = 16) -> tuple[np.ndarray, np.ndarray]:
-    """Draw texture cubes [F, T, T, T, 3] into one image with a tile of ``texture_size_out``² pixels for each face.
+    """Draw texture cubes into one image, with a tile for each face. Tiles of similar colour are placed together.
 
-    ``texture_size_out`` is at least 4. Returns the image [H, W, 3] float32 in [0, 1], first row on top, and the texture
-    coordinates [F, 3, 2] float32 of the faces' corners: v points up, 0 and 1 are the centres of the outermost pixels.
-    Tiles of similar colour lie together.
+    Args:
+        textures: [F, T, T, T, 3] floating.
+        texture_size_out: Side of a tile in pixels, ≥ 4.
+
+    Returns:
+        The image [H, W, 3] float32 in [0, 1], row 0 at the top, and the texture coordinates [F, 3, 2] float32 of the
+        faces' corners (v up; 0 and 1 are the centres of the outermost pixels).
     """
     cubes = validate.cubes("textures", textures, "F").detach().cpu().float().clamp(0, 1).numpy()
     picture, pixels = build_atlas(cubes, validate.whole("texture_size_out", texture_size_out, 4))
@@ -65,7 +83,7 @@ def create_texture_image(textures: Tensor, texture_size_out: int = 16) -> tuple[
 
 
 class RasterizeFunction:
-    """`Rasterize` in the form of a torch function; only ``RasterizeFunction.apply`` exists."""
+    """`Rasterize` as a torch function; only ``RasterizeFunction.apply`` exists."""
 
     @staticmethod
     def apply(faces: Tensor, textures: Tensor | None, *settings: Any) -> tuple[Tensor | None, ...]:

@@ -1,7 +1,7 @@
-"""The first packages' modules under their old names, for ``from neural_renderer.projection import projection``.
+"""Modules of the first packages, for ``from neural_renderer.projection import projection``.
 
-They exist in `sys.modules` only. A file of that name would, once imported, replace the function of the same name in
-``neural_renderer``. Their members are loaded at first use.
+They exist in `sys.modules` only. Importing a file of such a name would replace the function of the same name.
+Their members are loaded at first use.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ OLD_MODULES: dict[str, dict[str, tuple[str, ...]]] = {
 
 
 class _OldModule(ModuleType):
-    """A module whose members are found at first use."""
+    """Module that loads its members at first use."""
 
     def __init__(self, name: str) -> None:
         super().__init__(f"{_PACKAGE}.{name}", f"`{name}` under its name in the first packages.")
@@ -66,7 +66,7 @@ class _OldModule(ModuleType):
 
 
 class _NoExtensions:
-    """Raise ImportError with advice where a program imports the first packages' compiled extensions."""
+    """Import hook that raises ImportError, with advice, for the compiled extensions of the first packages."""
 
     @staticmethod
     def find_spec(name: str, path: Any = None, target: Any = None) -> None:

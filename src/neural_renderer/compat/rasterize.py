@@ -1,7 +1,7 @@
-"""The rasteriser under the names of the first packages; every function takes corners in screen space.
+"""Rasteriser with the names of the first packages. New code uses `rasterize_images`.
 
-``faces`` is [B, F, 3, 3] throughout, as `raster.rasterize.rasterize_images` describes it; that function is what new
-code uses. Images are float32, row 0 at the top.
+Faces are [B, F, 3 corners, 3]: x right, y up in [−1, 1] over the image, and depth z. Images are float32, row 0 at the
+top.
 """
 
 from __future__ import annotations
@@ -35,13 +35,32 @@ def rasterize_rgbad(
     return_depth: bool = True,
     gradient: str = "nmr",
 ) -> dict[str, Tensor | None]:
-    """Colour, alpha and depth at once.
+    """Draw colour, alpha and depth. Only faces whose corners run counter-clockwise on the screen are drawn.
 
-    textures: [B, F, T, T, T, 3], needed for colour; the other arguments as in `rasterize_images`. Only faces whose
-    corners run counter-clockwise on the screen are drawn.
+    Args:
+        faces: [B, F, 3 corners, 3] floating, in screen space.
+        textures: [B, F, T, T, T, 3] floating, for colour; otherwise None.
+        image_size: Side, or (height, width), in pixels.
+        anti_aliasing: Draw at twice the size and average.
+        near: Smallest visible depth, > 0.
+        far: Largest visible depth.
+        eps: See `rasterize_images`.
+        background_color: Number, [3], [B, 3] or an image.
+        return_rgb: Whether to draw colour.
+        return_alpha: Whether to draw alpha.
+        return_depth: Whether to draw depth.
+        gradient: Gradient estimator, "nmr" or "edge".
 
-    Returns a dict: "rgb" [B, 3, H, W], "alpha" [B, H, W], "depth" [B, H, W], each None where not asked for.
-    Raises TypeError or ValueError as `rasterize_images` does, and ValueError if nothing is asked for.
+    Returns:
+        "rgb" [B, 3, H, W], "alpha" [B, H, W] and "depth" [B, H, W] by name, None if not requested.
+
+    Raises:
+        TypeError, ValueError: As `rasterize_images`, or nothing is requested.
+
+    Example:
+        >>> faces = torch.tensor([[[[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0]]]])  # half of the image
+        >>> nr.rasterize_rgbad(faces, image_size=64, return_rgb=False)["alpha"].mean()
+        tensor(0.50...)
     """
     asked = {"rgb": return_rgb, "alpha": return_alpha, "depth": return_depth}
     if not any(asked.values()):
@@ -73,7 +92,24 @@ def rasterize(
     background_color: Any = DEFAULT_BACKGROUND_COLOR,
     gradient: str = "nmr",
 ) -> Tensor:
-    """Colour [B, 3, H, W]; arguments as in `rasterize_rgbad`."""
+    """Draw colour.
+
+    Args:
+        faces: [B, F, 3 corners, 3] floating, in screen space.
+        textures: [B, F, T, T, T, 3] floating.
+        image_size: See `rasterize_rgbad`, as for all further arguments.
+
+    Returns:
+        [B, 3, H, W] float32, differentiable in faces and textures.
+
+    Raises:
+        TypeError, ValueError: As `rasterize_rgbad`.
+
+    Example:
+        >>> faces = torch.tensor([[[[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0]]]])
+        >>> nr.rasterize(faces, torch.ones(1, 1, 1, 1, 1, 3), image_size=64).shape
+        torch.Size([1, 3, 64, 64])
+    """
     options = (image_size, anti_aliasing, near, far, eps, background_color, True, False, False, gradient)
     return rasterize_rgbad(faces, textures, *options)["rgb"]  # type: ignore[return-value]
 
@@ -87,7 +123,23 @@ def rasterize_silhouettes(
     eps: float = DEFAULT_EPS,
     gradient: str = "nmr",
 ) -> Tensor:
-    """Silhouettes [B, H, W]: 1 where a face is seen, 0 elsewhere; arguments as in `rasterize_rgbad`."""
+    """Draw silhouettes.
+
+    Args:
+        faces: [B, F, 3 corners, 3] floating, in screen space.
+        image_size: See `rasterize_rgbad`, as for all further arguments.
+
+    Returns:
+        [B, H, W] float32: 1 on faces, 0 elsewhere, fractions with ``anti_aliasing``. Differentiable in faces.
+
+    Raises:
+        TypeError, ValueError: As `rasterize_rgbad`.
+
+    Example:
+        >>> faces = torch.tensor([[[[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0]]]])
+        >>> nr.rasterize_silhouettes(faces, image_size=64).shape
+        torch.Size([1, 64, 64])
+    """
     options = (image_size, anti_aliasing, near, far, eps, DEFAULT_BACKGROUND_COLOR, False, True, False, gradient)
     return rasterize_rgbad(faces, None, *options)["alpha"]  # type: ignore[return-value]
 
@@ -101,16 +153,39 @@ def rasterize_depth(
     eps: float = DEFAULT_EPS,
     gradient: str = "nmr",
 ) -> Tensor:
-    """Depth [B, H, W], ``far`` where no face is seen; arguments as in `rasterize_rgbad`."""
+    """Draw depth.
+
+    Args:
+        faces: [B, F, 3 corners, 3] floating, in screen space.
+        image_size: See `rasterize_rgbad`, as for all further arguments.
+
+    Returns:
+        [B, H, W] float32, ``far`` in the background. Differentiable in faces.
+
+    Raises:
+        TypeError, ValueError: As `rasterize_rgbad`.
+
+    Example:
+        >>> faces = torch.tensor([[[[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0]]]])
+        >>> nr.rasterize_depth(faces, image_size=64).amin()
+        tensor(1.)
+    """
     options = (image_size, anti_aliasing, near, far, eps, DEFAULT_BACKGROUND_COLOR, False, False, True, gradient)
     return rasterize_rgbad(faces, None, *options)["depth"]  # type: ignore[return-value]
 
 
 class Rasterize(nn.Module):
-    """The bare rasteriser: no anti-aliasing, rows from the **bottom**, channels last.
+    """Rasteriser as a module: no anti-aliasing, rows from the **bottom**, channels last.
 
-    Called with ``faces`` [B, F, 3, 3] and, for colour, ``textures`` [B, F, T, T, T, 3]; returns a tuple (rgb [B, H, W,
-    3], alpha [B, H, W], depth [B, H, W]), None where not asked for. Raises ValueError if nothing is asked for.
+    Arguments: see `rasterize_rgbad`.
+
+    Raises:
+        ValueError: Nothing is requested.
+
+    Example:
+        >>> rasterizer = nr.Rasterize(64, 0.1, 100, 1e-4, (0, 0, 0), return_alpha=True)
+        >>> faces = torch.tensor([[[[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0]]]])
+        >>> rgb, alpha, depth = rasterizer(faces)
     """
 
     def __init__(
@@ -141,6 +216,14 @@ class Rasterize(nn.Module):
     def forward(
         self, faces: Tensor, textures: Tensor | None = None
     ) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
+        """Draw faces [B, F, 3, 3] with textures [B, F, T, T, T, 3], which are needed for colour.
+
+        Returns:
+            (rgb [B, H, W, 3], alpha [B, H, W], depth [B, H, W]), None if not requested.
+
+        Raises:
+            TypeError, ValueError: As `rasterize_images`.
+        """
         images: dict[str, Tensor | None] = rasterize_rgbad(
             faces,
             textures,

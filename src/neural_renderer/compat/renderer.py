@@ -1,4 +1,4 @@
-"""`Renderer`, the class that code written for the first packages uses: a thin face over the same parts as `render`."""
+"""`Renderer` of the first packages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..raster.settings import image_size
 from ..shading.lights import Light
 from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR
 
-# What `Light` calls the attributes of `Renderer`.
+# Attribute of `Light` → attribute of `Renderer`.
 _LIGHT = {
     "ambient": "light_intensity_ambient",
     "directional": "light_intensity_directional",
@@ -27,40 +27,61 @@ _LIGHT = {
     "directional_color": "light_color_directional",
     "direction": "light_direction",
 }
+_COLOR_EPS = 1e-3  # as in the first packages
 
 
 class Renderer(nn.Module):
-    """A renderer with settable attributes; each constructor argument is an attribute of the same name.
+    """Renderer of the first packages. Each argument is also an attribute, which can be set at any time.
 
-    "look_at" and "look" mirror the world, and light in "projection" mode falls on the far sides of faces, as in the
-    first packages; `render` has neither property.
+    As in the first packages, "look_at" and "look" mirror the world, and in "projection" mode light falls on the far
+    sides of faces. New code uses `render`, which does neither.
+
+    ``camera_mode`` chooses the camera:
+
+    - "projection": calibrated camera as in OpenCV, with K, R, t, dist_coeffs and orig_size; see `projection`.
+    - "look_at": camera at ``eye`` that looks at the origin, with ``camera_up`` upwards.
+    - "look": camera at ``eye`` that looks along ``camera_direction``.
+    - Any other string: no camera; vertices are in screen space.
 
     Args:
-        image_size: side, or (height, width), in pixels; image_height and image_width set either alone.
-        anti_aliasing: draw at twice the size and average.
-        background_color: a number, [3], [B, 3] or an image.
-        fill_back: draw both sides of every face.
-        camera_mode: where the camera comes from, which may change at any time:
-            "projection": a calibrated camera as in OpenCV, by K, R, t, dist_coeffs and orig_size (see `projection`);
-            "look_at": the attribute eye; it looks at the origin, with camera_up upwards;
-            "look": the same, but it looks along camera_direction;
-            any other string: no camera; vertices are in screen space already.
-        K, R, t, dist_coeffs: tensors, kept as they are; arrays and lists become float32 tensors. dist_coeffs None is
-            zeros [1, 5].
-        orig_size: the size of the image that K describes: a number or (height, width).
-        perspective: divide by depth ("look_at" and "look" only).
-        viewing_angle: half the field of view in degrees, a number, or a tensor [] or [B]; in (0, 90) where it is used.
-            The eye begins on the -z axis where a square of side 2 at z = -1 fills the image.
-        near, far: only what has near < depth < far at a pixel is seen, in every mode.
-        light_*: intensities, colours and direction (towards the light) as in `Light`: one for all images or [B].
-        gradient: the estimator through visibility.
+        image_size: Side, or (height, width), in pixels.
+        anti_aliasing: Draw at twice the size and average.
+        background_color: Number, [3], [B, 3] or an image.
+        fill_back: Draw both sides of every face.
+        camera_mode: See above.
+        K: Intrinsic matrix in pixels, [3, 3] or [B, 3, 3]. Arrays and lists become float32 tensors, here and for R, t
+            and dist_coeffs.
+        R: World-to-camera rotation, [3, 3] or [B, 3, 3].
+        t: World-to-camera translation, [3], [B, 3] or [B, 1, 3].
+        dist_coeffs: (k1, k2, p1, p2, k3), [5] or [B, 5]; None means zeros [1, 5].
+        orig_size: Side, or (height, width), in pixels of the image that K describes.
+        perspective: Divide by depth, in the modes "look_at" and "look".
+        viewing_angle: Half the field of view in degrees, in (0, 90): number, or tensor [] or [B]. The initial eye is on
+            the −z axis, where a square of side 2 at z = −1 fills the image.
+        camera_direction: Viewing direction in the mode "look", [3] or [B, 3].
+        near: Smallest visible depth.
+        far: Largest visible depth.
+        light_intensity_ambient: See `Light.ambient`.
+        light_intensity_directional: See `Light.directional`.
+        light_color_ambient: See `Light.ambient_color`.
+        light_color_directional: See `Light.directional_color`.
+        light_direction: See `Light.direction`.
+        gradient: Gradient estimator, "nmr" or "edge".
+        camera_up: Direction that is up in the picture, [3] or [B, 3].
+        image_height: Height in pixels; takes precedence over ``image_size``.
+        image_width: Width in pixels; takes precedence over ``image_size``.
 
     Attributes:
-        eye: the camera's position, [3] or [B, 3].
-        rasterizer_eps: eps of colour renders, 1e-3 (see `rasterize_images`); that of silhouettes is always 1e-4.
+        eye: Position of the camera, [3] or [B, 3].
+        rasterizer_eps: eps of `rasterize_images` for colour, 1e-3. For silhouettes and depth it is always 1e-4.
 
     Raises:
-        TypeError, ValueError: with a sentence, here for what cannot be kept, and at each call for what is used.
+        TypeError, ValueError: An argument does not fit. Most attributes are checked when they are used.
+
+    Example:
+        >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
+        >>> renderer.eye = nr.get_points_from_angles(2.7, 0.0, 30.0)
+        >>> rgb, depth, alpha = renderer(*mesh.get_batch(1))
     """
 
     def __init__(
@@ -118,12 +139,12 @@ class Renderer(nn.Module):
         self.light_color_ambient = _own(light_color_ambient)
         self.light_color_directional = _own(light_color_directional)
         self.light_direction = _own(light_direction)
-        self.rasterizer_eps = 1e-3
+        self.rasterizer_eps = _COLOR_EPS
         self.gradient = gradient
 
     @property
     def image_height(self) -> int:
-        """The images' height; setting it keeps their width."""
+        """Height of the images in pixels. Setting it keeps the width."""
         return image_size("image_size", self.image_size)[0]
 
     @image_height.setter
@@ -132,7 +153,7 @@ class Renderer(nn.Module):
 
     @property
     def image_width(self) -> int:
-        """The images' width; setting it keeps their height."""
+        """Width of the images in pixels. Setting it keeps the height."""
         return image_size("image_size", self.image_size)[1]
 
     @image_width.setter
@@ -140,13 +161,13 @@ class Renderer(nn.Module):
         self.image_size = self.image_height, width
 
     def __setattr__(self, name: str, value: Any) -> None:
-        # A number takes the place of a parameter too, which nn.Module would refuse.
+        # nn.Module refuses to replace a parameter by a number.
         if name in getattr(self, "_parameters", ()) and not isinstance(value, nn.Parameter):
             del self._parameters[name]
         super().__setattr__(name, value)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Pickles of the first packages and of earlier versions lack some attributes: these get their defaults.
+        # Pickles of the first packages and of earlier versions lack some attributes. These get their defaults.
         super().__setstate__({**vars(Renderer()), **state})
 
     def forward(
@@ -161,7 +182,14 @@ class Renderer(nn.Module):
         dist_coeffs: Any = None,
         orig_size: int | tuple[int, int] | None = None,
     ) -> Any:
-        """What ``mode`` names: None → `render`, "rgb", "silhouettes", "depth"; ValueError for another."""
+        """Draw images. Arguments: see `render`.
+
+        Args:
+            mode: None calls `render`, "rgb" `render_rgb`, "silhouettes" `render_silhouettes`, "depth" `render_depth`.
+
+        Raises:
+            TypeError, ValueError: As `render`, or the mode is unknown.
+        """
         camera = (K, R, t, dist_coeffs, orig_size)
         if mode is None:
             return self.render(vertices, faces, textures, *camera)
@@ -177,8 +205,20 @@ class Renderer(nn.Module):
         self, vertices: Tensor, faces: Tensor, textures: Tensor | None, K: Any = None, R: Any = None, t: Any = None,
         dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
     ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
-        """(rgb [B, 3, H, W], depth [B, H, W], alpha [B, H, W]) of vertices [B, V, 3], faces [B, F, 3] or [F, 3] and
-        textures [B, F, T, T, T, 3]; K, R, t, dist_coeffs, orig_size replace the attributes for this call."""
+        """Draw colour, depth and alpha.
+
+        Args:
+            vertices: [B, V, 3] floating.
+            faces: [B, F, 3] or [F, 3], whole numbers.
+            textures: [B, F, T, T, T, 3] floating.
+            K, R, t, dist_coeffs, orig_size: Replace the attributes of the same name for this call.
+
+        Returns:
+            (rgb [B, 3, H, W], depth [B, H, W], alpha [B, H, W]).
+
+        Raises:
+            TypeError, ValueError: An argument or attribute does not fit.
+        """
         images = self._draw(("rgb", "alpha", "depth"), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size))
         return images.rgb, images.depth, images.alpha  # type: ignore[return-value]
 
@@ -186,21 +226,21 @@ class Renderer(nn.Module):
         self, vertices: Tensor, faces: Tensor, textures: Tensor | None, K: Any = None, R: Any = None, t: Any = None,
         dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
     ) -> Tensor:  # fmt: skip
-        """Colour [B, 3, H, W]; arguments as in `render`."""
+        """Draw colour, [B, 3, H, W]. Arguments: see `render`."""
         return self._draw(("rgb",), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size)).rgb  # type: ignore[return-value]
 
     def render_silhouettes(
         self, vertices: Tensor, faces: Tensor, K: Any = None, R: Any = None, t: Any = None,
         dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
     ) -> Tensor:  # fmt: skip
-        """Silhouettes [B, H, W]; arguments as in `render`."""
+        """Draw silhouettes, [B, H, W]. Arguments: see `render`."""
         return self._draw(("alpha",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).alpha  # type: ignore[return-value]
 
     def render_depth(
         self, vertices: Tensor, faces: Tensor, K: Any = None, R: Any = None, t: Any = None,
         dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
     ) -> Tensor:  # fmt: skip
-        """Depth [B, H, W]; arguments as in `render`."""
+        """Draw depth, [B, H, W]. Arguments: see `render`."""
         return self._draw(("depth",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).depth  # type: ignore[return-value]
 
     def _draw(
@@ -211,6 +251,7 @@ class Renderer(nn.Module):
         textures: Tensor | None,
         camera: tuple[Any, ...],
     ) -> Images:
+        """Draw the named images with the current attributes."""
         validate.floating("vertices", vertices, ("B", "V", 3))
         faces = checked_faces(faces)
         screen, perspective = self._project(validate.wide(vertices), *camera)
@@ -224,7 +265,7 @@ class Renderer(nn.Module):
                 self.light_color_directional,
                 self.light_direction,
             )
-            # Light falls on the world, before the camera; on the side that the first packages lit (see the class).
+            # Light is computed in world space, on the side that the first packages lit (see the class).
             with validate.called(**_LIGHT):
                 light = lamp.two_sided(world_corners(vertices, faces, len(screen)), mirrored=True)
         with validate.called(background="background_color", eps="rasterizer_eps", light="light_*"):
@@ -247,7 +288,7 @@ class Renderer(nn.Module):
     def _project(
         self, vertices: Tensor, K: Any, R: Any, t: Any, dist_coeffs: Any, orig_size: Any
     ) -> tuple[Tensor, bool]:
-        """Vertices in screen space, and whether depth runs in perspective between them."""
+        """Project vertices into screen space; also tell whether depth is interpolated in perspective."""
         mode = _mode(self.camera_mode)
         if mode == "projection":
             K, R, t = (self._given(name, value) for name, value in (("K", K), ("R", R), ("t", t)))
@@ -266,6 +307,7 @@ class Renderer(nn.Module):
         return vertices, divided
 
     def _given(self, name: str, value: Any) -> Any:
+        """Return the argument of a call, or else the attribute ``name``; raise ValueError if both are None."""
         value = getattr(self, name) if value is None else value
         if value is None:
             raise ValueError(
@@ -276,13 +318,14 @@ class Renderer(nn.Module):
 
 
 def _mode(value: Any) -> str:
+    """Return ``camera_mode`` if it is a string; raise TypeError otherwise."""
     if not isinstance(value, str):
         raise TypeError(f"camera_mode: expected a string, got {type(value).__name__}")
     return value
 
 
 def _default_eye(angle: Any) -> Any:
-    """The place on -z from which a square of side 2 at z = -1 fills the image: [3], or [B, 3] for angles [B]."""
+    """Place the eye on the −z axis so that a square of side 2 at z = −1 fills the image: [3], or [B, 3]."""
     angle = scalar("viewing_angle", angle, torch.get_default_dtype())
     if isinstance(angle, Tensor):
         z = -1 / torch.tan(torch.deg2rad(angle.detach())) - 1
@@ -291,10 +334,10 @@ def _default_eye(angle: Any) -> Any:
 
 
 def _as_tensor(name: str, value: Any) -> Any:
-    """Arrays and lists as tensors, so that programs can move and multiply them; anything else as it is."""
+    """Convert arrays and lists to tensors, so that programs can move and multiply them; keep other values."""
     return as_tensor(name, value, torch.float32) if isinstance(value, (np.ndarray, list, tuple)) else value
 
 
 def _own(value: Any) -> Any:
-    """Settable attributes are lists, as they were, and never shared between renderers."""
+    """Copy a sequence to a list, as in the first packages, so that renderers share none; keep tensors and numbers."""
     return value if isinstance(value, torch.Tensor) or not hasattr(value, "__iter__") else list(value)

@@ -23,6 +23,8 @@ _TORCHVISION = {"conv1": "conv1.7x7_s2", "conv2": "conv2.3x3_reduce", "conv3": "
 }
 _ALPHA = 1e-4 / 5  # α of Caffe's local response normalisation, for a sum over five channels
 _EPSILON = 1e-3  # ε of torchvision's batch normalisation
+_HALF_RANGE = (127.5,) * 3  # mean and standard deviation of torchvision's input
+_CAFFE_MEAN = (104, 117, 123)  # BGR
 
 
 def is_googlenet(weights: Mapping[str, Any]) -> bool:
@@ -46,6 +48,11 @@ def googlenet(weights: Mapping[str, Tensor]) -> FeatureNetwork:
 
     Raises:
         ValueError: A tensor is missing, or the shapes of consecutive layers do not fit.
+
+    Example:
+        >>> weights = torch.load("googlenet-1378be20.pth")  # doctest: +SKIP
+        >>> googlenet(weights).layers[:3]  # doctest: +SKIP
+        ('conv1', 'pool1', 'conv2_reduce')
     """
     from_torchvision = "conv1.conv.weight" in weights
     layers = _LayerBuilder(_fold_batch_norm(weights) if from_torchvision else dict(weights))
@@ -65,7 +72,7 @@ def googlenet(weights: Mapping[str, Tensor]) -> FeatureNetwork:
             stages["pool4"] = nn.MaxPool2d(2 if from_torchvision else 3, 2, ceil_mode=True)
     stages["pool5"] = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten())
     stages["classifier"] = linear(*layers.weight_and_bias("loss3.classifier", (layers.width,)))
-    normalize = Normalize((127.5,) * 3, (127.5,) * 3) if from_torchvision else Normalize((104, 117, 123), bgr=True)
+    normalize = Normalize(_HALF_RANGE, _HALF_RANGE) if from_torchvision else Normalize(_CAFFE_MEAN, bgr=True)
     return FeatureNetwork("GoogLeNet", normalize, stages, plan_of(weights))
 
 
@@ -141,6 +148,7 @@ class _LayerBuilder:
         self.width = 3
 
     def convolution(self, name: str, inputs: int | None = None, stride: int = 1) -> nn.Module:
+        """Make a convolution with ReLU; ``inputs`` is its number of input channels, by default ``width``."""
         kernel = self._weights.get(f"{name}.weight")
         side = kernel.shape[-1] if kernel is not None and kernel.dim() == 4 else 1
         weight, bias = self.weight_and_bias(name, (self.width if inputs is None else inputs, side, side))

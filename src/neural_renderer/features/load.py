@@ -43,6 +43,10 @@ def load_features(source: str | os.PathLike[str], progress: bool = True) -> Feat
         ValueError: The file is unreadable or holds another network.
         ConnectionError: The checkpoint is not cached and cannot be downloaded.
         ModuleNotFoundError: The file is ``.safetensors`` and the package safetensors is not installed.
+
+    Example:
+        >>> from neural_renderer.features import load_features
+        >>> network = load_features("vgg16-original")  # doctest: +SKIP
     """
     if isinstance(source, str) and source in PUBLISHED:
         return _network(_published(source, progress), source)
@@ -51,15 +55,27 @@ def load_features(source: str | os.PathLike[str], progress: bool = True) -> Feat
 
 
 def features_like(plan: Plan) -> FeatureNetwork:
-    """Build a network of zeros from a `FeatureNetwork.plan`; `load_state_dict` fills it.
+    """Build a network of zeros; `load_state_dict` fills it.
+
+    Args:
+        plan: `FeatureNetwork.plan` of a network with the same architecture.
+
+    Returns:
+        The network, on the CPU.
 
     Raises:
         ValueError: The plan belongs to no known network.
+
+    Example:
+        >>> network = features_like({"conv1_1.weight": (8, 3, 3, 3), "conv1_1.bias": (8,)})
+        >>> network.layers
+        ('conv1_1',)
     """
     return _network({name: torch.zeros(tuple(shape)) for name, shape in plan.items()}, "plan")
 
 
 def _network(weights: dict[str, Tensor], source: str) -> FeatureNetwork:
+    """Build the network of a checkpoint; messages name ``source``."""
     weights = {name: value.float() for name, value in weights.items() if isinstance(value, Tensor)}
     try:
         if is_googlenet(weights) or is_vgg(weights):
@@ -74,6 +90,7 @@ def _network(weights: dict[str, Tensor], source: str) -> FeatureNetwork:
 
 
 def _finite(network: FeatureNetwork) -> FeatureNetwork:
+    """Return the network if its weights are finite; raise ValueError otherwise."""
     for name, value in network.named_parameters():
         if not bool(torch.isfinite(value).all()):
             raise ValueError(f"expected finite weights, got NaN or infinity in {name.removeprefix('_stages.')}")
@@ -81,6 +98,7 @@ def _finite(network: FeatureNetwork) -> FeatureNetwork:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    """Read the tensors of a weight file, by name."""
     if path.suffix.lower() == ".safetensors":
         try:
             from safetensors.torch import load_file
@@ -109,6 +127,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _published(name: str, progress: bool) -> dict[str, Any]:
+    """Download a published checkpoint, or load it from the cache."""
     address = _ADDRESS + PUBLISHED[name]
     try:
         return torch.hub.load_state_dict_from_url(

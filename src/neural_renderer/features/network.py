@@ -28,6 +28,7 @@ class FeatureNetwork(nn.Module):
         plan: Shapes of the tensors of the checkpoint, for `features_like`. Empty if the network has no checkpoint.
 
     Example:
+        >>> from neural_renderer.features import load_features
         >>> network = load_features("googlenet_bvlc.safetensors")  # doctest: +SKIP
         >>> network(images, ["inception_4c"])["inception_4c"].shape  # doctest: +SKIP
         torch.Size([4, 512, 14, 14])
@@ -77,7 +78,7 @@ class FeatureNetwork(nn.Module):
         return found
 
     def until(self, layer: str) -> FeatureNetwork:
-        """Truncate the network after ``layer``. Weights are shared, not copied. Raises ValueError if it is unknown."""
+        """Truncate the network after a layer. Weights are shared, not copied. Raises ValueError for unknown layers."""
         (layer,) = self.checked([layer])
         kept = self.layers[: self.layers.index(layer) + 1]
         return FeatureNetwork(self.name, self._normalise, {name: self._stages[name] for name in kept}, self.plan)

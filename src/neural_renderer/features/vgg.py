@@ -13,6 +13,7 @@ from .network import IMAGENET_MEAN, IMAGENET_STD, FeatureNetwork, Normalize, Pad
 
 _NAMED = re.compile(r"conv([1-5])_?([1-4])\.(weight|bias)")
 _ORIGINAL_MEAN = (123.68, 116.779, 103.939)  # RGB
+_POOLED = 7  # side of the classifier's input
 _Convolutions = dict[tuple[int, int], dict[str, Tensor]]  # (block, number in the block) → "weight" and "bias"
 
 
@@ -40,6 +41,11 @@ def vgg(weights: Mapping[str, Tensor]) -> FeatureNetwork:
 
     Raises:
         ValueError: A tensor is missing, or the shapes of consecutive layers do not fit.
+
+    Example:
+        >>> network = vgg({"conv1_1.weight": torch.rand(8, 3, 3, 3), "conv1_1.bias": torch.zeros(8)})
+        >>> network(torch.rand(1, 3, 32, 32), ["conv1_1"])["conv1_1"].shape
+        torch.Size([1, 8, 32, 32])
     """
     from_torchvision = "features.0.weight" in weights
     convolutions = _from_torchvision(weights) if from_torchvision else _from_names(weights)
@@ -107,6 +113,7 @@ def _from_torchvision(weights: Mapping[str, Tensor]) -> _Convolutions:
 
 
 def _from_names(weights: Mapping[str, Tensor]) -> _Convolutions:
+    """Find the convolutions by names such as ``conv1_1``."""
     convolutions: _Convolutions = {}
     for name, value in weights.items():
         if match := _NAMED.fullmatch(name):
@@ -121,8 +128,9 @@ def _has_classifier(weights: Mapping[str, Tensor]) -> bool:
 
 
 def _classifier(weights: Mapping[str, Tensor], width: int) -> dict[str, nn.Module]:
+    """Make the three fully connected layers behind ``width`` channels."""
     layers = []
-    inputs = width * 49
+    inputs = width * _POOLED**2
     for index in (0, 3, 6):
         weight, bias = (weights.get(f"classifier.{index}.{part}") for part in ("weight", "bias"))
         if weight is None or bias is None or weight.shape[1:] != (inputs,) or bias.shape != weight.shape[:1]:
@@ -130,7 +138,7 @@ def _classifier(weights: Mapping[str, Tensor], width: int) -> dict[str, nn.Modul
         layers.append(linear(weight, bias))
         inputs = len(bias)
     return {
-        "fc6": nn.Sequential(nn.AdaptiveAvgPool2d(7), nn.Flatten(), layers[0], nn.ReLU(inplace=True)),
+        "fc6": nn.Sequential(nn.AdaptiveAvgPool2d(_POOLED), nn.Flatten(), layers[0], nn.ReLU(inplace=True)),
         "fc7": nn.Sequential(layers[1], nn.ReLU(inplace=True)),
         "fc8": layers[2],
     }

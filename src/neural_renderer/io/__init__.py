@@ -1,4 +1,4 @@
-"""Files: meshes in and out (OBJ with materials by our own reader, others through trimesh), images, animations."""
+"""Reading and writing of meshes, images and animations."""
 
 from .formats import load_mesh
 from .images import load_image, save_animation, save_image

@@ -1,7 +1,7 @@
-"""The one way files are written: whole, or not at all.
+"""Atomic writing: a file is written completely or not at all.
 
-New files are written into a folder of their own beside their target, synced to the disk, and then renamed. A full disk,
-an error, Ctrl-C or a kill before that leaves what was there before.
+New files are written into a temporary folder beside their target, synced to the disk, and then renamed. A full disk, an
+error, Ctrl-C or a kill before that leaves the old files.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-_PREFIX = ".neural_renderer-"
+_PREFIX = ".neural_renderer-"  # of temporary folders
+_LONGEST_REASON = 120  # characters
 
 
 @contextmanager
 def writing(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Turn whatever a failed write raises into an OSError that names ``path``; its ``errno`` is kept."""
+    """Convert errors of a failed write to an OSError that names ``path`` and keeps ``errno``."""
     try:
         yield
     except (OSError, RuntimeError) as error:  # a full disk is a RuntimeError in torch.save
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:_LONGEST_REASON]
         named = OSError(f"{os.fspath(path)}: expected to write it, got: {reason}")
         named.errno = getattr(error, "errno", None)
         raise named from error
@@ -34,15 +35,15 @@ def writing(path: str | os.PathLike[str]) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Write ``path``, and the files that belong to it, whole or not at all.
+    """Write ``path`` and files beside it, all or none.
 
-    Yields a path of the same name in a new folder. When the block ends, the file there and all others that were put
-    beside it are synced and renamed into the folder of ``path``, ``path`` last. If one rename fails, those before it
-    are taken back. Missing folders are made, the permissions of a file that is replaced stay, and a symbolic link is
-    followed. What a killed process has left is deleted when the next file is written into that folder.
+    Yields a path of the same name in a temporary folder. At the end of the block, all files in that folder are synced
+    and renamed into the folder of ``path``, with ``path`` last. If a rename fails, those before it are undone. Missing
+    folders are made, permissions of replaced files are kept, and symbolic links are followed. Leftovers of a killed
+    process are deleted when the next file is written into the same folder.
 
     Raises:
-        OSError: ``path`` cannot be written, is a folder or no regular file, or is write-protected. The file is named.
+        OSError: ``path`` cannot be written, is not a regular file, or is write-protected.
 
     Example:
         >>> with replacing("a.txt") as fresh:   # doctest: +SKIP
@@ -65,7 +66,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_file(path: str | os.PathLike[str], content: bytes | memoryview | str) -> None:
-    """Write bytes, or text as UTF-8, whole or not at all; errors as `replacing`."""
+    """Write bytes, or text as UTF-8, completely or not at all. Raises OSError as `replacing`."""
     with replacing(path) as fresh:
         fresh.write_bytes(content.encode() if isinstance(content, str) else content)
 
@@ -79,7 +80,7 @@ def _publish(files: list[Path], folder: Path, old: Path) -> None:
         if target.exists():
             _check_replaceable(target)
             shutil.copymode(target, file)
-    if len(files) > 1:  # one rename needs no way back
+    if len(files) > 1:  # a single rename needs no undo
         old.mkdir()
         for target in filter(Path.exists, targets):
             _copy(target, old / target.name)
@@ -98,7 +99,7 @@ def _publish(files: list[Path], folder: Path, old: Path) -> None:
 
 
 def _copy(source: Path, copy: Path) -> None:
-    """A second name for the same file, or, where the file system knows no such thing, a second file."""
+    """Make a hard link, or a copy on file systems without links."""
     try:
         os.link(source, copy)
     except OSError:
@@ -106,19 +107,19 @@ def _copy(source: Path, copy: Path) -> None:
 
 
 def _check_replaceable(path: Path) -> None:
-    """Raise OSError for what a rename would replace although writing into it would not work."""
+    """Raise OSError if ``path`` cannot be written to. A rename would replace it all the same."""
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     if path.exists() and not path.is_file():
-        raise OSError("it is no regular file")
+        raise OSError("not a regular file")
     if path.exists() and not os.access(path, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
 def _sweep(folder: Path) -> None:
-    """Delete what processes that were killed on this machine left in a folder."""
+    """Delete temporary folders of processes that were killed on this machine."""
     if os.name != "posix":
-        return  # elsewhere, os.kill(pid, 0) does not ask whether a process lives
+        return  # on Windows, os.kill(pid, 0) does not test whether a process exists
     for name in os.listdir(folder):
         found = name.startswith(_PREFIX) and re.fullmatch(rf"{re.escape(_PREFIX)}{_machine()}-(\d+)-\w+", name)
         if found and not _alive(int(found[1])):
@@ -126,6 +127,7 @@ def _sweep(folder: Path) -> None:
 
 
 def _alive(pid: int) -> bool:
+    """Tell whether a process exists."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -136,7 +138,7 @@ def _alive(pid: int) -> bool:
 
 
 def _machine() -> str:
-    """Tells where a process id means the same: this machine and, in a container, its name space of processes."""
+    """Identify the machine and, in a container, its PID namespace: process ids are comparable only within these."""
     space = ""
     with suppress(OSError):
         space = os.readlink("/proc/self/ns/pid")

@@ -1,8 +1,8 @@
-"""Baking colours into the cubes that the renderer draws: an image seen through UV, colours of corners, one colour.
+"""Baking of texture cubes from images with texture coordinates and from corner colours.
 
 Texel (i, j, k) of a face's T³ cube holds the colour at barycentric weights (i, j, k) / (i + j + k) of the face's
-corners 0, 1, 2, and texel (0, 0, 0), the only one if T is 1, the colour at the centre. The renderer reads weight w of a
-corner at cube coordinate w * (T - 1).
+corners 0, 1, 2. Texel (0, 0, 0), the only one if T = 1, holds the colour at the centre. The renderer reads weight w of
+a corner at cube coordinate w · (T − 1).
 """
 
 from __future__ import annotations
@@ -11,23 +11,24 @@ import numpy as np
 
 WRAPPINGS = ("REPEAT", "MIRRORED_REPEAT", "CLAMP_TO_EDGE", "CLAMP_TO_BORDER")
 _MOST_BYTES = 8 * 2**30
-_BORDER = 1e-5  # texture coordinates this close to 0 or 1 are on the border: texts are rounded, and so are sums
+_SAMPLES_AT_ONCE = 2**20
+_BORDER = 1e-5  # texture coordinates this close to 0 or 1 count as 0 or 1, because files and sums are rounded
 
 
 def barycentric_grid(size: int) -> np.ndarray:
-    """The weights [T * T * T, 3] float64 of a cube's texels, in the cube's memory order."""
+    """Compute the barycentric weights [T · T · T, 3] float64 of a cube's texels, in memory order."""
     grid = np.stack(np.meshgrid(*[np.arange(size)] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float64)
     grid[0] = 1
     return grid / grid.sum(axis=1, keepdims=True)
 
 
 def check_size(faces: int, size: int) -> None:
-    """TypeError or ValueError if T is no whole number, below 1, or cubes for F faces would take more than 8 GiB."""
+    """Raise TypeError or ValueError if T is not an int ≥ 1, or if cubes for F faces would take more than 8 GiB."""
     if isinstance(size, bool) or not isinstance(size, (int, np.integer)):
         raise TypeError(f"texture_size: expected an int, got {type(size).__name__}")
     if size < 1:
         raise ValueError(f"texture_size: expected at least 1, got {size}")
-    needed = faces * int(size) ** 3 * 12
+    needed = faces * int(size) ** 3 * 12  # three float32 numbers per texel
     if needed > _MOST_BYTES:
         raise ValueError(
             f"texture_size: expected cubes of at most {_MOST_BYTES / 2**30:.0f} GiB, got {needed / 2**30:.1f} GiB "
@@ -35,9 +36,9 @@ def check_size(faces: int, size: int) -> None:
         )
 
 
-def bake_corners(colours: np.ndarray, size: int) -> np.ndarray:
-    """Cubes [N, T, T, T, 3] float32 that blend the colours [N, 3, 3] of each face's corners."""
-    cubes = np.einsum("gk,nkc->ngc", barycentric_grid(size).astype(np.float32), colours.astype(np.float32))
+def bake_corners(colors: np.ndarray, size: int) -> np.ndarray:
+    """Bake corner colours [N, 3, 3] into cubes [N, T, T, T, 3] float32 that interpolate them."""
+    cubes = np.einsum("gk,nkc->ngc", barycentric_grid(size).astype(np.float32), colors.astype(np.float32))
     return cubes.reshape(-1, size, size, size, 3)
 
 
@@ -47,35 +48,39 @@ def bake_image(
     size: int,
     wrapping: str = "REPEAT",
     bilinear: bool = True,
-    pixel_centres: bool = False,
+    pixel_centers: bool = False,
 ) -> np.ndarray:
-    """Cubes [N, T, T, T, 3] float32 of an image seen through texture coordinates.
+    """Bake an image into texture cubes.
 
     Args:
-        image: [H, W, 3] float32, first row on top.
-        uv: [N, 3, 2] float64, finite, of each face's corners; u to the right, v **up**, the image over [0, 1]².
+        image: [H, W, 3] float32, row 0 at the top.
+        uv: [N, 3, 2] float64, finite, texture coordinates of the faces' corners: u to the right, v **up**, the image
+            over [0, 1]².
         size: T, texels along a cube's edge.
-        wrapping: One of `WRAPPINGS`, for what lies outside [0, 1]: ``"REPEAT"`` (the image again; exactly 1 is its far
-            border, unless the face begins there), ``"MIRRORED_REPEAT"``, ``"CLAMP_TO_EDGE"``, or
-            ``"CLAMP_TO_BORDER"`` (black).
-        bilinear: Blend the four nearest pixels, else take the nearest.
-        pixel_centres: False: u = 0 and 1 are the centres of the outermost pixels, as neural_renderer always read
-            OBJ files. True: they are the picture's borders, half a pixel further out, as glTF and OpenGL define it.
+        wrapping: Wrapping outside [0, 1], one of `WRAPPINGS`. ``"CLAMP_TO_BORDER"`` gives black. With ``"REPEAT"``,
+            exactly 1 is the far border of the image, unless the face begins there.
+        bilinear: Interpolate between the four nearest pixels; otherwise take the nearest one.
+        pixel_centers: Whether u = 0 and 1 are the borders of the image, as in glTF and OpenGL. Otherwise they are the
+            centres of the outermost pixels, as the first packages read OBJ files.
+
+    Returns:
+        [N, T, T, T, 3] float32.
     """
     if wrapping == "REPEAT":
-        # Shift a face outside by whole images, so that it starts in the first one and may end exactly at 1.
+        # Shift faces outside by whole images, so that they start in the first one and may end exactly at 1.
         low, high = uv.min(axis=1, keepdims=True), uv.max(axis=1, keepdims=True)
         uv = np.where((low < -_BORDER) | (high > 1 + _BORDER), uv - np.floor(low + _BORDER), uv)
     grid = barycentric_grid(size)
     cubes = np.empty((len(uv), len(grid), 3), dtype=np.float32)
-    step = max(1, 2**20 // len(grid))
+    step = max(1, _SAMPLES_AT_ONCE // len(grid))
     for start in range(0, len(uv), step):
         samples = np.einsum("gk,nkc->ngc", grid, uv[start : start + step])
-        cubes[start : start + step] = _sample(image, samples, wrapping, bilinear, pixel_centres)
+        cubes[start : start + step] = _sample(image, samples, wrapping, bilinear, pixel_centers)
     return cubes.reshape(-1, size, size, size, 3)
 
 
-def _sample(image: np.ndarray, uv: np.ndarray, wrapping: str, bilinear: bool, pixel_centres: bool) -> np.ndarray:
+def _sample(image: np.ndarray, uv: np.ndarray, wrapping: str, bilinear: bool, pixel_centers: bool) -> np.ndarray:
+    """Sample an image at texture coordinates [..., 2]; arguments as `bake_image`. Returns [..., 3]."""
     height, width = image.shape[:2]
     outside = (uv < -_BORDER) | (uv > 1 + _BORDER)
     if wrapping == "REPEAT":
@@ -84,7 +89,7 @@ def _sample(image: np.ndarray, uv: np.ndarray, wrapping: str, bilinear: bool, pi
         uv = 1 - np.abs(uv % 2 - 1)
     uv = uv.clip(0, 1)
     x, y = uv[..., 0], 1 - uv[..., 1]
-    if pixel_centres:
+    if pixel_centers:
         x, y = (x * width - 0.5).clip(0, width - 1), (y * height - 0.5).clip(0, height - 1)
     else:
         x, y = x * (width - 1), y * (height - 1)
@@ -93,9 +98,9 @@ def _sample(image: np.ndarray, uv: np.ndarray, wrapping: str, bilinear: bool, pi
         right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
         along, down = (x - left)[..., None].astype(np.float32), (y - top)[..., None].astype(np.float32)
         upper = image[top, left] * (1 - along) + image[top, right] * along
-        colours = upper * (1 - down) + (image[bottom, left] * (1 - along) + image[bottom, right] * along) * down
+        colors = upper * (1 - down) + (image[bottom, left] * (1 - along) + image[bottom, right] * along) * down
     else:
-        colours = image[(y + 0.5).astype(np.int64), (x + 0.5).astype(np.int64)]
+        colors = image[(y + 0.5).astype(np.int64), (x + 0.5).astype(np.int64)]
     if wrapping == "CLAMP_TO_BORDER":
-        colours = np.where(outside.any(axis=-1, keepdims=True), np.float32(0), colours)
-    return colours
+        colors = np.where(outside.any(axis=-1, keepdims=True), np.float32(0), colors)
+    return colors

@@ -1,4 +1,4 @@
-"""What reading and writing share: text in any encoding, words for messages, a mesh checked for writing."""
+"""Helpers of readers and writers: text in any encoding, parts of messages, checks of meshes before writing."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from torch import Tensor
 
 from .. import validate
 
-_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+_BYTE_ORDER_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+_LONGEST_QUOTE, _LONGEST_REASON = 80, 200  # characters
 
 
 def warn(message: str) -> None:
-    """A UserWarning at the line outside of this package that led here."""
+    """Issue a UserWarning that points to the line outside of this package that called it."""
     frame, level = sys._getframe(), 1
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == __name__.partition(".")[0]:
         frame, level = frame.f_back, level + 1
@@ -28,7 +29,7 @@ def warn(message: str) -> None:
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
-    """``path`` if it is a file; otherwise FileNotFoundError says what was expected where."""
+    """Return ``path`` if it is a file; raise FileNotFoundError otherwise."""
     if not Path(path).is_file():
         found = "a folder" if Path(path).is_dir() else "nothing there"
         raise FileNotFoundError(f"{path}: expected a file, got {found}")
@@ -36,49 +37,58 @@ def existing(path: str | os.PathLike[str]) -> Path:
 
 
 def fits_float32(values: np.ndarray) -> np.ndarray:
-    """Which of the numbers are finite in float32."""
+    """Tell for each number whether it is finite in float32."""
     with np.errstate(over="ignore", invalid="ignore"):
         return np.isfinite(values.astype(np.float32))
 
 
 def short(value: Any) -> str:
-    """``value`` as a message quotes it: in quotes if it is text, and cut if it is long."""
-    if isinstance(value, str):
-        return repr(value if len(value) < 80 else value[:77] + "...")
-    text = repr(value)
-    return text if len(text) < 80 else text[:77] + "..."
+    """Format ``value`` for a message: text in quotes, long values cut."""
+
+    def cut(text: str) -> str:
+        return text if len(text) < _LONGEST_QUOTE else text[: _LONGEST_QUOTE - 3] + "..."
+
+    return repr(cut(value)) if isinstance(value, str) else cut(repr(value))
 
 
 def reason(error: BaseException) -> str:
-    """What an error says, on one line of at most 200 characters; its kind if it says nothing."""
-    return " ".join(str(error).split())[:200] or type(error).__name__
+    """Return an error's message on one line, cut if it is long; the error's class if it has no message."""
+    return " ".join(str(error).split())[:_LONGEST_REASON] or type(error).__name__
 
 
 def read_bytes(path: Path) -> bytes:
-    """The content of a file, up to the size that it has now: files of /proc, whose size is 0, may never end."""
+    """Read a file up to its present size. Files in /proc have size 0 and may be endless."""
     with path.open("rb") as file:
         return file.read(os.fstat(file.fileno()).st_size)
 
 
 def read_text(path: Path) -> str:
-    """The text of a file, with ``\\n`` line ends: UTF-8, UTF-16 (with or without its mark), else Latin-1."""
+    """Read text in UTF-8, UTF-16 (with or without byte order mark) or else Latin-1; line ends become ``\\n``."""
     data = read_bytes(path)
-    encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), "utf-8")
+    encoding = next((name for mark, name in _BYTE_ORDER_MARKS.items() if data.startswith(mark)), "utf-8")
     if encoding == "utf-8" and b"\0" in data[:64]:
         encoding = "utf-16-be" if data[:1] == b"\0" else "utf-16-le"
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError:
-        text = data.decode("latin-1")  # never fails; names with accents from old Windows programs
+        text = data.decode("latin-1")  # used by old Windows programs; decoding it never fails
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """The mesh as host arrays (float32 [V, 3], int64 [F, 3], float32 [F, T, T, T, 3] clamped to [0, 1] or None).
+    """Convert a mesh to arrays on the CPU and check it, even with `check_values(False)`.
 
-    Takes tensors on any device, with or without gradient, and numpy arrays. Raises TypeError or ValueError for other
-    types and shapes, NaN or infinity, indices out of range, no faces, and textures of another number of faces; with
-    `check_values(False)` too, since a broken file would meet somebody else.
+    Args:
+        vertices: [V, 3] floating tensor or array.
+        faces: [F, 3] tensor or array of whole numbers.
+        textures: [F, T, T, T, 3] floating tensor or array, or None.
+
+    Returns:
+        Vertices float32, faces int64, and textures float32, clamped to [0, 1], or None.
+
+    Raises:
+        TypeError, ValueError: A type or shape does not fit, a number is not finite, an index is out of range, or there
+            are no faces.
     """
     vertices, faces = _on_host("vertices", vertices), _on_host("faces", faces)
     validate.floating("vertices", vertices, ["V", 3])
@@ -95,16 +105,17 @@ def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.n
 
 
 def _on_host(name: str, value: Any) -> Any:
+    """Convert an array or a tensor to a detached tensor on the CPU; return other values unchanged."""
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
     return validate.has_numbers(name, value).detach().cpu().resolve_neg() if isinstance(value, Tensor) else value
 
 
 def load_tensors(path: str | os.PathLike[str], device: torch.device | str = "cpu") -> Any:
-    """What torch.save has written: tensors and plain values; no code of the file is run.
+    """Load tensors and plain values from a file of torch.save, without running code from the file.
 
-    Raises whatever torch does (see `why_not_loaded`), and ValueError for an archive that unpacks to more than its size:
-    torch compresses nothing.
+    Raises the errors of torch (see `why_not_loaded`), and ValueError for a compressed archive. torch.save does not
+    compress, and a compressed file could fill the memory.
     """
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
@@ -114,10 +125,10 @@ def load_tensors(path: str | os.PathLike[str], device: torch.device | str = "cpu
 
 
 def why_not_loaded(error: Exception) -> str:
-    """Why torch.load failed, without its advice to load the file with less care."""
+    """Explain why torch.load failed. Its own message advises to load the file unsafely."""
     words = str(error).strip()
     if "unsupported global" in words.lower() or "unsupported class" in words.lower():
-        return "it holds other things than tensors, which could run code"
+        return "it holds Python objects that could run code"
     if "Weights only load failed" in words or words.isdigit():
-        return "it is none"
+        return "not a PyTorch checkpoint"
     return words.partition(". ")[0].splitlines()[0] if words else type(error).__name__

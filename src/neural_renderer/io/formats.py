@@ -1,4 +1,4 @@
-"""Meshes read from any common format: OBJ by our own reader, the others through trimesh."""
+"""Reading of meshes: OBJ by `parse`, other formats through trimesh."""
 
 from __future__ import annotations
 
@@ -18,60 +18,69 @@ from .cubes import check_size
 from .files import existing, fits_float32, read_bytes, reason, short, warn
 from .images import unpack
 from .named_files import find_file
-from .obj import obj_skin
+from .obj import obj_surface_colors
 from .parse import read_obj
-from .surface_colors import Skin
+from .surface_colors import SurfaceColors
 
 if TYPE_CHECKING:
     import trimesh
 
-# trimesh logs the traceback of an image that is missing, and tells of it here: what nobody asks for is not printed.
+# trimesh logs a traceback for each missing image. This package warns instead, so the log is not printed by default.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 _READABLE = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+_GLB_HEADER = 12  # bytes
+_CHUNK_HEADER = 8  # bytes: length and type
 
 
 def load_mesh(
     path: str | os.PathLike[str], texture_size: int = 4, allow_outside: bool = False
 ) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Read a mesh as it is in the file, its format told by the suffix: OBJ, PLY, STL, OFF, GLB or glTF.
+    """Read a mesh file and bake its colours into texture cubes. The mesh is not normalised.
 
-    Vertices and faces keep the file's order, but STL, which repeats a vertex for every face, has equal ones joined.
-    The parts of a glTF scene are put in place and together. Nothing is normalised.
+    Vertices and faces keep the file's order. STL files repeat each vertex for every face; equal vertices are merged.
+    The parts of a glTF scene are transformed and joined.
 
     Args:
-        path: The file.
-        texture_size: T, texels along a cube's edge, at least 1 (the colour at the face's centre).
-        allow_outside: Read materials, images and buffers outside the file's folder too, if it names such; for files of
-            people whom you trust.
+        path: File that ends in .obj, .ply, .stl, .off, .glb or .gltf.
+        texture_size: T, texels along a cube's edge, ≥ 1. With 1 each face has the colour of its centre.
+        allow_outside: Read materials, images and buffers outside the file's folder, too. Use it for trusted files only.
 
     Returns:
-        On the CPU: vertices, float32 [V, 3]; faces, int32 [F, 3]; textures, float32 [F, T, T, T, 3] in [0, 1], or None
-        if the file has no colour. Images seen through texture coordinates, colours of vertices and of faces are
-        baked into the textures; glTF's linear colours become sRGB ones, as images are, and parts without any white.
-        What an OBJ file names but is missing is grey 0.5, an image that another file names white, with a warning.
+        Vertices [V, 3] float32, faces [F, 3] int32, and textures [F, T, T, T, 3] float32 in [0, 1], or None if the file
+        has no colours; all on the CPU. Images, vertex colours and face colours are baked; linear colours of glTF are
+        converted to sRGB. Parts without colours are white.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: Another suffix, a file that cannot be read, vertices that are NaN, infinite or beyond float32, no
-            faces, an index out of range, textures of more than 8 GiB, an image that is none or too large (see
-            `load_image`), or names of files outside the folder by ``..`` without ``allow_outside``. The file is named.
+        FileNotFoundError: The file does not exist.
+        ValueError: The suffix is unknown, the file is damaged, a vertex is not finite in float32, there are no faces,
+            an index is out of range, the textures exceed 8 GiB, an image is damaged or too large (see `load_image`), or
+            the file names files outside its folder by ``..`` without ``allow_outside``.
+
+    Warns:
+        UserWarning: An image or material is missing. OBJ files get grey 0.5 in its place, others white.
+
+    Example:
+        >>> nr.save_mesh("sphere.ply", *nr.icosphere(2))
+        >>> vertices, faces, textures = nr.load_mesh("sphere.ply")
+        >>> vertices.shape, faces.shape, textures
+        (torch.Size([162, 3]), torch.Size([320, 3]), None)
     """
-    points, corners, skin, pixel_centres = read_mesh(path, allow_outside)
+    points, corners, surface, pixel_centers = read_mesh(path, allow_outside)
     check_size(len(corners), texture_size)
     geometry = torch.from_numpy(points.astype(np.float32)), torch.from_numpy(corners.astype(np.int32))
-    if skin is None:
+    if surface is None:
         return *geometry, None
-    return *geometry, torch.from_numpy(skin.bake(texture_size, pixel_centres=pixel_centres))
+    return *geometry, torch.from_numpy(surface.bake(texture_size, pixel_centers=pixel_centers))
 
 
 def read_mesh(
     path: str | os.PathLike[str], allow_outside: bool = False
-) -> tuple[np.ndarray, np.ndarray, Skin | None, bool]:
-    """Vertices [V, 3] float64, faces [F, 3] int64, colours if there are any; and whether u = 0 and 1 are the borders of
-    an image, or the centres of its outermost pixels, as neural_renderer always read OBJ files.
+) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None, bool]:
+    """Read a mesh file without baking; arguments and errors as `load_mesh`.
 
-    Raises what `load_mesh` raises.
+    Returns:
+        Vertices [V, 3] float64, faces [F, 3] int64, surface colours or None, and ``pixel_centers`` of `bake_image`.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -80,12 +89,13 @@ def read_mesh(
     existing(path)
     if suffix == ".obj":
         obj = read_obj(path, with_uv=True)
-        return obj.vertices, obj.faces, obj_skin(obj, allow_outside=allow_outside), False
+        return obj.vertices, obj.faces, obj_surface_colors(obj, allow_outside=allow_outside), False
     return *_read_others(path, suffix, allow_outside), True
 
 
-def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarray, np.ndarray, Skin | None]:
-    import trimesh  # here, since importing it takes longer than most calls to this package
+def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
+    """Read a mesh file through trimesh: vertices, faces and surface colours or None."""
+    import trimesh  # imported here because it is slow
 
     if suffix == ".glb":
         _check_chunks(path)
@@ -96,7 +106,7 @@ def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarr
     if not count:
         known = sum(len(part.vertices) for part, _ in parts) or len(getattr(loaded, "vertices", ()))
         raise ValueError(f"{path}: expected faces, got {known} vertices but no faces")
-    vertices, faces, skins = [], [], []
+    vertices, faces, surfaces = [], [], []
     known_pixels: dict[tuple[float, ...], np.ndarray] = {}
     offset = 0
     for part, matrix in parts:
@@ -110,48 +120,49 @@ def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarr
             )
         if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
             raise ValueError(f"{path}: expected face indices in [0, {len(points)}), got {corners.max()}")
-        order = [0, 2, 1] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]  # a mirrored part is turned inside out
+        order = [0, 2, 1] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]  # mirroring turns faces inside out
         vertices.append(points)
         faces.append(corners[:, order] + offset)
         with _reading(path, suffix):
-            skins.append(_part_skin(part, corners, order, suffix in (".glb", ".gltf"), known_pixels))
+            surfaces.append(_part_surface_colors(part, corners, order, suffix in (".glb", ".gltf"), known_pixels))
         offset += len(points)
     points, corners = np.concatenate(vertices), np.concatenate(faces)
     if suffix == ".stl":
         points, corners = _join_equal(points, corners)
-    if all(skin is None for skin in skins):
+    if all(surface is None for surface in surfaces):
         return points, corners, None
-    return points, corners, Skin.joined([skin or Skin.plain(len(f), 1) for skin, f in zip(skins, faces, strict=True)])
+    known_surfaces = [known or SurfaceColors.plain(len(f), 1) for known, f in zip(surfaces, faces, strict=True)]
+    return points, corners, SurfaceColors.joined(known_surfaces)
 
 
 def _check_chunks(path: Path) -> None:
-    """Raise ValueError if a chunk of a GLB file ends beyond the file: trimesh would ask for so much memory first."""
+    """Raise ValueError if a chunk of a GLB file ends beyond the file. trimesh would allocate that much memory."""
     size = path.stat().st_size
-    place = 12  # after the file's header
+    place = _GLB_HEADER
     with path.open("rb") as file:
-        while place + 8 <= size:
+        while place + _CHUNK_HEADER <= size:
             file.seek(place)
             length = int.from_bytes(file.read(4), "little")
-            place += 8 + length
+            place += _CHUNK_HEADER + length
             if place > size:
                 raise ValueError(f"{path}: expected chunks within its {size} bytes, got one of {length} bytes")
 
 
 @contextmanager
 def _reading(path: Path, suffix: str) -> Iterator[None]:
-    """Whatever a broken file makes trimesh or Pillow stumble over, MemoryError included, as ValueError."""
+    """Convert all errors of trimesh and Pillow on damaged files, such as MemoryError, to ValueError."""
     try:
         yield
     except Exception as error:
-        # trimesh guesses encodings by a package that few have.
+        # For text that is not UTF-8, trimesh imports an optional package that detects encodings.
         why = "its text is not UTF-8" if isinstance(error, ModuleNotFoundError) else reason(error)
         raise ValueError(f"{path}: cannot be read as {suffix[1:].upper()} ({why})") from error
 
 
 class _NamedFiles:
-    """The files that a mesh file names, for trimesh, which is silent about images that it cannot get.
+    """Resolver of file names for trimesh, which does not report images that it cannot open.
 
-    Used as a context, it raises at the end what it has refused, and warns of what is missing.
+    It is a context: at its end it raises an error for a refused file and warns about missing ones.
     """
 
     def __init__(self, path: Path, allow_outside: bool) -> None:
@@ -160,6 +171,7 @@ class _NamedFiles:
         self._missing: list[str] = []
 
     def get(self, name: str) -> bytes:
+        """Read the file called ``name``; raise ValueError if it is refused, FileNotFoundError if it is missing."""
         try:
             for spelling in dict.fromkeys((name, unquote(name))):  # glTF writes a space as %20
                 found = find_file(self._path, spelling, allow_outside=self._allow_outside)
@@ -184,7 +196,7 @@ class _NamedFiles:
 
 
 def _parts(loaded: Any) -> Iterator[tuple[trimesh.Trimesh, np.ndarray]]:
-    """The meshes of a file and the matrix [4, 4] that puts each in place."""
+    """Iterate over the meshes of a file and their transforms [4, 4]."""
     import trimesh
 
     if isinstance(loaded, trimesh.Scene):
@@ -197,29 +209,34 @@ def _parts(loaded: Any) -> Iterator[tuple[trimesh.Trimesh, np.ndarray]]:
 
 
 def _join_equal(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Equal vertices made one, in the order in which they first appear."""
+    """Merge equal vertices; keep the order of first appearance."""
     _, first, inverse = np.unique(points, axis=0, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.int64)
     rank[np.argsort(first)] = np.arange(len(first))
     return points[np.sort(first)], rank[inverse.reshape(-1)[corners]]
 
 
-def _part_skin(
+def _part_surface_colors(
     part: Any, corners: np.ndarray, order: list[int], linear: bool, known_pixels: dict[tuple[float, ...], np.ndarray]
-) -> Skin | None:
-    """The colours of one part, its corners taken in ``order``, or None.
+) -> SurfaceColors | None:
+    """Collect the colours of one part, or None if it has none.
 
-    linear: its plain colours are not sRGB. known_pixels: of the pictures that earlier parts showed.
+    Args:
+        part: Mesh of trimesh.
+        corners: [F, 3] int64, its faces.
+        order: Order of the corners in the result.
+        linear: Whether colours are linear and not sRGB.
+        known_pixels: Images of earlier parts, by image and colour factor; new ones are added.
     """
     visual = part.visual
     kind = visual.kind if visual is not None and visual.defined else None
-    skin = Skin.plain(len(corners), 1.0)
+    surface = SurfaceColors.plain(len(corners), 1.0)
     if kind == "vertex":
-        skin.colors[:] = _srgb(visual.vertex_colors[:, :3] / 255, linear)[corners][:, order]
-        return skin
+        surface.colors[:] = _srgb(visual.vertex_colors[:, :3] / 255, linear)[corners][:, order]
+        return surface
     if kind == "face":
-        skin.colors[:] = _srgb(visual.face_colors[:, :3] / 255, linear)[:, None]
-        return skin
+        surface.colors[:] = _srgb(visual.face_colors[:, :3] / 255, linear)[:, None]
+        return surface
     if kind != "texture":
         return None
     material = visual.material
@@ -234,20 +251,21 @@ def _part_skin(
                 pixels = _srgb(_unsrgb(pixels) * factor, True).astype(np.float32)
             known_pixels[key] = pixels
         uv = np.where(fits_float32(visual.uv), visual.uv, 0)
-        skin.paint(np.arange(len(corners)), known_pixels[key], uv[corners][:, order])
-        return skin
+        surface.paint(np.arange(len(corners)), known_pixels[key], uv[corners][:, order])
+        return surface
     if not linear and not hasattr(material, "baseColorFactor"):
         factor = np.asarray(material.main_color, dtype=np.float64)[:3] / 255
-    skin.colors[:] = _srgb(factor, linear)
-    return skin
+    surface.colors[:] = _srgb(factor, linear)
+    return surface
 
 
-def _srgb(colours: np.ndarray, linear: bool) -> np.ndarray:
-    """Linear colours as sRGB; with ``linear=False`` they are that already."""
+def _srgb(colors: np.ndarray, linear: bool) -> np.ndarray:
+    """Convert linear colours to sRGB; return others unchanged."""
     if not linear:
-        return colours
-    return np.where(colours <= 0.0031308, colours * 12.92, 1.055 * np.maximum(colours, 1e-9) ** (1 / 2.4) - 0.055)
+        return colors
+    return np.where(colors <= 0.0031308, colors * 12.92, 1.055 * np.maximum(colors, 1e-9) ** (1 / 2.4) - 0.055)
 
 
-def _unsrgb(colours: np.ndarray) -> np.ndarray:
-    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+def _unsrgb(colors: np.ndarray) -> np.ndarray:
+    """Convert sRGB colours to linear ones."""
+    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)

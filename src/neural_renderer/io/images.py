@@ -1,4 +1,4 @@
-"""Pictures and animations in files."""
+"""Reading and writing of images and animations."""
 
 from __future__ import annotations
 
@@ -25,19 +25,32 @@ from .files import existing, reason
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
 _MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535}  # along a side
+_JPEG_QUALITY = 95
+_MP4_QUALITY = "10"  # constant rate factor of H.264: 0 is lossless, 51 the worst
 
 
 def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor:
-    """Read a picture: float32 [H, W, 3], or [H, W, 4] if it has transparency, in [0, 1], first row on top, on the CPU.
+    """Read an image file. Grey, palette, CMYK and 16-bit grey images are converted.
 
-    Grey, palette, CMYK and 16-bit grey pictures are converted. ``upright`` turns a photo the way its camera noted to
-    have been held (EXIF); calibrated cameras and texture coordinates belong to the pixels as they are stored.
+    Args:
+        path: File in any format of Pillow, such as PNG or JPEG.
+        upright: Rotate a photo according to its EXIF orientation. Do not use it with calibrated cameras or texture
+            coordinates: they refer to the pixels as stored.
 
-    Raises FileNotFoundError if there is no such file, and ValueError if it is no picture or has more pixels than
-    ``PIL.Image.MAX_IMAGE_PIXELS`` (89 million, unless a program sets another number). The size is read before the
-    pixels are unpacked, so that a small file cannot fill the memory.
+    Returns:
+        [H, W, 3] float32 in [0, 1], or [H, W, 4] if the image has transparency; row 0 at the top, on the CPU.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ValueError: The file is not an image, or it has more than ``PIL.Image.MAX_IMAGE_PIXELS`` pixels (89 million by
+            default). This is checked before decoding, so that a small file cannot fill the memory.
+
+    Example:
+        >>> nr.save_image("grey.png", torch.full((4, 6), 0.2))
+        >>> nr.load_image("grey.png").shape
+        torch.Size([4, 6, 3])
     """
-    if not existing(path).stat().st_size:  # as of files in /proc, which may never end
+    if not existing(path).stat().st_size:  # files in /proc have size 0 and may be endless
         raise ValueError(f"{path}: expected a picture, got an empty file")
     with _reading(str(path)):
         file = Image.open(path)
@@ -46,11 +59,18 @@ def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor
 
 
 def unpack(where: str, file: Image.Image, *, upright: bool = False, transparency: bool = True) -> np.ndarray:
-    """The pixels of a picture that is open, as `load_image` gives them; without transparency if it is not wanted.
+    """Decode an open image to the array of `load_image`.
 
-    ``where`` is what the errors call it. Raises ValueError for a picture that is broken or too large.
+    Args:
+        where: Name of the image, for messages.
+        file: Image.
+        upright: As in `load_image`.
+        transparency: Whether to keep an alpha channel.
+
+    Raises:
+        ValueError: The image is damaged or too large.
     """
-    if file.format == "EPS":  # to draw it, Pillow would run another program on it
+    if file.format == "EPS":  # Pillow would run another program to draw it
         raise ValueError(f"{where}: expected a picture of pixels, got PostScript")
     limit = Image.MAX_IMAGE_PIXELS
     if limit is not None and file.width * file.height > limit:
@@ -60,33 +80,42 @@ def unpack(where: str, file: Image.Image, *, upright: bool = False, transparency
         )
     with _reading(where):
         image = ImageOps.exif_transpose(file) if upright else file
-        if image.mode.startswith(("I", "F")):  # 16-bit grey, which a conversion to RGB would cut off at 255
+        if image.mode.startswith(("I", "F")):  # 16-bit grey; conversion to RGB would clip it at 255
             full = 1 if image.mode.startswith("F") else 65535
             grey = np.asarray(image, dtype=np.float32).clip(0, full) / np.float32(full)
             return np.repeat(grey[..., None], 3, axis=2)
         mode = "RGBA" if transparency and image.has_transparency_data else "RGB"
         pixels = np.array(image if image.mode == mode else image.convert(mode), dtype=np.float32)
-        pixels /= 255  # in place: a copy of a large picture is much memory
+        pixels /= 255  # in place, to save memory
         return pixels
 
 
 @contextmanager
 def _reading(where: str) -> Iterator[None]:
+    """Convert all errors of Pillow on damaged files to ValueError."""
     try:
         yield
-    except Exception as error:  # Pillow's errors for broken files are of many kinds
+    except Exception as error:  # Pillow raises errors of many classes
         raise ValueError(
             f"{where}: expected a picture, got a file that cannot be read as one ({reason(error)})"
         ) from error
 
 
 def save_image(path: str | os.PathLike[str], image: Tensor | np.ndarray) -> None:
-    """Write a picture as PNG or JPEG, chosen by the suffix; missing folders are made.
+    """Write an image as PNG or JPEG, completely or not at all. Missing folders are made.
 
-    ``image`` is a tensor or array, [H, W], [H, W, 1 | 3 | 4] or, as the renderer returns it, [1 | 3 | 4, H, W]; floats
-    in [0, 1] are clamped, uint8 is taken as it is. JPEG shows a transparent picture on white, and has at most 65,500
-    pixels a side. Raises ValueError for another suffix or shape and for NaN, TypeError for no array, OSError where the
-    file cannot be written; then a file that was there before stays.
+    Args:
+        path: Name that ends in .png, .jpg or .jpeg.
+        image: Tensor or array, [H, W], [H, W, C] or [C, H, W] with 1, 3 or 4 channels. Floats are clamped to [0, 1],
+            uint8 is kept. JPEG shows transparent images on white; its sides are at most 65,500 pixels.
+
+    Raises:
+        TypeError: ``image`` is not a tensor or array.
+        ValueError: The suffix or shape does not fit, or a number is NaN.
+        OSError: The file cannot be written. An existing file stays as it was.
+
+    Example:
+        >>> nr.save_image("mesh.png", nr.render(mesh, camera, 64).rgb[0])
     """
     path = Path(path)
     if path.suffix.lower() not in _IMAGE_SUFFIXES:
@@ -97,20 +126,29 @@ def save_image(path: str | os.PathLike[str], image: Tensor | np.ndarray) -> None
     if path.suffix.lower() == ".png":
         Image.fromarray(pixels).save(file, "PNG")
     else:
-        Image.fromarray(_opaque(pixels)).save(file, "JPEG", quality=95)
+        Image.fromarray(_opaque(pixels)).save(file, "JPEG", quality=_JPEG_QUALITY)
     write_file(path, file.getvalue())
 
 
 def save_animation(
     path: str | os.PathLike[str], frames: Iterable[Tensor | np.ndarray] | Tensor | np.ndarray, fps: float = 20
 ) -> None:
-    """Write pictures as a GIF that repeats forever or as an MP4 (H.264), chosen by the suffix; makes missing folders.
+    """Write images as a looping GIF or as an MP4 (H.264), completely or not at all. Missing folders are made.
 
-    ``frames`` is anything that gives pictures as `save_image` takes them, all of one size, for example a tensor
-    [N, 3, H, W]. Transparent ones are shown on white. GIF times are multiples of 1/100 s, at least 2/100. MP4 pictures
-    of odd width or height get their last column or row twice, because the format wants even ones. Raises ValueError
-    for another suffix, fps not above 0, no frames, and frames of different sizes; TypeError for other types; OSError
-    where the file cannot be written, and then a file that was there before stays.
+    Args:
+        path: Name that ends in .gif or .mp4.
+        frames: Tensor [N, 3, H, W] or any iterable of images as in `save_image`, all of one size. Transparent images
+            are shown on white. MP4 needs even sides: the last row or column of odd ones is repeated.
+        fps: Frames per second, > 0. GIF rounds the time of a frame to 1/100 s, at least 2/100 s.
+
+    Raises:
+        TypeError: ``frames`` or a frame has another type.
+        ValueError: The suffix is unknown, ``fps`` is not > 0, there are no frames, or their sizes differ.
+        OSError: The file cannot be written. An existing file stays as it was.
+
+    Example:
+        >>> eyes = nr.get_points_from_angles(2.7, 20.0, torch.arange(0.0, 360.0, 90.0))
+        >>> nr.save_animation("turn.gif", nr.render(mesh, nr.Camera.look_at(eyes), 64).rgb, fps=10)
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -139,13 +177,15 @@ def save_animation(
 
 
 def _check_side(name: str, path: Path, pixels: np.ndarray) -> None:
+    """Raise ValueError if an image [H, W, …] is too large for its file format."""
     side, most = max(pixels.shape[:2]), _MOST_PIXELS.get(path.suffix.lower())
     if most is not None and side > most:
         raise ValueError(f"{name}: expected at most {most} pixels a side for {path.name!r}, got {side}")
 
 
 def _gif(pictures: list[np.ndarray], fps: float) -> bytes:
-    # Each picture gets its own 256 colours; without dithering, whose noise would crawl over a still background.
+    """Encode images as a GIF file."""
+    # Each image has its own palette. Dithering would flicker on a still background.
     images = [Image.fromarray(p).quantize(256, dither=Image.Dither.NONE) for p in pictures]
     duration, file = 10 * max(2, round(100 / fps)), io.BytesIO()
     images[0].save(file, "GIF", save_all=True, append_images=images[1:], duration=duration, loop=0, disposal=1)
@@ -153,29 +193,29 @@ def _gif(pictures: list[np.ndarray], fps: float) -> bytes:
 
 
 def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
-    """Run the encoder; OSError says what it said unless it succeeded and every picture is found in the file."""
+    """Encode images as an MP4 file. Raises OSError if the encoder fails or the file lacks images."""
     height, width = (side + side % 2 for side in pictures[0].shape[:2])
     rate = str(Fraction(fps).limit_denominator())
     form = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", rate]
-    coding = ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "10"]
+    coding = ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", _MP4_QUALITY]
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", *form, "-i", "-", *coding, str(path)]
     pads = [(0, height - len(pictures[0])), (0, width - pictures[0].shape[1]), (0, 0)]
-    with tempfile.TemporaryFile() as told:  # a pipe could fill up
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=told) as encoder:
-            with suppress(BrokenPipeError):  # it has ended, and says why
+    with tempfile.TemporaryFile() as messages:  # a pipe could fill up and block the encoder
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=messages) as encoder:
+            with suppress(BrokenPipeError):  # the encoder has ended; its message follows
                 for picture in pictures:
                     encoder.stdin.write(np.pad(picture, pads, mode="edge").tobytes())  # type: ignore[union-attr]
             encoder.communicate()
-        told.seek(0)
-        said = told.read().decode(errors="replace").strip().rpartition("\n")[2].rpartition("] ")[2]
+        messages.seek(0)
+        last = messages.read().decode(errors="replace").strip().rpartition("\n")[2].rpartition("] ")[2]
     if encoder.returncode:
-        raise OSError(f"the encoder failed ({said or f'exit status {encoder.returncode}'})")
+        raise OSError(f"the encoder failed ({last or f'exit status {encoder.returncode}'})")
     if imageio_ffmpeg.count_frames_and_secs(str(path))[0] != len(pictures):
         raise OSError("the encoder wrote a file that cannot be played")
 
 
 def _pixels(name: str, image: Any) -> np.ndarray:
-    """A picture as uint8, [H, W] or [H, W, 3 | 4]."""
+    """Convert an image to uint8, [H, W], [H, W, 3] or [H, W, 4]; arguments and errors as `save_image`."""
     if isinstance(image, Tensor):
         image = validate.has_numbers(name, validate.dense(name, image)).detach().cpu().resolve_neg()
         image = (image.float() if image.is_floating_point() else image).numpy()
@@ -195,7 +235,7 @@ def _pixels(name: str, image: Any) -> np.ndarray:
 
 
 def _opaque(pixels: np.ndarray) -> np.ndarray:
-    """[H, W, 3] uint8: grey repeated, transparency shown on white."""
+    """Convert an image to [H, W, 3] uint8: repeat grey, show transparency on white."""
     if pixels.ndim == 2:
         return np.repeat(pixels[..., None], 3, axis=2)
     if pixels.shape[2] == 4:

@@ -1,4 +1,4 @@
-"""Meshes written as OBJ, PLY or GLB, their colours as texture cubes or as images with texture coordinates."""
+"""Writing of meshes with texture cubes or images, as OBJ, PLY or GLB."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .atomic_write import write_file
 from .cubes import bake_corners
 from .files import mesh_to_write
 from .obj_writer import Part, save_cubes, write_obj
-from .surface_colors import Skin
+from .surface_colors import SurfaceColors
 
 if TYPE_CHECKING:
     import trimesh
@@ -25,38 +25,42 @@ _SUFFIXES = (".obj", ".ply", ".glb")
 def save_mesh(
     path: str | os.PathLike[str], vertices: Any, faces: Any, textures: Any = None, *, overwrite: bool = False
 ) -> None:
-    """Write a mesh, its format told by the suffix; missing folders are made.
+    """Write a mesh as OBJ, PLY or GLB. Missing folders are made.
 
-    OBJ has its materials and its picture beside it: ``spot.obj``, ``spot.mtl``, ``spot_texture.png``. PLY (binary)
-    keeps vertices and faces and has one colour a vertex: the mean, over the faces around it, of the texture at that
-    corner. GLB shows the textures as they are, as one picture, matt and two-sided; it has three vertices of its own for
-    each face, because texture coordinates belong to vertices there.
+    - OBJ: materials and image are files beside it, ``spot.mtl`` and ``spot_texture.png`` for ``spot.obj``.
+    - PLY (binary): one colour per vertex, the mean of the textures of the faces around it, at that corner.
+    - GLB: the textures as one image, matt and two-sided. Each face has three vertices of its own, because a glTF vertex
+      has one texture coordinate.
 
     Args:
-        path: Ends in ``.obj``, ``.ply`` or ``.glb``. A file of that name is replaced.
-        vertices: [V, 3] float tensor or array, on any device.
-        faces: [F, 3], whole numbers of any real dtype.
-        textures: [F, T, T, T, 3] in [0, 1] (clamped), or None.
-        overwrite: Replace the files beside an OBJ whoever made them; otherwise only those that were written with an
-            OBJ of this name before.
+        path: Name that ends in ``.obj``, ``.ply`` or ``.glb``. A file of this name is replaced.
+        vertices: [V, 3] floating tensor or array, on any device.
+        faces: [F, 3] tensor or array of whole numbers.
+        textures: [F, T, T, T, 3] floating, clamped to [0, 1]; or None.
+        overwrite: Replace any MTL and PNG beside an OBJ. By default only those are replaced that were written with an
+            OBJ of this name.
 
     Raises:
-        TypeError, ValueError: As told for each argument, and for another suffix.
-        FileExistsError: A file beside an OBJ would be replaced that was not written with it.
-        OSError: The files cannot be written. All that was there before stays.
+        TypeError, ValueError: The suffix is unknown, a type or shape does not fit, or a number is not finite.
+        FileExistsError: The MTL or PNG would replace a foreign file.
+        OSError: A file cannot be written. All existing files stay as they were.
+
+    Example:
+        >>> vertices, faces = nr.torus()
+        >>> nr.save_mesh("torus.glb", vertices, faces, torch.ones(len(faces), 1, 1, 1, 3))
     """
     path = _checked(path, _SUFFIXES)
     if path.suffix.lower() == ".obj":
         save_cubes(path, vertices, faces, textures, f"{path.stem}_texture", overwrite)
         return
-    import trimesh  # here, since importing it takes longer than most calls to this package
+    import trimesh  # imported here because it is slow
 
     points, corners, cubes = mesh_to_write(vertices, faces, textures)
     if cubes is None:
         mesh = trimesh.Trimesh(points, corners, process=False)
     elif path.suffix.lower() == ".ply":
-        colours = _vertex_colours(len(points), corners, cubes)
-        mesh = trimesh.Trimesh(points, corners, vertex_colors=colours, process=False)
+        colors = _vertex_colors(len(points), corners, cubes)
+        mesh = trimesh.Trimesh(points, corners, vertex_colors=colors, process=False)
     else:
         picture, pixels = build_atlas(cubes)
         own = np.arange(corners.size).reshape(-1, 3)
@@ -64,17 +68,13 @@ def save_mesh(
     write_file(path, mesh.export(file_type=path.suffix[1:].lower()))  # type: ignore[arg-type]  # bytes
 
 
-def save_painted(
-    path: str | os.PathLike[str], vertices: Any, faces: Any, skin: Skin, *, overwrite: bool = False
+def save_uv_mesh(
+    path: str | os.PathLike[str], vertices: Any, faces: Any, surface: SurfaceColors, *, overwrite: bool = False
 ) -> None:
-    """Write a mesh with images as OBJ, its materials and pictures beside it, or as GLB; see `save_mesh`.
-
-    ``skin`` are the colours, clamped to [0, 1]. Faces without an image share one more, with a tile for each. With
-    several images, those of an OBJ are ``spot_texture_1.png`` and so on. Raises what `save_mesh` raises.
-    """
+    """Write a mesh with images as OBJ or GLB; see `UVMesh.save`. Colours are clamped to [0, 1]."""
     path = _checked(path, (".obj", ".glb"))
     points, corners, _ = mesh_to_write(vertices, faces)
-    parts = _parts(skin)
+    parts = _parts(surface)
     if path.suffix.lower() == ".obj":
         write_obj(path, points, corners, parts, f"{path.stem}_texture", overwrite)
         return
@@ -82,7 +82,7 @@ def save_painted(
 
     scene = trimesh.Scene()
     for number, part in enumerate(parts, 1):
-        # A vertex has one place on the picture there: one that has several becomes as many.
+        # A glTF vertex has one texture coordinate, so a vertex with several is duplicated.
         both = np.stack([corners[part.faces], part.corners], axis=2).reshape(-1, 2)
         own, index = np.unique(both, axis=0, return_inverse=True)
         mesh = _with_picture(points[own[:, 0]], index.reshape(-1, 3), part.places[own[:, 1]], part.picture)
@@ -91,43 +91,47 @@ def save_painted(
 
 
 def _checked(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
+    """Return ``path`` if it has one of the suffixes; raise ValueError otherwise."""
     path = Path(path)
     if path.suffix.lower() not in suffixes:
         raise ValueError(f"path: expected a name that ends in {', '.join(suffixes)}, got {path.name!r}")
     return path
 
 
-def _parts(skin: Skin) -> list[Part]:
+def _parts(surface: SurfaceColors) -> list[Part]:
+    """Group faces by image; faces without an image share one with a tile for each."""
     found = []
-    for number, (image, wrapping) in enumerate(zip(skin.images, skin.wrapping, strict=True)):
-        own = np.flatnonzero(skin.image == number)
+    for number, (image, wrapping) in enumerate(zip(surface.images, surface.wrapping, strict=True)):
+        own = np.flatnonzero(surface.image == number)
         if len(own):
             pixels = (image.clip(0, 1) * 255 + 0.5).astype(np.uint8)
-            found.append(_part(own, skin.uv[own], pixels, wrapping != "REPEAT"))
-    plain = np.flatnonzero(skin.image < 0)
+            found.append(_part(own, surface.uv[own], pixels, wrapping != "REPEAT"))
+    plain = np.flatnonzero(surface.image < 0)
     if len(plain):
-        pixels, place = build_atlas(bake_corners(skin.colors[plain].clip(0, 1), 2))
+        pixels, place = build_atlas(bake_corners(surface.colors[plain].clip(0, 1), 2))
         found.append(_part(plain, coordinates(place, pixels), pixels, True))
     return found
 
 
 def _part(faces: np.ndarray, uv: np.ndarray, picture: np.ndarray, clamp: bool) -> Part:
+    """Make a part of faces [n] with texture coordinates [n, 3, 2]; equal coordinates are merged."""
     places, corners = np.unique(uv.reshape(-1, 2), axis=0, return_inverse=True)
     return Part(faces, places, corners.reshape(-1, 3), picture, clamp)
 
 
-def _vertex_colours(count: int, corners: np.ndarray, cubes: np.ndarray) -> np.ndarray:
+def _vertex_colors(count: int, corners: np.ndarray, cubes: np.ndarray) -> np.ndarray:
+    """Average the cubes of the faces around each vertex, at that corner: [V, 4] uint8. Unused vertices are grey."""
     last = cubes.shape[1] - 1
     at_corners = np.stack([cubes[:, last, 0, 0], cubes[:, 0, last, 0], cubes[:, 0, 0, last]], axis=1)
     total, faces = np.zeros((count, 3)), np.zeros((count, 1))
     np.add.at(total, corners.reshape(-1), at_corners.reshape(-1, 3))
     np.add.at(faces, corners.reshape(-1), 1)
-    colours = np.where(faces > 0, total / faces.clip(1), 0.5)
-    return (np.concatenate([colours, np.ones((count, 1))], axis=1) * 255 + 0.5).astype(np.uint8)
+    colors = np.where(faces > 0, total / faces.clip(1), 0.5)
+    return (np.concatenate([colors, np.ones((count, 1))], axis=1) * 255 + 0.5).astype(np.uint8)
 
 
 def _with_picture(points: np.ndarray, corners: np.ndarray, uv: np.ndarray, picture: np.ndarray) -> trimesh.Trimesh:
-    """A mesh that shows a picture as it is, matt and from both sides; uv: [V, 2], where its vertices are on it."""
+    """Make a matt, two-sided mesh with an image [H, W, 3] and texture coordinates [V, 2]."""
     import trimesh
 
     material = trimesh.visual.material.PBRMaterial(

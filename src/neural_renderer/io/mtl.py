@@ -1,4 +1,4 @@
-"""MTL material files: the diffuse colour and the diffuse image, which are all that a cube texture can hold."""
+"""Reading of MTL material files: diffuse colours and diffuse images."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from .files import read_text, short
 
-# No pattern may match the same text in two ways: then time grows with the square of a line's length.
+# A pattern must not match the same text in two ways, or time grows with the square of a line's length.
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
-# Options stand before the file name, which may itself hold spaces. -o, -s and -t take one to three numbers.
+# Options precede the file name; the name may contain spaces. -o, -s and -t take one to three numbers.
 _OPTION = re.compile(
     rf"-(?P<name>o|s|t)(?P<numbers>(?:\s+{_NUMBER}(?=\s)){{1,3}})\s+"
     rf"|-mm\s+{_NUMBER}\s+{_NUMBER}\s+"
@@ -23,13 +23,19 @@ _TRAILING = re.compile(r"\s-(?:o|s|t|mm|blendu|blendv|cc|clamp|texres|bm|boost|i
 
 @dataclass
 class Material:
-    """What one ``newmtl`` says: ``colour`` is Kd ([3] float in [0, 1], None if absent), ``image`` the name in map_Kd.
+    """Material of an MTL file.
 
-    Texture coordinates are to be taken as ``uv * scale + offset``; ``clamp`` asks not to repeat the image.
+    Attributes:
+        folder: Folder of the file.
+        color: Kd, [3] float64 in [0, 1], or None.
+        image: File name in map_Kd, or None.
+        scale: Factor of texture coordinates; the image is read at uv · scale + offset.
+        offset: Offset of texture coordinates.
+        clamp: Whether the image is clamped beyond [0, 1]; otherwise it repeats.
     """
 
     folder: Path
-    colour: np.ndarray | None = None
+    color: np.ndarray | None = None
     image: str | None = None
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
@@ -37,33 +43,35 @@ class Material:
 
 
 def read_mtl(path: Path) -> dict[str, Material]:
-    """The materials of an MTL file by name; ValueError names the file and line of a colour that cannot be read."""
+    """Read the materials of an MTL file, by name. Raises ValueError, with file and line, for a wrong colour."""
     materials: dict[str, Material] = {}
-    material = Material(path.parent)  # statements before the first newmtl belong to nobody
+    material = Material(path.parent)  # statements before the first newmtl are ignored
     for number, line in enumerate(read_text(path).split("\n"), 1):
         keyword, _, rest = line.strip().replace("\t", " ").partition(" ")
         keyword, rest = keyword.lower(), rest.strip()
         if keyword == "newmtl":
             material = materials[rest] = Material(path.parent)
         elif keyword == "kd" and not rest.startswith(("spectral", "xyz")):
-            material.colour = _colour(rest, f"{path}, line {number}")
+            material.color = _color(rest, f"{path}, line {number}")
         elif keyword == "map_kd" and rest:
             _read_map(material, rest)
     return materials
 
 
-def _colour(text: str, where: str) -> np.ndarray:
+def _color(text: str, where: str) -> np.ndarray:
+    """Parse the one or three numbers of a Kd statement: [3] in [0, 1]."""
     words = text.partition("#")[0].split()[:3]
     try:
-        colour = np.array([float(word) for word in words])
+        color = np.array([float(word) for word in words])
     except ValueError:
-        colour = np.array([])
-    if len(colour) not in (1, 3) or not np.isfinite(colour).all():
+        color = np.array([])
+    if len(color) not in (1, 3) or not np.isfinite(color).all():
         raise ValueError(f"{where}: expected Kd and three finite numbers, got {short(text)}")
-    return np.broadcast_to(colour.clip(0, 1), 3)
+    return np.broadcast_to(color.clip(0, 1), 3)
 
 
 def _read_map(material: Material, text: str) -> None:
+    """Parse the options and the file name of a map_Kd statement into ``material``."""
     begin = 0
     while option := _OPTION.match(text, begin):
         begin = option.end()

@@ -1,4 +1,4 @@
-"""The files that a file names: found whatever their case, and only in its own folder unless more is asked for."""
+"""Search for the files that a mesh file names, by default only inside its folder."""
 
 from __future__ import annotations
 
@@ -10,17 +10,27 @@ from urllib.parse import unquote
 
 from .files import read_text, short
 
-_LONGEST = 4096  # characters of a name: what is longer is data
-_NAMING = (".obj", ".mtl", ".ply", ".gltf", ".glb", ".json", ".csv")  # files that name others
+_LONGEST = 4096  # characters of a name; a longer text is data
+_NAMING = (".obj", ".mtl", ".ply", ".gltf", ".glb", ".json", ".csv")  # suffixes of files that name others
 
 
 def find_file(source: Path, name: str, *folders: Path, allow_outside: bool = False) -> Path | None:
-    """The regular file that ``source`` calls ``name``, or None.
+    """Find the regular file that ``source`` calls ``name``.
 
-    Looked for in each of the folders (by default that of ``source``) as written, then by its last part alone (exporters
-    leave paths of their own machine); backslashes are separators, and upper and lower case are told apart only where
-    both exist. Without ``allow_outside``, nothing outside the folder of ``source`` is looked at: a name whose ``..``
-    lead there raises ValueError, and an absolute path is not found.
+    The name is searched as written, then by its last part alone, because exporters write paths of their own machine.
+    Backslashes are separators. Upper and lower case differ only if both files exist.
+
+    Args:
+        source: File that contains the name.
+        name: Path in any spelling.
+        folders: Folders to search; by default that of ``source``.
+        allow_outside: Search outside the folder of ``source``, too. Otherwise absolute paths elsewhere are not found.
+
+    Returns:
+        Path of the file, or None if there is none.
+
+    Raises:
+        ValueError: ``..`` leads out of the folder of ``source``, without ``allow_outside``.
     """
     folders, home = folders or (source.parent,), source.parent
     relative = name[len(Path(name).drive) :].replace("\\", "/")
@@ -40,33 +50,34 @@ def find_file(source: Path, name: str, *folders: Path, allow_outside: bool = Fal
     if absolute.is_absolute() and (allow_outside or _inside(name, home)) and is_file(absolute):
         return absolute
     if beyond and not allow_outside:
-        raise outside(source, name)
+        raise outside_error(source, name)
     return None
 
 
 def is_outside(source: Path, name: str) -> bool:
-    """Whether a name in the file ``source`` leads out of its folder, by ``..`` or as an absolute path."""
+    """Tell whether a name in ``source`` refers outside its folder, by ``..`` or as an absolute path."""
     return _inside(os.path.join(source.parent, name), source.parent) is None
 
 
-def outside(source: Path, name: str) -> ValueError:
-    """The error for a name in the file ``source`` that leads out of its folder."""
+def outside_error(source: Path, name: str) -> ValueError:
+    """Make the error for a name in ``source`` that refers outside its folder."""
     return ValueError(
-        f"{source}: expected names of files in its folder, got {short(name)}, which leads out of it; "
-        "allow_outside=True (--allow-outside) reads it all the same"
+        f"{source}: expected names of files in its folder, got {short(name)}, which is outside; "
+        "allow_outside=True (--allow-outside) permits it"
     )
 
 
 def _inside(path: str, home: Path) -> Path | None:
-    """``path`` relative to the folder ``home``, or None where it is not in there.
+    """Return ``path`` relative to the folder ``home``, or None if it is outside.
 
-    The name decides and not the disk: nobody learns what lies elsewhere, and a link in the folder may lead anywhere.
+    Only the name decides. The disk is not read, so a file cannot probe for others, and links inside the folder work.
     """
     whole, base = Path(os.path.abspath(path)), Path(os.path.abspath(home))
     return whole.relative_to(base) if whole.is_relative_to(base) else None
 
 
 def _walk(folder: Path, parts: tuple[str, ...] | list[str]) -> Path | None:
+    """Follow the parts of a path from ``folder``, in any case; return the regular file at its end, or None."""
     try:
         for part in parts:
             step = folder / part
@@ -77,13 +88,13 @@ def _walk(folder: Path, parts: tuple[str, ...] | list[str]) -> Path | None:
                     return None
                 step = alike
             folder = step
-    except OSError:  # a name that is too long, a folder that may not be looked into
+    except OSError:  # the name is too long, or a folder is not readable
         return None
     return folder if is_file(folder) else None
 
 
 def is_file(path: Path) -> bool:
-    """Whether it is a regular file: at a device or a pipe, a reader would wait."""
+    """Tell whether ``path`` is a regular file. Reading a device or a pipe could block."""
     try:
         return path.is_file()
     except OSError:
@@ -91,10 +102,10 @@ def is_file(path: Path) -> bool:
 
 
 def names_file(path: Path, other: Path, *folders: Path) -> bool:
-    """Whether a mesh, its material files, or a file of cameras, name the file ``other``.
+    """Tell whether a mesh file, its material files or a camera file may name the file ``other``.
 
-    Names are relative to the folder of the file and to ``folders``, as written or by their last part alone, with or
-    without a suffix, whatever their case. What may be a name counts as one.
+    Names are matched in any case, with or without suffix, as written or by their last part, relative to the folder of
+    the file and to ``folders``.
     """
     suffix, folders = path.suffix.lower(), (path.parent, *folders)
     if suffix not in _NAMING:
@@ -119,7 +130,7 @@ def names_file(path: Path, other: Path, *folders: Path) -> bool:
 
 
 def _names(line: str) -> Iterator[str]:
-    """What may be the name of a file in a line: its last words, parts in quotes and between commas."""
+    """Iterate over possible file names in a line: its last words, quoted parts, and parts between commas."""
     end = ""
     for word in reversed(line.split()):
         end = f"{word} {end}".rstrip()

@@ -1,4 +1,4 @@
-"""Wavefront OBJ files with their materials, read by `load_obj`."""
+"""Reading of Wavefront OBJ files with materials: `load_obj`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .images import load_image
 from .mtl import Material, read_mtl
 from .named_files import find_file
 from .parse import ObjFile, read_obj
-from .surface_colors import Skin
+from .surface_colors import SurfaceColors
 
 
 def load_obj(
@@ -29,52 +29,55 @@ def load_obj(
     use_bilinear: bool = True,
     allow_outside: bool = False,
 ) -> tuple[Tensor, Tensor] | tuple[Tensor, Tensor, Tensor]:
-    """Read a mesh from an OBJ file.
+    """Read an OBJ file, and bake its colours into texture cubes if asked.
 
-    Vertices and faces keep the file's order; polygons become triangles (a fan from their first corner, or ears where
-    they are concave), points and lines are passed over. Text may be UTF-8, UTF-16 or Latin-1.
+    Vertices and faces keep the file's order. Convex polygons become triangle fans, concave ones are triangulated by ear
+    clipping. Points and lines are ignored. The text may be UTF-8, UTF-16 or Latin-1.
 
     Args:
-        filename_obj: The file.
-        normalization: Move the bounding box to the origin and scale its longest side to [-1, 1].
-        texture_size: T, texels along a cube's edge, at least 1 (the colour at the face's centre).
-        load_texture: Return colours too.
-        texture_wrapping: Texture coordinates outside [0, 1]: ``"REPEAT"``, ``"MIRRORED_REPEAT"``,
+        filename_obj: Path of the file.
+        normalization: Move the bounding box to the origin and scale its longest side to [−1, 1].
+        texture_size: T, texels along a cube's edge, ≥ 1. With 1 each face has the colour of its centre.
+        load_texture: Return textures, too.
+        texture_wrapping: Wrapping of texture coordinates outside [0, 1]: ``"REPEAT"``, ``"MIRRORED_REPEAT"``,
             ``"CLAMP_TO_EDGE"`` or ``"CLAMP_TO_BORDER"`` (black).
-        use_bilinear: Blend neighbouring pixels of an image, else take the nearest.
-        allow_outside: Read materials and images outside the file's folder too, if it names such; for files of people
-            whom you trust.
+        use_bilinear: Interpolate between pixels of an image; otherwise take the nearest one.
+        allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
     Returns:
-        On the CPU: vertices, float32 [V, 3]; faces, int32 [F, 3]; and with ``load_texture`` also textures, float32
-        [F, T, T, T, 3] in [0, 1]. A face has its material's image (``map_Kd``), else its colour (``Kd``), else the
-        blended colours of its vertices (``v x y z r g b``), else, and for vertices without a colour, grey 0.5.
+        Vertices [V, 3] float32 and faces [F, 3] int32; with ``load_texture`` also textures [F, T, T, T, 3] float32 in
+        [0, 1]; all on the CPU. A face has the image of its material (``map_Kd``), else its colour (``Kd``), else the
+        interpolated colours of its vertices (``v x y z r g b``), else grey 0.5.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: Something in it cannot be read, is NaN, out of range or beyond float32, or there are no faces (file
-            and line are named); its vertices all coincide and are to be normalised; the textures would exceed 8 GiB; an
-            image is none or too large (see `load_image`); or it names files outside its folder by ``..`` without
-            ``allow_outside``.
+        FileNotFoundError: The file does not exist.
+        ValueError: A statement is invalid, a vertex is not finite in float32, an index is out of range, or there are no
+            faces (the message names file and line); all vertices coincide, with ``normalization``; the textures exceed
+            8 GiB; an image is damaged or too large (see `load_image`); or the file names files outside its folder by
+            ``..`` without ``allow_outside``.
 
     Warns:
-        UserWarning: A material file, an image or a material is missing, or there is no colour at all.
+        UserWarning: A material file, an image or a material is missing, or the file has no colours.
+
+    Example:
+        >>> nr.save_obj("cube.obj", *nr.cube())
+        >>> vertices, faces = nr.load_obj("cube.obj")
     """
     obj = read_obj(existing(filename_obj), with_uv=load_texture)
     vertices = _normalized(obj) if normalization else obj.vertices
     geometry = torch.from_numpy(vertices.astype(np.float32)), torch.from_numpy(obj.faces.astype(np.int32))
     if not load_texture:
         return geometry
-    skin = obj_skin(obj, texture_wrapping, allow_outside)
-    if skin is None:
+    surface = obj_surface_colors(obj, texture_wrapping, allow_outside)
+    if surface is None:
         if not obj.libraries:
-            warn(f"{obj.path}: no mtllib and no vertex colours, so its texture is grey")
-        skin = Skin.plain(len(obj.faces), 0.5)
-    return *geometry, torch.from_numpy(skin.bake(texture_size, use_bilinear))
+            warn(f"{obj.path}: no mtllib and no vertex colours; the texture is grey")
+        surface = SurfaceColors.plain(len(obj.faces), 0.5)
+    return *geometry, torch.from_numpy(surface.bake(texture_size, use_bilinear))
 
 
 def _normalized(obj: ObjFile) -> np.ndarray:
-    """The vertices in [-1, 1]; in float64, so that a small mesh far from the origin keeps its shape."""
+    """Scale vertices into [−1, 1], in float64, so that a small mesh far from the origin keeps its shape."""
     vertices = obj.vertices - obj.vertices.min(axis=0)
     longest = vertices.max()
     if longest == 0:
@@ -83,69 +86,79 @@ def _normalized(obj: ObjFile) -> np.ndarray:
     return vertices - vertices.max(axis=0) / 2
 
 
-def obj_skin(
+def obj_surface_colors(
     obj: ObjFile,
     wrapping: str = "REPEAT",
     allow_outside: bool = False,
     materials: dict[str, Material] | None = None,
-) -> Skin | None:
-    """Resolve the colours of a file read with ``with_uv=True``; None if it has no colours. Missing ones are grey.
+) -> SurfaceColors | None:
+    """Collect the surface colours of an OBJ file. Faces without a colour are grey 0.5.
 
     Args:
-        obj: The file.
-        wrapping: How texture coordinates beyond [0, 1] are wrapped.
+        obj: File read with ``with_uv=True``.
+        wrapping: Wrapping of texture coordinates outside [0, 1].
         allow_outside: Read materials and images outside the file's folder, too.
-        materials: Used in place of those in the material files that the file names.
+        materials: Materials by name, in place of those in the file's material files.
 
-    Raises ValueError as `load_obj` does. Warns (UserWarning) about missing material files, materials, images and
-    texture coordinates, naming the file.
+    Returns:
+        The colours, or None if the file has neither colours nor material files.
+
+    Raises:
+        ValueError: As `load_obj`.
+
+    Warns:
+        UserWarning: A material file, a material, an image or texture coordinates are missing.
     """
     if wrapping not in WRAPPINGS:
         raise ValueError(f"texture_wrapping: expected one of {', '.join(WRAPPINGS)}, got {wrapping!r}")
-    skin = Skin.plain(len(obj.faces), 0.5)
+    surface = SurfaceColors.plain(len(obj.faces), 0.5)
     materials = _materials(obj, allow_outside) if materials is None else materials
-    load = functools.cache(_pixels)  # materials often share an image
-    coloured = False
-    if np.isfinite(obj.colours).any():
-        skin.colors[:] = np.nan_to_num(obj.colours, nan=0.5)[obj.faces]
-        coloured = True
-    order = np.argsort(obj.material, kind="stable")  # each material's faces, after those of none
+    load = functools.cache(_pixels)  # materials may share an image
+    has_color = False
+    if np.isfinite(obj.colors).any():
+        surface.colors[:] = np.nan_to_num(obj.colors, nan=0.5)[obj.faces]
+        has_color = True
+    order = np.argsort(obj.material, kind="stable")  # faces without a material first, then those of each material
     groups = np.split(order, np.searchsorted(obj.material[order], np.arange(len(obj.names))))[1:]
     for name, chosen in zip(obj.names, groups, strict=True):
         material = materials.get(name)
         if material is None:
             if materials:
-                warn(f"{obj.path}: material {short(name)} is in none of its material files")
+                warn(f"{obj.path}: material {short(name)} is not in its material files")
             continue
-        if material.colour is not None:
-            skin.colors[chosen] = material.colour
-            coloured = True
+        if material.color is not None:
+            surface.colors[chosen] = material.color
+            has_color = True
         if material.image is not None and len(chosen):
             path = find_file(obj.path, material.image, material.folder, obj.path.parent, allow_outside=allow_outside)
             if path is None:
                 _warn_missing(obj, "image", material.image, allow_outside)
                 continue
-            _paint(skin, chosen, material, obj, load(path), wrapping)
-            coloured = True
-    return skin if coloured or obj.libraries else None
+            _paint(surface, chosen, material, obj, load(path), wrapping)
+            has_color = True
+    return surface if has_color or obj.libraries else None
 
 
 def _pixels(path: Path) -> np.ndarray:
+    """Load an image as [H, W, 3] float32, without transparency."""
     return np.ascontiguousarray(load_image(path)[..., :3].numpy())
 
 
-def _paint(skin: Skin, chosen: np.ndarray, material: Material, obj: ObjFile, image: np.ndarray, wrapping: str) -> None:
-    """Paint those of the chosen faces that have texture coordinates with their material's image."""
+def _paint(
+    surface: SurfaceColors, chosen: np.ndarray, material: Material, obj: ObjFile, image: np.ndarray, wrapping: str
+) -> None:
+    """Assign a material's image to the chosen faces that have texture coordinates."""
     with np.errstate(over="ignore", invalid="ignore"):
         uv = obj.uv[chosen] * material.scale + material.offset
     placed = fits_float32(uv).all(axis=(1, 2))
     if not placed.all():
         missing, name = int((~placed).sum()), short(material.image)
         warn(f"{obj.path}: {missing} faces have no texture coordinates for the image {name}")
-    skin.paint(chosen[placed], image, uv[placed], "CLAMP_TO_EDGE" if material.clamp else wrapping)
+    surface.paint(chosen[placed], image, uv[placed], "CLAMP_TO_EDGE" if material.clamp else wrapping)
 
 
 def _materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
+    """Read the material files of an OBJ file."""
     find = functools.partial(find_file, obj.path, allow_outside=allow_outside)
     materials: dict[str, Material] = {}
     for text in dict.fromkeys(obj.libraries):
@@ -153,7 +166,7 @@ def _materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
         if whole is not None:
             materials |= read_mtl(whole)
             continue
-        # Not one name with spaces, then: several names, in which "\ " is a space.
+        # The text is not one name with spaces. Read it as several names, in which "\ " is a space.
         for name in re.split(r"(?<!\\)\s+", text):
             path = find(name.replace("\\ ", " "))
             if path is None:
@@ -164,6 +177,7 @@ def _materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
 
 
 def _warn_missing(obj: ObjFile, what: str, name: str, allow_outside: bool) -> None:
+    """Warn about a missing file; mention ``allow_outside`` if its path is absolute."""
     unseen = Path(name).is_absolute() and not allow_outside
-    hint = " in its folder; allow_outside=True (--allow-outside) looks where its path leads, too" if unseen else ""
+    hint = " in its folder; allow_outside=True (--allow-outside) searches its path, too" if unseen else ""
     warn(f"{obj.path}: its {what} {short(name)} is missing{hint}")

@@ -1,7 +1,7 @@
-"""Wavefront OBJ files, written together with their material library and pictures.
+"""Writing of Wavefront OBJ files with a material library (MTL) and images (PNG).
 
-The library and the pictures get names of their own beside the OBJ and carry a note of which OBJ they were written with.
-A file of such a name that lacks the note was made by somebody else, and is not replaced unless that is asked for.
+MTL and PNG files contain a note with the name of their OBJ. A file without this note is foreign; it is only replaced
+with ``overwrite=True``.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from .files import mesh_to_write
 
 
 class Part(NamedTuple):
-    """Faces that show one picture.
+    """Faces with a common image.
 
     Attributes:
-        faces: [n] int64, their numbers.
-        places: [P, 2] float64, texture coordinates.
-        corners: [n, 3] int64, where in ``places`` the faces' corners are.
+        faces: [n] int64, indices of the faces.
+        places: [P, 2] float64, texture coordinates, v up.
+        corners: [n, 3] int64, indices into ``places`` of the faces' corners.
         picture: [H, W, 3] uint8, row 0 at the top.
-        clamp: Whether the picture's border goes on beyond [0, 1], where it otherwise repeats.
+        clamp: Whether the image is clamped beyond [0, 1]; otherwise it repeats.
     """
 
     faces: np.ndarray
@@ -42,23 +42,28 @@ class Part(NamedTuple):
 def save_obj(
     filename: str | os.PathLike[str], vertices: Any, faces: Any, textures: Any = None, *, overwrite: bool = False
 ) -> None:
-    """Write a mesh as OBJ, with its colours as MTL and PNG beside it under the same name: the first packages' function.
+    """Write a mesh as OBJ, with ``spot.mtl`` and ``spot.png`` beside ``spot.obj``, as the first packages do.
 
-    `save_mesh` is the same, but calls the picture of ``spot.obj`` ``spot_texture.png``. All files are written, or none.
+    New code uses `save_mesh`, whose image is called ``spot_texture.png``. All files are written, or none.
 
     Args:
-        filename: Ends in ``.obj``; missing folders are made.
-        vertices: [V, 3] float tensor or array, on any device; written so that float32 is read back exactly.
-        faces: [F, 3], whole numbers of any real dtype.
-        textures: [F, T, T, T, 3] in [0, 1] (clamped), or None. Each face gets a tile of 15 × 15 to
-            50 × 50 pixels (fewer above 290,000 faces) in the PNG, which holds what the renderer shows of its cube.
-        overwrite: Replace an MTL and a PNG of these names whoever made them; otherwise only those that were written
-            with ``filename`` before.
+        filename: Name that ends in ``.obj``. Missing folders are made.
+        vertices: [V, 3] floating tensor or array, on any device. float32 is read back exactly.
+        faces: [F, 3] tensor or array of whole numbers.
+        textures: [F, T, T, T, 3] floating, clamped to [0, 1]; or None. Each face gets a tile of 15 × 15 to 50 × 50
+            pixels in the PNG, fewer above 290,000 faces.
+        overwrite: Replace any MTL and PNG of these names. By default only those are replaced that were written with
+            ``filename``.
 
     Raises:
-        TypeError, ValueError: As told for each argument; another suffix; too many faces for one picture.
-        FileExistsError: The MTL or the PNG would replace a file that was not written with ``filename``.
-        OSError: The files cannot be written. What was there before stays.
+        TypeError, ValueError: The suffix is unknown, a type or shape does not fit, a number is not finite, or there are
+            too many faces for one image.
+        FileExistsError: The MTL or PNG would replace a foreign file.
+        OSError: A file cannot be written. All existing files stay as they were.
+
+    Example:
+        >>> vertices, faces = nr.cube()
+        >>> nr.save_obj("cube.obj", vertices, faces, torch.ones(12, 1, 1, 1, 3))
     """
     path = Path(filename)
     if path.suffix.lower() != ".obj":
@@ -67,7 +72,7 @@ def save_obj(
 
 
 def save_cubes(path: Path, vertices: Any, faces: Any, textures: Any, texture: str, overwrite: bool) -> None:
-    """`save_obj` with the name of the picture, without its suffix."""
+    """Write a mesh with texture cubes; ``texture`` is the name of the image without suffix. See `save_obj`."""
     points, corners, cubes = mesh_to_write(vertices, faces, textures)
     parts = []
     if cubes is not None:
@@ -82,9 +87,15 @@ def save_cubes(path: Path, vertices: Any, faces: Any, textures: Any, texture: st
 def write_obj(
     path: Path, points: np.ndarray, corners: np.ndarray, parts: list[Part], texture: str, overwrite: bool
 ) -> None:
-    """Write an OBJ, its MTL, and a PNG for each part: ``{texture}.png``, or ``{texture}_1.png`` and so on.
+    """Write an OBJ, its MTL, and a PNG for each part. Errors as `save_obj`.
 
-    ``points`` [V, 3], ``corners`` [F, 3]; without parts there is neither MTL nor PNG. Errors as `save_obj`.
+    Args:
+        path: Path of the OBJ.
+        points: [V, 3] vertices.
+        corners: [F, 3] faces.
+        parts: Faces by image; without parts, neither MTL nor PNG are written.
+        texture: Name of the image without suffix; several images are called ``{texture}_1.png`` and so on.
+        overwrite: Replace foreign MTL and PNG files.
     """
     numbers = [""] if len(parts) == 1 else [f"_{number}" for number in range(1, len(parts) + 1)]
     pictures = [f"{texture}{number}.png" for number in numbers]
@@ -113,16 +124,18 @@ def write_obj(
 
 
 def _material(number: int, picture: str, part: Part) -> str:
-    """The material ``material_<number>`` of an MTL file, which shows a picture as it is."""
+    """Format the statements of the material ``material_<number>`` of an MTL file."""
     option = "-clamp on " if part.clamp else ""
     return f"newmtl material_{number}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {option}{picture}\n"
 
 
 def _lines(form: str, rows: np.ndarray) -> str:
+    """Format one line for each row."""
     return (form * len(rows)) % tuple(rows.reshape(-1).tolist())
 
 
 def _png(picture: np.ndarray, note: str) -> bytes:
+    """Encode an image as a PNG file with a comment."""
     kept, file = PngImagePlugin.PngInfo(), io.BytesIO()
     kept.add_text("Comment", note)
     Image.fromarray(picture).save(file, "PNG", pnginfo=kept)
@@ -130,13 +143,17 @@ def _png(picture: np.ndarray, note: str) -> bytes:
 
 
 def _note(path: Path) -> str:
+    """Return the comment that marks files written with the OBJ at ``path``."""
     return f"written by neural_renderer with {path.name}"
 
 
 def check_own(path: Path, files: Iterable[Path] | None, advice: str) -> None:
-    """Raise FileExistsError if a file was not written with the OBJ at ``path``; it ends with ``advice``.
+    """Raise FileExistsError if a file exists that was not written with the OBJ at ``path``.
 
-    ``files`` may exist or not; None means all that `save_mesh` or `UVMesh.save` could write beside ``path``.
+    Args:
+        path: Path of the OBJ.
+        files: Files to check; None means all MTL and PNG files that `save_mesh` or `UVMesh.save` could write.
+        advice: End of the message.
     """
     if files is None:
         names = (f"{glob.escape(path.stem)}_texture{number}.png" for number in ("", "_[0-9]*"))
@@ -144,22 +161,22 @@ def check_own(path: Path, files: Iterable[Path] | None, advice: str) -> None:
     for file in files:
         if file.exists() and not _is_own(path, file):
             raise FileExistsError(
-                f"{file}: expected nothing there, or a file that was written with {path.name}, got another; {advice}"
+                f"{file}: expected no file, or one that was written with {path.name}, got a foreign file; {advice}"
             )
 
 
 def _is_own(path: Path, file: Path) -> bool:
-    """Whether a library or picture was written with the OBJ at ``path``, by us or by the first packages."""
+    """Tell whether an MTL or PNG was written with the OBJ at ``path``, by this package or the first ones."""
     if not file.is_file():
         return False
     library = path.with_suffix(".mtl")
     text = library.read_text(encoding="utf-8", errors="replace") if library.is_file() else ""
-    if text == f"newmtl material_1\nmap_Kd {path.stem}.png\n":  # theirs has no note
+    if text == f"newmtl material_1\nmap_Kd {path.stem}.png\n":  # the first packages write no note
         return file in (library, path.with_suffix(".png"))
     if file == library:
         return text.startswith(f"# {_note(path)}\n")
     try:
         with Image.open(file) as picture:
             return picture.info.get("Comment") == _note(path)
-    except Exception:  # Pillow's errors for broken files are of many kinds
+    except Exception:  # Pillow raises errors of many classes for damaged files
         return False

@@ -1,4 +1,4 @@
-"""The statements of an OBJ file: positions, faces as triangles, texture coordinates, names of materials."""
+"""Parser of OBJ files: vertices, triangulated faces, texture coordinates and names of materials."""
 
 from __future__ import annotations
 
@@ -14,16 +14,22 @@ from .polygons import triangulate
 
 @dataclass
 class ObjFile:
-    """What an OBJ file holds, in the file's order of vertices and faces.
+    """Content of an OBJ file, in the file's order of vertices and faces.
 
-    ``vertices`` [V, 3] float64; ``colours`` [V, 3] float64 in [0, 1], NaN where a vertex has none; ``faces`` [F, 3]
-    int64 from 0; ``uv`` [F, 3, 2] float64, NaN where a corner has none; ``material`` [F] int, an index into
-    ``names`` or -1; ``libraries`` the text after each ``mtllib``.
+    Attributes:
+        path: Path of the file.
+        vertices: [V, 3] float64.
+        colors: [V, 3] float64 in [0, 1]; NaN for a vertex without a colour.
+        faces: [F, 3] int64, indices from 0.
+        uv: [F, 3, 2] float64; NaN for a corner without texture coordinates.
+        material: [F] int, index into ``names``, or −1.
+        names: Names of materials.
+        libraries: Text after each ``mtllib``.
     """
 
     path: Path
     vertices: np.ndarray
-    colours: np.ndarray
+    colors: np.ndarray
     faces: np.ndarray
     uv: np.ndarray
     material: np.ndarray
@@ -32,11 +38,15 @@ class ObjFile:
 
 
 def read_obj(path: Path, with_uv: bool) -> ObjFile:
-    """Read an OBJ file; polygons become triangles, points, lines, curves, groups and normals are passed over.
+    """Read an OBJ file and triangulate its polygons. Points, lines, curves, groups and normals are ignored.
 
-    ``with_uv=False`` passes over texture coordinates too, right or wrong. Raises ValueError, naming file and line,
-    for a statement that cannot be read, a vertex that is NaN or infinite, a face with fewer than three corners or an
-    index out of range, and for a file without faces.
+    Args:
+        path: Path of the file.
+        with_uv: Read texture coordinates. Otherwise they are ignored, even if they are invalid.
+
+    Raises:
+        ValueError: A statement is invalid, a vertex is not finite in float32, a face has fewer than three corners, an
+            index is out of range (the message names file and line), or there are no faces.
     """
     parser = _Parser(path)
     text = read_text(path)
@@ -53,11 +63,11 @@ def read_obj(path: Path, with_uv: bool) -> ObjFile:
 
 
 class _OutOfRange(ValueError):
-    """An index error whose text is ready for the reader."""
+    """Error of an index, with a message for the user."""
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Lines with their numbers from 1; a backslash at the end of a line joins it with the next."""
+    """Iterate over numbered lines, from 1; a backslash at the end of a line joins it with the next."""
     parts: list[str] = []
     first = 0
     for number, line in enumerate(text.split("\n"), 1):
@@ -74,13 +84,15 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 class _Parser:
+    """Collects the statements of a file; `finish` makes an `ObjFile` of them."""
+
     def __init__(self, path: Path) -> None:
         self.path = path
         self.positions: list[tuple[float, float, float]] = []
         self.position_lines: list[int] = []
-        self.colours: dict[int, tuple[float, float, float]] = {}
+        self.colors: dict[int, tuple[float, float, float]] = {}
         self.texture: list[tuple[float, float]] = []
-        # Corners of all polygons one after the other: vertex and texture coordinate, from 0, the latter -1 if absent.
+        # Indices from 0, of the corners of all polygons in a row; −1 for a corner without texture coordinate.
         self.corners: list[int] = []
         self.texture_corners: list[int] = []
         self.sizes: list[int] = []
@@ -91,6 +103,7 @@ class _Parser:
         self.libraries: list[str] = []
 
     def statement(self, number: int, line: str) -> None:
+        """Parse a line."""
         words = line.split()
         keyword = words[0] if words else ""
         if keyword == "f":
@@ -107,12 +120,14 @@ class _Parser:
                 self.current = self.names.setdefault(name, len(self.names))
 
     def _vertex(self, number: int, words: list[str]) -> None:
+        """Parse a vertex, with its colour if there is one."""
         if len(words) > 6 and not any(word[0] == "#" for word in words[4:7]):
-            self.colours[len(self.positions)] = (float(words[4]), float(words[5]), float(words[6]))
+            self.colors[len(self.positions)] = (float(words[4]), float(words[5]), float(words[6]))
         self.positions.append((float(words[1]), float(words[2]), float(words[3])))
         self.position_lines.append(number)
 
     def _face(self, number: int, words: list[str]) -> None:
+        """Parse a polygon."""
         count = 0
         vertices, textures = len(self.positions), len(self.texture)
         for word in words[1:]:
@@ -131,7 +146,7 @@ class _Parser:
 
     @staticmethod
     def _index(index: int, known: int, what: str) -> int:
-        """From 0; a positive index may be defined further down, so `finish` compares it with the total."""
+        """Convert an index of the file to one from 0. `finish` checks positive ones: their target may come later."""
         if index > 0:
             return index - 1
         if index == 0 or known + index < 0:
@@ -140,6 +155,7 @@ class _Parser:
         return known + index
 
     def finish(self, with_uv: bool) -> ObjFile:
+        """Check indices, triangulate polygons and return the content."""
         vertices = np.array(self.positions, dtype=np.float64).reshape(-1, 3)
         bad = ~fits_float32(vertices).all(axis=1)
         if bad.any():
@@ -152,22 +168,22 @@ class _Parser:
         self._check(corners, len(vertices), "vertex")
         triangles, polygon = triangulate(vertices, corners, sizes)
         uv = np.full((len(triangles), 3, 2), np.nan)
-        if with_uv and self.texture:  # a file that numbers coordinates but has none is taken to have none
+        if with_uv and self.texture:  # indices of coordinates are ignored in a file without coordinates
             texture_corners = np.array(self.texture_corners)
             self._check(texture_corners, len(self.texture), "texture coordinate")
-            # One more entry than the file has, so that -1, a corner without coordinates, finds NaN.
+            # −1, a corner without coordinates, reads the extra entry at the end.
             uv = np.array([*self.texture, (np.nan, np.nan)])[texture_corners[triangles]]
-        colours = np.full(vertices.shape, np.nan)
-        if self.colours:
-            colours[list(self.colours)] = list(self.colours.values())
-            colours[~np.isfinite(colours).all(axis=1)] = np.nan
-            if np.nanmax(colours, initial=0) > 1:  # some programs write 0 to 255
-                colours /= 255
-            colours = colours.clip(0, 1)
+        colors = np.full(vertices.shape, np.nan)
+        if self.colors:
+            colors[list(self.colors)] = list(self.colors.values())
+            colors[~np.isfinite(colors).all(axis=1)] = np.nan
+            if np.nanmax(colors, initial=0) > 1:  # some programs write 0 to 255
+                colors /= 255
+            colors = colors.clip(0, 1)
         return ObjFile(
             path=self.path,
             vertices=vertices,
-            colours=colours,
+            colors=colors,
             faces=corners[triangles],
             uv=uv,
             material=np.array(self.material)[polygon],
@@ -176,11 +192,12 @@ class _Parser:
         )
 
     def _check(self, corners: np.ndarray, known: int, what: str) -> None:
+        """Raise ValueError if an index is not below ``known``."""
         bad = corners >= known
         if bad.any():
             at = int(bad.argmax())
-            line = np.repeat(self.face_lines, self.sizes)[at]
-            limit = f"up to {known}" if known else f"of a {what} in the file"
-            raise ValueError(
-                f"{self.path}, line {line}: expected a {what} index {limit}, got {short(int(corners[at]) + 1)}"
-            )
+            line, index = np.repeat(self.face_lines, self.sizes)[at], short(int(corners[at]) + 1)
+            reason = f"expected a {what} index up to {known}, got {index}"
+            if not known:
+                reason = f"{what} {index} is used, but the file defines none"
+            raise ValueError(f"{self.path}, line {line}: {reason}")

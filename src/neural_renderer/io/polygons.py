@@ -1,4 +1,4 @@
-"""Polygons into triangles: a fan where that is right, ears cut off where the polygon is concave."""
+"""Triangulation of polygons: fans for convex ones, ear clipping for concave ones."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ from collections import deque
 
 import numpy as np
 
+_FLAT = 1e-6  # a triangle turned over by less than this share of the polygon's area does not make it concave
+
 
 def triangulate(points: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Split polygons into triangles.
 
     Args:
         points: [V, 3] float positions.
-        corners: [C] int, the vertex of each corner, polygon after polygon.
-        sizes: [P] int, corners of each polygon, at least 3.
+        corners: [C] int, vertex of each corner, polygon after polygon.
+        sizes: [P] int, number of corners of each polygon, ≥ 3.
 
     Returns:
-        The triangles as positions in ``corners`` ([F, 3] int, in the polygons' order) and the polygon of each ([F]).
-        A polygon with corners 0, 1, ..., n-1 becomes the fan (0, 1, 2), (0, 2, 3), ...; one for which that fan has a
-        triangle turned over (it is concave) is cut by its ears instead.
+        The triangles [F, 3] as indices into ``corners``, in the polygons' order, and the polygon of each triangle [F].
+        A polygon with corners 0, 1, …, n − 1 becomes the fan (0, 1, 2), (0, 2, 3), …. If a triangle of that fan is
+        turned over, the polygon is concave and is triangulated by ear clipping.
     """
     counts = sizes - 2
     starts, offsets = np.cumsum(sizes) - sizes, np.cumsum(counts) - counts
@@ -38,7 +40,7 @@ def triangulate(points: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> t
         normals = areas.sum(axis=1)
         length = np.linalg.norm(normals, axis=1)
         signed = np.einsum("ntk,nk->nt", areas, normals) / np.maximum(length, 1e-300)[:, None]
-        for which in np.flatnonzero(signed.min(axis=1) < -1e-6 * length):
+        for which in np.flatnonzero(signed.min(axis=1) < -_FLAT * length):
             polygon = chosen[which]
             ears = _cut_ears(outlines[which], normals[which])
             triangles[offsets[polygon] : offsets[polygon] + size - 2] = starts[polygon] + ears
@@ -46,15 +48,15 @@ def triangulate(points: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> t
 
 
 def _cut_ears(outline: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """The [n - 2, 3] triangles of one polygon [n, 3] float, flattened along its normal."""
+    """Clip the ears of one polygon [n, 3], projected along its normal: [n − 2, 3] indices of its corners."""
     drop = int(np.abs(normal).argmax())
     flat = np.delete(outline, drop, axis=1)
     if (normal[drop] < 0) != (drop == 1):  # dropping y mirrors the plane
         flat = flat * [-1, 1]
     ring = _Ring(flat)
     ears = []
-    # A corner comes up again when a neighbour of it is cut off, or the corner that blocks its ear. It waits its turn
-    # then, so that ears are cut from all around and none grows long.
+    # A corner is tested again when a neighbour is cut off, or the corner that blocks its ear. It goes to the end of the
+    # queue, so that ears are cut all around the polygon and stay short.
     queue, pending = deque(range(len(flat))), [1] * len(flat)
     blocked: dict[int, list[int]] = {}
     while queue:
@@ -75,14 +77,14 @@ def _cut_ears(outline: np.ndarray, normal: np.ndarray) -> np.ndarray:
         for corner in again:
             pending[corner] += 1
         queue.extend(again)
-    else:  # no corner is an ear, because the outline crosses itself or has no area: a fan
+    else:  # no ear is left, because the outline crosses itself or has no area: make a fan
         left = [corner for corner in range(len(flat)) if not ring.gone[corner]]
         ears += [(left[0], *pair) for pair in itertools.pairwise(left[1:])]
     return np.array(ears)
 
 
 class _Ring:
-    """The corners [n, 2] of a polygon that are left, and those of them at which it is concave."""
+    """Remaining corners of a polygon [n, 2] during ear clipping, as a linked list, with flags for concave corners."""
 
     def __init__(self, flat: np.ndarray) -> None:
         count = len(flat)
@@ -95,10 +97,10 @@ class _Ring:
         self._sorted = [values[order].tolist() for values, order in zip(flat.T, self._orders, strict=True)]
 
     def blocker(self, at: int) -> int | None:
-        """A concave corner in the triangle that the convex corner ``at`` would cut off."""
+        """Find a concave corner inside the ear at the convex corner ``at``, or None."""
         corners = [self.before[at], at, self.after[at]]
         triangle = [self._points[corner] for corner in corners]
-        # Those in the narrower of the strips, upright or level, that the triangle lies in.
+        # Candidates lie in the vertical and in the horizontal strip of the triangle; take the strip with fewer.
         strips = []
         for axis, (order, values) in enumerate(zip(self._orders, self._sorted, strict=True)):
             low, high = min(point[axis] for point in triangle), max(point[axis] for point in triangle)
@@ -109,12 +111,12 @@ class _Ring:
         inside = np.ones(len(strip), dtype=bool)
         for (ax, ay), (bx, by) in zip(triangle, triangle[1:] + triangle[:1], strict=True):
             inside &= (bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0
-            # A corner that only touches another (bridges to holes repeat vertices) does not lie in the triangle.
+            # A corner at the same place as one of the triangle is not inside. Bridges to holes repeat vertices.
             inside &= (x != ax) | (y != ay)
         return int(strip[inside.argmax()]) if inside.any() else None
 
     def cut(self, at: int) -> list[int]:
-        """Take a corner out; returns the corners that block no ear any more."""
+        """Remove a corner; return the corners that no longer block an ear."""
         before, after = self.before[at], self.after[at]
         self.after[before], self.before[after] = after, before
         self.gone[at], self.reflex[at] = True, False
@@ -123,6 +125,6 @@ class _Ring:
         return [corner for corner in (before, at, after) if not self.reflex[corner]]
 
     def _turn(self, at: int) -> float:
-        """Above 0 where the outline turns left."""
+        """Return a number > 0 if the outline turns left at this corner."""
         (ax, ay), (bx, by), (cx, cy) = (self._points[corner] for corner in (self.before[at], at, self.after[at]))
         return (bx - ax) * (cy - by) - (by - ay) * (cx - bx)

@@ -1,1 +1,1 @@
-"""Meshes: with texture cubes, with images, in batches; what is computed from vertices and faces alone."""
+"""Meshes with texture cubes or images, batches of meshes, primitives, normals and topology."""

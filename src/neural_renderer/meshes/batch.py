@@ -55,6 +55,11 @@ def join(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]:
 
     Raises:
         TypeError, ValueError: An item is not a `Mesh`, or devices or texture sizes differ.
+
+    Example:
+        >>> vertices, faces, textures = join([nr.Mesh.icosphere(1), nr.Mesh.icosphere(2)])
+        >>> faces.shape
+        torch.Size([400, 3])
     """
     _check(meshes)
     firsts = itertools.accumulate((len(mesh.vertices) for mesh in meshes[:-1]), initial=0)
@@ -79,6 +84,7 @@ def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
 
 
 def _check(meshes: Sequence[Mesh]) -> None:
+    """Raise TypeError or ValueError unless all items are meshes on one device with one texture size."""
     if not isinstance(meshes, (list, tuple)) or not all(isinstance(mesh, Mesh) for mesh in meshes):
         kinds = [type(mesh).__name__ for mesh in meshes] if isinstance(meshes, (list, tuple)) else type(meshes).__name__
         raise TypeError(f"meshes: expected a list of Mesh, got {kinds}")

@@ -1,4 +1,4 @@
-"""A mesh that can be optimised: `Mesh`."""
+"""`Mesh`: a mesh with texture cubes, as a module with parameters."""
 
 from __future__ import annotations
 
@@ -19,24 +19,36 @@ from .bounds import bounding_box
 
 
 class Mesh(nn.Module):
-    """Vertices, faces and a texture, as a module whose parameters are the vertices and the texture.
+    """Triangle mesh as a `torch.nn.Module`: vertices and textures are parameters, faces are a buffer.
 
-    `load`, `fromobj` and `icosphere` make one; `save` writes it; `normalize` centres and scales it; `get_batch` and
-    `set_lr` are those of the first packages. All other methods are `torch.nn.Module`'s: `to`, `parameters`, ….
+    `load`, `fromobj` and `icosphere` make a mesh, `save` writes it, `normalize` centres and scales it. `get_batch` and
+    `set_lr` are methods of the first packages. All other methods are those of `torch.nn.Module`: `to`, `parameters`, ….
+
+    ``Mesh(vertices, faces, textures)`` copies its arguments. ``Mesh("teapot.obj", texture_size, normalization)`` reads
+    the shape from an OBJ file and ignores its colours. Without textures, a mesh gets normal noise of standard deviation
+    0.05, to be optimised through the sigmoid of `get_batch`.
+
+    Args:
+        vertices: [V, 3] floating tensor or array, or the path of an OBJ file.
+        faces: [F, 3] tensor or array of whole numbers, on the device of the vertices.
+        textures: [F, T, T, T, 3] floating, or None for noise.
+        texture_size: T of the noise, ≥ 1.
+        normalization: For an OBJ file: centre its bounding box at the origin and scale its longest side to [−1, 1].
 
     Attributes:
         vertices: Parameter, float32 [V, 3].
         faces: Buffer, int32 [F, 3], indices into the vertices.
-        textures: Parameter, float32 [F, T, T, T, 3]. Texel (i, j, k) of a face's cube belongs to barycentric weights
-            (i, j, k) / (T - 1) of its corners 0, 1, 2; with T = 1 the face has one colour.
-
-    ``Mesh(vertices, faces, textures)`` copies what it is given (tensors on one device, or numpy arrays). Without
-    textures they are 0.05 times normal noise of size ``texture_size``, to be optimised through the sigmoid of
-    `get_batch`. ``Mesh("teapot.obj", texture_size, normalization)`` reads the shape from an OBJ file, with such noise.
+        textures: Parameter, float32 [F, T, T, T, 3]. Texel (i, j, k) of a face's cube lies at barycentric weights
+            (i, j, k) / (T − 1) of its corners 0, 1, 2. With T = 1 the face has one colour.
 
     Raises:
-        TypeError, ValueError: Other types or shapes, tensors on different devices, NaN or infinity, indices out of
-            range, no faces, T below 1.
+        TypeError, ValueError: A type, shape or device does not fit, a number is not finite, an index is out of range,
+            or there are no faces.
+
+    Example:
+        >>> vertices, faces = nr.cube()
+        >>> nr.Mesh(vertices, faces, torch.ones(12, 1, 1, 1, 3))
+        Mesh(8 vertices, 12 faces, textures of 1³, cpu)
     """
 
     vertices: nn.Parameter
@@ -85,7 +97,18 @@ class Mesh(nn.Module):
         texture_size: int = 4,
         allow_outside: bool = False,
     ) -> Mesh:
-        """Read an OBJ file (see `load_obj`), with its colours or, by default, with noise for a texture."""
+        """Read an OBJ file.
+
+        Args:
+            filename_obj: Path of the file.
+            normalization: Centre the bounding box at the origin and scale its longest side to [−1, 1].
+            load_texture: Read the colours; otherwise the texture is noise.
+            texture_size: T, texels along a cube's edge, ≥ 1.
+            allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
+
+        Raises:
+            OSError, TypeError, ValueError: As `load_obj`.
+        """
         loaded = load_obj(filename_obj, normalization, texture_size, load_texture, allow_outside=allow_outside)
         textures = loaded[2] if len(loaded) == 3 else None
         return cls(loaded[0], loaded[1], textures, texture_size)
@@ -98,50 +121,70 @@ class Mesh(nn.Module):
         normalize: bool = False,
         allow_outside: bool = False,
     ) -> Mesh:
-        """Read a mesh of any format (see `load_mesh`) with its colours, or white if it has none."""
+        """Read a mesh file with its colours, or white if it has none.
+
+        Args:
+            path: OBJ, PLY, STL, OFF, GLB or glTF file.
+            texture_size: T, texels along a cube's edge, ≥ 1.
+            normalize: Centre and scale the mesh; see `Mesh.normalize`.
+            allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
+
+        Raises:
+            OSError, TypeError, ValueError: As `load_mesh`.
+        """
         vertices, faces, textures = load_mesh(path, texture_size, allow_outside)
         mesh = cls(vertices, faces, _white(faces, texture_size) if textures is None else textures)
         return mesh.normalize() if normalize else mesh
 
     @classmethod
     def icosphere(cls, level: int = 3, radius: float = 1.0, texture_size: int = 4) -> Mesh:
-        """A white sphere of 10·4ˡᵉᵛᵉˡ + 2 vertices (see `primitives.icosphere`)."""
+        """Make a white sphere of 10·4ˡᵉᵛᵉˡ + 2 vertices; see the function `icosphere`."""
         vertices, faces = primitives.icosphere(level, radius)
         return cls(vertices, faces, _white(faces, texture_size))
 
     @property
     def num_vertices(self) -> int:
-        """V."""
+        """Number of vertices V."""
         return len(self.vertices)
 
     @property
     def num_faces(self) -> int:
-        """F."""
+        """Number of faces F."""
         return len(self.faces)
 
     @property
     def texture_size(self) -> int:
-        """T, texels along a cube's edge."""
+        """Number of texels T along a cube's edge."""
         return self.textures.shape[1]
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the mesh as OBJ, PLY or GLB (see `save_mesh`), its textures taken as colours and clamped to [0, 1]."""
+        """Write the mesh as OBJ, PLY or GLB, with textures clamped to [0, 1]; see `save_mesh`."""
         save_mesh(path, self.vertices, self.faces, self.textures, overwrite=overwrite)
 
     def normalize(self) -> Mesh:
-        """A copy of the mesh with its bounding box centred at the origin and the box's longest side from -1 to 1.
+        """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
 
-        Raises ValueError if all vertices coincide, or are not finite.
+        Raises:
+            ValueError: All vertices coincide, or one is not finite.
+
+        Example:
+            >>> nr.Mesh.icosphere(radius=3.0).normalize().vertices.max().item()
+            1.0
         """
         result = copy.deepcopy(self)
         with torch.no_grad():
-            result.vertices.copy_(centred(self.vertices))
+            result.vertices.copy_(centered(self.vertices))
         return result
 
     def get_batch(self, batch_size: int) -> tuple[Tensor, Tensor, Tensor]:
-        """The mesh ``batch_size`` times, as views: vertices [B, V, 3], faces [B, F, 3], textures [B, F, T, T, T, 3].
+        """Repeat the mesh ``batch_size`` times, without a copy.
 
-        The textures are the sigmoid of the parameter, so that optimising it cannot leave [0, 1].
+        Returns:
+            Vertices [B, V, 3], faces [B, F, 3] and textures [B, F, T, T, T, 3]. The textures are the sigmoid of the
+            parameter, so that they stay in [0, 1] during optimisation.
+
+        Raises:
+            TypeError, ValueError: ``batch_size`` is not a whole number ≥ 0.
         """
         batch_size = validate.whole("batch_size", batch_size, 0)
         parts = self.vertices, self.faces, torch.sigmoid(self.textures)
@@ -149,9 +192,9 @@ class Mesh(nn.Module):
         return vertices, faces, textures
 
     def set_lr(self, lr_vertices: float, lr_textures: float) -> None:
-        """Set the factors by which `neural_renderer.Adam` multiplies its step for the vertices and the textures.
+        """Set the factors of the learning rate that `neural_renderer.Adam` uses for vertices and textures.
 
-        They stay with copies and pickles of the mesh, but are no part of its `state_dict`.
+        Copies and pickles of the mesh keep the factors; its `state_dict` does not.
         """
         self.vertices.lr = lr_vertices  # type: ignore[attr-defined]
         self.textures.lr = lr_textures  # type: ignore[attr-defined]
@@ -160,7 +203,7 @@ class Mesh(nn.Module):
         result = memo[id(self)] = type(self).__new__(type(self))
         result.__dict__ = copy.deepcopy(self.__dict__, memo)
         for mine, theirs in zip(self.parameters(), result.parameters(), strict=True):
-            theirs.__dict__.update(mine.__dict__)  # the rates of `set_lr`, which torch leaves behind
+            theirs.__dict__.update(mine.__dict__)  # the factors of `set_lr`; torch does not copy them
         return result
 
     def __repr__(self) -> str:
@@ -168,8 +211,8 @@ class Mesh(nn.Module):
         return f"Mesh({self.num_vertices} vertices, {self.num_faces} faces, textures of {self.texture_size}³, {device})"
 
 
-def centred(vertices: Tensor) -> Tensor:
-    """Vertices [V, 3] moved and scaled into [-1, 1] (see `Mesh.normalize`), detached, float64."""
+def centered(vertices: Tensor) -> Tensor:
+    """Move and scale vertices [V, 3] into [−1, 1], detached, in float64; see `Mesh.normalize`."""
     vertices = validate.vertices(validate.has_numbers("vertices", vertices)).detach().double()
     center, half = bounding_box(vertices)
     if half == 0:
@@ -178,11 +221,13 @@ def centred(vertices: Tensor) -> Tensor:
 
 
 def _as_tensor(value: Any) -> Any:
+    """Convert an array to a tensor; return other values unchanged."""
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
     return value
 
 
 def _white(faces: Tensor, texture_size: int) -> Tensor:
+    """Make white texture cubes [F, T, T, T, 3]."""
     size = validate.whole("texture_size", texture_size, 1)
     return torch.ones(len(faces), size, size, size, 3, device=faces.device)

@@ -9,7 +9,9 @@ from torch.nn import functional
 from .. import validate
 from ..raster.rasterize import checked_faces, vertices_to_faces
 
-_LARGE = 1e4  # coordinates up to which normals are computed as they are
+_LARGE = 1e4  # faces with larger coordinates are scaled down before their normals are computed
+_TINY = 1e-20  # smallest divisor of a vertex normal
+_SMALLEST_SINE = 1e-5  # a face with a smaller area, relative to its squared edge length, has a normal shorter than 1
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -44,7 +46,7 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     first = count * torch.arange(batch, device=faces.device)
     places = (faces + first[:, None, None]).reshape(-1)
     sums = normals.new_zeros(batch * count, 3).index_add(0, places, normals.repeat_interleave(3, 1).reshape(-1, 3))
-    return functional.normalize(sums.view(batch, count, 3), dim=-1, eps=1e-20)
+    return functional.normalize(sums.view(batch, count, 3), dim=-1, eps=_TINY)
 
 
 def face_normals(corners: Tensor) -> Tensor:
@@ -65,12 +67,12 @@ def face_normals(corners: Tensor) -> Tensor:
     # The first packages divide by max(area, 1e-5), which darkens the small faces of a fine mesh. Here the floor is
     # relative to the squared edge length: it affects slivers only, and equals theirs for edges longer than 1.
     size = torch.maximum((a * a).sum(-1, keepdim=True), (b * b).sum(-1, keepdim=True)).detach()
-    floor = 1e-5 * size.clamp(1e-12, 1)
+    floor = _SMALLEST_SINE * size.clamp(1e-12, 1)
     normal = normal / torch.maximum(torch.linalg.vector_norm(normal, dim=-1, keepdim=True), floor)
     return normal.to(corners.dtype)
 
 
 def _in_range(corners: Tensor, dims: tuple[int, ...]) -> Tensor:
-    """Corners divided by a common scale over ``dims`` where they are so large that squared areas overflow."""
+    """Scale large corners down, by one factor over ``dims``, so that squared areas do not overflow."""
     largest = corners.detach().abs().amax(dims, keepdim=True) if corners.numel() else corners.new_ones(())
     return corners / (largest / _LARGE).clamp(min=1)

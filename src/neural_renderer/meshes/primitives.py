@@ -8,6 +8,8 @@ from torch import Tensor
 
 from .. import validate
 
+_MOST_LEVELS = 8  # 655,362 vertices
+
 
 def icosphere(level: int = 3, radius: float = 1.0) -> tuple[Tensor, Tensor]:
     """Make a sphere by subdividing an icosahedron.
@@ -32,8 +34,8 @@ def icosphere(level: int = 3, radius: float = 1.0) -> tuple[Tensor, Tensor]:
         (torch.Size([642, 3]), torch.Size([1280, 3]))
     """
     level, radius = validate.whole("level", level, 0), validate.positive("radius", radius)
-    if level > 8:
-        raise ValueError(f"level: expected 0 to 8, got {level}")
+    if level > _MOST_LEVELS:
+        raise ValueError(f"level: expected 0 to {_MOST_LEVELS}, got {level}")
     ring = np.arange(5)
     angle = 2 * np.pi * ring / 5
     upper = np.stack([2 * np.cos(angle), np.ones(5), -2 * np.sin(angle)], axis=1) / np.sqrt(5)
@@ -63,13 +65,21 @@ def _subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def cube(size: float = 2.0) -> tuple[Tensor, Tensor]:
-    """Make a cube of side ``size``.
+    """Make a cube.
+
+    Args:
+        size: Side length, > 0.
 
     Returns:
         Vertices [8, 3] float32 and faces [12, 3] int32.
 
     Raises:
         TypeError, ValueError: ``size`` is not > 0.
+
+    Example:
+        >>> vertices, faces = cube(size=1.0)
+        >>> vertices.min().item(), vertices.max().item()
+        (-0.5, 0.5)
     """
     size = validate.positive("size", size)
     vertices = np.array(list(np.ndindex(2, 2, 2))) - 0.5  # vertex 4x + 2y + z
@@ -91,6 +101,11 @@ def torus(radius: float = 0.7, tube: float = 0.3, segments: int = 48, sides: int
 
     Raises:
         TypeError, ValueError: An argument is out of range.
+
+    Example:
+        >>> vertices, faces = torus(segments=16, sides=8)
+        >>> vertices.shape, faces.shape
+        (torch.Size([128, 3]), torch.Size([256, 3]))
     """
     radius, tube = validate.positive("radius", radius), validate.positive("tube", tube)
     segments, sides = validate.whole("segments", segments, 3), validate.whole("sides", sides, 3)

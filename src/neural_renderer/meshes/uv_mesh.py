@@ -1,4 +1,4 @@
-"""Meshes whose colour is images seen through texture coordinates, as artists and files have it."""
+"""`UVMesh`: a mesh with images and texture coordinates."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from torch.nn import functional
 
 from .. import validate
 from ..io.formats import read_mesh
-from ..io.mesh_writer import save_painted
-from ..io.surface_colors import Skin
+from ..io.mesh_writer import save_uv_mesh
+from ..io.surface_colors import SurfaceColors
 from ..textures.gutters import fill_gutters
 from ..textures.sample_texture import checked_wrap, sampled
-from .mesh import centred
+from .mesh import centered
 
 if TYPE_CHECKING:
     from ..deferred import Fragments
@@ -24,22 +24,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class UVMesh:
-    """A mesh with images as its albedo, to be sampled at every pixel and not baked into cubes.
+    """Triangle mesh with images as albedo, sampled at every pixel.
 
-    `render` and `fragments` draw it. Replace a tensor by one that asks for gradients (``dataclasses.replace``) to fit
-    it.
+    `render` and `fragments` draw it. To optimise a tensor, replace it by one that requires gradients
+    (``dataclasses.replace``).
 
     Attributes:
-        vertices: [V, 3] float32. faces: [F, 3] int32.
-        uv: [F, 3, 2] float32, where each face's corners lie on its image: u to the right, v up, the image over [0, 1]².
-        image_index: [F] int64, the number of the face's image; -1 where it has none.
-        images: [H, W, 3] float32 each, row 0 at the top.
-        colors: [F, 3, 3] float32, the RGB of the corners of faces without an image.
-        wraps: for each image what lies beyond [0, 1], as in `sample_texture`.
+        vertices: [V, 3] float32.
+        faces: [F, 3] int32, indices into the vertices.
+        uv: [F, 3, 2] float32, texture coordinates of the faces' corners: u to the right, v up, the image over [0, 1]².
+        image_index: [F] int64, index into ``images``; −1 for a face without an image.
+        images: [H, W, 3] float32 each, RGB, row 0 at the top. Sizes may differ.
+        colors: [F, 3, 3] float32, RGB at the corners of faces without an image.
+        wraps: "repeat" or "clamp" for each image, as in `sample_texture`.
 
-    >>> mesh = UVMesh.load("spot.obj")                                          # doctest: +SKIP
-    >>> images = render(mesh, Camera.look_at((0, 1, -2.7), viewing_angle=30))   # doctest: +SKIP
-    >>> mesh.save("spot.glb")                                                   # doctest: +SKIP
+    Example:
+        >>> vertices, faces = nr.cube()
+        >>> uv = torch.tensor([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]).expand(12, 3, 2)
+        >>> image = torch.rand(64, 64, 3, requires_grad=True)
+        >>> index, colors = torch.zeros(12, dtype=torch.int64), torch.ones(12, 3, 3)
+        >>> cube = nr.UVMesh(vertices, faces, uv, index, (image,), colors, ("repeat",))
+        >>> nr.render(cube, camera, 64).rgb.mean().backward()
     """
 
     vertices: Tensor
@@ -52,21 +57,30 @@ class UVMesh:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], grey: float = 0.5, allow_outside: bool = False) -> UVMesh:
-        """Read an OBJ, PLY, STL, OFF, GLB or glTF file with its materials, unbaked, to the CPU.
+        """Read a mesh file with its materials and images, to the CPU.
 
-        What lies between an image's charts, which mipmaps would mix into their borders, is filled with the colours
-        around it (`fill_gutters`). A file without colour is ``grey``. Images of GLB and glTF repeat beyond [0, 1],
-        whatever the file's samplers say. An image that several materials share is one of ``images``. ``allow_outside``
-        and what is raised are those of `load_mesh`.
+        The gaps between an image's charts are filled (`fill_gutters`). An image that several materials share appears
+        once in ``images``. Images of GLB and glTF files always repeat beyond [0, 1]; their samplers are ignored.
+
+        Args:
+            path: OBJ, PLY, STL, OFF, GLB or glTF file.
+            grey: Colour of a mesh without colours, in [0, 1].
+            allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
+
+        Raises:
+            OSError, TypeError, ValueError: As `load_mesh`.
+
+        Example:
+            >>> spot = nr.UVMesh.load("spot.obj")  # doctest: +SKIP
         """
-        vertices, faces, skin, _ = read_mesh(path, allow_outside)
-        skin = skin or Skin.plain(len(faces), validate.number("grey", grey))
-        uv = torch.from_numpy(skin.uv).float()
-        index = torch.from_numpy(skin.image).long()
-        wraps = tuple("repeat" if wrapping == "REPEAT" else "clamp" for wrapping in skin.wrapping)
+        vertices, faces, surface, _ = read_mesh(path, allow_outside)
+        surface = surface or SurfaceColors.plain(len(faces), validate.number("grey", grey))
+        uv = torch.from_numpy(surface.uv).float()
+        index = torch.from_numpy(surface.image).long()
+        wraps = tuple("repeat" if wrapping == "REPEAT" else "clamp" for wrapping in surface.wrapping)
         images = [
             fill_gutters(torch.from_numpy(image).float(), uv[index == number], wrap=wrap)
-            for number, (image, wrap) in enumerate(zip(skin.images, wraps, strict=True))
+            for number, (image, wrap) in enumerate(zip(surface.images, wraps, strict=True))
         ]
         return cls(
             vertices=torch.from_numpy(vertices).float(),
@@ -74,55 +88,69 @@ class UVMesh:
             uv=uv,
             image_index=index,
             images=tuple(images),
-            colors=torch.from_numpy(skin.colors),
+            colors=torch.from_numpy(surface.colors),
             wraps=wraps,
         )
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the mesh as OBJ or as GLB, where images repeat beyond [0, 1]; colours are clamped to [0, 1].
+        """Write the mesh as OBJ or GLB, with colours clamped to [0, 1].
 
-        Beside ``spot.obj`` come ``spot.mtl`` and ``spot_texture.png``, or ``spot_texture_1.png`` and so on. The faces
-        of each image come together; those without one get one together, with a tile for each.
+        With ``spot.obj`` this writes ``spot.mtl`` and ``spot_texture.png``, or ``spot_texture_1.png`` and so on. Faces
+        are grouped by image; those without an image share one more image, with a tile for each. Images of GLB files
+        always repeat beyond [0, 1].
 
         Args:
-            path: Ends in ``.obj`` or ``.glb``; missing folders are made. A file of that name is replaced.
-            overwrite: Replace the files beside an OBJ whoever made them; otherwise only those that were written with
-                an OBJ of this name before. So a model from elsewhere keeps its materials and images.
+            path: Name that ends in ``.obj`` or ``.glb``. A file of this name is replaced, missing folders are made.
+            overwrite: Replace any MTL and PNG beside an OBJ. By default only those are replaced that were written with
+                an OBJ of this name, so that a foreign model keeps its materials and images.
 
         Raises:
-            TypeError, ValueError: Another suffix, NaN, and tensors that do not fit together.
-            FileExistsError: A file beside an OBJ would be replaced that was not written with it.
-            OSError: The files cannot be written. All that was there before stays.
+            TypeError, ValueError: The suffix is unknown, a tensor does not fit, or a number is not finite.
+            FileExistsError: The MTL or a PNG would replace a foreign file.
+            OSError: A file cannot be written. All existing files stay as they were.
         """
         self._check(always=True)
-        skin = Skin(
+        surface = SurfaceColors(
             self.colors.detach().float().cpu().numpy(),
             self.image_index.long().cpu().numpy(),
             self.uv.detach().double().cpu().numpy(),
             [image.detach().float().cpu().numpy() for image in self.images],
             ["REPEAT" if wrap == "repeat" else "CLAMP_TO_EDGE" for wrap in self.wraps],
         )
-        save_painted(path, self.vertices, self.faces, skin, overwrite=overwrite)
+        save_uv_mesh(path, self.vertices, self.faces, surface, overwrite=overwrite)
 
     def shade(self, seen: Fragments) -> Tensor:
-        """The albedo [B, H, W, 3] float32 of what is seen of this mesh, each image filtered by its mipmaps.
+        """Sample the albedo of each pixel, with mipmaps.
 
-        Gradients reach images, colors and, with ``gradient="edge"``, the vertices by what moves under the pixels. Where
-        the images' charts do not match, colours jump at their seams: `Fragments.composite` has to be told (``seams``).
-        Raises ValueError if ``seen`` is of a mesh with another number of faces.
+        Gradients flow to images and colors, and, with ``gradient="edge"``, to vertices. If adjacent charts differ in
+        colour at their border, pass ``seams`` to `Fragments.composite`.
+
+        Args:
+            seen: Fragments of this mesh; see `fragments`.
+
+        Returns:
+            [B, H, W, 3] float32, RGB.
+
+        Raises:
+            ValueError: ``seen`` belongs to a mesh with another number of faces.
+
+        Example:
+            >>> spot = nr.UVMesh.load("spot.obj")               # doctest: +SKIP
+            >>> seen = nr.fragments(spot, camera, 128)          # doctest: +SKIP
+            >>> images = seen.composite(spot.shade(seen))       # doctest: +SKIP
         """
         self._check()
         count = len(self.uv)
         corners = torch.arange(3 * count, device=self.uv.device).view(count, 3)
         plain = self.image_index < 0
-        parts = []  # each 0 where another one is seen
+        parts = []  # images to add up; each is 0 where another one is visible
         if not self.images or bool(plain.any()):
             parts.append(seen.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
         if self.images:
             uv = seen.interpolate(self.uv.reshape(-1, 2), corners)
             shown = None
             if len(self.images) > 1 or parts:
-                # One more than there are faces: -1, which is no face, finds the last.
+                # Face −1 (background) reads the extra entry at the end.
                 shown = torch.cat((self.image_index, self.image_index.new_tensor([-1])))[seen.face_index.long()]
             for number, (image, wrap) in enumerate(zip(self.images, self.wraps, strict=True)):
                 own = seen.face_index if shown is None else torch.where(shown == number, seen.face_index, -1)
@@ -130,7 +158,7 @@ class UVMesh:
         return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
 
     def _check(self, always: bool = False) -> None:
-        """TypeError or ValueError unless all parts fit together; values are checked as `validate.finite` does it."""
+        """Raise TypeError or ValueError unless all attributes fit together; ``always`` as in `validate.finite`."""
         count = len(self.faces)
         for name, value, shape in (("uv", self.uv, (count, 3, 2)), ("colors", self.colors, (count, 3, 3))):
             validate.finite(name, validate.floating(name, value, shape).float(), always)
@@ -153,18 +181,18 @@ class UVMesh:
                 raise ValueError(f"image_index: expected one of {len(self.images)} images or -1, got {wrong}")
 
     def normalize(self) -> UVMesh:
-        """The same, centred at the origin and its longest side from -1 to 1; see `Mesh.normalize`."""
-        return replace(self, vertices=centred(self.vertices).float())
+        """Copy the mesh, centred at the origin, with its longest side from −1 to 1; see `Mesh.normalize`."""
+        return replace(self, vertices=centered(self.vertices).float())
 
     def resized(self, side: int) -> UVMesh:
-        """The same with all images of ``side`` x ``side`` pixels, filtered; where they lie on the mesh stays."""
+        """Copy the mesh with all images resized to ``side`` × ``side`` pixels, with antialiasing."""
         size = (validate.whole("side", side, 1),) * 2
         images = [image.movedim(2, 0)[None] for image in self.images]
         resized = [functional.interpolate(image, size, mode="bilinear", antialias=True) for image in images]
         return replace(self, images=tuple(image[0].movedim(0, 2).contiguous() for image in resized))
 
     def to(self, device: torch.device | str) -> UVMesh:
-        """The same with all tensors on ``device``."""
+        """Copy the mesh to another device."""
 
         def moved(value: Any) -> Any:
             if isinstance(value, tuple):

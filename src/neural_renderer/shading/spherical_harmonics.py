@@ -13,7 +13,7 @@ from ..camera.parameters import Array, batch_of, batch_size, parameter
 from ..meshes.normals import face_normals
 
 _PI = math.pi
-# Diffuse reflection as a filter: the factors of bands 0, 1, 2 of max(cos, 0) / π in spherical harmonics.
+# Spherical harmonic coefficients of the diffuse kernel max(cos, 0) / π: 1 for band 0, 2/3 for band 1, 1/4 for band 2.
 _BANDS = torch.tensor([1.0] + [2 / 3] * 3 + [1 / 4] * 5)
 
 
@@ -54,7 +54,11 @@ class SphericalHarmonicLight:
             normals: [B, ..., 3] floating unit vectors, of faces or of pixels.
 
         Returns:
-            [B, ..., 3], one value for each colour channel, ≥ 0.
+            [B, ..., 3], one value for each colour channel, ≥ 0. Differentiable in normals and coefficients.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
+                finite.
         """
         validate.floating("normals", normals, ("B",) + ("N",) * max(1, getattr(normals, "ndim", 3) - 2) + (3,))
         validate.finite("normals", normals)

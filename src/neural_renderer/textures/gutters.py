@@ -10,9 +10,9 @@ from .. import validate
 from ..raster.rasterize import rasterize_images
 from .sample_texture import checked_wrap
 
-# A circle of this radius, in texels, always contains the centre of a texel.
-_HOLDS_A_CENTRE = 0.7072
-_MOST_PLACES = 1 << 22  # sampled points on small faces: about a second of work
+# Every circle of this radius, in texels, contains the centre of a texel: √2 / 2, rounded up.
+_COVERING_RADIUS = 0.7072
+_MOST_SAMPLES = 1 << 22  # points sampled on small faces: about a second of work
 
 
 def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wrap: str = "repeat") -> Tensor:
@@ -95,7 +95,7 @@ def _small(places: Tensor) -> Tensor:
     sides = places.roll(-1, 1) - places
     area = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).abs()
     radius = area / sides.norm(dim=2).sum(1).clamp(min=1e-12)  # of the inscribed circle
-    return places[radius < _HOLDS_A_CENTRE]
+    return places[radius < _COVERING_RADIUS]
 
 
 def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | None:
@@ -107,7 +107,7 @@ def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | 
     end = torch.cat((places.roll(-1, 1), (places.roll(-1, 1) + places.roll(-2, 1)) / 2), 1)
     begin, way = begin.reshape(-1, 2), (end - begin).reshape(-1, 2)
     steps = (2 * way.norm(dim=1)).ceil().long() + 1  # half a texel apart, or less
-    if float((steps + 1).double().sum()) > _MOST_PLACES:
+    if float((steps + 1).double().sum()) > _MOST_SAMPLES:
         return None
     line = torch.arange(len(steps), device=places.device).repeat_interleave(steps + 1)
     step = torch.arange(len(line), device=places.device) - (steps + 1).cumsum(0)[line] + steps[line] + 1

@@ -36,7 +36,7 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
     Example:
         >>> texture = torch.rand(256, 256, 3, requires_grad=True)
         >>> seen = nr.fragments(mesh, camera, 128)
-        >>> uv = seen.interpolate(0.5 + 0.5 * mesh.vertices[:, :2])  # any [V, 2] → [B, 256, 256, 2]
+        >>> uv = seen.interpolate(0.5 + 0.5 * mesh.vertices[:, :2])  # any [V, 2] → [B, 128, 128, 2]
         >>> image = seen.composite(sample_texture(texture, uv, seen.face_index))
     """
     validate.floating("texture", texture, ("h", "w", "C") if getattr(texture, "ndim", 4) == 3 else ("B", "h", "w", "C"))
@@ -56,7 +56,7 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
 
 
 def sampled(image: Tensor, uv: Tensor, face_index: Tensor | None, wrap: str) -> Tensor:
-    """`sample_texture` of arguments that are checked already: image [B or 1, h, w, C] float32, uv float32."""
+    """Apply `sample_texture` to valid arguments: image [B or 1, h, w, C] float32, uv float32."""
     height, width = image.shape[1:3]
     if face_index is None:
         face_index = torch.zeros(uv.shape[:3], dtype=torch.int32, device=uv.device)

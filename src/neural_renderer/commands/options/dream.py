@@ -12,8 +12,8 @@ from .edit import EditOptions
 class DreamOptions(EditOptions):
     """Apply DeepDream to the texture and the shape of a mesh.
 
-    Images of the mesh from all sides are optimised for large activations in a layer of GoogLeNet: torchvision's, which
-    is downloaded once (50 MB), or the network of --weights.
+    Images of the mesh from all sides are optimised for large activations in a layer of GoogLeNet. torchvision's weights
+    are downloaded once (50 MB); --weights reads others.
 
     Example: neural-renderer dream bunny.obj -o out
 

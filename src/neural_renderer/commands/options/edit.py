@@ -11,15 +11,15 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class EditOptions:
-    """Options of both commands. The preset decides those that are None."""
+    """Options of both commands. The preset replaces None."""
 
     mesh: tyro.conf.Positional[Path]
     """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the results; it is made if missing."""
     preset: Literal["paper", "published"] = "paper"
-    """Default settings: the paper's, with losses that suit any network and mesh; or those of the published code, which
-    suit the paper's network only."""
+    """Default settings. paper: the paper's, with losses that suit any network and mesh; published: those of the
+    published code, for the paper's network only."""
     weights: Path | None = None
     """File with the weights of the network, .safetensors or .pth. By default they are downloaded once."""
     iterations: int | None = None
@@ -33,14 +33,14 @@ class EditOptions:
     texture_rate: float | None = None
     """Learning rate of the colours (0: fixed); by default the preset's."""
     settle: float | None = None
-    """Fraction of the steps (0 to 1), at the end, in which both learning rates decay to 0; by default the preset's."""
+    """Both learning rates decay to 0 in this last fraction of the steps (0 to 1); by default the preset's."""
     elevation: tuple[float, float] | None = None
     """Least and greatest elevation of the camera in degrees (between -90 and 90); by default the preset's."""
     distance: float | None = None
     """Distance of the camera from the centre of the mesh, whose longest side is 2; by default the preset's."""
     init: Literal["mesh", "random"] | None = None
-    """Initial colours: the mesh's own, which for a mesh without colours is the painting's mean colour (style) or grey
-    (dream); or random greys. By default the preset's."""
+    """Initial colours. mesh: the mesh's own, or, for a mesh without colours, the painting's mean colour (style) or grey
+    (dream); random: grey with noise. By default the preset's."""
     texture_size: int = 4
     """Texels along the edge of a face's texture (at least 3, or 1 if not seamless). Meshes with few faces need more."""
     uv: int | None = None
@@ -50,7 +50,7 @@ class EditOptions:
     seamless: bool | None = None
     """Share texels on edges between adjacent faces, so that there are no seams; by default the preset's."""
     bend: float | None = None
-    """Weight of the bending loss, which makes neighbouring vertices move alike; by default the preset's."""
+    """Weight of the bending loss. It makes adjacent vertices move alike. By default the preset's."""
     variation: float | None = None
     """Weight of the total variation of the images; by default the preset's."""
     gradient: Literal["nmr", "edge"] = "nmr"

@@ -32,7 +32,7 @@ class FitOptions:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the results; it is made if missing."""
     recover: Literal["shape", "texture", "camera"] = "shape"
-    """What to recover: the shape, followed by the texture if there are photos; the texture only; or the camera."""
+    """Unknown to recover. shape: the shape, then the texture if there are photos; texture: the texture only; camera."""
     mesh: Path | None = None
     """Initial mesh, or the known mesh for --recover texture or camera, in the world of the cameras."""
     start: Literal["hull", "sphere"] = "hull"
@@ -40,11 +40,11 @@ class FitOptions:
     cells: int = 64
     """Grid cells along each axis for the visual hull (at least 8). Thin parts need more."""
     photos: bool = True
-    """Use the colours of the images. Without, images are silhouettes."""
+    """Use the colours of the images. Without photos, images are silhouettes."""
     background: tuple[float, float, float] | None = None
     """Red, green and blue (0 to 1) of the background, for images without transparency or mask."""
     size: int = 256
-    """Longer side in pixels to which larger images are scaled down (at least 16)."""
+    """Scale larger images down to this longer side in pixels (at least 16)."""
     held_out: int = 0
     """Hold out every n-th view for the report (at least 2; 0: none)."""
     steps: int = 150
@@ -62,8 +62,8 @@ class FitOptions:
     gradient: Literal["edge", "nmr"] = "edge"
     """Gradient estimator of the renderer."""
     color_from: Annotated[float, tyro.conf.arg(aliases=["--colour-from"])] = 1.0
-    """Fraction of the steps (0 to 1) after which colours move the shape too. 0.3 recovers some hollows that silhouettes
-    do not show, in twice the time."""
+    """After this fraction of the steps (0 to 1), colours move the shape, too. Silhouettes do not show hollows; 0.3
+    recovers some of them, in twice the time."""
     weights: FitWeights = field(default_factory=FitWeights)
     """Weights of the losses."""
     turntable: int = 36

@@ -35,10 +35,10 @@ class RenderOptions:
     orthographic: bool = False
     """Use orthographic projection. Distance and viewing angle then do not change sizes."""
     mode: Literal["rgb", "silhouettes", "depth", "normals"] = "rgb"
-    """What to draw: colours; silhouettes, white on black; depth, near is bright; or normals in camera space, red to the
-    right, green up, blue towards the viewer."""
+    """Content of the picture. rgb: colours; silhouettes: white on black; depth: near is bright; normals: in camera
+    space, red to the right, green up, blue towards the viewer."""
     turntable: int | None = None
-    """Number of pictures of a turntable, which starts at the azimuth (at least 1). 60 by default for an animation."""
+    """Number of pictures of a turntable (at least 1), from the azimuth on. 60 by default for an animation."""
     fps: float = 20.0
     """Pictures per second of an animation (above 0)."""
     background: Literal["white", "black", "transparent"] | tuple[float, float, float] | None = None

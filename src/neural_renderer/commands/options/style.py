@@ -15,8 +15,8 @@ from .edit import EditOptions
 class StyleOptions(EditOptions):
     """Transfer the style of a painting to the texture and the shape of a mesh.
 
-    Images of the mesh from all sides are optimised to have the painting's feature statistics in layers of a network:
-    VGG-16, which is downloaded once (528 MB), or the VGG of --weights.
+    Images of the mesh from all sides are optimised to have the painting's feature statistics in layers of a VGG. The
+    weights of VGG-16 are downloaded once (528 MB); --weights reads others.
 
     Example: neural-renderer style bunny.obj starry_night.jpg -o out
 
@@ -32,9 +32,9 @@ class StyleOptions(EditOptions):
     painting: tyro.conf.Positional[Path]
     """Picture with the style: PNG, JPEG or any other format that Pillow reads."""
     content: float | None = None
-    """Weight of the content loss, which keeps vertices near their initial positions; by default the preset's."""
+    """Weight of the content loss. It keeps vertices near their initial positions. By default the preset's."""
     palette: float | None = None
-    """Weight of the palette loss, which penalises colours that the painting does not have; by default the preset's."""
+    """Weight of the palette loss. It penalises colours outside the painting's palette. By default the preset's."""
     light: tuple[float, float] | None = None
     """Ambient and directional intensity of the light; by default the preset's."""
     painting_scale: float = 1.0

@@ -10,7 +10,8 @@ from rich.table import Table
 
 from ...io import save_image
 from ...tasks.reconstruction.data.arrays import SPLITS, open_split
-from ...tasks.reconstruction.data.dataset import Settings, assemble, existing_names, make_objects
+from ...tasks.reconstruction.data.assemble import assemble, existing_names
+from ...tasks.reconstruction.data.dataset import Settings, make_objects
 from ...tasks.reconstruction.data.framing import SIZE, VIEWS
 from ...tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
 from ...tasks.reconstruction.evaluation.check_axes import check_axes
@@ -33,7 +34,7 @@ def run(options: DatasetOptions) -> int:
     settings = Settings(options.views, options.size, options.samples)
     make_folder("OUT", options.out)
     if not _make(options, [model for model in models if _key(model) in chosen], settings, broken):
-        say(f"interrupted; the same command continues from what is in {options.out}")
+        say(f"interrupted; the same command continues with the finished objects in {options.out}")
         return 130
     splits: Splits = {}
     for model in models:
@@ -47,6 +48,7 @@ def run(options: DatasetOptions) -> int:
 
 
 def _key(model: Model) -> tuple[str, str]:
+    """Return category and name of a model."""
     return model.category, model.name
 
 
@@ -74,8 +76,8 @@ def _check_earlier_splits(options: DatasetOptions, chosen: dict[tuple[str, str],
                 now = chosen.get((category, name), earlier)
                 if now != earlier:
                     raise ValueError(
-                        f"{options.out}: expected a folder in which {category}/{name} is in {now}, got one with it in "
-                        f"{earlier}; choose another folder"
+                        f"{options.out}: expected {category}/{name} in the split {now}, got it in {earlier} from an "
+                        "earlier run; choose another folder"
                     )
 
 

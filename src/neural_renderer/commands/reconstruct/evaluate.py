@@ -72,6 +72,7 @@ def _check_options(options: EvaluateOptions) -> None:
 
 
 def _checkpoints(options: EvaluateOptions) -> list[Path]:
+    """List the checkpoint files to evaluate."""
     return ([] if options.checkpoint == "none" else [Path(options.checkpoint)]) + list(options.also)
 
 
@@ -120,12 +121,14 @@ def _evaluate(label: str, predict: Predictor, split: Split, device: torch.device
 
 @contextmanager
 def _progress() -> Iterator[Progress]:
+    """Open a progress bar on standard error."""
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
     with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as progress:
         yield progress
 
 
 def _on_device(predict: Predictor, device: torch.device) -> Predictor:
+    """Wrap a method so that it moves images to a device."""
     return lambda images: predict(images.to(device))
 
 

@@ -121,6 +121,7 @@ def _write(
 
 
 def _beside(target: Path, name: str) -> Path:
+    """Return the path of an additional file of a mesh: ``chair.obj`` → ``chair_sheet.png``."""
     return target.with_name(f"{target.stem}_{name}")
 
 

@@ -129,9 +129,9 @@ def _has_features(weights: dict[str, Tensor], features: FeatureNetwork) -> bool:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Suppress Lightning's messages, which are advice for programmers.
+    """Suppress Lightning's messages. They are advice for programmers.
 
-    Errors of TensorBoard's thread about a full disk are suppressed too, because its next write raises them again.
+    Errors about a full disk in TensorBoard's thread are suppressed, too: its next write raises them again.
     """
     logger = logging.getLogger("lightning.pytorch")
     level, hook = logger.level, threading.excepthook

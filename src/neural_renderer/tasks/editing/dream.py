@@ -18,9 +18,14 @@ class DreamWeights:
     """Weights of the losses of `Dream`, relative to the dream loss, whose weight is 1.
 
     Attributes:
-        bend: Of the change of edge vectors, squared and relative to the edge length (`Deformation.bend`).
-        variation: Of the total variation of the images.
-        edges: Of the variance of edge lengths, relative to their initial mean square.
+        bend: Weight of the bending loss, ≥ 0 (`Deformation.bend`).
+        variation: Weight of the total variation of the images, ≥ 0.
+        edges: Weight of the variance of edge lengths, ≥ 0. The variance is relative to the initial mean square length.
+
+    Example:
+        >>> from neural_renderer.tasks.editing import DreamWeights
+        >>> DreamWeights(variation=2.0)
+        DreamWeights(bend=1.0, variation=2.0, edges=0.0)
     """
 
     bend: float = 1.0
@@ -53,6 +58,12 @@ class Dream:
 
     Raises:
         ValueError: The layer or the channel is unknown, or a weight is below 0.
+
+    Example:
+        >>> from neural_renderer.features import vgg
+        >>> from neural_renderer.tasks.editing import Dream
+        >>> network = vgg({"conv1_1.weight": torch.rand(8, 3, 3, 3), "conv1_1.bias": torch.zeros(8)})
+        >>> dream = Dream(network, layer="conv1_1", channel=3)
     """
 
     name = "dream"
@@ -113,6 +124,7 @@ class Dream:
         return self._norms(images)
 
     def _norms(self, images: Tensor) -> Tensor:
+        """Compute the mean squared activation of each image, [B]; differentiable."""
         features = self._network(images, self._layer)[self._layer]
         features = features if self._channel is None else features[:, self._channel : self._channel + 1]
         return features.square().flatten(1).mean(1)

@@ -89,11 +89,14 @@ class MeshEdit:
         TypeError, ValueError: An argument does not fit, or the texture takes more than 2 GiB.
 
     Example:
-        >>> network = load_features("vgg16-original")  # doctest: +SKIP
-        >>> edit = MeshEdit(nr.Mesh.load("bunny.obj"), Style(network, painting), steps=500)  # doctest: +SKIP
-        >>> while not edit.done:  # doctest: +SKIP
+        >>> from neural_renderer.features import vgg
+        >>> from neural_renderer.tasks.editing import MeshEdit, Style
+        >>> network = vgg({"conv1_1.weight": torch.rand(8, 3, 3, 3), "conv1_1.bias": torch.zeros(8)})
+        >>> style = Style(network, painting=torch.rand(3, 48, 64), size=64, layers=["conv1_1"])
+        >>> edit = MeshEdit(nr.Mesh.icosphere(1), style, steps=2, size=64)
+        >>> while not edit.done:
         ...     losses = edit.advance()
-        >>> edit.mesh().save("painted.glb")  # doctest: +SKIP
+        >>> edit.mesh().save("painted.glb")
     """
 
     def __init__(
@@ -152,7 +155,7 @@ class MeshEdit:
 
     @property
     def before(self) -> float:
-        """`measure` before the first step."""
+        """Result of `measure` before the first step."""
         if self._before is None:
             self._before = self.measure()
         return self._before
@@ -258,7 +261,7 @@ class MeshEdit:
         """Take a step of the optimiser with the learning rates of this step."""
         left = (self.steps - self.step) / self.steps
         for group, rate in zip(self._optimizer.param_groups, self._rates, strict=True):
-            group["lr"] = rate * min(1.0, left / max(self._settle, 1e-9))
+            group["lr"] = rate * min(1.0, left / max(self._settle, 1e-9))  # 1e-9: no division by 0
         self._optimizer.step()
 
     def _mesh_to_draw(self) -> UVMesh | tuple[Tensor, ...]:
@@ -269,6 +272,7 @@ class MeshEdit:
         return self._paint.apply(vertices, torch.sigmoid(self._colors))
 
     def _draw(self, mesh: Any, camera: Camera, light: Light | None, background: Tensor) -> Images:
+        """Render colours and silhouettes."""
         return render(
             mesh,
             camera,

@@ -21,7 +21,7 @@ from .edit import MeshEdit
 _FRONT = 150.0  # azimuth of the first picture, in degrees
 _PREVIEW = (_FRONT, 270.0, 30.0)  # azimuths of a preview
 _ELEVATION, _VIEWING_ANGLE = 20.0, 19.0  # degrees
-_MARGIN = 1.03  # of the distance at which the whole mesh is in the picture
+_MARGIN = 1.03  # factor on the least distance at which the whole mesh is in the picture
 
 
 def six_views(before: Mesh | UVMesh, after: Mesh | UVMesh, size: int = 320) -> Tensor:
@@ -56,7 +56,7 @@ def turntable(folder: Path, mesh: Mesh | UVMesh, frames: int = 36, size: int = 3
 
 @torch.no_grad()
 def normalized_like(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
-    """Apply the transformation that takes ``other``, a mesh with the same faces, to [-1, 1]³; drop unused vertices."""
+    """Transform ``mesh`` as ``other``, a mesh with the same faces, is scaled to [-1, 1]³; drop unused vertices."""
     used, faces = torch.unique(mesh.faces, return_inverse=True)
     center, half = bounding_box(other.vertices[used])
     vertices = (mesh.vertices[used] - center) / half

@@ -121,8 +121,8 @@ class ImagePaint:
 def _blur(image: Tensor) -> Tensor:
     """Blur an image [H, W, C] with the kernel 1 : 2 : 1 along both sides.
 
-    Where pixels of a texture are smaller than those of the rendered images, no loss restrains their differences, which
-    would stay as grain.
+    If texels are smaller than the pixels of the rendered images, no loss restrains differences between adjacent texels.
+    Without the blur they would remain as grain.
     """
     padded = functional.pad(image.movedim(2, 0)[None], (1, 1, 1, 1), mode="replicate")
     return functional.avg_pool2d(functional.avg_pool2d(padded, 2, 1), 2, 1)[0].movedim(0, 2)
@@ -140,6 +140,7 @@ def check_cubes(faces: int, size: int) -> None:
 
 
 def _check_colors(count: int, what: str, advice: str) -> None:
+    """Raise ValueError if ``count`` colours take more than 2 GiB."""
     needed = count * _BYTES
     if needed > _MOST_BYTES:
         raise ValueError(

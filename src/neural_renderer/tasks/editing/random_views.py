@@ -32,6 +32,12 @@ class RandomViews:
 
     Raises:
         TypeError, ValueError: A value is out of range.
+
+    Example:
+        >>> from neural_renderer.tasks.editing import RandomViews
+        >>> cameras, light = RandomViews(light=None).sample(4, torch.Generator().manual_seed(0))
+        >>> len(cameras), light
+        (4, None)
     """
 
     elevation: tuple[float, float] = (20.0, 40.0)

@@ -26,10 +26,16 @@ class StyleWeights:
     """Weights of the losses of `Style`, relative to the style loss, whose weight is 1.
 
     Attributes:
-        content: Of the squared displacements of vertices.
-        bend: Of the change of edge vectors, squared and relative to the edge length (`Deformation.bend`).
-        variation: Of the total variation of the images.
-        palette: Of colours more than 2.5 standard deviations away from the painting's (`Palette.excess`).
+        content: Weight of the squared displacements of vertices, ≥ 0.
+        bend: Weight of the bending loss, ≥ 0 (`Deformation.bend`).
+        variation: Weight of the total variation of the images, ≥ 0.
+        palette: Weight of the palette loss, ≥ 0. It penalises colours at more than 2.5 standard deviations from the
+            mean of the painting (`Palette.excess`).
+
+    Example:
+        >>> from neural_renderer.tasks.editing import StyleWeights
+        >>> StyleWeights(content=100.0)
+        StyleWeights(content=100.0, bend=1.0, variation=0.5, palette=0.2)
     """
 
     content: float = 200.0
@@ -71,6 +77,12 @@ class Style:
     Raises:
         TypeError, ValueError: A type or shape does not fit, the painting is too small or fully transparent, or a layer
             is unknown.
+
+    Example:
+        >>> from neural_renderer.features import vgg
+        >>> from neural_renderer.tasks.editing import Style
+        >>> network = vgg({"conv1_1.weight": torch.rand(8, 3, 3, 3), "conv1_1.bias": torch.zeros(8)})
+        >>> style = Style(network, painting=torch.rand(3, 48, 64), size=64, layers=["conv1_1"])
     """
 
     name = "style"

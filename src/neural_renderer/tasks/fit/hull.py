@@ -23,11 +23,21 @@ _LEAST_COMPONENT = 0.01  # smaller components, relative to the largest one, are 
 def object_bounds(views: Views) -> tuple[Tensor, float]:
     """Find the object: the box around the visual hull of all silhouettes.
 
+    Args:
+        views: Views of the object.
+
     Returns:
         The centre [3] of the box and half its longest side, in world space.
 
     Raises:
         ValueError: The silhouettes have no point in common.
+
+    Example:
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
+        >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
+        >>> center, half = object_bounds(views)
+        >>> 0.9 < half < 1.2
+        True
     """
     eye, forward = views.eyes()
     # Start at the point nearest to all optical axes. For parallel axes, the ridge picks the one nearest to the origin.
@@ -64,6 +74,13 @@ def carve(views: Views, cells: int = 64) -> tuple[Tensor, Tensor]:
 
     Returns:
         Vertices [V, 3] float32 and faces [F, 3] int64.
+
+    Example:
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
+        >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
+        >>> vertices, faces = carve(views, cells=16)
+        >>> vertices.abs().max() < 1.2
+        tensor(True)
     """
     pixels = max(1, round(min(views.size) / cells / 2))
     soft = F.avg_pool2d(F.pad(views.masks[:, None], [pixels] * 4, mode="replicate"), 2 * pixels + 1, 1)[:, 0]

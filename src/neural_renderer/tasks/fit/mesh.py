@@ -140,11 +140,13 @@ class MeshFit:
         self._fit.load_state_dict(state["fit"])
 
     def _start_phase(self, vertices: Tensor, faces: Tensor) -> ShapeFit | TextureFit:
+        """Make the fit of the current phase."""
         if self.phase == "shape":
             return ShapeFit(self.views, vertices, faces, **self._shape_options)  # type: ignore[arg-type]
         return TextureFit(self.views, vertices, faces, **self._texture_options)
 
     def _initial_shape(self, start: Any, cells: int) -> tuple[Tensor, Tensor]:
+        """Make the vertices and faces of ``start``."""
         device = self.views.masks.device
         if isinstance(start, Mesh):
             return self._weld(start)

@@ -20,6 +20,8 @@ _COARSE, _FINE = 64, 128  # longer side of the images in pixels, in the first tw
 _CAMERAS_AT_ONCE = 8  # rendered together where no gradient is needed: limits memory
 _MOMENTUM, _SECOND_MOMENT = 0.9, 0.95  # Adam's β₁ and β₂
 _HALF_HEIGHT = 1.2  # of the initial images, in radii of the object
+_LAST_RATE = 0.03  # step size at the end, relative to the first
+_NEAR, _FAR = 1e-2, 1e3  # clipping planes, in radii of the object
 
 
 class CameraFit:
@@ -42,6 +44,15 @@ class CameraFit:
 
     Raises:
         TypeError, ValueError: An argument does not fit, or the mask is empty.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import CameraFit
+        >>> mask = nr.render(mesh, camera, 32).alpha[0].detach()
+        >>> fit = CameraFit((mesh.vertices, mesh.faces), mask, starts=2, steps=2)
+        >>> while not fit.done:
+        ...     loss = fit.advance()["loss"]
+        >>> len(fit.best())
+        1
     """
 
     phase = "camera"
@@ -116,7 +127,7 @@ class CameraFit:
         axes, offset = self._axes.requires_grad_(), self._offset.requires_grad_()
         each = self._losses(axes, offset, _COARSE if self.step < 2 * self.steps // 3 else _FINE)
         gradients = torch.autograd.grad(each.sum(), (axes, offset))
-        rate = self._rate * (1.03 - self.step / self.steps)
+        rate = self._rate * (1 + _LAST_RATE - self.step / self.steps)
         self.step += 1
         self._axes = self._descend(0, axes.detach(), gradients[0], rate)
         self._offset = self._descend(1, offset.detach(), gradients[1], rate)
@@ -160,6 +171,7 @@ class CameraFit:
             self._offset[:, :2] += (center - centers) * tangent
 
     def _parts(self) -> Iterator[slice]:
+        """Divide the starts into parts that are rendered together."""
         return (slice(i, i + _CAMERAS_AT_ONCE) for i in range(0, len(self._axes), _CAMERAS_AT_ONCE))
 
     def _camera(self, axes: Tensor, offset: Tensor) -> Camera:
@@ -186,8 +198,8 @@ class CameraFit:
             (height, width),
             light=None,
             outputs=("rgb", "alpha") if self._photometric else ("alpha",),
-            near=1e-2,
-            far=1e3,
+            near=_NEAR,
+            far=_FAR,
             gradient=self._gradient,
         )
         return images.rgb, images.alpha  # type: ignore[return-value]

@@ -17,10 +17,12 @@ from .fit_views import Views, mask_iou, views_of_step
 _REGULARIZERS = {"laplacian": 2, "edge_length": 1, "normal_consistency": 1, "smoothness": 1}
 """Losses on the mesh alone → exponent of the number of vertices that makes their values independent of it.
 
-On V vertices edges are as long as V^(-1/2). Distances from the mean of neighbours, and so bends, are squares of that.
+The edge length of a mesh with V vertices is proportional to V^(-1/2), and the distance of a vertex from the mean of its
+neighbours to V^(-1).
 """
 _TYPICAL_VERTICES = 10_000  # the mesh for which the default weights are chosen
 _COLOR_RATE, _COLOR_SMOOTH = 0.1, 1.0  # step and λ of the descent on colours
+_LAST_RATE = 0.05  # step size at the end, relative to the first
 
 
 class ShapeFit:
@@ -33,8 +35,8 @@ class ShapeFit:
         steps: Number of steps, ≥ 1.
         subdivisions: Number of times each face is split into four, evenly over the steps (coarse to fine). 0 for a
             mesh that is fine already.
-        color_from: Fraction of the steps in [0, 1] after which vertices get colours, which are fitted to the photos
-            together with the shape. 1 for never; so are views without photos.
+        color_from: Fraction of the steps in [0, 1] after which vertices get colours. These are fitted to the photos
+            together with the shape. 1 means never. Ignored for views without photos.
         weights: Weights of the losses.
         rate: Distance that the fastest vertex moves in a step.
         smooth: λ of `SmoothDescent`.
@@ -44,6 +46,15 @@ class ShapeFit:
 
     Raises:
         TypeError, ValueError: An argument does not fit.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import ShapeFit, Views
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
+        >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
+        >>> fit = ShapeFit(views, *nr.icosphere(2, radius=0.5), steps=2)
+        >>> while not fit.done:
+        ...     numbers = fit.advance()
+        >>> vertices, faces = fit.shape
     """
 
     _vertices: Tensor
@@ -87,7 +98,7 @@ class ShapeFit:
 
     @property
     def shape(self) -> tuple[Tensor, ...]:
-        """Current vertices, faces and, if vertices have colours, textures, as `render` takes them."""
+        """Current vertices, faces and, if vertices have colours, textures, in the form of `render`."""
         if self._colors is None:
             return self._vertices, self._faces
         return self._vertices, self._faces, _corner_textures(self._colors, self._faces).clamp(0, 1)
@@ -108,7 +119,7 @@ class ShapeFit:
             parameters.append(self._colors.requires_grad_())
         loss, iou = self._loss(views, *parameters)
         gradients = torch.autograd.grad(loss, parameters)
-        decay = min(1.0, 2 * (1 - self.step / self.steps) + 0.05)  # constant in the first half, then linear
+        decay = min(1.0, 2 * (1 - self.step / self.steps) + _LAST_RATE)  # constant in the first half, then linear
         self._vertices = self._descent.step(self._vertices.detach(), gradients[0], self._rate * decay)
         if self._colors is not None:
             self._colors = self._color_descent.step(self._colors.detach(), gradients[1], _COLOR_RATE * decay)
@@ -132,6 +143,7 @@ class ShapeFit:
         return loss, mask_iou(images.alpha, views.masks).mean()  # type: ignore[arg-type]
 
     def _set_shape(self, vertices: Tensor, faces: Tensor, colors: Tensor | None) -> None:
+        """Replace the mesh, and start new descents."""
         self._vertices, self._faces, self._colors = vertices, faces, colors
         self._topology = Topology.of(faces)
         self._descent = SmoothDescent(self._topology, self._smooth)

@@ -42,6 +42,16 @@ class TextureFit:
 
     Raises:
         TypeError, ValueError: An argument does not fit, or the views have no photos.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import TextureFit, Views
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
+        >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
+        >>> fit = TextureFit(views, *nr.icosphere(2), steps=2)
+        >>> while not fit.done:
+        ...     loss = fit.advance()["loss"]
+        >>> fit.shape[2].shape
+        torch.Size([320, 4, 4, 4, 3])
     """
 
     def __init__(

@@ -20,7 +20,8 @@ import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.metrics import silhouette_iou
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
-from neural_renderer.tasks.reconstruction.data.dataset import Settings, assemble, make_object, make_objects
+from neural_renderer.tasks.reconstruction.data.assemble import assemble
+from neural_renderer.tasks.reconstruction.data.dataset import Settings, make_object, make_objects
 from neural_renderer.tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
 from neural_renderer.tasks.reconstruction.evaluation.check_axes import check_axes
 from neural_renderer.tasks.reconstruction.evaluation.sheets import data_sheet
@@ -252,7 +253,7 @@ def test_an_object_is_in_one_split(models: Path, tmp_path: Path, capsys: pytest.
     capsys.readouterr()
     assert command(models, out, "--set", "train") == 1
     told = capsys.readouterr().err
-    assert "expected a folder in which ball/big is in train, got one with it in test" in told
+    assert "expected ball/big in the split train, got it in test from an earlier run" in told
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*.npz")} == before
 
 

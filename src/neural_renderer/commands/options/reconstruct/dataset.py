@@ -22,8 +22,7 @@ class DatasetOptions:
 
     Example: neural-renderer reconstruct dataset other_models other_data --set test
 
-    Ctrl-C keeps finished objects; the same command continues. OUT/objects is needed only for that and may be deleted
-    afterwards.
+    Ctrl-C keeps finished objects; the same command continues. Afterwards, OUT/objects may be deleted.
     """
 
     models: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODELS")]

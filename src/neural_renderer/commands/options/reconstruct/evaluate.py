@@ -32,17 +32,17 @@ class EvaluateOptions:
     also: tuple[Path, ...] = ()
     """Checkpoints of further networks for the same table."""
     baseline: Literal["retrieval"] | None = None
-    """Evaluate also the voxels of the most similar training image."""
+    """Evaluate a baseline, too. retrieval: the voxels of the most similar training image."""
     features: str | None = None
-    """Feature network of the baseline: vgg16 (layer fc6, as in the paper) or googlenet (the default), which are
-    downloaded once, or a file of weights of either."""
+    """Feature network of the baseline: vgg16 (layer fc6, as in the paper), googlenet (the default), or a file with the
+    weights of either. Named networks are downloaded once."""
     refine: int | None = None
-    """Steps of test-time refinement, which fits a predicted mesh to the silhouette of its image (0: none); by default
-    the configuration's."""
+    """Steps of test-time refinement (0: none); by default the configuration's. Refinement fits a predicted mesh to the
+    silhouette of its image."""
     classes: tuple[str, ...] = ()
     """Classes to evaluate; by default all."""
     threshold: float = 0.5
-    """Probability (above 0, below 1) above which voxels of a voxel network are filled."""
+    """Threshold of a voxel network: voxels of a higher probability are filled (above 0, below 1)."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the results; by default "evaluation_" and the name of the split, beside the checkpoint."""
     device: Literal["auto", "cpu", "cuda"] = "auto"

@@ -14,10 +14,10 @@ class PredictOptions:
     """Predict a mesh from a picture of an object with a trained network.
 
     A picture is a PNG with transparency, a photo with a --mask, or an object before a plain background, of any size.
-    The object is cut out and framed like the training images, at the size for which the prediction matches its
-    silhouette best. A square of 64 pixels with transparency is used unchanged. Written beside the mesh (y up, longest
-    side about 1): a contact sheet of the picture, the input of the network, and views of the mesh (_sheet.png); and a
-    turntable (_turntable.gif).
+    The object is cut out and framed like the training images; several sizes are tried, and the best one is used. A
+    square of 64 pixels with transparency is used unchanged. The mesh has y up and a longest side of about 1. Beside it
+    are written a contact sheet (_sheet.png) of the picture, the network's input and views of the mesh, and a turntable
+    (_turntable.gif).
 
     Example: neural-renderer reconstruct predict trained/best.ckpt chair.png -o chair.obj
 
@@ -31,7 +31,7 @@ class PredictOptions:
     images: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="IMAGE")]
     """One or more pictures."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Mesh to write: .obj, .glb or .ply; for several pictures a folder, which is made if missing."""
+    """Mesh to write: .obj, .glb or .ply; for several pictures a folder. It is made if missing."""
     mask: Path | None = None
     """Picture that is white, or opaque, on the object; for several pictures a folder of masks with the same names."""
     format: Literal["obj", "glb", "ply"] = "obj"
@@ -43,7 +43,7 @@ class PredictOptions:
     threshold: float = 0.5
     """Probability (above 0, below 1) at the surface of a voxel network's prediction."""
     refine: int | None = None
-    """Steps of test-time refinement, which fits a predicted mesh to the silhouette of its image (0: none); by default
-    the configuration's."""
+    """Steps of test-time refinement (0: none); by default the configuration's. Refinement fits a predicted mesh to the
+    silhouette of its image."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device to compute on; auto is CUDA if available."""

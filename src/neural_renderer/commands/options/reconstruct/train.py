@@ -16,8 +16,8 @@ class TrainOptions:
     """Train a network for single-image reconstruction from images only.
 
     DATA is a folder written by `neural-renderer reconstruct dataset`, or the published data set. The split "train" is
-    used for training and "val" for validation. OUT gets last.ckpt (from which --resume continues), best.ckpt (the best
-    network on "val"), log.csv, pictures of predictions, and logs for TensorBoard.
+    used for training and "val" for validation. OUT gets last.ckpt (for --resume), best.ckpt (the best network on
+    "val"), log.csv, pictures of predictions, and logs for TensorBoard.
 
     Example: neural-renderer reconstruct train data out --config small
 
@@ -34,10 +34,10 @@ class TrainOptions:
     out: tyro.conf.Positional[Path]
     """Folder for the results; it is made if missing."""
     model: ModelName = "mesh"
-    """Deform a sphere (the paper's method), or predict voxels (the baseline of Yan et al. 2016)."""
+    """Network. mesh: deform a sphere (the paper's method); voxel: predict voxels (the baseline of Yan et al. 2016)."""
     config: ConfigName = "best"
-    """Configuration: the paper's (a million steps, which take days); the best one known for a short training; or small,
-    the same with fewer steps (15 minutes on one core)."""
+    """Configuration. paper: the paper's, a million steps that take days; best: the best one known for a short training;
+    small: the same with fewer steps (15 minutes on one core)."""
     classes: tuple[str, ...] = ()
     """Classes to train on; by default all."""
     steps: int | None = None
@@ -45,8 +45,8 @@ class TrainOptions:
     minutes: float | None = None
     """Time limit. The schedule of the learning rate is fitted into it."""
     features: str | None = None
-    """Use a frozen recognition network in place of the configuration's encoder: googlenet, which is downloaded once, or
-    a file of weights. This helps most if there are few training objects."""
+    """Replace the configuration's encoder by a frozen recognition network: googlenet (downloaded once), or a file of
+    weights. This helps most with few training objects."""
     smoothness: float | None = None
     """Weight of the smoothness loss; by default the configuration's."""
     laplacian: float | None = None

@@ -193,7 +193,7 @@ def _unpack(source: Path, kind: str, out: IO[bytes], folder: Path) -> None:
 
 @contextlib.contextmanager
 def _reading(source: Path, expected: str = "an npz, got a file that is broken or truncated") -> Iterator[None]:
-    """Convert the errors of zipfile and numpy for broken files, which are of many classes, to ValueError."""
+    """Convert errors of zipfile and numpy on damaged files, which have many classes, to ValueError."""
     try:
         yield
     except Exception as error:

@@ -8,16 +8,15 @@ import signal
 import threading
 import time
 import warnings
-import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,12 +24,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....io import load_mesh
-from ....io.atomic_write import replacing, write_file
+from ....io.atomic_write import replacing
 from ....rendering import render
-from ....version import __version__
-from .arrays import DESCRIPTION, SPLITS
 from .drawing import shoulder_light
-from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirror, scale_to_unit, view_camera
+from .framing import GRID, SIZE, VIEWS, mirror, scale_to_unit, view_camera
 from .models_folder import Model, is_mesh
 from .voxels import voxelize_model
 
@@ -44,7 +41,7 @@ _RECIPE = 1  # version of finished objects; objects of another version are rende
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a data set. The defaults are those of the published one, which training expects.
+    """Settings of a data set. The defaults are those of the published data set; training needs them.
 
     Attributes:
         views: Number of views around an object.
@@ -148,28 +145,38 @@ def make_objects(
     while waiting:
         # A worker that dies breaks the whole pool. A second pass with one worker finds the model that kills it.
         for count in dict.fromkeys((processes, 1)):
-            crashed = False
-            with _pool(count) as pool:
-                futures = {
-                    pool.submit(_make_file, model, folder, settings, key, allow_outside): model
-                    for model, key in waiting.items()
-                }
-                try:
-                    for future in as_completed(futures):
-                        problem, notes = future.result()
-                        del waiting[futures[future]]
-                        yield futures[future], problem, notes
-                except BrokenProcessPool:
-                    crashed = True
-            if not crashed:
+            yield from _make_in_pool(waiting, folder, settings, count, allow_outside)
+            if not waiting:
                 return
         culprit = next(iter(waiting))
         del waiting[culprit]
         yield culprit, f"{culprit.path}: expected to render it, got a worker process that died (out of memory?)", []
 
 
+def _make_in_pool(
+    waiting: dict[Model, str], folder: Path, settings: Settings, processes: int, allow_outside: bool
+) -> Iterator[tuple[Model, str | None, list[str]]]:
+    """Make objects in worker processes until all are finished or a worker dies.
+
+    Args:
+        waiting: Model → key; finished models are removed.
+        folder: See `make_objects`, like the other arguments.
+    """
+    with _pool(processes) as pool:
+        futures = {
+            pool.submit(_make_file, model, folder, settings, key, allow_outside): model
+            for model, key in waiting.items()
+        }
+        with suppress(BrokenProcessPool):
+            for future in as_completed(futures):
+                problem, notes = future.result()
+                del waiting[futures[future]]
+                yield futures[future], problem, notes
+
+
 @contextmanager
 def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """Open a pool of worker processes; at its end, waiting tasks are cancelled."""
     pool = ProcessPoolExecutor(processes, get_context("spawn"), _start_worker, (os.getpid(),))
     try:
         yield pool
@@ -230,7 +237,7 @@ def _finished_notes(model: Model, folder: Path, key: str) -> list[str] | None:
     try:
         with np.load(object_file(model, folder)) as arrays:
             return arrays["notes"].tolist() if str(arrays["key"]) == key else None
-    except Exception:  # none, or broken in any way
+    except Exception:  # the file is missing or damaged
         return None
 
 
@@ -251,67 +258,3 @@ def _make_file(
     with replacing(target) as fresh, open(fresh, "wb") as file:
         np.savez_compressed(file, key=np.array(key), **arrays)
     return None, notes
-
-
-def assemble(
-    folder: Path,
-    splits: dict[str, dict[str, list[Model]]],
-    settings: Settings,
-    broken: dict[str, str],
-) -> None:
-    """Combine finished objects into the files of the published format, and write dataset.json.
-
-    Args:
-        folder: Folder of the data set. Its classes and splits that are not in ``splits`` stay.
-        splits: Split → class → models, in order.
-        settings: Settings of the data set.
-        broken: Error messages by "category/name", for dataset.json.
-    """
-    names: dict[str, dict[str, list[str]]] = {split: {} for split in SPLITS} | existing_names(folder)
-    for split, classes in splits.items():
-        for name, models in classes.items():
-            for kind in ("images", "voxels"):
-                _write_npz(folder / f"{name}_{split}_{kind}.npz", [object_file(m, folder) for m in models], kind)
-            names[split][name] = [model.name for model in models]
-    frame = {"distance": DISTANCE, "elevation": ELEVATION, "viewing_angle": VIEWING_ANGLE, "longest_side": 1.0}
-    description = {
-        "names": names,
-        "settings": asdict(settings) | frame | {"azimuth": f"-360 k / {settings.views} of view k"},
-        "voxel_axes": "(y, x, -z) of the frame of the views, which is (y, -z, x) of the model, y up",
-        "versions": {"neural_renderer": __version__, "torch": torch.__version__, "numpy": np.__version__},
-        "broken": broken,
-    }
-    write_file(folder / DESCRIPTION, json.dumps(description, indent=1) + "\n")
-
-
-def existing_names(folder: Path) -> dict[str, dict[str, list[str]]]:
-    """Read the names of the objects in a data set: split → class → names; empty if there is none."""
-    try:
-        return json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["names"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return {}
-
-
-def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
-    """Write one array of all objects. Objects are read one at a time."""
-    with (
-        replacing(target) as fresh,
-        zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive,
-        archive.open("arr_0.npy", "w", force_zip64=True) as member,
-    ):
-        for index, path in enumerate(objects):
-            try:
-                with np.load(path) as arrays:
-                    array = arrays[kind]
-            except Exception as error:  # numpy's and zipfile's errors for broken files are of many kinds
-                raise ValueError(
-                    f"{path}: expected a finished object, got a broken file; delete it to make the object again"
-                ) from error
-            if index == 0:
-                _write_header(member, array, len(objects))
-            member.write(np.ascontiguousarray(array).tobytes())
-
-
-def _write_header(member: IO[bytes], array: np.ndarray, count: int) -> None:
-    header = {"descr": array.dtype.str, "fortran_order": False, "shape": (count, *array.shape)}
-    np.lib.format.write_array_header_1_0(member, header)

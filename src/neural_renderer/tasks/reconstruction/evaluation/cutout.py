@@ -13,7 +13,7 @@ from ..data.framing import SIZE
 EXTENT = 44  # mean length of the object's longer side in the training data, in pixels
 _LOWER = 1.5  # mean distance of the object's centre below the image's centre in the training data, in pixels
 _MOST_PIXELS = 2048  # larger pictures are scaled down: their details are lost at 64 pixels anyway
-_MOST_SEARCHED = 640  # larger side, in pixels, of the picture in which a background is found
+_MOST_SEARCHED = 640  # the background is fitted to a picture whose larger side has at most this many pixels
 _SPECK = 0.02  # components smaller than this, relative to the largest one, are dropped
 _LEAST_OBJECT = 8  # pixels
 

@@ -18,16 +18,16 @@ from .predictors import Predictor
 from .refine import refine_meshes
 
 _EXTENTS = tuple(range(28, 61, 4))  # lengths of the object's longer side to try, in pixels
-_CELLS = 64  # of the grid on which voxels become a mesh, along each axis
+_CELLS = 64  # grid cells along each axis for the isosurface of voxels
 _AROUND, _COLUMNS = 16, 6  # views of the mesh in a picture of a prediction, and pictures in a row
 
 
 @torch.no_grad()
 def best_frame(predict: Predictor, rgba: Tensor, device: torch.device | str = "cpu") -> Tensor:
-    """Frame a cut-out object at the size for which the prediction matches it best.
+    """Frame a cut-out object at the size of the best prediction.
 
-    The size of an object in the training data depends on its shape, which is unknown. Several sizes are tried; the one
-    whose prediction has the most similar silhouette, from any view, is used.
+    The size of an object in the training data depends on its unknown shape. This function tries several sizes and takes
+    the one whose prediction has the most similar silhouette, from any view.
 
     Args:
         predict: The method.
@@ -74,6 +74,7 @@ def predict_meshes(model: Any, images: Tensor, threshold: float = 0.5, refine: i
 
 
 def _voxel_mesh(occupancy: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
+    """Convert probabilities [32, 32, 32] to a mesh in the frame of the models."""
     if float(occupancy.max()) <= threshold:
         raise ValueError(f"expected a solid shape, got a prediction without a voxel above the threshold {threshold}")
     last = len(occupancy) - 1
@@ -111,8 +112,8 @@ def prediction_picture(picture: Tensor, image: Tensor, vertices: Tensor, faces: 
     given = torch.zeros(4, size, size)
     top, left = (size - shape[0]) // 2, (size - shape[1]) // 2
     given[:, top : top + shape[0], left : left + shape[1]] = resized
-    seen = F.interpolate(on_paper(image)[None], (size, size), mode="nearest")[0]
+    network_input = F.interpolate(on_paper(image)[None], (size, size), mode="nearest")[0]
     paper = on_paper(torch.zeros(4, 1, 1, dtype=torch.uint8))
-    cells = [(given[:3] + paper * (1 - given[3:])).clamp(0, 1), seen]
+    cells = [(given[:3] + paper * (1 - given[3:])).clamp(0, 1), network_input]
     cells += [draw_mesh(mirror(vertices), faces, VIEWS * turn / _AROUND, size=size) for turn in range(_AROUND)]
     return torch.cat([torch.cat(cells[row : row + _COLUMNS], 2) for row in range(0, len(cells), _COLUMNS)], 1)

@@ -1,4 +1,4 @@
-"""Test-time refinement: a predicted mesh is fitted to the silhouette of the input image.
+"""Test-time refinement: fits a predicted mesh to the silhouette of the input image.
 
 A network trained on few objects predicts class and pose better than proportions. The silhouette shows the proportions
 from one side, and the renderer's gradient transfers them to the mesh.
@@ -28,8 +28,8 @@ def refine_steps(model: Model, requested: int | None) -> int:
 def refine_meshes(network: MeshNetwork, vertices: Tensor, images: Tensor, steps: int) -> Tensor:
     """Fit predicted meshes to the silhouettes of their input images.
 
-    The view of an image is unknown; it is estimated as the one of 24 from which the silhouette of the prediction
-    matches best. Adam then minimises 1 − IoU for each mesh. Displacements are smoothed over the sphere (see
+    The view of an image is unknown. Of the 24 views, the one with the best IoU between prediction and image is used.
+    Adam then minimises 1 − IoU for each mesh. Displacements are smoothed over the sphere (see
     `mesh_network.smoothing_matrix`), symmetric meshes stay symmetric, and a Laplacian loss regularises hidden parts.
 
     Args:
@@ -40,6 +40,11 @@ def refine_meshes(network: MeshNetwork, vertices: Tensor, images: Tensor, steps:
 
     Returns:
         [B, 642, 3] in [-½, ½], detached.
+
+    Example:
+        >>> network = load_model("trained/best.ckpt")  # doctest: +SKIP
+        >>> vertices = network.vertices(images)  # doctest: +SKIP
+        >>> vertices = refine_meshes(network, vertices, images, steps=20)  # doctest: +SKIP
     """
     if not steps:
         return vertices
@@ -64,7 +69,7 @@ def refine_meshes(network: MeshNetwork, vertices: Tensor, images: Tensor, steps:
 
 @torch.no_grad()
 def best_matching_views(network: MeshNetwork, vertices: Tensor, masks: Tensor) -> Tensor:
-    """Find the views from which meshes match masks best.
+    """Find the view of each mesh that matches its mask best.
 
     Args:
         network: The network of the prediction.

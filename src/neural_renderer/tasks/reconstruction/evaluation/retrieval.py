@@ -130,6 +130,7 @@ def _cached(target: Path, source: Path, count: int) -> np.ndarray | None:
 
 
 def _device(network: FeatureNetwork) -> torch.device:
+    """Return the device of a network; the CPU if it has no weights."""
     return next(iter(network.state_dict().values()), torch.zeros(())).device
 
 

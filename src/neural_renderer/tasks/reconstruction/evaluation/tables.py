@@ -45,6 +45,7 @@ def blocks(
 
 
 def _cell(values: Mapping[str, float], label: str, measure: str) -> str:
+    """Format the value of a method; the best one gets ``**``."""
     text = f"{values[label]:.4f}"
     best = f"{_BETTER[measure](values.values()):.4f}"
     return f"**{text}**" if len(values) > 1 and text == best else text

@@ -29,7 +29,7 @@ BEST, LAST = "best.ckpt", "last.ckpt"
 """Files of a training: its best network, and the state from which it resumes."""
 
 VERSION = 1
-"""Version of networks and header, to be increased when older weights would get another meaning."""
+"""Version of networks and header. Increase it when a change gives older weights another meaning."""
 
 
 def header(model: Model, classes: Sequence[str], weights: str) -> dict[str, Any]:
@@ -65,7 +65,7 @@ def save_model(path: str | os.PathLike[str], model: Model, classes: Sequence[str
         OSError: The file cannot be written.
     """
     content = {HEADER: header(model, classes, "") | {"facts": facts}, "state_dict": model.state_dict()}
-    file = io.BytesIO()  # since torch.save does not say why it cannot write
+    file = io.BytesIO()  # torch.save to a path does not report why it cannot write
     torch.save(content, file)
     write_file(path, file.getbuffer())
 
@@ -87,7 +87,11 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
 
     Raises:
         FileNotFoundError: The file does not exist.
-        ValueError: The file is no checkpoint of a reconstruction network, has another version, or is incomplete.
+        ValueError: The file is not a checkpoint of a reconstruction network, has another version, or is incomplete.
+
+    Example:
+        >>> network = load_model("trained/best.ckpt")  # doctest: +SKIP
+        >>> vertices = network.vertices(images)  # doctest: +SKIP
     """
     content = read_checkpoint(path)
     head, weights = content[HEADER], content["state_dict"]

@@ -22,7 +22,7 @@ class Config:
         blur: λ of (1 + λL)⁻¹, which smooths the local biases over the sphere (see `mesh_network.smoothing_matrix`).
         objects: Objects per batch, over all processes. Classes are sampled uniformly, then objects.
         views: Views per object in a batch; each prediction is compared with all of them.
-        inputs: Number of these views from which the network makes a prediction each.
+        inputs: Number of these views that are inputs of the network, with one prediction each.
         augment: Whether to mirror objects and vary colours (see `sampling`).
         gradient: Gradient estimator of the renderer.
         anti_aliasing: Whether the renderer uses anti-aliasing.
@@ -33,10 +33,14 @@ class Config:
         decay: Weight decay of "adamw".
         schedule: "step" divides the learning rate by 10 after 95 % of the training; "cosine" warms up in the first 2 %
             and then decays to 0.
-        average: Decay rate of the exponential moving average of weights, which predictions use; 0 for no average.
+        average: Decay rate of the exponential moving average of weights; predictions use this average. 0 for none.
         low_precision: Whether to compute the networks in bfloat16 where the hardware is fast at it.
         refine: Steps of test-time refinement (see `refine.refine_meshes`).
         steps: Number of steps of the training.
+
+    Example:
+        >>> Config(steps=1000).hidden
+        (1024, 2048)
     """
 
     encoder: EncoderName = "paper"
@@ -137,6 +141,16 @@ def make_config(name: ConfigName, classes: Sequence[str]) -> Config:
     Args:
         name: "paper"; "best", the best configuration known for a short training; or "small", with fewer steps.
         classes: Names of the classes to train on.
+
+    Returns:
+        The configuration.
+
+    Raises:
+        KeyError: The name is unknown.
+
+    Example:
+        >>> make_config("small", ["chair"]).steps
+        4000
     """
     config = _CONFIGS[name]
     if name == "paper" and len(classes) == 1:

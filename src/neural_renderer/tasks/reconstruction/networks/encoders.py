@@ -77,6 +77,7 @@ class FeatureEncoder(nn.Module):
         self.learned = nn.Sequential(nn.Flatten(), nn.Linear(16 * channels, FEATURES), nn.SiLU())
 
     def forward(self, images: Tensor) -> Tensor:
+        """Encode images [B, 4, 64, 64] to [B, 512]."""
         with torch.no_grad():
             pooled = self._pooled(images)
         return self.learned(pooled)

@@ -22,12 +22,22 @@ class MeshNetwork(nn.Module):
 
     Vertices are in the reconstruction frame (see `framing`).
 
+    Args:
+        config: Configuration of the network.
+        features: Recognition network of the encoder "features".
+
     Attributes:
         kind: "mesh".
         config: Configuration of the network.
         faces: [1280, 3] int32, the same for all meshes.
         sphere: [642, 3], the undeformed sphere.
         partners: [642] int64, the mirror image of each vertex at z = 0.
+
+    Example:
+        >>> from neural_renderer.tasks.reconstruction.networks.configs import make_config
+        >>> network = MeshNetwork(make_config("small", ["chair"]))
+        >>> network.vertices(torch.rand(1, 4, 64, 64)).shape
+        torch.Size([1, 642, 3])
     """
 
     kind = "mesh"
@@ -119,6 +129,7 @@ class MeshDecoder(nn.Module):
         self.apply(published_init)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Decode features [B, 512] to local biases [B, V, 3] and global bias [B, 3]."""
         hidden = self.hidden(features)
         return self.local_bias(hidden).unflatten(1, (-1, 3)), _SHIFT_SCALE * self.global_bias(hidden)
 
@@ -146,9 +157,10 @@ def deform_sphere(sphere: Tensor, bias: Tensor, shift: Tensor) -> Tensor:
 def smoothing_matrix(topology: Topology, strength: float) -> Tensor:
     """Compute the matrix (1 + λL)⁻¹ [V, V] float32, with the graph Laplacian L and λ = ``strength`` ≥ 0.
 
-    It averages over about √λ edges. Silhouettes do not show dents, so that no loss removes the noise that sampling and
-    low precision put into single vertices. Smoothed updates move neighbours alike, and consistent updates still reach
-    any shape. See Nicolet, Jacobson and Jakob, "Large Steps in Inverse Rendering of Geometry" (2021), section 3.
+    It averages over about √λ edges. Sampling and low precision add noise to single vertices, and silhouette losses do
+    not remove it, because silhouettes do not show dents. Smoothed updates move neighbours alike; over many steps they
+    can still reach any shape. See Nicolet, Jacobson and Jakob, "Large Steps in Inverse Rendering of Geometry" (2021),
+    section 3.
     """
     start, end = topology.edges.unbind(1)
     matrix = torch.eye(topology.vertices, dtype=torch.float64, device=start.device)

@@ -79,7 +79,7 @@ def rays(device: torch.device, size: int = GRID, depths: int = GRID) -> Tensor:
         depths: Samples on each ray.
 
     Returns:
-        [24, depths, size, size, 3], as `grid_sample` takes it.
+        [24, depths, size, size, 3], in the form of `torch.nn.functional.grid_sample`.
     """
     place = (torch.arange(size) + 0.5) / size * 2 - 1
     depth = DISTANCE + math.sqrt(3) / 2 * ((torch.arange(depths) + 0.5) / depths * 2 - 1)

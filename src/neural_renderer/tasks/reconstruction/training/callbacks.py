@@ -38,8 +38,9 @@ class Checkpoints(lightning.Callback):
         self.best = -1.0
 
     def on_train_batch_end(self, trainer: lightning.Trainer, module: Any, *_: Any) -> None:
+        """Stop all processes if the training is done or interrupted in one of them."""
         state = torch.tensor([module.progress, float(bool(self._interrupted))], dtype=torch.float64)
-        if trainer.world_size > 1:  # clocks differ, and one process may be interrupted: all must decide alike
+        if trainer.world_size > 1:  # clocks differ, and Ctrl-C may reach one process only
             state = state.to(module.device)
             torch.distributed.all_reduce(state, torch.distributed.ReduceOp.MAX)
         module.progress = float(state[0])
@@ -47,6 +48,7 @@ class Checkpoints(lightning.Callback):
             trainer.should_stop = True
 
     def on_train_epoch_end(self, trainer: lightning.Trainer, module: Any) -> None:
+        """Write the checkpoints."""
         score = module.latest.get("val_iou", self.best)
         if trainer.is_global_zero and (score > self.best or module.val_split is None):
             self.best = score
@@ -79,13 +81,14 @@ class Log(lightning.Callback):
         self._progress: Progress | None = None
 
     def on_train_start(self, trainer: lightning.Trainer, module: Any) -> None:
+        """Start the log and the progress bar; keep rows of the log up to the checkpoint."""
         if not trainer.is_global_zero:
             return
         path = self._folder / "log.csv"
         rows = []
         if module.steps_done and path.is_file():  # steps after the checkpoint will be repeated
             with path.open(newline="", encoding="utf-8") as file:
-                whole = [row for row in csv.DictReader(file) if None not in row.values()]  # a kill may cut a row off
+                whole = [row for row in csv.DictReader(file) if None not in row.values()]  # a kill may truncate a row
                 rows = [row for row in whole if int(row["step"]) <= module.steps_done]
         with replacing(path) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, self._COLUMNS, extrasaction="ignore", lineterminator="\n")
@@ -98,6 +101,7 @@ class Log(lightning.Callback):
         self._start = module.progress, module.seconds
 
     def on_train_batch_end(self, trainer: lightning.Trainer, module: Any, *_: Any) -> None:
+        """Update the progress bar, and write every tenth step to the log."""
         if self._progress is None:
             return
         done, seconds = module.progress - self._start[0], module.seconds - self._start[1]
@@ -110,6 +114,7 @@ class Log(lightning.Callback):
             self._write(trainer, module, ("loss", "iou"))
 
     def on_validation_end(self, trainer: lightning.Trainer, module: Any) -> None:
+        """Write the score of the validation and a picture of predictions."""
         if self._progress is None or "val_iou" not in module.latest:
             return
         self._write(trainer, module, ("val_iou",))
@@ -127,16 +132,21 @@ class Log(lightning.Callback):
         self._stop()
 
     def _stop(self) -> None:
+        """Stop the progress bar."""
         if self._progress is not None:
             self._progress.stop()
             self._progress = None
 
     def _write(self, trainer: lightning.Trainer, module: Any, names: tuple[str, ...]) -> None:
+        """Append the latest values of these names to the log and to TensorBoard."""
         rate = trainer.optimizers[0].param_groups[0]["lr"]
         row = {"step": module.steps_done, "seconds": round(module.seconds, 2), "rate": f"{rate:.3g}"}
         row |= {name: round(module.latest[name], 6) for name in names}
         path = self._folder / "log.csv"
-        with writing(path), path.open("r+", newline="", encoding="utf-8") as file:  # "a" would make one without a head
+        with (
+            writing(path),
+            path.open("r+", newline="", encoding="utf-8") as file,
+        ):  # "a" could create a log without header
             file.seek(0, os.SEEK_END)
             csv.DictWriter(file, self._COLUMNS, lineterminator="\n").writerow(row)
         values = {name: module.latest[name] for name in names} | {"rate": rate}

@@ -110,8 +110,8 @@ def prepare_batch(batch: dict[str, Tensor], inputs: int) -> tuple[Tensor, Tensor
 
 
 def mirrored_views(views: Tensor) -> Tensor:
-    """Convert views [...] of an object to the views of its mirror image at z = 0 that look the same when flipped.
+    """Compute the views [...] of an object mirrored at z = 0 that equal the given views, flipped horizontally.
 
-    Most objects are symmetric about this plane: it is x = 0 of the models, whose fronts are at ±z.
+    Most objects are symmetric about this plane. In the frame of the models it is x = 0; their fronts are at ±z.
     """
     return (VIEWS // 2 - views) % VIEWS

@@ -25,6 +25,7 @@ from ..networks.mesh_network import MeshNetwork
 from .sampling import Batches, prepare_batch
 
 _VALIDATED = 40  # objects of a class at each validation
+_STRIDE, _APART = 7, 11  # of the two input views in a validation: from object to object, and from each other
 _BIAS_SLOWDOWN = 10  # the learning rate of the global bias is smaller by this factor in the published code
 _ADAMW_BETAS = (0.9, 0.99)
 _DROP_AT, _DROP_TO = 0.95, 0.1  # schedule "step": progress and factor
@@ -85,7 +86,7 @@ class Training(lightning.LightningModule):
 
     @property
     def model(self) -> Model:
-        """The network for predictions: the one with averaged weights, if there is one."""
+        """Network for predictions: the one with averaged weights, if there is one."""
         return self.network if self.average is None else self.average
 
     @property
@@ -133,6 +134,7 @@ class Training(lightning.LightningModule):
         return torch.optim.AdamW(groups, lr=config.rate, betas=_ADAMW_BETAS, fused=True)
 
     def on_train_start(self) -> None:
+        """Start the clock; the time of earlier runs counts."""
         self._clock = time.monotonic() - self.seconds
 
     def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
@@ -160,7 +162,7 @@ class Training(lightning.LightningModule):
         if not torch.isfinite(size):
             raise ValueError(
                 f"loss: expected finite numbers, got {float(self.latest['loss']):g} with a gradient of size "
-                f"{float(size):g} at step {self.steps_done}; the checkpoints are those of earlier steps"
+                f"{float(size):g} at step {self.steps_done}; the last checkpoint is from an earlier step"
             )
 
     def optimizer_step(self, *arguments: Any, **named: Any) -> None:
@@ -182,7 +184,8 @@ class Training(lightning.LightningModule):
         name, index = item
         images = torch.from_numpy(self._val_images[name][index].copy()).to(self.device).float() / 255
         views = torch.arange(VIEWS, device=self.device)
-        inputs = torch.tensor([batch_idx * 7 % VIEWS, (batch_idx * 7 + 11) % VIEWS], device=self.device)
+        first = batch_idx * _STRIDE
+        inputs = torch.tensor([first % VIEWS, (first + _APART) % VIEWS], device=self.device)
         model = self.model
         shapes = model(images[inputs])
         with torch.autocast(images.device.type, enabled=False):
@@ -191,6 +194,7 @@ class Training(lightning.LightningModule):
             self._scores.setdefault(name, []).append(1 - float(silhouette_iou_loss(silhouettes, target)))
 
     def on_validation_epoch_start(self) -> None:
+        """Forget the scores of the last validation."""
         self._scores: dict[str, list[float]] = {}
 
     def on_validation_epoch_end(self) -> None:
@@ -200,12 +204,14 @@ class Training(lightning.LightningModule):
             self.latest["val_iou"] = sum(means) / len(means)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Add the header and the state of the training to a checkpoint."""
         weights = "network." if self.average is None else "average."
         checkpoint[HEADER] = header(self.model, self.train_split.classes, weights)
         checkpoint["training"] = {"steps": self.steps_done, "seconds": self.seconds, "seed": self.seed}
         checkpoint.pop("loops", None)  # steps are counted here (see the class)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Restore the state of the training."""
         state = checkpoint["training"]
         self.steps_done, self.seconds, self.seed = state["steps"], state["seconds"], state["seed"]
         self.progress = max(self.steps_done / self.config.steps, self.seconds / 60 / self.minutes)
