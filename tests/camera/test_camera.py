@@ -445,6 +445,9 @@ def test_the_checks_leave_torch_func_alone():
     torch.testing.assert_close(found, leaf.grad)
 
 
+@pytest.mark.skipif(
+    tuple(map(int, torch.__version__.split(".")[:2])) < (2, 7), reason="torch 2.6 compiles no frozen dataclasses"
+)
 def test_everything_compiles_in_one_graph():
     K, R, t, dist = calibrated(2)
 
