@@ -21,7 +21,7 @@ from .raster.faces import checked_faces, world_corners
 from .raster.images import OUTPUTS, Images, checked_outputs
 from .raster.ops.composite import composite
 from .raster.settings import Settings
-from .raster.visibility.continuity import image_marks
+from .raster.visibility.continuity import image_edge_hashes
 from .shading.lights import Light
 from .shading.spherical_harmonics import SphericalHarmonicLight
 
@@ -117,7 +117,7 @@ def _image_colors(
         color = color * light_on_pixels(visible, light)
     behind = background_image(background, len(color), 3, visible.settings, color.device)
     rgb = composite(color, behind, visible.face_index)
-    return rgb, lambda: image_marks(mesh.uv, mesh.image_index, light)
+    return rgb, lambda: image_edge_hashes(mesh.uv, mesh.image_index, light)
 
 
 def _checked_lights(light: Any) -> list[AnyLight]:

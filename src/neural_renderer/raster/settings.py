@@ -90,17 +90,17 @@ class Settings:
         face_index: Tensor,
         seams: bool = False,
         binary: bool = False,
-        marks: Callable[[], Tensor] | None = None,
+        edge_hashes: Callable[[], Tensor] | None = None,
         rings: Tensor | None = None,
     ) -> Tensor:
         """The image [B, C, H, W] unchanged, with the gradient to the corners of `nmr_edges` or `boundaries`.
 
-        marks: gives those of `boundaries`, if they are needed. rings: as `rings` gives them.
+        edge_hashes: gives those of `boundaries`, if they are needed. rings: as `rings` gives them.
         """
         if not (corners.requires_grad and torch.is_grad_enabled()):
             return image
         if self.gradient == "edge":
-            own = marks() if marks is not None and seams else None
+            own = edge_hashes() if edge_hashes is not None and seams else None
             return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams, own, rings)
         if not self.perspective:  # depth has no part in it: a corner behind an orthographic camera is like any other
             corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)

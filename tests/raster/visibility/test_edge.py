@@ -17,9 +17,9 @@ from tests.rounding import rounding
 KINDS = ("plain", "plain", "tiny", "huge", "outside", "point", "copy", "flat")
 
 
-def gradient(grad, image, faces, index, two_sided, perspective, seams, marks=None):
+def gradient(grad, image, faces, index, two_sided, perspective, seams, edge_hashes=None):
     faces, image = faces.clone().requires_grad_(), image.clone().requires_grad_()
-    output = boundaries(image, faces, index, two_sided, perspective, seams, marks)
+    output = boundaries(image, faces, index, two_sided, perspective, seams, edge_hashes)
     assert torch.equal(output, image)
     output.backward(grad)
     assert torch.equal(image.grad, grad)
@@ -33,7 +33,9 @@ def jittered(faces: torch.Tensor, seed: int) -> torch.Tensor:
     return (corners + 1.5e-6 * random * (corners.abs() + 1))[order].view(faces.shape)
 
 
-def compare(device, faces, height, width, channels, two_sided, perspective, seams, seed=0, marks=None) -> torch.Tensor:
+def compare(
+    device, faces, height, width, channels, two_sided, perspective, seams, seed=0, edge_hashes=None
+) -> torch.Tensor:
     """Kernels and reference agree as far as float32 can know; returns how many faces could tell, and of how many.
 
     Where a crossing is near a pixel's centre or border, or two depths nearly equal, rounding decides. The reference
@@ -43,10 +45,12 @@ def compare(device, faces, height, width, channels, two_sided, perspective, seam
     random = torch.Generator().manual_seed(seed)
     image, grad = torch.randn(2, len(faces), channels, height, width, generator=random).to(device)
     options = (two_sided, perspective, seams)
-    found = gradient(grad, image, faces.to(device), index, *options, None if marks is None else marks.to(device)).cpu()
+    found = gradient(
+        grad, image, faces.to(device), index, *options, None if edge_hashes is None else edge_hashes.to(device)
+    ).cpu()
     maps = [grad.cpu(), image.cpu()]
-    expected = boundaries_reference(*maps, faces, index.cpu(), *options, marks)
-    others = [boundaries_reference(*maps, jittered(faces, n), index.cpu(), *options, marks) for n in range(4)]
+    expected = boundaries_reference(*maps, faces, index.cpu(), *options, edge_hashes)
+    others = [boundaries_reference(*maps, jittered(faces, n), index.cpu(), *options, edge_hashes) for n in range(4)]
     spread = torch.stack([(other - expected).abs().flatten(2).amax(2) for other in others]).amax(0)
     size = expected.abs().flatten(2).amax(2)
     difference = (found - expected).abs().flatten(2).amax(2)
@@ -342,8 +346,8 @@ def test_size_does_not_depend_on_channels_that_do_not_change(device):
 @pytest.mark.parametrize("batch", [1, 2])
 def test_seams_of_equal_marks_are_left_out(device, batch):
     faces = ball(3, 1).repeat(2, 1, 1, 1)
-    marks = torch.randint(0, 2, (batch, faces.shape[1], 3, 2), generator=torch.Generator().manual_seed(batch))
-    told = compare(device, faces, 40, 33, 3, True, True, True, 1, marks)
+    edge_hashes = torch.randint(0, 2, (batch, faces.shape[1], 3, 2), generator=torch.Generator().manual_seed(batch))
+    told = compare(device, faces, 40, 33, 3, True, True, True, 1, edge_hashes)
     assert told[0] > 30
     index = coverage(faces.to(device), 40, 33, NEAR, FAR, True, True)
     image, grad = torch.randn(2, 2, 3, 40, 33, device=device)
