@@ -9,7 +9,7 @@ from .operators import in_camera_space
 
 
 def neighbors_reference(faces: Tensor, two_sided: bool, perspective: bool) -> Tensor:
-    """Find the adjacent face across each edge, [B, F, 3] int32; see `neighbors`. An edge may have any number of faces."""
+    """Find the face across each edge, [B, F, 3] int32; see `neighbors`. Any number of faces may meet at an edge."""
     result = torch.full(faces.shape[:3], -1, dtype=torch.int32)
     drawn = drawn_faces(faces, two_sided, perspective).tolist()
     for b, image in enumerate(faces.double().tolist()):
