@@ -4,29 +4,11 @@ The test is cheap and visits each pixel once. Most faces fail it, and the kernel
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
-import torch
 import warp as wp
-from torch import Tensor
 
 from ..warp.geometry import HOMOGENEOUS
-from ..warp.launch import array, launch, zeros
 
 wp.set_module_options({"enable_backward": False})
-
-
-def intersection_candidates(
-    image: Tensor, faces: Tensor, face_index: Tensor, adjacent: Tensor, perspective: bool
-) -> Tensor:
-    """Mark the faces that may intersect another one with an effect on the image; arguments as in `add_intersections`.
-
-    Returns:
-        [B, F] int32: 1 for a candidate, else 0.
-    """
-    batch, height, _ = face_index.shape
-    candidates = zeros(faces.shape[:2], faces.device, torch.int32)
-    scene = [array(faces, wp.vec3), array(face_index), array(image), array(adjacent)]
-    launch(_find_candidates, batch * height, [*scene, int(perspective), array(candidates)], faces.device)
-    return candidates
 
 
 # Two faces, each visible at one of two pixels, can meet between them only where both cover the way. Each covers it from
@@ -116,19 +98,3 @@ def find_in_row(
     They are not adjacent on one surface, and the two pixels differ in colour.
     """
     ...
-
-
-@wp.kernel
-def _find_candidates(
-    first: int,
-    faces: wp.array3d(dtype=wp.vec3),
-    face_index: wp.array3d(dtype=int),
-    image: wp.array4d(dtype=float),
-    adjacent: wp.array3d(dtype=int),
-    perspective: int,
-    candidates: wp.array2d(dtype=int),
-):
-    """Mark the candidates in one row of one image. Tasks may write to one place, but never different values."""
-    task = first + wp.tid()
-    height = int(face_index.shape[1])
-    find_in_row(faces, face_index, image, adjacent, perspective, task // height, task % height, candidates)

@@ -15,15 +15,16 @@ plane and `degenerate` ones have no gradient here.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+import torch
 import warp as wp
 from torch import Tensor
 
 from ..ops.visible_faces import next_shown
 from ..warp.geometry import degenerate, in_front, pixel_box, pixel_centre
-from ..warp.launch import array, face_lanes, launch
-from .candidates import intersection_candidates
+from ..warp.launch import array, face_lanes, launch, zeros
+from .candidates import find_in_row
 from .crossings import border_weight
-from .nearness import covers, nearness_terms, total
+from .nearness import covers, nearness_slope, nearness_terms, total
 from .neighbors import same
 
 wp.set_module_options({"enable_backward": False})
@@ -44,11 +45,31 @@ def add_intersections(
         perspective: As in `coverage`.
     """
     batch, count = faces.shape[:2]
-    candidates = intersection_candidates(image, faces, face_index, adjacent, perspective)
-    lanes = face_lanes(faces, face_index.shape[1] * face_index.shape[2])
+    height, width = face_index.shape[1:]
+    # Few faces are beside one that they may intersect; the others need no second look.
+    candidates = zeros((batch, count), faces.device, torch.int32)
+    scene = [array(faces, wp.vec3), array(face_index), array(image), array(adjacent)]
+    launch(_find_candidates, batch * height, [*scene, int(perspective), array(candidates)], faces.device)
+    lanes = face_lanes(faces, height * width)
     maps = [array(image), array(grad), array(face_index), array(candidates)]
     arguments = [array(faces, wp.vec3), *maps, int(perspective), lanes, array(result, wp.vec3)]
     launch(_intersect, batch * count * lanes, arguments, faces.device)
+
+
+@wp.kernel
+def _find_candidates(
+    first: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    image: wp.array4d(dtype=float),
+    adjacent: wp.array3d(dtype=int),
+    perspective: int,
+    candidates: wp.array2d(dtype=int),
+):
+    """Mark the candidates in one row of one image. Tasks may write to one place, but never different values."""
+    task = first + wp.tid()
+    height = int(face_index.shape[1])
+    find_in_row(faces, face_index, image, adjacent, perspective, task // height, task % height, candidates)
 
 
 @wp.func
@@ -108,16 +129,6 @@ def second_face(pair: Pair, face_index: wp.array3d(dtype=int)) -> int:
     if pair.i2 < 0 or pair.i2 >= face_index.shape[2] or pair.j2 < 0 or pair.j2 >= height:
         return -1
     return face_index[pair.image, height - 1 - pair.j2, pair.i2]
-
-
-@wp.func
-def nearness_slope(
-    v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float, here: float, pixel: wp.vec2, perspective: int
-) -> wp.vec2:
-    """Compute the change of a face's nearness from ``here``, at (x, y), to a pixel further right and further up."""
-    right = total(nearness_terms(v0, v1, v2, x + pixel[0], y, perspective)) - here
-    up = total(nearness_terms(v0, v1, v2, x, y + pixel[1], perspective)) - here
-    return wp.vec2(right, up)
 
 
 @wp.func

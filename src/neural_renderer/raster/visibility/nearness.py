@@ -60,3 +60,13 @@ def covers(terms: wp.vec3, perspective: int) -> bool:
     if perspective == 1:
         return terms[0] >= 0.0 and terms[1] >= 0.0 and terms[2] >= 0.0
     return terms[0] <= 0.0 and terms[1] <= 0.0 and terms[2] <= 0.0
+
+
+@wp.func
+def nearness_slope(
+    v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float, here: float, pixel: wp.vec2, perspective: int
+) -> wp.vec2:
+    """Compute the change of a face's nearness from ``here``, at (x, y), to a pixel further right and further up."""
+    right = total(nearness_terms(v0, v1, v2, x + pixel[0], y, perspective)) - here
+    up = total(nearness_terms(v0, v1, v2, x, y + pixel[1], perspective)) - here
+    return wp.vec2(right, up)
