@@ -59,7 +59,7 @@ def test_few_corners_give_borders_and_neighbors(device):
 @pytest.mark.parametrize("two_sided", [False, True])
 @pytest.mark.parametrize("level", [0, 2])
 def test_closed_mesh(device, two_sided, level):
-    """All edges have two faces, but at a fold none is adjacent: one is not drawn, or both lie on one side of the edge."""
+    """All edges have two faces. At a fold neither is adjacent: one is not drawn, or both lie on one side of it."""
     vertices, faces = nr.icosphere(level)
     found = compare(projected(vertices, faces, 3), device, two_sided)
     back = neighbors_reference(projected(vertices, faces, 3).flip(2), two_sided, True)
@@ -70,7 +70,7 @@ def test_closed_mesh(device, two_sided, level):
 
 
 def test_cube(device):
-    """A corner-on view shows 6 of 12 faces: 3 diagonals and 3 inner edges have neighbours, the 6 of the outline none."""
+    """Seen on a corner, 6 of 12 faces are visible: 3 diagonals and 3 inner edges have neighbours, 6 outlines none."""
     corner = torch.tensor([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     faces = torch.tensor([t for a, b, c, d in quads for t in ([a, b, c], [a, c, d])])
