@@ -115,5 +115,5 @@ HOMOGENEOUS = """
 
 @wp.func_native(HOMOGENEOUS)
 def homogeneous_weights(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float) -> wp.vec3d:
-    """Compute ``a_k = w_k / z_k`` at a screen position; in double, as corners near the camera's plane project far away."""
+    """Compute ``a_k = w_k / z_k`` at a screen position; in double, for corners near the camera's plane."""
     ...

@@ -1,8 +1,8 @@
 """The visible point of a face at a pixel, in plain C++: one source for every kernel that needs its weights.
 
-``FACE`` declares a struct for native functions. ``set`` takes the corners of a face; ``at`` computes depth and weights at
-a pixel; ``gather``, ``pull`` and ``give`` send the gradients of weights and depth to the corners. `over_rows` builds a
-loop over pixels from it.
+``FACE`` declares a struct for native functions. ``set`` takes the corners of a face; ``at`` computes depth and weights
+at a pixel; ``gather``, ``pull`` and ``give`` send the gradients of weights and depth to the corners. `over_rows` builds
+a loop over pixels from it.
 
 The code that Warp generates from the same formulas in Python takes about twice as long on the CPU.
 """
@@ -193,8 +193,8 @@ def over_rows(shown: str, empty: str, begin: str = "", fresh: str = "") -> str:
     """Build the body of a native function over the rows [first, last), counted over all images.
 
     Args:
-        shown: Statements for a pixel that shows a face, with row, pixel, i, b, f, own (f counted over all images), face,
-            weights and z.
+        shown: Statements for a pixel that shows a face, with row, pixel, i, b, f, own (f counted over all images),
+            face, weights and z.
         empty: Statements for ``empty`` consecutive pixels without a face, from i and pixel on.
         begin: Statements before the loop.
         fresh: Statements for a face that is not among the KEPT ones, with its ``slot``.
