@@ -6,7 +6,7 @@ ray tracing through edge sampling", 2018; Reynolds' transport theorem). The oper
 derivative of the colours inside faces. The other part, an integral along the visible boundaries, is here: a boundary
 that moves sweeps over area whose colour changes from the outer to the inner one,
 
-    dL = integral along the boundary of (normal motion) * sum over channels of (I_inner - I_outer) * dL/dI.
+    dL = integral along the boundary of (outward motion) * sum over channels of (I_inner - I_outer) * dL/dI.
 
 Rows and columns of pixel centres sample the integral: a row that crosses an edge p -> q at the share s from p to q
 measures the motion (1 - s) dp_x + s dq_x along x, and a column the motion along y. For each crossing between the
@@ -134,7 +134,7 @@ def _(grad, image, faces, face_index, two_sided, perspective, seams, edge_hashes
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
     image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, edge_hashes, rings = inputs
-    ctx.save_for_backward(image, faces, face_index, edge_hashes, rings)  # the output may change in place
+    ctx.save_for_backward(image, faces, face_index, edge_hashes, rings)  # callers may change the output in place
 
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
