@@ -26,7 +26,7 @@ from .kernel_cache import load_module
 # Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
 _PIECES = 4
 
-# Pixels that are worth another CPU thread.
+# Pixels to look at before another CPU thread is worth waking.
 MANY_PIXELS = 1 << 20
 
 # Tests set it: called with a kernel, the number of tasks and the arguments of each launch, it runs CUDA's code of the
@@ -88,7 +88,7 @@ def load_kernel(kernel: wp.Kernel, device: str) -> None:
     with _lock:
         if key not in _ready:
             level = wp.config.log_level
-            wp.config.log_level = max(level, wp.LOG_WARNING)  # no banner and no build lines
+            wp.config.log_level = max(level, wp.LOG_WARNING)  # the banner and build lines belong to nobody's output
             try:
                 with _quiet():
                     wp.init()
