@@ -17,7 +17,7 @@ from .visibility.nmr import nmr_edges
 from .visibility.rings import edge_rings
 
 GRADIENTS = ("nmr", "edge")
-FARTHEST = 1e37  # world units: the sum of four such depths is finite in float32
+FARTHEST = 1e37  # so that the sum of four depths is finite in float32
 
 
 @dataclass(frozen=True)
@@ -180,8 +180,7 @@ def image_size(name: str, size: Any) -> tuple[int, int]:
 
 
 def _check_memory(batch: int, height: int, width: int, channels: int, device: torch.device) -> None:
-    """Raise ValueError if the maps and images of a drawing need more memory than the device has."""
-    # 28 bytes for the depth key, face index, weights and depth; four float32 copies of the image in backward.
+    # The key, index, weights and depth, and four copies of the image on the way back.
     need = batch * height * width * (28 + 16 * channels)
     if need < 1 << 30:
         return

@@ -120,7 +120,7 @@ def concurrent(device: torch.device) -> bool:
 
 
 def cpu_bands(batch: int) -> int:
-    """Compute the number of bands of rows per image that gives all of torch's threads work."""
+    """Into how many bands of rows each image is cut so that all of torch's threads have work."""
     threads = torch.get_num_threads()
     return 1 if batch % threads == 0 or batch >= _PIECES * threads else 2 * threads
 
