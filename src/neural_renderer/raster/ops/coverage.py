@@ -48,7 +48,7 @@ def coverage(
         launch(_draw, batch * count * lanes, [array(faces, wp.vec3), array(key), lanes, *options], faces.device)
         launch(_decode, batch * height, [array(key), array(face_index), count], faces.device)
         return face_index
-    # A task draws all faces, in order, into an image or a band of its rows.
+    # One task per image, or band of rows of it, which runs through all faces from first to last.
     bands = min(height, cpu_bands(batch))
     nearest = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
     maps = [array(nearest), array(face_index)]
