@@ -98,7 +98,7 @@ def test_images_match_where_texture_coordinates_are_continuous(device):
 
 
 def test_render_finds_no_seams_in_a_continuous_texture(device):
-    """Its gradient is that of `composite` with ``seams=False``."""
+    """Its gradient equals the gradient of `composite` with ``seams=False``."""
     vertices, faces = sphere(device)
     uv = vertices[faces.long()][..., :2] * 0.4 + 0.5
     image = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(0)).to(device)

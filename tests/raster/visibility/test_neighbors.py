@@ -94,7 +94,7 @@ def test_open_mesh(device):
 
 
 def test_a_pile_of_equal_faces(device):
-    """Faces on one side of an edge are no neighbours; a face on the other side is that of all of them."""
+    """Faces on one side of an edge are no neighbours; a face on the other side is adjacent to all of them."""
     corners = torch.tensor([[-0.5, 0, 2.0], [0.5, 0, 2], [0, 0.5, 2], [0, -0.5, 2]])
     pile = corners[torch.tensor([0, 1, 2])].expand(50, 3, 3)
     assert (compare(pile[None], device, True) == -1).all()

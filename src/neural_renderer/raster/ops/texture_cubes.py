@@ -28,7 +28,7 @@ def sample_textures(
     """Sample texture cubes; differentiable in textures, light, background and faces.
 
     The coordinate along the axis of corner k is T - 1 times its weight; the 8 texels around it are blended. With T = 1
-    a face has one colour. The gradient to faces is that of the colours inside them, through the weights.
+    a face has one colour. The gradient to faces comes from the colours inside them, through the weights.
 
     Args:
         textures: Cubes, [B or 1, F, T, T, T, 3] float32; texel [a][b][c] belongs to corner weights (0, 1, 2).

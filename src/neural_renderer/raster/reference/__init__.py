@@ -1,1 +1,1 @@
-"""Float64 references of the operators in plain torch: slow, and what the tests compare the kernels with."""
+"""Float64 references of the operators in plain torch: slow, for tests of the kernels."""

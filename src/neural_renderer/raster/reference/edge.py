@@ -5,6 +5,7 @@ The maths is in `raster/visibility/edge.py`. Time grows with faces times the sid
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -43,14 +44,13 @@ def boundaries_reference(
         pull, color, shown = (m[b].detach().cpu() for m in (grad.double(), image.double(), face_index))
         for axis in range(2):
             scan = _Scan.of(pull, color, shown, corners[b], adjacent[b], axis, perspective)
-            for f in drawn[b].nonzero().flatten().tolist():
-                for k in range(3):
-                    if adjacent[b, f, k] < 0 or (
-                        seams and not _colors_continue(edge_hashes, corners[b], adjacent[b], b, f, k)
-                    ):
-                        to_start, to_end = _move_edge(scan, f, k, bool(side[b, f] > 0))
-                        result[b, f, k, axis] += to_start
-                        result[b, f, (k + 1) % 3, axis] += to_end
+            for f, k in itertools.product(drawn[b].nonzero().flatten().tolist(), range(3)):
+                if adjacent[b, f, k] >= 0:  # no outline, but perhaps a seam
+                    if not seams or _colors_continue(edge_hashes, corners[b], adjacent[b], b, f, k):
+                        continue
+                to_start, to_end = _move_edge(scan, f, k, bool(side[b, f] > 0))
+                result[b, f, k, axis] += to_start
+                result[b, f, (k + 1) % 3, axis] += to_end
             result[b] += intersections_reference(pull, color, shown, corners[b], axis, perspective)
     return result.to(faces.device)
 

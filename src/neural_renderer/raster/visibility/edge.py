@@ -10,10 +10,10 @@ that moves sweeps over area whose colour changes from the outer to the inner one
 
 Rows and columns of pixel centres sample the integral: a row that crosses an edge p -> q at the share s from p to q
 measures the motion (1 - s) dp_x + s dq_x along x, and a column the motion along y. For each crossing between the
-centres of two pixels, of which the inner one shows the face and the outer one something behind it:
+centres of two pixels, where the inner pixel shows the face and the outer one a farther face or the background:
 
 - The two colours are extrapolated linearly to the crossing, where the next pixel shows the same face.
-- dL/dI is that of the pixel that contains the crossing.
+- dL/dI is the gradient of the pixel that contains the crossing.
 - A face with a chord c < 1 pixel on the line is hit by a centre with probability c only, so the crossing has the weight
   1 / c. Where the surface continues, the adjacent face stands in for the missed one.
 - At seams, where two faces of a surface meet in different colours, see `seams`.
@@ -84,8 +84,8 @@ def boundaries(
             the search for adjacent faces; None searches.
 
     Returns:
-        A copy of the image, [B, C, H, W] float32. In backward the image gets its gradient unchanged, and faces get
-        that of their x and y; where faces intersect, also of z. There is no second derivative (RuntimeError).
+        A copy of the image, [B, C, H, W] float32. Backward sends the gradient unchanged to the image, and gradients to
+        x and y of faces; where faces intersect, also to z. There is no second derivative (RuntimeError).
     """
     return copy(image)
 
@@ -239,7 +239,7 @@ def may_move(
     k: int,
     seams: int,
 ) -> bool:
-    """Test whether edge k of a face is an outline, or a seam that this face takes: that of lower index does."""
+    """Test whether edge k of a face is an outline, or a seam to a face of higher index, so that each counts once."""
     other = adjacent[b, f, k]
     if other < 0:
         return True

@@ -199,6 +199,23 @@ def same_edge(faces: wp.array3d(dtype=wp.vec3), b: int, entry: int, p: wp.vec3, 
     return (same(start, p) and same(end, q)) or (same(start, q) and same(end, p))
 
 
+@wp.func
+def insert_edge(faces: wp.array3d(dtype=wp.vec3), table: wp.array2d(dtype=int), b: int, f: int, k: int):
+    """Insert edge k of face f as 3 f + k + 1 in the next free place, unless the table has MOST_EQUALS equal ones."""
+    size = int(table.shape[1])
+    p = faces[b, f, k]
+    q = faces[b, f, (k + 1) % 3]
+    at = edge_hash(p, q, size)
+    equals = int(0)
+    entry = wp.atomic_cas(table, b, at, 0, 3 * f + k + 1)
+    while entry != 0 and equals < MOST_EQUALS:
+        if same_edge(faces, b, entry, p, q):
+            equals += 1
+        at = (at + 1) & (size - 1)
+        if equals < MOST_EQUALS:
+            entry = wp.atomic_cas(table, b, at, 0, 3 * f + k + 1)
+
+
 @wp.kernel
 def _insert_edges(
     first: int,
@@ -209,26 +226,14 @@ def _insert_edges(
     perspective: int,
     lanes: int,
 ):
-    """Insert the edges of drawn faces into their image's table, as 3 f + k + 1; linear probing finds a free place."""
+    """Insert the edges of every n-th drawn face of an image into its table, a hash table with linear probing."""
     task = first + wp.tid()
     b = task // lanes
-    size = int(table.shape[1])
     for f in range(task % lanes, faces.shape[1], lanes):
         if is_drawn(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], two_sided, perspective):
             for k in range(3):
-                if not stands_alone(rings, b, f, k):
-                    continue
-                p = faces[b, f, k]
-                q = faces[b, f, (k + 1) % 3]
-                at = edge_hash(p, q, size)
-                equals = int(0)
-                entry = wp.atomic_cas(table, b, at, 0, 3 * f + k + 1)
-                while entry != 0 and equals < MOST_EQUALS:
-                    if same_edge(faces, b, entry, p, q):
-                        equals += 1
-                    at = (at + 1) & (size - 1)
-                    if equals < MOST_EQUALS:
-                        entry = wp.atomic_cas(table, b, at, 0, 3 * f + k + 1)
+                if stands_alone(rings, b, f, k):
+                    insert_edge(faces, table, b, f, k)
 
 
 @wp.kernel

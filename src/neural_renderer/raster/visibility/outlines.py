@@ -2,7 +2,7 @@
 
 Pixel centres hit a face that is narrower than a pixel along a scan line with a probability equal to its chord, the
 length of the line in the face. Its crossings are weighted by the inverse. Where the surface continues behind the chord,
-a centre in the adjacent face shows the outline as well, and the chord is that of both faces.
+a centre in the adjacent face shows the outline as well, and the chord runs through both faces.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.

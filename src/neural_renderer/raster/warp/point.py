@@ -130,7 +130,7 @@ struct Face {{
         }}
     }}
 
-    // Hand over to the face's corners what came together; ``alone`` if nobody else has a part in them.
+    // Add the sums to the gradients of the face's corners; ``alone``: no other task writes them.
     CUDA_CALLABLE void give(vec3* corners, bool alone) const {{
         for (int k = 0; k < 3; ++k) {{
             const vec3 part(to[3 * k], to[3 * k + 1], to[3 * k + 2]);
