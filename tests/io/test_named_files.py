@@ -14,6 +14,7 @@ import trimesh
 
 import neural_renderer as nr
 from neural_renderer import cli
+from neural_renderer.io.files import why_not_loaded
 from neural_renderer.io.named_files import find_file, is_outside
 
 HINT = r"which is outside; allow_outside=True \(--allow-outside\)"
@@ -177,3 +178,8 @@ def test_names(tmp_path: Path) -> None:
     assert find_file(source, "..\\home\\B.MTL") == source.parent / "b.mtl"
     for name in ("", "x" * 5000, "x\0y", "b.mtl/c", "."):  # none of which the system may be asked for
         assert find_file(source, name, allow_outside=True) is None, name
+
+
+def test_reasons_are_cut():
+    """Damaged checkpoints put their bytes into torch's message."""
+    assert len(why_not_loaded(RuntimeError("Unknown endianness type: " + 5000 * "x"))) < 300

@@ -131,4 +131,4 @@ def why_not_loaded(error: Exception) -> str:
         return "it holds Python objects that could run code"
     if "Weights only load failed" in words or words.isdigit():
         return "not a PyTorch checkpoint"
-    return words.partition(". ")[0].splitlines()[0] if words else type(error).__name__
+    return words.partition(". ")[0].splitlines()[0][:_LONGEST_REASON] if words else type(error).__name__
