@@ -15,6 +15,7 @@ from .deferred import Fragments, visible_fragments
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
+from .raster.ahead import CUBES, IMAGES, load_kernels
 from .raster.background import background_image
 from .raster.cubes import cube_colors, light_on_pixels
 from .raster.faces import checked_faces, world_corners
@@ -89,6 +90,7 @@ def render(
     aspect = settings.width / settings.height
     screen = validate.in_float32("vertices on the screen", camera(vertices, aspect=aspect))
     faces = checked_faces(faces)
+    load_kernels(settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, screen)
     factors = None
     if lights and "rgb" in outputs:
         corners = world_corners(vertices, faces, len(screen))
