@@ -150,109 +150,96 @@ def copy_lines(
         copy_columns(image, grad, b, pixel, count, height, columns, to, plane, planes, spans, span)
 
 
-# The sum over ``count`` pixels of a scan line, from ``line`` on in the direction ``way``, of what they gain by the
-# colour at ``pixel``, over the travel of an edge's two corners: for each corner reach * distance + its slack.
-# What is read beyond the count must be zero, or not be kept. Operands may be fused: an exact zero stays one.
-_SUM = """
-    #pragma clang fp contract(fast)
-    float gain[16], lost[16], sum_p[16], sum_q[16];
-    for (int k = 0; k < 16; ++k) sum_p[k] = sum_q[k] = 0.0f;
-    // The usual three channels are spelled out, so that their colours stay in registers.
-    const wp::int64 area = (wp::int64)image.shape[2] * image.shape[3];
-    const float red = image.data[pixel], green = channels < 3 ? 0.0f : image.data[pixel + area];
-    const float blue = channels < 3 ? 0.0f : image.data[pixel + 2 * area];
-    const float slope = way > 0 ? 1.0f : -1.0f;
-    const float offset = way > 0 ? distance : distance + 15.0f;
-    for (int n = 0; n < count; n += 16) {
-        const wp::int64 start = line + (way > 0 ? n : -n - 15);
-        const float* stored = lines.data + start;
-        BLOCK
-        if (channels > 0) {
-            const float* pull = stored + plane;
-            for (int k = 0; k < 16; ++k) lost[k] = red * pull[k];
-            if (channels >= 3) {
-                for (int k = 0; k < 16; ++k) lost[k] += green * pull[plane + k];
-                for (int k = 0; k < 16; ++k) lost[k] += blue * pull[2 * plane + k];
-            }
-            for (int c = channels < 3 ? 1 : 3; c < channels; ++c) {
-                const float color = image.data[pixel + c * area];
-                for (int k = 0; k < 16; ++k) lost[k] += color * pull[c * plane + k];
-            }
-            for (int k = 0; k < 16; ++k) gain[k] -= lost[k];
-        }
-        for (int k = 0; k < 16; ++k) {
-            const float away = offset + (float)n + slope * (float)k;
-            const float travel_p = reach * away + slack_p;
-            const float travel_q = reach * away + slack_q;
-            const float share = (KEEP ? gain[k] : 0.0f) / (travel_p * travel_q);
-            sum_p[k] += share * travel_q;
-            sum_q[k] += share * travel_p;
-        }
+# Sums along a stored scan line: what pixels gain by the colour that they would get if an edge were moved to them, over
+# the travel of each of the edge's two corners, which is reach * distance + its slack.
+_SUMS = """
+struct ScanLine {
+    typedef wp::vec_t<2, float> vec2;
+    const float* stored;  // of the line's first pixel; a plane further is the gradient of the first channel
+    wp::int64 plane, area;
+    int channels;  // 0 where what is stored are the gains themselves
+    const float* color;  // the first channel's; the next is an area further
+    float reach, slack_p, slack_q;
+
+    CUDA_CALLABLE vec2 over_travel(float gain, float away) const {
+        const float travel_p = reach * away + slack_p, travel_q = reach * away + slack_q;
+        const float share = gain / (travel_p * travel_q);
+        return vec2(share * travel_q, share * travel_p);
     }
-    for (int half = 8; half > 0; half /= 2)
-        for (int k = 0; k < half; ++k) {
-            sum_p[k] += sum_p[k + half];
-            sum_q[k] += sum_q[k + half];
+
+    // Over ``count`` pixels from ``begin`` on in the direction ``way``, of which the first is at that distance from the
+    // edge. Beyond them only zeros may be stored.
+    CUDA_CALLABLE vec2 outward(int begin, int way, int count, float distance) const { EVERY_ONE }
+
+    // Inward: only over pixels that show the face f, by the face numbers from ``shown`` on, ``step`` apart.
+    CUDA_CALLABLE vec2 inward(
+        int begin, int way, int count, float distance, int f, const int* shown, int step) const {
+        #pragma clang fp contract(fast)
+        if (count > 8) { SHOWN_ONES }
+        vec2 sum(0.0f);
+        for (int n = 0; n < count; ++n) {
+            if (shown[n * step] != f) continue;
+            const float* at = stored + begin + (way > 0 ? n : -n);
+            float gain = at[0];
+            if (channels == 0) gain = -gain;
+            else {
+                // Rounded as it is where many are summed.
+                float lost = color[0] * at[plane];
+                for (int c = 1; c < channels; ++c) lost += color[c * area] * at[(c + 1) * plane];
+                gain -= lost;
+            }
+            sum += over_travel(gain > 0.0f ? gain : 0.0f, distance + (float)n);
         }
-    return wp::vec_t<2, float>(sum_p[0], sum_q[0]);
+        return sum;
+    }
+};
 """
-
-
-@wp.func_native(
-    _SUM.replace("BLOCK", "for (int k = 0; k < 16; ++k) gain[k] = stored[k];").replace("KEEP", "gain[k] > 0.0f")
+# Sixteen pixels at a time. Operands may be fused, as in `_COPY`: an exact zero stays one.
+_BLOCKS = """
+        #pragma clang fp contract(fast)
+        float gain[16], lost[16], sum_p[16], sum_q[16];
+        for (int k = 0; k < 16; ++k) sum_p[k] = sum_q[k] = 0.0f;
+        // The usual three channels are spelled out, so that their colours stay in registers.
+        const float red = color[0], green = channels < 3 ? 0.0f : color[area];
+        const float blue = channels < 3 ? 0.0f : color[2 * area];
+        const float slope = way > 0 ? 1.0f : -1.0f;
+        const float offset = way > 0 ? distance : distance + 15.0f;
+        for (int n = 0; n < count; n += 16) {
+            const float* at = stored + begin + (way > 0 ? n : -n - 15);
+            for (int k = 0; k < 16; ++k) gain[k] = GAINED;
+            if (channels > 0) {
+                const float* pull = at + plane;
+                for (int k = 0; k < 16; ++k) lost[k] = red * pull[k];
+                if (channels >= 3) {
+                    for (int k = 0; k < 16; ++k) lost[k] += green * pull[plane + k];
+                    for (int k = 0; k < 16; ++k) lost[k] += blue * pull[2 * plane + k];
+                }
+                for (int c = channels < 3 ? 1 : 3; c < channels; ++c)
+                    for (int k = 0; k < 16; ++k) lost[k] += color[c * area] * pull[c * plane + k];
+                for (int k = 0; k < 16; ++k) gain[k] -= lost[k];
+            }
+            KEEP
+            for (int k = 0; k < 16; ++k) {
+                const float away = offset + (float)n + slope * (float)k;
+                const float travel_p = reach * away + slack_p, travel_q = reach * away + slack_q;
+                const float share = (gain[k] > 0.0f ? gain[k] : 0.0f) / (travel_p * travel_q);
+                sum_p[k] += share * travel_q;
+                sum_q[k] += share * travel_p;
+            }
+        }
+        for (int half = 8; half > 0; half /= 2)
+            for (int k = 0; k < half; ++k) sum_p[k] += sum_p[k + half], sum_q[k] += sum_q[k + half];
+        return vec2(sum_p[0], sum_q[0]);
+"""
+_KEEP = """
+            for (int k = 0; k < 16; ++k) {
+                const int here = way > 0 ? n + k : n + 15 - k;
+                gain[k] = here < count && shown[here < count ? here * step : 0] == f ? gain[k] : 0.0f;
+            }
+"""
+SCAN_LINE = _SUMS.replace("EVERY_ONE", _BLOCKS.replace("GAINED", "at[k]").replace("KEEP", "")).replace(
+    "SHOWN_ONES", _BLOCKS.replace("GAINED", "channels > 0 ? at[k] : -at[k]").replace("KEEP", _KEEP)
 )
-def sweep(
-    lines: wp.array4d(dtype=float),
-    line: wp.int64,
-    plane: wp.int64,
-    image: wp.array4d(dtype=float),
-    pixel: wp.int64,
-    channels: int,
-    way: int,
-    count: int,
-    distance: float,
-    reach: float,
-    slack_p: float,
-    slack_q: float,
-) -> wp.vec2:
-    """Outward, to the end of the line's span. channels: 0 where what is stored at ``line`` are the gains themselves;
-    distance: of the first pixel from the edge."""
-    ...
-
-
-_SHOWN = """
-        const int* pixels = face_index.data + shown;
-        int face[16];
-        for (int k = 0; k < 16; ++k) {
-            const int here = way > 0 ? n + k : n + 15 - k;
-            face[k] = pixels[here < count ? here * step : 0];
-        }
-        for (int k = 0; k < 16; ++k) gain[k] = channels > 0 ? stored[k] : -stored[k];
-"""
-_IS_SHOWN = "gain[k] > 0.0f && face[k] == f && (way > 0 ? n + k : n + 15 - k) < count"
-
-
-@wp.func_native(_SUM.replace("BLOCK", _SHOWN).replace("KEEP", _IS_SHOWN))
-def shrink(
-    lines: wp.array4d(dtype=float),
-    line: wp.int64,
-    plane: wp.int64,
-    image: wp.array4d(dtype=float),
-    pixel: wp.int64,
-    channels: int,
-    way: int,
-    count: int,
-    distance: float,
-    reach: float,
-    slack_p: float,
-    slack_q: float,
-    f: int,
-    face_index: wp.array3d(dtype=int),
-    shown: wp.int64,
-    step: int,
-) -> wp.vec2:
-    """Inward, over the pixels that show the face ``f`` by ``face_index`` from ``shown`` on, ``step`` apart."""
-    ...
 
 
 @wp.func

@@ -24,7 +24,7 @@ from torch import Tensor
 from .kernel_cache import load_module
 
 # Threads that compile, each of which begins with two seconds for Warp's headers; and what spares them a third of it.
-_COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16"
+_COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
 
 # Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
 _PIECES = 4
