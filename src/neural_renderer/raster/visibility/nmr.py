@@ -156,8 +156,7 @@ _PULL = (
     + _EDGE
     + """
     const Edge edge(p, q, r, axis, image.shape[2], image.shape[3]);
-    float to_p = 0.0f, to_q = 0.0f;
-    if (!edge.placed) return wp::vec_t<2, float>(to_p, to_q);
+    if (!edge.placed) return wp::vec_t<2, float>(0.0f);
     const int height = image.shape[2], width = image.shape[3], way = edge.outward;
     const wp::int64 area = (wp::int64)height * width, planes = lines.shape[2], plane = lines.shape[3];
     const int* shown = face_index.data + b * area;
@@ -167,6 +166,7 @@ _PULL = (
     ScanLine line;
     line.plane = plane, line.area = area, line.channels = (int)planes - 1;
     line.reach = fabsf(edge.qu - edge.pu) * 2.0f / (float)edge.length;
+    line.to_p = line.to_q = 0.0f, line.also_to_p = line.also_to_q = 0.0f;
     for (int u = edge.first_line() + lane, last = edge.last_line(); u <= last; u += lanes) {
         const float c = edge.crossing(u);
         const int inner = edge.inside_of(c), outer = inner + way;
@@ -180,6 +180,7 @@ _PULL = (
         // one corner is moved by that corner alone.
         const float share_p = fabsf(edge.qu - (float)u), share_q = fabsf((float)u - edge.pu);
         line.slack_p = eps * share_p + TINY, line.slack_q = eps * share_q + TINY;
+        line.share_p = -(float)way * share_p, line.share_q = -(float)way * share_q;
         line.stored = lines.data + ((wp::int64)b * edge.count + u) * planes * plane + WIDE;
         if (seen) {  // outward, to the end of what the line holds
             const wp::vec_t<2, int> span = spans.data[(wp::int64)b * (height + width) + (axis == 0 ? u : height + u)];
@@ -187,21 +188,20 @@ _PULL = (
             const int pixels = way > 0 ? span[1] - begin + 1 : begin - span[0] + 1;
             if (pixels > 0) {
                 line.color = colors + inside;
-                const auto sums = line.outward(begin, way, pixels, fabsf((float)begin - c));
-                to_p -= share_p * sums[0], to_q -= share_q * sums[1];
+                line.outward(begin, way, pixels, fabsf((float)begin - c));
             }
         }
         if (facing) {
             const int pixels = (inner - edge.far_side(u)) * way + 1;
             if (pixels > 0) {
                 line.color = colors + outside;
-                const auto sums = line.inward(
-                    inner, -way, pixels, fabsf((float)inner - c), f, shown + inside, -way * along);
-                to_p += share_p * sums[0], to_q += share_q * sums[1];
+                line.share_p = -line.share_p, line.share_q = -line.share_q;
+                line.inward(inner, -way, pixels, fabsf((float)inner - c), f, shown + inside, -way * along);
             }
         }
     }
-    return wp::vec_t<2, float>((float)way * to_p, (float)way * to_q);
+    return wp::vec_t<2, float>(
+        ScanLine::total(line.to_p) + line.also_to_p, ScanLine::total(line.to_q) + line.also_to_q);
 """
 ).replace("TINY", f"{TINY!r}f").replace("WIDE", str(WIDE))
 

@@ -150,95 +150,122 @@ def copy_lines(
         copy_columns(image, grad, b, pixel, count, height, columns, to, plane, planes, spans, span)
 
 
-# Sums along a stored scan line: what pixels gain by the colour that they would get if an edge were moved to them, over
-# the travel of each of the edge's two corners, which is reach * distance + its slack.
-_SUMS = """
+# Sums along stored scan lines of what pixels gain by the colour that they would get if an edge were moved to them, over
+# the travel of each of the edge's two corners, which is reach * distance + slack, times the corner's share.
+# Operands may be fused as in `_COPY`: an exact zero stays one.
+SCAN_LINE = """
 struct ScanLine {
-    typedef wp::vec_t<2, float> vec2;
+    #if defined(__CUDA_ARCH__)
+    typedef float floats;
+    enum { AT_ONCE = 1 };
+    static CUDA_CALLABLE floats ahead() { return 0.0f; }
+    static CUDA_CALLABLE float total(floats v) { return v; }
+    #else
+    typedef float floats __attribute__((ext_vector_type(16)));
+    typedef int ints __attribute__((ext_vector_type(16)));
+    enum { AT_ONCE = 16, FEW = 8 };
+    static floats ahead() {
+        return floats{0.f, 1.f, 2.f, 3.f, 4.f, 5.f, 6.f, 7.f, 8.f, 9.f, 10.f, 11.f, 12.f, 13.f, 14.f, 15.f};
+    }
+    static float total(floats v) {
+        const auto eight = v.lo + v.hi;
+        const auto four = eight.lo + eight.hi;
+        return four[0] + four[2] + (four[1] + four[3]);
+    }
+    #endif
     const float* stored;  // of the line's first pixel; a plane further is the gradient of the first channel
     wp::int64 plane, area;
     int channels;  // 0 where what is stored are the gains themselves
     const float* color;  // the first channel's; the next is an area further
-    float reach, slack_p, slack_q;
+    float reach, share_p, share_q, slack_p, slack_q;
+    floats to_p, to_q;  // what came together
+    float also_to_p, also_to_q;
 
-    CUDA_CALLABLE vec2 over_travel(float gain, float away) const {
-        const float travel_p = reach * away + slack_p, travel_q = reach * away + slack_q;
-        const float share = gain / (travel_p * travel_q);
-        return vec2(share * travel_q, share * travel_p);
+    static CUDA_CALLABLE floats load(const float* from) {
+        floats all;
+        memcpy(&all, from, sizeof(all));
+        return all;
+    }
+    // The usual three channels are spelled out, so that their colours stay in registers.
+    CUDA_CALLABLE floats loss(const float* pull, float red, float green, float blue) const {
+        #pragma clang fp contract(fast)
+        floats lost = red * load(pull);
+        if (channels >= 3) {
+            lost += green * load(pull + plane);
+            lost += blue * load(pull + 2 * plane);
+        }
+        for (int c = channels < 3 ? 1 : 3; c < channels; ++c) lost += color[c * area] * load(pull + c * plane);
+        return lost;
     }
 
     // Over ``count`` pixels from ``begin`` on in the direction ``way``, of which the first is at that distance from the
     // edge. Beyond them only zeros may be stored.
-    CUDA_CALLABLE vec2 outward(int begin, int way, int count, float distance) const { EVERY_ONE }
+    CUDA_CALLABLE void outward(int begin, int way, int count, float distance) {
+        #pragma clang fp contract(fast)
+        const float red = color[0], green = channels < 3 ? 0.0f : color[area];
+        const float blue = channels < 3 ? 0.0f : color[2 * area];
+        const floats none = 0.0f, start = distance + (way > 0 ? ahead() : (float)(AT_ONCE - 1) - ahead());
+        const float* at = stored + begin - (way > 0 ? 0 : AT_ONCE - 1);
+        floats sum_p = none, sum_q = none;
+        for (int n = 0; n < count; n += AT_ONCE, at += way * AT_ONCE) {
+            floats gain = load(at);
+            if (channels > 0) gain -= loss(at + plane, red, green, blue);
+            ADD
+        }
+        to_p += share_p * sum_p, to_q += share_q * sum_q;
+    }
 
     // Inward: only over pixels that show the face f, by the face numbers from ``shown`` on, ``step`` apart.
-    CUDA_CALLABLE vec2 inward(
-        int begin, int way, int count, float distance, int f, const int* shown, int step) const {
+    CUDA_CALLABLE void inward(int begin, int way, int count, float distance, int f, const int* shown, int step) {
         #pragma clang fp contract(fast)
-        if (count > 8) { SHOWN_ONES }
-        vec2 sum(0.0f);
-        for (int n = 0; n < count; ++n) {
-            if (shown[n * step] != f) continue;
-            const float* at = stored + begin + (way > 0 ? n : -n);
-            float gain = at[0];
-            if (channels == 0) gain = -gain;
-            else {
-                // Rounded as it is where many are summed.
+        #if !defined(__CUDA_ARCH__)
+        if (count > FEW) return inward_by_many(begin, way, count, distance, f, shown, step);
+        #endif
+        float sum_p = 0.0f, sum_q = 0.0f;
+        const float* at = stored + begin;
+        for (int n = 0; n < count; ++n, at += way, shown += step) {
+            if (*shown != f) continue;
+            float gain = channels > 0 ? at[0] : -at[0];
+            if (channels > 0) {
                 float lost = color[0] * at[plane];
                 for (int c = 1; c < channels; ++c) lost += color[c * area] * at[(c + 1) * plane];
                 gain -= lost;
             }
-            sum += over_travel(gain > 0.0f ? gain : 0.0f, distance + (float)n);
+            typedef float floats;
+            const float start = distance, none = 0.0f;
+            ADD
         }
-        return sum;
+        also_to_p += share_p * sum_p, also_to_q += share_q * sum_q;
     }
-};
-"""
-# Sixteen pixels at a time. Operands may be fused, as in `_COPY`: an exact zero stays one.
-_BLOCKS = """
+
+    #if !defined(__CUDA_ARCH__)
+    void inward_by_many(int begin, int way, int count, float distance, int f, const int* shown, int step) {
         #pragma clang fp contract(fast)
-        float gain[16], lost[16], sum_p[16], sum_q[16];
-        for (int k = 0; k < 16; ++k) sum_p[k] = sum_q[k] = 0.0f;
-        // The usual three channels are spelled out, so that their colours stay in registers.
         const float red = color[0], green = channels < 3 ? 0.0f : color[area];
         const float blue = channels < 3 ? 0.0f : color[2 * area];
-        const float slope = way > 0 ? 1.0f : -1.0f;
-        const float offset = way > 0 ? distance : distance + 15.0f;
-        for (int n = 0; n < count; n += 16) {
-            const float* at = stored + begin + (way > 0 ? n : -n - 15);
-            for (int k = 0; k < 16; ++k) gain[k] = GAINED;
-            if (channels > 0) {
-                const float* pull = at + plane;
-                for (int k = 0; k < 16; ++k) lost[k] = red * pull[k];
-                if (channels >= 3) {
-                    for (int k = 0; k < 16; ++k) lost[k] += green * pull[plane + k];
-                    for (int k = 0; k < 16; ++k) lost[k] += blue * pull[2 * plane + k];
-                }
-                for (int c = channels < 3 ? 1 : 3; c < channels; ++c)
-                    for (int k = 0; k < 16; ++k) lost[k] += color[c * area] * pull[c * plane + k];
-                for (int k = 0; k < 16; ++k) gain[k] -= lost[k];
+        const floats none = 0.0f, start = distance + (way > 0 ? ahead() : (float)(AT_ONCE - 1) - ahead());
+        const float* at = stored + begin - (way > 0 ? 0 : AT_ONCE - 1);
+        floats sum_p = none, sum_q = none;
+        for (int n = 0; n < count; n += AT_ONCE, at += way * AT_ONCE) {
+            ints here;
+            for (int k = 0; k < AT_ONCE; ++k) {
+                const int away = way > 0 ? n + k : n + AT_ONCE - 1 - k;
+                here[k] = away < count && shown[away < count ? away * step : 0] == f ? -1 : 0;
             }
-            KEEP
-            for (int k = 0; k < 16; ++k) {
-                const float away = offset + (float)n + slope * (float)k;
-                const float travel_p = reach * away + slack_p, travel_q = reach * away + slack_q;
-                const float share = (gain[k] > 0.0f ? gain[k] : 0.0f) / (travel_p * travel_q);
-                sum_p[k] += share * travel_q;
-                sum_q[k] += share * travel_p;
-            }
+            floats gain = channels > 0 ? load(at) - loss(at + plane, red, green, blue) : -load(at);
+            gain = here ? gain : none;
+            ADD
         }
-        for (int half = 8; half > 0; half /= 2)
-            for (int k = 0; k < half; ++k) sum_p[k] += sum_p[k + half], sum_q[k] += sum_q[k + half];
-        return vec2(sum_p[0], sum_q[0]);
-"""
-_KEEP = """
-            for (int k = 0; k < 16; ++k) {
-                const int here = way > 0 ? n + k : n + 15 - k;
-                gain[k] = here < count && shown[here < count ? here * step : 0] == f ? gain[k] : 0.0f;
-            }
-"""
-SCAN_LINE = _SUMS.replace("EVERY_ONE", _BLOCKS.replace("GAINED", "at[k]").replace("KEEP", "")).replace(
-    "SHOWN_ONES", _BLOCKS.replace("GAINED", "channels > 0 ? at[k] : -at[k]").replace("KEEP", _KEEP)
+        to_p += share_p * sum_p, to_q += share_q * sum_q;
+    }
+    #endif
+};
+""".replace(
+    "ADD",
+    """const floats away = start + (float)n;
+            const floats travel_p = reach * away + slack_p, travel_q = reach * away + slack_q;
+            const floats part = (gain > 0.0f ? gain : none) / (travel_p * travel_q);
+            sum_p += part * travel_q, sum_q += part * travel_p;""",
 )
 
 
