@@ -94,7 +94,8 @@ def render(
     factors = None
     if lights and "rgb" in outputs:
         corners = world_corners(vertices, faces, len(screen))
-        factors = torch.stack([one.two_sided(corners, camera.mirrored) for one in lights]).sum(0)
+        several = [one.two_sided(corners, camera.mirrored) for one in lights]
+        factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
     visible = visible_fragments(screen, faces, settings, 1 + 3 * ("rgb" in outputs))
     if "rgb" not in outputs:
         return visible.images(outputs)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import SHORTEST, facing
-from ..warp.launch import array, concurrent, copy, face_lanes, launch, zeros
+from ..warp.launch import array, concurrent, copy, face_lanes, face_tasks, launch, worth_a_thread, zeros
 from ..warp.registration import differentiable, differentiable_once, operator
 from .scanlines import SCAN_LINE, WIDE, copy_lines, empty_lines
 
@@ -75,9 +75,10 @@ def nmr_edges_backward(
         images = min(at_once, batch - first)
         shown = array(image[here])
         tasks = images * (-(-height // abreast) - (-width // abreast))
-        launch(copy_lines, tasks, [shown, array(grad[here]), *lines, abreast], device)
+        launch(copy_lines, tasks, [shown, array(grad[here]), *lines, abreast], device, worth_a_thread(abreast * width))
         arguments = [array(faces[here], wp.vec3), shown, array(face_index[here]), *lines, array(seen[here]), *options]
-        launch(_pull, images * faces.shape[1] * lanes, [*arguments, array(result[here], wp.vec3)], device)
+        arguments.append(array(result[here], wp.vec3))
+        launch(_pull, images * faces.shape[1] * lanes, arguments, device, face_tasks(faces, height * width))
     return result
 
 
@@ -152,9 +153,10 @@ struct Edge {
 """.replace("SHORTEST", f"{SHORTEST!r}f")
 
 _PULL = (
-    SCAN_LINE
-    + _EDGE
-    + """
+    (
+        SCAN_LINE
+        + _EDGE
+        + """
     const Edge edge(p, q, r, axis, image.shape[2], image.shape[3]);
     if (!edge.placed) return wp::vec_t<2, float>(0.0f);
     const int height = image.shape[2], width = image.shape[3], way = edge.outward;
@@ -203,7 +205,10 @@ _PULL = (
     return wp::vec_t<2, float>(
         ScanLine::total(line.to_p) + line.also_to_p, ScanLine::total(line.to_q) + line.also_to_q);
 """
-).replace("TINY", f"{TINY!r}f").replace("WIDE", str(WIDE))
+    )
+    .replace("TINY", f"{TINY!r}f")
+    .replace("WIDE", str(WIDE))
+)
 
 
 @wp.func_native(_PULL)

@@ -29,8 +29,8 @@ _COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
 # Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
 _PIECES = 4
 
-# Pixels to look at before another CPU thread is worth waking.
-MANY_PIXELS = 1 << 20
+# Pixels to look at, or to draw and shade, before another CPU thread is worth waking.
+MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
 
 # Tests set it: called with a kernel, the number of tasks and the arguments of each launch, it runs CUDA's code of the
 # kernel on a processor and returns True, or False to have the launch run as usual.
@@ -140,10 +140,20 @@ def concurrent(device: torch.device) -> bool:
     return device.type == "cuda" or emulator is not None
 
 
-def cpu_bands(batch: int) -> int:
-    """Into how many bands of rows each image is cut so that all of torch's threads have work."""
-    threads = torch.get_num_threads()
+def cpu_bands(batch: int, pixels: int) -> int:
+    """Into how many bands of rows each image is cut so that torch's threads have work; pixels: with its faces, in all."""
+    threads = min(torch.get_num_threads(), max(1, batch * pixels // _ENOUGH_PIXELS))
     return 1 if batch % threads == 0 or batch >= _PIECES * threads else 2 * threads
+
+
+def worth_a_thread(pixels: float) -> int:
+    """How many tasks of so many pixels each, to draw or to shade, are worth another CPU thread."""
+    return max(1, int(_ENOUGH_PIXELS / max(pixels, 1.0)))
+
+
+def face_tasks(faces: Tensor, pixels: int) -> int:
+    """The same for tasks of one face each, of ``faces`` [B, F, ...] in an image of so many pixels."""
+    return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
 
 
 def row_tasks(rows: int, device: torch.device) -> tuple[int, int]:
