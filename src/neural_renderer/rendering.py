@@ -116,10 +116,10 @@ def _image_colors(
     still = replace(visible, corners=visible.corners.detach())
     # Only "edge" differentiates what moves inside of faces.
     color = mesh.shade(visible if visible.settings.gradient == "edge" else still)
-    if light is not None:
-        color = color * light_on_pixels(visible, light)
     behind = background_image(background, len(color), 3, visible.settings, color.device)
     rgb = composite(color, behind, visible.face_index)
+    if light is not None:  # which is 1 on the background
+        rgb = rgb * light_on_pixels(visible, light)
     return rgb, lambda: image_marks(mesh.uv, mesh.image_index, light)
 
 

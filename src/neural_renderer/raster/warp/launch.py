@@ -141,7 +141,7 @@ def concurrent(device: torch.device) -> bool:
 
 
 def cpu_bands(batch: int, pixels: int) -> int:
-    """Into how many bands of rows each image is cut so that torch's threads have work; pixels: with its faces, in all."""
+    """Into how many bands of rows each image is cut so that torch's threads have work; pixels: with its faces."""
     threads = min(torch.get_num_threads(), max(1, batch * pixels // _ENOUGH_PIXELS))
     return 1 if batch % threads == 0 or batch >= _PIECES * threads else 2 * threads
 
