@@ -1,8 +1,8 @@
 """Time of the renderer, forward and backward, over batch, size, faces and threads: ``python -m benchmarks``.
 
-Prints two tables, with the hardware named; ``--json`` writes the same numbers to a file. Each number of the first is the median over
-``--repeats`` runs in turn with all the others, after one to warm up, through the public function, without
-anti-aliasing, with "nmr". The second has the ratios of `benchmarks.ratios`, as Markdown.
+Prints two tables, with the hardware named; ``--json`` writes the same numbers to a file. Each number of the first is
+the median over ``--repeats`` runs in turn with all the others, after one to warm up, through the public function,
+without anti-aliasing, with "nmr". The second has the ratios of `benchmarks.ratios`, as Markdown.
 """
 
 from __future__ import annotations
