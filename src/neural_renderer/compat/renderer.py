@@ -170,7 +170,7 @@ class Renderer(nn.Module):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Pickles of the first packages and of earlier versions lack some attributes. These get their defaults.
-        super().__setstate__({**vars(Renderer()), **state})
+        super().__setstate__({**vars(Renderer()), **state})  # type: ignore[no-untyped-call]
 
     def forward(
         self,

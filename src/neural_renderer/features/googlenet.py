@@ -81,7 +81,7 @@ class LocalResponse(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         """Normalize values [B, C, H, W]."""
-        return _LocalResponse.apply(values)
+        return _LocalResponse.apply(values)  # type: ignore[no-untyped-call]
 
 
 class _LocalResponse(torch.autograd.Function):

@@ -12,7 +12,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.meshes.topology import Topology
-from neural_renderer.tasks.fit import CameraFit, MeshFit, ShapeFit, TextureFit, Views, Weights, carve, object_bounds
+from neural_renderer.tasks.fit import CameraFit, FitWeights, MeshFit, ShapeFit, TextureFit, Views, carve, object_bounds
 from neural_renderer.tasks.fit.descent import SmoothDescent
 from tests.rounding import rounding
 
@@ -240,7 +240,7 @@ def test_camera_from_a_photo() -> None:
 
 def test_options_that_do_not_fit(views: Views) -> None:
     with pytest.raises(ValueError, match="laplacian: expected a finite weight of at least 0"):
-        Weights(laplacian=-1)
+        FitWeights(laplacian=-1)
     with pytest.raises(ValueError, match='start: expected "hull", "sphere" or a Mesh'):
         MeshFit(views, "cube")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match='start: expected a Mesh with recover="texture", got none'):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,7 +24,7 @@ def neighbors_reference(faces: Tensor, two_sided: bool, perspective: bool) -> Te
         ends = [sorted(tuple(image[f][(k + n) % 3]) for n in range(2)) for f, k in edges]
         third = [[p, q, image[f][(k + 2) % 3]] for (p, q), (f, k) in zip(ends, edges, strict=True)]
         side = _sides(torch.tensor(third, dtype=torch.float64).view(-1, 3, 3), perspective).tolist()
-        meeting: dict[tuple, list[int]] = {}
+        meeting: dict[tuple[Any, ...], list[int]] = {}
         for n, (p, q) in enumerate(ends):
             meeting.setdefault((p, q), []).append(n)
         for numbers in meeting.values():

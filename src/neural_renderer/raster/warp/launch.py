@@ -44,8 +44,14 @@ _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
 # What kernels take for a tensor. (Warp tells this type by an example alone.)
 _Array: Any = type(wp.from_torch(torch.zeros(1, device="cpu"), return_ctype=True))
-# Warp's versions whose compiled kernels `_direct` knows how to call.
+# Warp's versions whose compiled kernels `_direct` knows how to call, and the numbers that it can hand over.
 _KNOWN = ("1.19.",)
+_NUMBERS: dict[Any, Any] = {
+    wp.int32: ctypes.c_int32,
+    wp.int64: ctypes.c_int64,
+    wp.uint64: ctypes.c_uint64,
+    wp.float32: ctypes.c_float,
+}
 
 
 def _after_fork() -> None:
@@ -234,7 +240,8 @@ def _enter(kernel: wp.Kernel) -> Callable[..., None]:
     def run(tasks: int, *arguments: Any) -> None:
         wp.launch(kernel, tasks, arguments, device="cpu", record_tape=False)
 
-    _entries[kernel] = _direct(kernel) if wp.__version__.startswith(_KNOWN) else run
+    plain = all(arg.type in _NUMBERS or isinstance(arg.type, wp.array) for arg in kernel.adj.args)
+    _entries[kernel] = _direct(kernel) if plain and wp.__version__.startswith(_KNOWN) else run
     return _entries[kernel]
 
 
@@ -242,8 +249,7 @@ def _direct(kernel: wp.Kernel) -> Callable[..., None]:
     """The same, calling what Warp compiled: its own launch looks at arguments for longer than a small scene takes."""
     from warp._src.types import launch_bounds_t
 
-    kinds = {"int32": ctypes.c_int32, "int64": ctypes.c_int64, "float32": ctypes.c_float}
-    fields = [(arg.label, kinds.get(getattr(arg.type, "__name__", ""), _Array)) for arg in kernel.adj.args]
+    fields = [(arg.label, _NUMBERS.get(arg.type, _Array)) for arg in kernel.adj.args]
     packed = type("Arguments", (ctypes.Structure,), {"_fields_": fields})
     module: Any = kernel.module.load(wp.get_device("cpu"), 1)
     call = module.get_kernel_hooks(kernel).forward

@@ -5,14 +5,17 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ParamSpec, TypeVar, cast
 
 import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
+P = ParamSpec("P")
+R = TypeVar("R")
 
-def operator(function: Callable[..., Any]) -> Any:
+
+def operator(function: Callable[P, R]) -> Callable[P, R]:
     """Make the annotated function the operator ``neural_renderer::<its name>``, opaque to torch.compile.
 
     `torch.library.custom_op` does the same, but its first call imports torch's compiler, over a second in each process.
@@ -25,6 +28,7 @@ def operator(function: Callable[..., Any]) -> Any:
     torch.library.impl(name, "default", function)
     registered = getattr(torch.ops.neural_renderer, function.__name__).default
 
+    plain: Callable[..., Any] = function
     graph: list[Any] = []  # the `torch.autograd.Function`, once there is one
     defaults = tuple(parameter.default for parameter in inspect.signature(function).parameters.values())
 
@@ -37,12 +41,12 @@ def operator(function: Callable[..., Any]) -> Any:
         inputs += defaults[len(inputs) :]
         if not graph or not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
             with torch.no_grad():
-                return function(*inputs)
+                return plain(*inputs)
         return graph[0].apply(*inputs)
 
     call.operator = registered  # type: ignore[attr-defined]
     call.graph = graph  # type: ignore[attr-defined]
-    return call
+    return cast("Callable[P, R]", call)
 
 
 def differentiable(call: Any, backward: Callable[..., Any], setup_context: Callable[..., Any] | None = None) -> None:
@@ -60,7 +64,7 @@ def differentiable(call: Any, backward: Callable[..., Any], setup_context: Calla
     call.graph[:] = [type(name, (torch.autograd.Function,), methods)]
 
 
-def differentiable_once(function: Callable[..., Any]) -> Any:
+def differentiable_once(function: Callable[P, R]) -> Callable[P, R]:
     """The same for the operator that computes a gradient: whoever asks for the gradient's gradient gets an error."""
     backward = operator(function)
 

@@ -1,20 +1,21 @@
 """Fitting: a textured mesh from images with cameras, the texture of a known mesh, or the camera of one image."""
 
+from ..settings import FitWeights
 from .fit_views import Views
 from .hull import carve, object_bounds
 from .load import load_photo, load_views
 from .mesh import MeshFit
 from .pose import CameraFit
-from .shape import ShapeFit, Weights
+from .shape import ShapeFit
 from .texture import TextureFit
 
 __all__ = [
     "CameraFit",
+    "FitWeights",
     "MeshFit",
     "ShapeFit",
     "TextureFit",
     "Views",
-    "Weights",
     "carve",
     "load_photo",
     "load_views",

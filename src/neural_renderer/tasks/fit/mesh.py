@@ -11,9 +11,10 @@ from ... import validate
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
 from ...pictures.clay import plain_texture
+from ..settings import FitWeights
 from .fit_views import Views
 from .hull import carve, object_bounds
-from .shape import ShapeFit, Weights
+from .shape import ShapeFit
 from .texture import TextureFit
 
 _SPHERE_RADIUS = 0.6
@@ -66,7 +67,7 @@ class MeshFit:
         cells: int = 64,
         texture_size: int = 4,
         color_from: float = 1.0,
-        weights: Weights = Weights(),  # noqa: B008 (immutable)
+        weights: FitWeights = FitWeights(),  # noqa: B008 (immutable)
         batch: int = 6,
         gradient: str = "edge",
         seed: int = 0,

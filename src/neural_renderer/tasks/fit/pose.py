@@ -202,7 +202,7 @@ class CameraFit:
             far=_FAR,
             gradient=self._gradient,
         )
-        return images.rgb, images.alpha
+        return images.rgb if self._photometric else None, images.alpha
 
     def _losses(self, axes: Tensor, offset: Tensor, longest: int) -> Tensor:
         """Compute the loss of each start, [S], on images of this longer side."""

@@ -10,7 +10,7 @@ from torch import Tensor
 from ... import losses, validate
 from ...io.cubes import barycentric_grid
 from ...meshes.topology import Topology
-from ..settings import FitWeights as Weights
+from ..settings import FitWeights
 from .descent import SmoothDescent
 from .fit_views import Views, mask_iou, views_of_step
 
@@ -73,7 +73,7 @@ class ShapeFit:
         steps: int = 150,
         subdivisions: int = 0,
         color_from: float = 1.0,
-        weights: Weights = Weights(),  # noqa: B008 (immutable)
+        weights: FitWeights = FitWeights(),  # noqa: B008 (immutable)
         rate: float = 0.01,
         smooth: float = 8.0,
         batch: int = 6,
