@@ -28,13 +28,13 @@ from .warp.registration import is_plain
 
 Functions = tuple[Callable[..., Any], ...]
 
-CUBES: Functions = (sample_textures, texture_marks)
+CUBES: Functions = (sample_textures,)
 ATTRIBUTES: Functions = (interpolate, composite)
 IMAGES: Functions = (interpolate, composite, sample_mipmaps, sample_textures)
-_ALWAYS: Functions = (coverage, gather_corners, seen_faces)
+_ALWAYS: Functions = (coverage, gather_corners)
 _VISIBILITY: dict[str, Functions] = {
-    "nmr": (nmr_edges, empty_lines),
-    "edge": (boundaries, add_intersections, neighbors),
+    "nmr": (nmr_edges, empty_lines, seen_faces),
+    "edge": (boundaries, add_intersections, neighbors, seen_faces),
 }
 
 
@@ -54,6 +54,7 @@ def load_kernels(settings: Settings, outputs: Collection[str], colors: Functions
     moving = corners.requires_grad and torch.is_grad_enabled()
     # What takes longest to compile comes first.
     needed = _VISIBILITY[settings.gradient] if moving else ()
-    needed += colors if "rgb" in outputs else ()
+    if "rgb" in outputs:
+        needed += colors + ((texture_marks,) if moving and settings.gradient == "edge" and colors == CUBES else ())
     needed += (barycentrics,) if "depth" in outputs else ()
     load_ahead(needed + _ALWAYS, corners.device)
