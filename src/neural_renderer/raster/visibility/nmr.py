@@ -133,8 +133,11 @@ struct Edge {
     CUDA_CALLABLE int last_line() const {
         return (int)floorf(between(-1.0f, pu < qu ? qu : pu, (float)(count - 1)));
     }
+    // From the nearer end, so that it is exact at both ends.
     CUDA_CALLABLE float crossing(int u) const {
-        return between(-2.0f, pv + slope * ((float)u - pu), (float)length + 1.0f);
+        const float from_p = (float)u - pu, from_q = (float)u - qu;
+        const float c = fabsf(from_p) < fabsf(from_q) ? pv + slope * from_p : qv + slope * from_q;
+        return between(-2.0f, c, (float)length + 1.0f);
     }
     CUDA_CALLABLE int inside_of(float crossing) const {
         return (int)(outward > 0 ? floorf(crossing) : ceilf(crossing));

@@ -158,12 +158,18 @@ struct ScanLine {
     #if defined(__CUDA_ARCH__)
     typedef float floats;
     enum { AT_ONCE = 1 };
+    static CUDA_CALLABLE floats load(const float* from) { return *from; }
     static CUDA_CALLABLE floats ahead() { return 0.0f; }
     static CUDA_CALLABLE float total(floats v) { return v; }
     #else
     typedef float floats __attribute__((ext_vector_type(16)));
     typedef int ints __attribute__((ext_vector_type(16)));
     enum { AT_ONCE = 16, FEW = 8 };
+    static floats load(const float* from) {
+        floats all;
+        memcpy(&all, from, sizeof(all));
+        return all;
+    }
     static floats ahead() {
         return floats{0.f, 1.f, 2.f, 3.f, 4.f, 5.f, 6.f, 7.f, 8.f, 9.f, 10.f, 11.f, 12.f, 13.f, 14.f, 15.f};
     }
@@ -181,11 +187,6 @@ struct ScanLine {
     floats to_p, to_q;  // what came together
     float also_to_p, also_to_q;
 
-    static CUDA_CALLABLE floats load(const float* from) {
-        floats all;
-        memcpy(&all, from, sizeof(all));
-        return all;
-    }
     // The usual three channels are spelled out, so that their colours stay in registers.
     CUDA_CALLABLE floats loss(const float* pull, float red, float green, float blue) const {
         #pragma clang fp contract(fast)
