@@ -32,7 +32,7 @@ class Fragments(VisibleFaces):
         corners: Screen-space corners of the faces, [B, F, 3, 3] float32.
         face_index: Visible face of each pixel, [B, H, W] int32; -1 for none. Row 0 is at the top.
         settings: How the faces were drawn.
-        rings: Neighbours of the faces, for the gradient.
+        rings: Rings of the edges that the faces share, for the gradient.
         triangles: Vertex indices of the faces, [F, 3] or [B, F, 3].
 
     Example:

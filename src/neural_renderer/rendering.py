@@ -22,7 +22,7 @@ from .raster.faces import checked_faces, world_corners
 from .raster.images import OUTPUTS, Images, checked_outputs
 from .raster.ops.composite import composite
 from .raster.settings import Settings
-from .raster.visibility.continuity import image_marks
+from .raster.visibility.continuity import image_edge_hashes
 from .shading.lights import Light
 from .shading.spherical_harmonics import SphericalHarmonicLight
 
@@ -120,7 +120,7 @@ def _image_colors(
     rgb = composite(color, behind, visible.face_index)
     if light is not None:  # which is 1 on the background
         rgb = rgb * light_on_pixels(visible, light)
-    return rgb, lambda: image_marks(mesh.uv, mesh.image_index, light)
+    return rgb, lambda: image_edge_hashes(mesh.uv, mesh.image_index, light)
 
 
 def _checked_lights(light: Any) -> list[AnyLight]:

@@ -101,6 +101,24 @@ def test_a_mesh_and_its_texture_change_together(
     assert contents(tmp_path) == before
 
 
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_ctrl_c_between_two_renames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    save_mesh(tmp_path / "a.obj")
+    before = contents(tmp_path)
+    real, calls = os.replace, []
+
+    def interrupted(*arguments: Any) -> Any:
+        calls.append(arguments)
+        if len(calls) == count:
+            raise KeyboardInterrupt
+        return real(*arguments)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        save_mesh(tmp_path / "a.obj", 0.9)
+    assert contents(tmp_path) == before
+
+
 def test_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def unsupported(*_: Any) -> None:
         raise OSError(errno.EPERM, "Operation not permitted")
@@ -145,16 +163,17 @@ with atomic_write.replacing("a.obj") as fresh:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="no SIGKILL")
-@pytest.mark.parametrize(("step", "count"), [("fsync", 1), ("fsync", 2), ("replace", 1)])
+@pytest.mark.parametrize(("step", "count"), [("fsync", 1), ("fsync", 2), ("replace", 1), ("replace", 2)])
 def test_a_kill_leaves_what_was_there(tmp_path: Path, step: str, count: int) -> None:
-    """And what it leaves besides is deleted by whoever writes there next."""
+    """The next write deletes what it leaves besides, and makes a set old again that is new in part."""
     for name in ("a.obj", "a.mtl"):
         (tmp_path / name).write_text("old")
     before = contents(tmp_path)
     command = [sys.executable, "-c", KILLED, atomic_write.__file__, step, str(count)]
     assert subprocess.run(command, cwd=tmp_path, check=False).returncode == -signal.SIGKILL
     found = contents(tmp_path)
-    assert {name: found[name] for name in before} == before
+    new = {"a.mtl": b"new"} if (step, count) == ("replace", 2) else {}
+    assert {name: found[name] for name in before} == before | new
     left = set(found) - set(before)
     assert len(left) >= 2 and all(name.startswith(".neural_renderer-") for name in left)
     write_file(tmp_path / "b.txt", "b")
@@ -190,6 +209,40 @@ def test_links_and_permissions_stay(tmp_path: Path) -> None:
     link.symlink_to(real)
     write_file(link, "new")
     assert link.is_symlink() and real.read_text() == "new" and real.stat().st_mode & 0o777 == 0o640
+
+
+def test_links_to_another_file_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "other").mkdir()
+    link = tmp_path / "link.txt"
+    link.symlink_to(tmp_path / "other" / "real.txt")
+    real = os.replace
+
+    def within_one(source: Path, target: Path) -> None:
+        if (tmp_path / "other" in source.parents) != (tmp_path / "other" in target.parents):
+            raise OSError(errno.EXDEV, "Invalid cross-device link")
+        real(source, target)
+
+    monkeypatch.setattr(os, "replace", within_one)
+    for text in ("one", "two"):
+        write_file(link, text)
+        assert link.is_symlink() and contents(tmp_path / "other") == {"real.txt": text.encode()}
+
+
+def test_what_is_changed_after_a_kill_stays(tmp_path: Path) -> None:
+    staging = tmp_path / f".neural_renderer-{atomic_write._machine()}-{_dead_process()}-x"
+    for name, text in (("old/a.mtl", "old"), ("new/a.obj", "new")):
+        (staging / name).parent.mkdir(parents=True)
+        (staging / name).write_text(text)
+    (tmp_path / "a.mtl").write_text("somebody's")
+    os.utime(staging / "old", (1, 1))
+    write_file(tmp_path / "b.txt", "b")
+    assert contents(tmp_path) == {"a.mtl": b"somebody's", "b.txt": b"b"}
+
+
+def _dead_process() -> int:
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
 
 
 def test_what_cannot_be_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

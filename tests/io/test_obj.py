@@ -250,6 +250,18 @@ def test_concave_polygons_are_covered_once(kind, corners):
     assert (areas @ whole > -1e-9 * (whole @ whole)).all()
 
 
+@pytest.mark.parametrize("reflex", range(4))
+def test_many_concave_quadrilaterals_at_once(reflex):
+    quad = np.roll([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0.8, 0.1, 0]], reflex + 1, axis=0)
+    corners = np.tile(np.arange(4), 9)
+    triangles, polygon = triangulate(quad, corners, np.full(9, 4))
+    a, b, c = quad[corners[triangles]].transpose(1, 0, 2)
+    areas = np.cross(b - a, c - a)[:, 2].reshape(9, 2)
+    # (0, 0), (1, 0), (0.8, 0.1) and (1, 0), (1, 1), (0.8, 0.1): twice their areas are 0.1 and 0.2
+    np.testing.assert_allclose(np.sort(areas, axis=1), np.tile([0.1, 0.2], (9, 1)), rtol=1e-12)
+    assert (polygon == np.repeat(np.arange(9), 2)).all()
+
+
 @pytest.mark.parametrize("kind", ["crossing", "one place", "few places", "line"])
 def test_polygons_that_are_none_become_triangles_all_the_same(kind):
     points = np.random.default_rng(1).normal(size=(300, 3))

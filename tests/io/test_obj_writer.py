@@ -108,3 +108,11 @@ def test_files_of_the_first_packages_are_replaced_as_ever(tmp_path: Path) -> Non
     mesh = ball(0.5)
     nr.save_obj(str(tmp_path / "my a.obj"), mesh.vertices, mesh.faces, mesh.textures)
     assert nr.load_obj(tmp_path / "my a.obj", load_texture=True)[2].sub(0.5).abs().max() < 0.01
+
+
+@pytest.mark.parametrize("name", ["a\\b.obj", "a\nb.obj", "ab\udcff.obj"])
+def test_names_that_an_obj_cannot_hold(tmp_path: Path, name: str) -> None:
+    vertices, faces = nr.cube()
+    with pytest.raises(ValueError, match="expected a name that an OBJ file can hold"):
+        nr.save_obj(tmp_path / name, vertices, faces, torch.ones(12, 1, 1, 1, 3))
+    assert not list(tmp_path.iterdir())

@@ -54,7 +54,9 @@ def as_tensor(name: str, value: Any, dtype: torch.dtype) -> Tensor:
         return validate.dense(name, value)
     try:
         return torch.as_tensor(value, dtype=dtype, device="cpu")  # regardless of torch.set_default_device
-    except (TypeError, ValueError, RuntimeError, OverflowError):
+    except OverflowError:
+        raise ValueError(f"{name}: expected finite numbers, got one beyond 2e+308") from None
+    except (TypeError, ValueError, RuntimeError):
         raise TypeError(f"{name}: expected numbers, got {type(value).__name__}") from None
 
 

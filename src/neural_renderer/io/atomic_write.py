@@ -38,9 +38,10 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Write ``path`` and files beside it, all or none.
 
     Yields a path of the same name in a temporary folder. At the end of the block, all files in that folder are synced
-    and renamed into the folder of ``path``, with ``path`` last. If a rename fails, those before it are undone. Missing
-    folders are made, permissions of replaced files are kept, and symbolic links are followed. Leftovers of a killed
-    process are deleted when the next file is written into the same folder.
+    and renamed into the folder of ``path``, with ``path`` last. If a rename fails, or Ctrl-C comes between two of them,
+    those before it are undone. Missing folders are made, permissions of replaced files are kept, and symbolic links are
+    followed. The next write into the same folder cleans up after a killed process: it deletes temporary files, and
+    restores the old files of a set that was renamed only in part.
 
     Raises:
         OSError: ``path`` cannot be written, is not a regular file, or is write-protected.
@@ -54,7 +55,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         _check_replaceable(path)
         _sweep(path.parent)
-        staging = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{_machine()}-{os.getpid()}-", dir=path.parent))
+        staging = _make_staging(path.parent)
         fresh = staging / "new" / path.name
         try:
             fresh.parent.mkdir()
@@ -87,15 +88,48 @@ def _publish(files: list[Path], folder: Path, old: Path) -> None:
     done: list[Path] = []
     try:
         for file, target in zip(files, targets, strict=True):
-            os.replace(file, target)
             done.append(target)
-    except OSError:
-        for target in reversed(done):
+            _rename(file, target)
+    except BaseException:  # Ctrl-C, too
+        for file, target in reversed(list(zip(files, done, strict=False))):
             if (old / target.name).exists():
-                os.replace(old / target.name, target)
-            else:
-                target.unlink()
+                _rename(old / target.name, target)
+            elif not file.exists():  # it was renamed, and there was nothing before
+                target.unlink(missing_ok=True)
         raise
+    _sync_folder(folder)
+
+
+def _rename(file: Path, target: Path) -> None:
+    """Rename a file over another one, even if a symbolic link has put that on another file system."""
+    try:
+        os.replace(file, target)
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise
+        staging = _make_staging(target.parent)
+        try:
+            shutil.copy2(file, staging / target.name)
+            with (staging / target.name).open("rb+") as opened:
+                os.fsync(opened.fileno())
+            os.replace(staging / target.name, target)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+
+
+def _make_staging(folder: Path) -> Path:
+    """Make a temporary folder whose name tells which process it belongs to."""
+    return Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{_machine()}-{os.getpid()}-", dir=folder))
+
+
+def _sync_folder(folder: Path) -> None:
+    """Flush the renames to the disk, on systems that can open folders."""
+    with suppress(OSError):
+        opened = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(opened)
+        finally:
+            os.close(opened)
 
 
 def _copy(source: Path, copy: Path) -> None:
@@ -123,7 +157,21 @@ def _sweep(folder: Path) -> None:
     for name in os.listdir(folder):
         found = name.startswith(_PREFIX) and re.fullmatch(rf"{re.escape(_PREFIX)}{_machine()}-(\d+)-\w+", name)
         if found and not _alive(int(found[1])):
+            with suppress(OSError):
+                _restore(folder / name)
             shutil.rmtree(folder / name, ignore_errors=True)
+
+
+def _restore(staging: Path) -> None:
+    """Restore the old files of a set if a killed process has renamed some of the new ones and not all."""
+    old, new = staging / "old", staging / "new"
+    if not old.is_dir() or not any(new.iterdir()):
+        return
+    begun = old.stat().st_mtime_ns
+    for backup in old.iterdir():
+        target = staging.parent / backup.name
+        if target.is_file() and target.stat().st_mtime_ns <= begun:  # nobody has changed it since
+            os.replace(backup, target)
 
 
 def _alive(pid: int) -> bool:

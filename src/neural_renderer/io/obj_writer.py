@@ -97,6 +97,8 @@ def write_obj(
         texture: Name of the image without suffix; several images are called ``{texture}_1.png`` and so on.
         overwrite: Replace foreign MTL and PNG files.
     """
+    if parts and (not path.stem.isprintable() or "\\" in path.stem):  # such a name breaks the line of `mtllib`
+        raise ValueError(f"path: expected a name that an OBJ file can hold, got {path.name!r}")
     numbers = [""] if len(parts) == 1 else [f"_{number}" for number in range(1, len(parts) + 1)]
     pictures = [f"{texture}{number}.png" for number in numbers]
     library = f"{path.stem}.mtl"

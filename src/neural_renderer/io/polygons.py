@@ -9,6 +9,7 @@ from collections import deque
 import numpy as np
 
 _FLAT = 1e-6  # a triangle turned over by less than this share of the polygon's area does not make it concave
+_OTHER = np.array([[1, 2, 3], [1, 3, 0]])  # a quadrilateral as the fan of its second corner
 
 
 def triangulate(points: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -35,16 +36,26 @@ def triangulate(points: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> t
         if size == 3:
             continue
         outlines = points[corners[starts[chosen][:, None] + np.arange(size)]]
-        spokes = outlines[:, 1:] - outlines[:, :1]
-        areas = np.cross(spokes[:, :-1], spokes[:, 1:])
-        normals = areas.sum(axis=1)
-        length = np.linalg.norm(normals, axis=1)
-        signed = np.einsum("ntk,nk->nt", areas, normals) / np.maximum(length, 1e-300)[:, None]
-        for which in np.flatnonzero(signed.min(axis=1) < -_FLAT * length):
+        turned, normals = _turned_over(outlines)
+        if size == 4:  # the other diagonal does for a concave quadrilateral that does not cross itself
+            other = turned & ~_turned_over(np.roll(outlines, -1, axis=1))[0]
+            triangles[offsets[chosen[other]][:, None] + np.arange(2)] = starts[chosen[other]][:, None, None] + _OTHER
+            turned &= ~other
+        for which in np.flatnonzero(turned):
             polygon = chosen[which]
             ears = _cut_ears(outlines[which], normals[which])
             triangles[offsets[polygon] : offsets[polygon] + size - 2] = starts[polygon] + ears
     return triangles, np.repeat(np.arange(len(sizes)), counts)
+
+
+def _turned_over(outlines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Tell for polygons [n, size, 3] whether a triangle of the fan of the first corner is turned over; and normals."""
+    spokes = outlines[:, 1:] - outlines[:, :1]
+    areas = np.cross(spokes[:, :-1], spokes[:, 1:])
+    normals = areas.sum(axis=1)
+    length = np.linalg.norm(normals, axis=1)
+    signed = np.einsum("ntk,nk->nt", areas, normals) / np.maximum(length, 1e-300)[:, None]
+    return signed.min(axis=1) < -_FLAT * length, normals
 
 
 def _cut_ears(outline: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from .ops.mipmaps import sample_mipmaps
 from .ops.texture_cubes import sample_textures
 from .ops.visible_faces import seen_faces
 from .settings import Settings
-from .visibility.continuity import texture_marks
+from .visibility.continuity import texture_edge_hashes
 from .visibility.edge import boundaries
 from .visibility.intersections import add_intersections
 from .visibility.neighbors import neighbors
@@ -55,6 +55,8 @@ def load_kernels(settings: Settings, outputs: Collection[str], colors: Functions
     # What takes longest to compile comes first.
     needed = _VISIBILITY[settings.gradient] if moving else ()
     if "rgb" in outputs:
-        needed += colors + ((texture_marks,) if moving and settings.gradient == "edge" and colors == CUBES else ())
+        needed += colors + (
+            (texture_edge_hashes,) if moving and settings.gradient == "edge" and colors == CUBES else ()
+        )
     needed += (barycentrics,) if "depth" in outputs else ()
     load_ahead(needed + _ALWAYS, corners.device)

@@ -11,7 +11,7 @@ from torch import Tensor
 from .. import validate
 from .background import background_image
 from .ops.texture_cubes import sample_textures
-from .visibility.continuity import texture_marks
+from .visibility.continuity import texture_edge_hashes
 from .visible import VisibleFaces
 
 
@@ -27,7 +27,7 @@ def cube_colors(
         background: As in `background_image`.
 
     Returns:
-        [B, 3, H, W] float32, and a function that hashes the colors along edges (`texture_marks`).
+        [B, 3, H, W] float32, and a function that hashes the colors along edges (`texture_edge_hashes`).
 
     Raises:
         TypeError: A tensor of another dtype.
@@ -42,7 +42,7 @@ def cube_colors(
     # Only "edge" differentiates what moves inside of faces.
     inside = corners if settings.gradient == "edge" else corners.detach()
     rgb = sample_textures(cubes, factors, behind, inside, visible.face_index, settings.eps, settings.perspective)
-    return rgb, lambda: texture_marks(cubes, factors)
+    return rgb, lambda: texture_edge_hashes(cubes, factors)
 
 
 def light_on_pixels(visible: VisibleFaces, light: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""How faces are drawn, checked once: what all ways to an image have in common."""
+"""Settings of a drawing, validated once: image size, depth range, sides, projection and gradient estimator."""
 
 from __future__ import annotations
 
@@ -29,7 +29,20 @@ FARTHEST = 1e37  # so that the sum of four depths is finite in float32
 
 @dataclass(frozen=True)
 class Settings:
-    """Sizes in pixels of the image that is returned; the other fields as in `rasterize_images`."""
+    """How faces are drawn.
+
+    Attributes:
+        height: Height of the returned image in pixels.
+        width: Width of the returned image in pixels.
+        near: Depth from which faces are drawn, in world units, >= 0.
+        far: Depth up to which faces are drawn, in world units; also the depth of the background.
+        eps: Added to distances in the denominators of "nmr", in screen units; cube coordinates end at T - 1 - eps.
+            In [0, 1).
+        anti_aliasing: Whether faces are drawn at twice the size and averaged over 2 x 2 pixels.
+        two_sided: Whether faces whose corners run clockwise on the screen are drawn.
+        perspective: Whether the projection is perspective; else orthographic.
+        gradient: Estimator of the gradient through visibility, "nmr" or "edge".
+    """
 
     height: int
     width: int
@@ -54,7 +67,17 @@ class Settings:
         gradient: str,
         name: str = "image_size",
     ) -> Settings:
-        """TypeError or ValueError for what does not fit; ``name`` is what ``size`` is called there."""
+        """Validate settings.
+
+        Args:
+            size: Side, or (height, width), of the returned image in pixels, 1 to 32768 each.
+            near, far, eps, anti_aliasing, two_sided, perspective, gradient: As the attributes.
+            name: Name of ``size`` in errors.
+
+        Raises:
+            TypeError: A flag, number or size of another type.
+            ValueError: A number out of its range, or an unknown estimator.
+        """
         height, width = image_size(name, size)
         two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
         if not isinstance(gradient, str) or gradient not in GRADIENTS:
@@ -68,11 +91,23 @@ class Settings:
 
     @property
     def scale(self) -> int:
-        """How many pixels are drawn for each pixel returned, along each axis."""
+        """Drawn pixels for each returned pixel, along each axis."""
         return 2 if self.anti_aliasing else 1
 
     def corners(self, faces: Tensor, channels: int) -> Tensor:
-        """``faces`` [B, F, 3, 3] in float32, checked: on a device that can draw, where ``channels`` an image fit."""
+        """Validate screen-space corners and convert them to float32.
+
+        Args:
+            faces: [B, F, 3, 3] floating.
+            channels: Channels of the images to draw, whose memory is checked.
+
+        Returns:
+            [B, F, 3, 3] float32, differentiable in ``faces``.
+
+        Raises:
+            TypeError: A tensor of another dtype.
+            ValueError: Another shape or device, NaN or infinite values, or images larger than the memory.
+        """
         validate.floating("faces", faces, ("B", "F", 3, 3))
         validate.finite("faces", faces)
         if faces.device.type not in ("cpu", "cuda", "meta"):
@@ -81,12 +116,12 @@ class Settings:
         return faces.float()
 
     def face_index(self, corners: Tensor) -> Tensor:
-        """The faces seen, [B, H, W] int32 at the scale drawn; see `coverage`."""
+        """Find the visible face of each drawn pixel, [B, H, W] int32; see `coverage`."""
         height, width = self.height * self.scale, self.width * self.scale
         return coverage(corners.detach(), height, width, self.near, self.far, self.two_sided, self.perspective)
 
     def rings(self, corners: Tensor, triangles: Tensor) -> Tensor | None:
-        """The `edge_rings` of ``triangles``, which the corners were gathered by; None if no gradient will need them."""
+        """Find the `edge_rings` of the triangles that the corners were gathered by; None if no gradient needs them."""
         needed = self.gradient == "edge" and corners.requires_grad and torch.is_grad_enabled()
         return edge_rings(triangles) if needed else None
 
@@ -97,25 +132,47 @@ class Settings:
         face_index: Tensor,
         seams: bool = False,
         binary: bool = False,
-        marks: Callable[[], Tensor] | None = None,
+        edge_hashes: Callable[[], Tensor] | None = None,
         rings: Tensor | None = None,
     ) -> Tensor:
-        """The image [B, C, H, W] unchanged, with the gradient to the corners of `nmr_edges` or `boundaries`.
+        """Attach the gradient through visibility to an image: `nmr_edges` or `boundaries`.
 
-        marks: gives those of `boundaries`, if they are needed. rings: as `rings` gives them.
+        Args:
+            image: With its background, before anti-aliasing, [B, C, H, W] float32.
+            corners: Screen-space corners, [B, F, 3, 3] float32.
+            face_index: Visible face of each pixel, [B, H, W] int32.
+            seams: Whether colours may jump between adjacent faces; see `boundaries`.
+            binary: Whether the image is the silhouette; see `nmr_edges`.
+            edge_hashes: Function that returns the hashes for `boundaries`; called only if they are needed.
+            rings: As from `rings`.
+
+        Returns:
+            The values of the image, [B, C, H, W] float32.
         """
         if not (corners.requires_grad and torch.is_grad_enabled()):
             return image
         if self.gradient == "edge":
-            own = marks() if marks is not None and seams else None
-            return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams, own, rings)
-        if not self.perspective:  # depth has no part in it: a corner behind an orthographic camera is like any other
+            hashes = edge_hashes() if edge_hashes is not None and seams else None
+            return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams, hashes, rings)
+        if not self.perspective:  # an orthographic camera has no plane that corners can lie behind
             corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
         return nmr_edges(image, corners, face_index, self.eps, self.two_sided, binary)
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:
-    """(height, width) of a size given as one side or as a pair; TypeError or ValueError for anything else."""
+    """Validate an image size.
+
+    Args:
+        name: Name of the argument in errors.
+        size: Side, or (height, width), in pixels, 1 to 32768 each.
+
+    Returns:
+        (height, width).
+
+    Raises:
+        TypeError: Sides that are not whole numbers.
+        ValueError: Another count or range of sides.
+    """
     pair = size if isinstance(size, (tuple, list)) else (size, size)
     if len(pair) != 2:
         raise ValueError(f"{name}: expected a side or (height, width), got {size!r}")

@@ -23,7 +23,7 @@ class VisibleFaces:
         corners: Screen-space corners of the faces, [B, F, 3, 3] float32.
         face_index: Visible face of each pixel, [B, H, W] int32; -1 for none. Row 0 is at the top.
         settings: How the faces were drawn.
-        rings: Neighbours of the faces, as from `Settings.rings`.
+        rings: Rings of the edges that the faces share, as from `Settings.rings`.
     """
 
     corners: Tensor
@@ -66,30 +66,32 @@ class VisibleFaces:
         *,
         seams: bool = False,
         binary: bool = False,
-        marks: Callable[[], Tensor] | None = None,
+        edge_hashes: Callable[[], Tensor] | None = None,
     ) -> Tensor:
         """Add the gradient through visibility to an image and average it to the size that is returned.
 
         Args:
             layers: Image with its background, [B, C, H, W] float32.
-            seams, binary, marks: As in `Settings.through_visibility`.
+            seams, binary, edge_hashes: As in `Settings.through_visibility`.
 
         Returns:
             [B, C, height, width] float32.
         """
         settings = self.settings
-        layers = settings.through_visibility(layers, self.corners, self.face_index, seams, binary, marks, self.rings)
+        layers = settings.through_visibility(
+            layers, self.corners, self.face_index, seams, binary, edge_hashes, self.rings
+        )
         return halve(layers) if settings.anti_aliasing else layers
 
     def images(
-        self, outputs: Collection[str], rgb: Tensor | None = None, marks: Callable[[], Tensor] | None = None
+        self, outputs: Collection[str], rgb: Tensor | None = None, edge_hashes: Callable[[], Tensor] | None = None
     ) -> Images:
         """Make the images that were asked for.
 
         Args:
             outputs: Some of "rgb", "alpha", "depth".
             rgb: Colors with their background, [B, 3, H, W] float32, if "rgb" is among the outputs.
-            marks: As in `Settings.through_visibility`.
+            edge_hashes: As in `Settings.through_visibility`.
         """
         layers = {} if rgb is None else {"rgb": rgb}
         if "alpha" in outputs:
@@ -100,7 +102,7 @@ class VisibleFaces:
             layers["depth"] = depth[:, None]
         if layers:
             image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
-            image = self.image(image, seams=rgb is not None, binary=rgb is None, marks=marks)
+            image = self.image(image, seams=rgb is not None, binary=rgb is None, edge_hashes=edge_hashes)
             layers = _split(image, layers)
         if depth is not None and not through:
             layers["depth"] = self._average_depth(depth)[:, None]

@@ -23,3 +23,8 @@ def test_value_and_gradient_are_those_of_average_pooling(device):
 
 def test_operator_contract(device):
     torch.library.opcheck(halve.operator, (torch.rand(2, 3, 4, 6, device=device, requires_grad=True),))
+
+
+def test_the_largest_numbers_have_an_average(device):
+    image = torch.full((1, 1, 2, 4), torch.finfo(torch.float32).max, device=device)
+    assert torch.equal(halve(image), image[..., :1, :2])

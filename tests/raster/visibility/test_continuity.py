@@ -1,4 +1,4 @@
-"""Edges where colours go on have equal marks on both faces, all others different ones."""
+"""Hashes of edges: equal on both faces exactly where the colour is continuous."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.raster.visibility.continuity import image_marks, texture_marks
+from neural_renderer.raster.visibility.continuity import image_edge_hashes, texture_edge_hashes
 from neural_renderer.tasks.texels import Texels
 from tests.rounding import rounding
 
 
-def sewn(marks, faces):
-    """Whether each edge [B, F, 3] of a closed surface has the mark of the edge on its other face."""
+def matches(edge_hashes, faces):
+    """Test which edges of a closed surface match the edge of the adjacent face, [B, 3 F] bool."""
     places = {}
     for f, corners in enumerate(faces.tolist()):
         for k in range(3):
             places[corners[k], corners[(k + 1) % 3]] = 3 * f + k
     other = [places[q, p] for p, q in places]
     order = [places[edge] for edge in places]
-    there, back = marks.flatten(1, 2).unbind(2)
+    there, back = edge_hashes.flatten(1, 2).unbind(2)
     return there[:, order] == back[:, other]
 
 
@@ -29,29 +29,29 @@ def sphere(device):
     return vertices, faces.to(device)
 
 
-def test_cubes_are_sewn_where_they_share_texels(device):
+def test_cubes_match_where_they_share_texels(device):
     _, faces = sphere(device)
     random = torch.Generator().manual_seed(0)
     light = torch.ones(1, 2, len(faces), 3, device=device)
     for size in (3, 4, 5):
         texels = Texels.shared(faces, size)
         shared = texels.cubes(torch.rand(texels.count, 3, generator=random).to(device))[None]
-        # But for numbers at a step's border, which rounding takes to either side.
-        assert sewn(texture_marks(shared, light), faces).float().mean() > 0.98
-        assert sewn(texture_marks(shared + 1e-7 * torch.rand_like(shared), light), faces).float().mean() > 0.9
-        assert sewn(texture_marks(shared.round(decimals=2), light), faces).all()
+        # Rounding may take values at the border of a rounding step to either side.
+        assert matches(texture_edge_hashes(shared, light), faces).float().mean() > 0.98
+        assert matches(texture_edge_hashes(shared + 1e-7 * torch.rand_like(shared), light), faces).float().mean() > 0.9
+        assert matches(texture_edge_hashes(shared.round(decimals=2), light), faces).all()
         free = torch.rand(1, len(faces), size, size, size, 3, generator=random).to(device)
-        assert not sewn(texture_marks(free, light), faces).any()
+        assert not matches(texture_edge_hashes(free, light), faces).any()
     dim = light.clone()
     dim[:, :, ::2] = 0.5
-    assert not sewn(texture_marks(shared, dim), faces).all()
-    both = texture_marks(torch.cat((shared.round(decimals=2), free)), light)
-    assert both.shape == (2, len(faces), 3, 2) and sewn(both, faces)[0].all() and not sewn(both, faces)[1].all()
+    assert not matches(texture_edge_hashes(shared, dim), faces).all()
+    both = texture_edge_hashes(torch.cat((shared.round(decimals=2), free)), light)
+    assert both.shape == (2, len(faces), 3, 2) and matches(both, faces)[0].all() and not matches(both, faces)[1].all()
 
 
 @pytest.mark.parametrize("size", [2, 3])
-def test_no_jump_is_overlooked(device, size):
-    """Colours of any scale, in any channel; texels in the other order; sides of a face that are lit otherwise."""
+def test_no_discontinuity_is_missed(device, size):
+    """Colours of any scale, in any channel, and texels in the opposite order."""
     faces = torch.tensor([[0, 1, 2], [0, 2, 3], [0, 3, 1], [3, 2, 1]], device=device)
     light = torch.ones(1, 2, 4, 3, device=device)
     pairs = [((0.2, 0.2, 0.1), (0.2, 0.2, 2.1)), ((0, 0, -1), (0, 0, 1)), ((10, 20, 100), (10, 20, 200))]
@@ -59,46 +59,46 @@ def test_no_jump_is_overlooked(device, size):
     for one, other in pairs:
         cubes = torch.tensor([one, other, one, other], dtype=torch.float32, device=device)
         cubes = cubes[None, :, None, None, None].expand(1, 4, size, size, size, 3)
-        marks = texture_marks(cubes, light)
-        found = sewn(marks, faces).view(1, 4, 3)
+        edge_hashes = texture_edge_hashes(cubes, light)
+        found = matches(edge_hashes, faces).view(1, 4, 3)
         assert not found[0, 0, 2] and not found[0, 1, 0]  # edge 0-2, of a face of each colour
-        assert sewn(texture_marks(cubes[:, :1].expand_as(cubes), light), faces).all()
+        assert matches(texture_edge_hashes(cubes[:, :1].expand_as(cubes), light), faces).all()
     ramp = torch.linspace(0, 1, size, device=device)
     cubes = torch.zeros(1, 4, size, size, size, 3, device=device)
     cubes[0, 0, ..., 0] += ramp.view(size, 1, 1)  # towards corner 0 of the edge 0-2
     cubes[0, 1, ..., 0] += ramp.view(1, size, 1)  # towards corner 2 of it
-    assert not sewn(texture_marks(cubes, light), faces).view(4, 3)[0, 2]
+    assert not matches(texture_edge_hashes(cubes, light), faces).view(4, 3)[0, 2]
     cubes[0, 1, ..., 0] = ramp.view(size, 1, 1)
-    assert sewn(texture_marks(cubes, light), faces).view(4, 3)[0, 2]
+    assert matches(texture_edge_hashes(cubes, light), faces).view(4, 3)[0, 2]
 
 
-def test_one_colour_a_face(device):
-    """Among faces of one colour and light a single one of another has its three edges, seen from both sides."""
+def test_one_color_per_face(device):
+    """A single face of another colour differs at its three edges, seen from both sides."""
     _, faces = sphere(device)
     light = torch.ones(1, 2, len(faces), 3, device=device)
     cubes = torch.full((1, len(faces), 1, 1, 1, 3), 0.4, device=device)
-    assert sewn(texture_marks(cubes, light), faces).all()
+    assert matches(texture_edge_hashes(cubes, light), faces).all()
     cubes[0, 7, ..., 2] = 0.5
-    found = sewn(texture_marks(cubes, light), faces).view(-1, 3)
+    found = matches(texture_edge_hashes(cubes, light), faces).view(-1, 3)
     assert (~found).sum() == 6 and not found[7].any()
 
 
-def test_images_are_sewn_where_charts_go_on(device):
+def test_images_match_where_texture_coordinates_are_continuous(device):
     vertices, faces = sphere(device)
     corners = vertices[faces.long()]
     uv = corners[..., :2].contiguous()
     one = torch.zeros(len(faces), dtype=torch.int64, device=device)
-    assert sewn(image_marks(uv, one, None), faces).all()
-    assert not sewn(image_marks(torch.rand_like(uv), one, None), faces).any()
-    assert not sewn(image_marks(uv, one - 1, None), faces).any()  # no image
-    other = sewn(image_marks(uv, one + (corners[:, :, 0].mean(1) > 0), None), faces)
+    assert matches(image_edge_hashes(uv, one, None), faces).all()
+    assert not matches(image_edge_hashes(torch.rand_like(uv), one, None), faces).any()
+    assert not matches(image_edge_hashes(uv, one - 1, None), faces).any()  # no image
+    other = matches(image_edge_hashes(uv, one + (corners[:, :, 0].mean(1) > 0), None), faces)
     assert 0 < (~other).sum() < 100  # along the line between two images
     light = torch.rand(2, 2, len(faces), 3, device=device)
-    assert not sewn(image_marks(uv, one, light), faces).any()
+    assert not matches(image_edge_hashes(uv, one, light), faces).any()
 
 
-def test_no_seam_is_found_in_a_texture_that_goes_on(device):
-    """What `render` finds by itself is what `composite` is told."""
+def test_render_finds_no_seams_in_a_continuous_texture(device):
+    """Its gradient equals the gradient of `composite` with ``seams=False``."""
     vertices, faces = sphere(device)
     uv = vertices[faces.long()][..., :2] * 0.4 + 0.5
     image = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(0)).to(device)
@@ -119,5 +119,5 @@ def test_no_seam_is_found_in_a_texture_that_goes_on(device):
         rgb.square().sum().backward()
         found.append((rgb, moving.grad))
     assert torch.equal(found[0][0], found[1][0])
-    # A vertex gathers the pulls of some hundred pixels, in the one and in the other order.
+    # A vertex sums the gradients of some hundred pixels, in another order.
     torch.testing.assert_close(found[0][1], found[1][1], **rounding(64**2, float(found[0][1].abs().max())))

@@ -1,4 +1,4 @@
-"""Neighbours by the indices of vertices: the same as by corners, and never those of another mesh."""
+"""Rings of edges by vertex indices: the neighbours found by them are those found by corners."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ def points(count, seed, batch=1):
     return vertices * torch.tensor([2.0, 2.0, 3.0]) + torch.tensor([-1.0, -1.0, 0.5])
 
 
-def check_neighbors(vertices, faces, two_sided, seen=None):
-    """The same neighbours with rings and without, of faces that are seen or beside one that is."""
+def check_neighbors(vertices, faces, two_sided, visible=None):
+    """Assert equal neighbours with and without rings, of visible faces and those beside one; returns all neighbours."""
     corners = nr.vertices_to_faces(vertices, faces)
     batch, count = corners.shape[:2]
-    seen = torch.ones(batch, count, dtype=torch.int32) if seen is None else seen
+    visible = torch.ones(batch, count, dtype=torch.int32) if visible is None else visible
     rings = edge_rings(faces.to(corners.device))
-    found = neighbors(corners, two_sided, True, seen.to(corners.device), rings).cpu()
+    found = neighbors(corners, two_sided, True, visible.to(corners.device), rings).cpu()
     expected = neighbors(corners, two_sided, True).cpu()
     image = torch.arange(batch)[:, None, None]
-    beside = (expected >= 0) & (seen[image, expected.clamp(min=0).long()] > 0)
-    near = (seen > 0) | beside.any(-1)
+    beside = (expected >= 0) & (visible[image, expected.clamp(min=0).long()] > 0)
+    near = (visible > 0) | beside.any(-1)
     assert torch.equal(found[near], expected[near])
     return expected
 
 
 @pytest.mark.parametrize("dtype", [torch.int32, torch.int64])
-def test_each_edge_names_the_next_with_the_same_vertices(dtype):
+def test_edges_with_the_same_vertices_form_rings(dtype):
     faces = torch.tensor([[0, 1, 2], [2, 1, 3], [1, 2, 4], [-1, -1, -1], [5, 5, 6], [0, 3, 1]], dtype=dtype)
     rings = edge_rings(faces)
     assert rings.dtype == torch.int32 and rings.shape == (1, 7, 3)
@@ -53,14 +53,14 @@ def test_same_neighbors_as_by_corners(device, seed, two_sided):
     shape = (count, 3) if seed % 4 < 2 else (batch, count, 3)
     faces = torch.rand(*shape[:-1], 9, generator=random).argsort(-1)[..., :3]
     faces[..., 3, :] = -1
-    seen = (torch.rand(batch, count, generator=random) < 0.5).int()
-    expected = check_neighbors(points(9, seed, batch).to(device), faces.to(device), two_sided, seen)
+    visible = (torch.rand(batch, count, generator=random) < 0.5).int()
+    expected = check_neighbors(points(9, seed, batch).to(device), faces.to(device), two_sided, visible)
     assert (expected >= 0).any()
 
 
 @pytest.mark.parametrize("two_sided", [False, True])
-def test_surfaces_go_on_where_vertices_are_doubled(device, two_sided):
-    """As along the seams of texture coordinates."""
+def test_doubled_vertices_are_found_by_their_corners(device, two_sided):
+    """Meshes have them along the seams of texture coordinates."""
     vertices, faces = nr.icosphere(2)
     doubled = faces.clone()
     doubled[100:] += len(vertices)
@@ -70,7 +70,7 @@ def test_surfaces_go_on_where_vertices_are_doubled(device, two_sided):
     assert torch.equal(expected, neighbors(nr.vertices_to_faces(screen, faces), two_sided, True))
 
 
-def test_faces_changed_in_place_are_another_mesh(device):
+def test_faces_changed_in_place_get_new_rings(device):
     faces = torch.tensor([[0, 1, 2], [2, 1, 3]], device=device)
     first = edge_rings(faces)
     assert edge_rings(faces) is first
@@ -92,7 +92,7 @@ def gradient(vertices, faces, change=None):
 
 
 def test_faces_may_change_before_the_image_is_made(device):
-    """Of 64 bits: those of 32 are what backward gathers by, and torch says that they changed."""
+    """Faces of 64 bits: they are copied to 32. (Changes of 32-bit faces are errors in backward.)"""
     vertices, faces = (t.to(device) for t in nr.icosphere(1, 0.7))
     faces = faces.long()
     expected = gradient(vertices, faces)
@@ -121,6 +121,6 @@ def test_rasterized_with_indices_and_without(device):
         (torch.full((2, 3), 0.5), ValueError, "triangles: expected whole numbers"),
     ],
 )
-def test_indices_that_do_not_fit(triangles, error, message):
+def test_invalid_indices_are_errors(triangles, error, message):
     with pytest.raises(error, match=message):
         nr.rasterize_images(torch.rand(2, 2, 3, 3), 8, outputs=("alpha",), triangles=triangles)

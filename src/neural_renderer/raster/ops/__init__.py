@@ -1,1 +1,1 @@
-"""The operations of the rasteriser, one a file: public function, torch operator, Warp kernels."""
+"""The operators of the rasteriser, one a file: torch operator, gradient and Warp kernels."""

@@ -1,4 +1,4 @@
-"""Where on its face each pixel lies, and how deep: the smooth half of rasterisation."""
+"""Barycentric weights and depth of the visible point of each pixel: the differentiable half of rasterisation."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -11,7 +11,7 @@ from ..warp.point import FACE, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
 
-# Without fused multiply-adds, so that weights by edge functions are what `coverage` computes.
+# Without fused multiply-adds, weights by edge functions are the values that `coverage` computes.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
@@ -19,17 +19,24 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 def barycentrics(
     faces: Tensor, face_index: Tensor, near: float, far: float, perspective: bool
 ) -> tuple[Tensor, Tensor]:
-    """Weights and depth at each pixel of the face that `coverage` found there; differentiable in the corners.
+    """Compute barycentric weights and depth at each pixel; differentiable in the corners.
 
-    faces: [B, F, 3, 3] float32 screen-space corners; face_index: [B, H, W] int32.
-    near, far: as in `coverage`.
-    perspective: depth is ``1 / sum(w_k / z_k)``; ``sum(w_k z_k)`` otherwise.
+    With screen-space weights w_k, depth is ``z = 1 / sum(w_k / z_k)`` and the weights in space are ``w_k z / z_k``; in
+    orthographic projection, ``z = sum(w_k z_k)`` and w_k. Backward is the analytic derivative inside the face: at a
+    fixed pixel, moving corner m by v on the screen changes w_k by ``-w_m grad(w_k) . v``. A `degenerate` face has no
+    gradient to x and y.
 
-    Returns weights [B, H, W, 3], the shares of the corners in the point that is seen, in space: what a quantity given
-    at the corners is interpolated with: ``w_k z / z_k`` (``w_k`` without perspective), in [0, 1], of sum 1, and 0 where
-    no face is seen. And depth [B, H, W] in [near, far], ``far`` where no face is seen. Both are finite for any face
-    that `coverage` draws. Backward is the analytic derivative inside the face: with the pixel fixed, moving corner m by
-    v on the screen changes w_k by ``-w_m grad(w_k) . v``. A `degenerate` face passes no gradient to x and y.
+    Args:
+        faces: Screen-space corners, [B, F, 3, 3] float32.
+        face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
+        near: As in `coverage`.
+        far: As in `coverage`.
+        perspective: Whether the projection is perspective; else orthographic.
+
+    Returns:
+        Weights in space, [B, H, W, 3] float32 in [0, 1], which interpolate values at the corners: their sum is 1, or 0
+        where no face is visible. Depth, [B, H, W] float32 in [near, far]; ``far`` where no face is visible. Both are
+        finite for every face that `coverage` draws.
     """
     batch, height, width = face_index.shape
     weights = torch.empty((batch, height, width, 3), dtype=torch.float32, device=faces.device)
@@ -56,7 +63,7 @@ def barycentrics_backward(
     face_index: Tensor,
     perspective: bool,
 ) -> Tensor:
-    """The gradient [B, F, 3, 3] of `barycentrics` to the corners."""
+    """Compute the gradient of `barycentrics` to the corners, [B, F, 3, 3] float32."""
     batch, height, width = face_index.shape
     result = zeros(faces.shape, faces.device)
     lanes = face_lanes(faces, height * width)
@@ -96,7 +103,7 @@ differentiable(barycentrics, _to_corners, _save)
 _ROWS = over_rows(
     """
             weights_at.data[pixel] = weights;
-            depth.data[pixel] = z < near ? near : z > far ? far : z;  // where it was drawn, but for rounding
+            depth.data[pixel] = z < near ? near : z > far ? far : z;  // only rounding leaves the range
     """,
     """
                 for (int n = 0; n < empty; ++n) depth.data[pixel + n] = far;
@@ -117,7 +124,7 @@ def weigh_rows(
     first: int,
     last: int,
 ):
-    """Some of the rows of all images."""
+    """Compute the rows [first, last), counted over all images."""
     ...
 
 
@@ -178,7 +185,7 @@ def pull_face(
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
-    """A face's pixels in its box, every n-th row."""
+    """Sum the gradients of a face's pixels in its box; every ``lanes``-th row."""
     ...
 
 
@@ -194,7 +201,7 @@ def _backward(
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
-    """One face of one image, over the pixels that show it; with several lanes, each takes every n-th row."""
+    """Visit the pixels that show one face of one image; with several lanes, each takes every n-th row."""
     task = first + wp.tid()
     lane = task % lanes
     b = (task // lanes) // faces.shape[1]

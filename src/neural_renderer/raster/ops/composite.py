@@ -1,4 +1,4 @@
-"""Colours of pixels that show a face, before a background."""
+"""Compositing: the colours of visible faces over a background."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -13,9 +13,15 @@ wp.set_module_options({"enable_backward": False})
 
 @operator
 def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
-    """The image [B, C, H, W] of ``colors`` [B, H, W, C] where a face is seen; differentiable in both.
+    """Put colours over a background; differentiable in both.
 
-    background: [1 or B, C, 1 or H, 1 or W], seen where no face is. face_index: as `coverage` gives it.
+    Args:
+        colors: [B, H, W, C] float32.
+        background: [1 or B, C, 1 or H, 1 or W] float32.
+        face_index: Visible face of each pixel, [B, H, W] int32; the background shows where it is -1.
+
+    Returns:
+        [B, C, H, W] float32.
     """
     batch, height, width = face_index.shape
     image = torch.empty((batch, colors.shape[3], height, width), dtype=torch.float32, device=colors.device)
@@ -33,7 +39,7 @@ def _(colors, background, face_index):  # type: ignore[no-untyped-def]
 
 @differentiable_once
 def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
-    """The gradient [B, H, W, C] of `composite` to colors."""
+    """Compute the gradient of `composite` to the colours, [B, H, W, C] float32."""
     batch, channels, height, width = grad.shape
     to_colors = torch.empty((batch, height, width, channels), dtype=torch.float32, device=grad.device)
     arguments = [array(grad), array(face_index), array(to_colors)]
@@ -65,7 +71,7 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(composite, _to_inputs, _save)
 
 
-# The usual three channels are spelled out in one pass, so that compilers make vector instructions of it.
+# Three channels, the usual number, have a loop of their own, which compilers turn into vector instructions.
 _ROW = """
     const int channels = image.shape[1], height = image.shape[2], width = image.shape[3];
     const wp::int64 area = (wp::int64)height * width, first = (wp::int64)row * width;
@@ -82,7 +88,7 @@ _ROW = """
         EACH
     }
 """
-# The background's strides are bytes, and 0 along the axes that it is expanded over.
+# Strides of the background are in bytes, and 0 along expanded axes.
 _FORWARD = {
     "THREE": """
         const char *behind = (const char*)background.data + b * (wp::int64)background.strides[0]
@@ -136,7 +142,7 @@ def compose_row(
     image: wp.array4d(dtype=float),
     row: int,
 ):
-    """Of all rows of all images, this one."""
+    """Composite one row, counted over all images."""
     ...
 
 
@@ -144,7 +150,7 @@ def compose_row(
 def part_row(
     image: wp.array4d(dtype=float), face_index: wp.array3d(dtype=int), colors: wp.array4d(dtype=float), row: int
 ):
-    """Its transpose."""
+    """Compute one row of the gradient to the colours: the transpose of `compose_row`."""
     ...
 
 

@@ -1,4 +1,4 @@
-"""Gathering what belongs to the corners of faces from shared vertices."""
+"""Gathering the values of face corners from shared vertices."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -13,10 +13,16 @@ wp.set_module_options({"enable_backward": False})
 
 @operator
 def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
-    """The corners [B, F, 3, C] of ``faces`` [1 or B, F, 3] int32 among ``vertices`` [B, V, C] float32; differentiable.
+    """Gather the corners of faces; differentiable in the vertices.
 
-    An index outside [0, V) gives a corner that is not a number, and no memory beyond the vertices is read; but
-    (-1, -1, -1), which stands for no face, is (0, 0, 0), a face without area.
+    No memory outside the vertices is read.
+
+    Args:
+        vertices: [B, V, C] float32.
+        faces: Vertex indices, [1 or B, F, 3] int32.
+
+    Returns:
+        [B, F, 3, C] float32. An index outside [0, V) gives NaN; padding (-1, -1, -1) gives a face of zeros.
     """
     shape = (vertices.shape[0], *faces.shape[1:], vertices.shape[2])
     corners = torch.empty(shape, dtype=torch.float32, device=vertices.device)
@@ -34,7 +40,7 @@ def _(vertices, faces):  # type: ignore[no-untyped-def]
 
 @differentiable_once
 def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
-    """The gradient [B, V, C] of `gather_corners` to its ``count`` vertices: the sum over the corners at each."""
+    """Sum the gradient over the corners at each of ``count`` vertices, [B, V, C] float32."""
     batch = grad.shape[0]
     result = zeros((batch, count, grad.shape[3]), grad.device)
     if concurrent(grad.device) and torch.are_deterministic_algorithms_enabled():
@@ -44,7 +50,7 @@ def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
         index = (torch.where(valid, faces, 0).flatten(1) + image).flatten()
         part = torch.where(valid[..., None], grad, 0.0)
         return result.flatten(0, 1).index_add_(0, index, part.flatten(0, 2)).view_as(result)
-    # On the CPU one task takes all faces of an image, since its additions would collide with another task's.
+    # On the CPU one task takes all faces of an image: additions of several tasks would collide.
     groups = grad.shape[1] if concurrent(grad.device) else 1
     arguments = [array(grad), array(faces), groups, array(result)]
     launch(_backward, batch * groups, arguments, grad.device)
@@ -96,7 +102,7 @@ def copy_out(
     begin: int,
     end: int,
 ):
-    """The corners of some faces of an image."""
+    """Copy the corners of the faces [begin, end) of an image."""
     ...
 
 
@@ -105,7 +111,7 @@ _ADD = """
 """
 
 
-# Warp's CPU atomics are calls.
+# Warp's CPU atomics are function calls, and slow.
 @wp.func_native(
     "#if defined(__CUDA_ARCH__)"
     + _EACH.replace("DO", _ADD).replace("ADD", "wp::atomic_add(vertex + c, corner[c])")
@@ -121,7 +127,7 @@ def add_in(
     begin: int,
     end: int,
 ):
-    """Its transpose: add to the vertices."""
+    """Add corners of the faces [begin, end) to the vertices: the transpose of `copy_out`."""
     ...
 
 

@@ -1,4 +1,4 @@
-"""Which face is seen at each pixel: the discrete half of rasterisation (no gradient of its own)."""
+"""The visible face of each pixel: the discrete half of rasterisation, without a gradient of its own."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -10,8 +10,8 @@ from ..warp.launch import MANY_PIXELS, array, concurrent, cpu_bands, launch, wor
 from ..warp.registration import operator
 from .draw_face import clear_rows, draw_into_keys, draw_into_rows, turn_rows
 
-# Without fused multiply-adds an edge a -> b and its twin b -> a have exactly opposite signs at every pixel, so
-# neighbours leave no gap between them, and the CPU and CUDA agree to the bit.
+# Without fused multiply-adds the edge functions of a -> b and b -> a have exactly opposite signs at every pixel:
+# adjacent faces leave no gap, and the CPU and CUDA agree to the bit.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 EMPTY = wp.constant(0x7FFFFFFF_FFFFFFFF)
@@ -21,21 +21,27 @@ EMPTY = wp.constant(0x7FFFFFFF_FFFFFFFF)
 def coverage(
     faces: Tensor, height: int, width: int, near: float, far: float, two_sided: bool, perspective: bool
 ) -> Tensor:
-    """The face seen at each pixel centre: the nearest one, of those at equal depth the one of lowest index.
+    """Find the visible face of each pixel: the nearest one at its centre; of equal depths, the lowest index.
 
-    faces: [B, F, 3, 3] float32 corners ``(x, y, z)`` in screen space (see `geometry`).
-    near, far: only what has ``near < z < far`` at the pixel is seen.
-    two_sided: also draw faces whose corners run clockwise on the screen.
-    perspective: depth between the corners is ``1 / sum(w_k / z_k)``; linear in the weights otherwise.
+    A pixel centre on an edge is inside. Faces with a corner that is not finite or beyond 1e12 are not drawn.
 
-    Returns [B, height, width] int32, row 0 at the top, -1 where nothing is seen. A pixel centre on an edge is inside.
-    A face with a corner that is not finite, or beyond 1e12, is not drawn.
+    Args:
+        faces: Screen-space corners ``(x, y, z)``, [B, F, 3, 3] float32; see `raster/warp/geometry.py`.
+        height: Rows of the result.
+        width: Columns of the result.
+        near: Faces are drawn at pixels where ``near < z < far``, in world units.
+        far: See ``near``.
+        two_sided: Whether faces whose corners run clockwise on the screen are drawn.
+        perspective: Whether depth is ``1 / sum(w_k / z_k)``; else ``sum(w_k z_k)``.
+
+    Returns:
+        [B, height, width] int32, row 0 at the top; -1 where no face is visible.
     """
     batch, count = faces.shape[:2]
     face_index = torch.empty((batch, height, width), dtype=torch.int32, device=faces.device)
     options = [near, far, int(two_sided), int(perspective)]
     if concurrent(faces.device):
-        # One task per face, its rows shared by a few threads, more of them where faces are few and large.
+        # A few threads share the rows of a face, more where faces are few and large.
         key = torch.full((batch, height, width), EMPTY, dtype=torch.int64, device=faces.device)
         pixels = 8 * height * width // max(count, 1)
         lanes = max(1, min(height, 1 << (max(1, pixels) // width).bit_length()))
@@ -53,7 +59,7 @@ def coverage(
 
 @operator
 def silhouette(face_index: Tensor) -> Tensor:
-    """1 where a face is seen, 0 elsewhere: [B, 1, H, W] float32 of ``face_index`` [B, H, W] int32."""
+    """Convert ``face_index`` [B, H, W] int32 to a mask, [B, 1, H, W] float32: 1 where a face is visible, else 0."""
     batch, height, width = face_index.shape
     many_rows = MANY_PIXELS // max(width, 1)
     alpha = torch.empty((batch, 1, height, width), dtype=torch.float32, device=face_index.device)
@@ -92,13 +98,13 @@ def decode_row(
     count: int,
     empty: wp.int64,
 ):
-    """From the nearest keys of a row of pixels to the faces they show."""
+    """Convert the nearest keys of a row of pixels to face indices."""
     ...
 
 
 @wp.func
 def crossing_depth(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, i: int, j: int, height: int, width: int) -> float:
-    """The depth at a pixel of a face that crosses the camera's plane; 0 beside it."""
+    """Compute the depth at a pixel of a face that crosses the camera's plane; 0 outside the face."""
     a = homogeneous_weights(v0, v1, v2, pixel_centre(i, width), pixel_centre(j, height))
     if a[0] >= wp.float64(0.0) and a[1] >= wp.float64(0.0) and a[2] >= wp.float64(0.0):
         return float(wp.float64(1.0) / (a[0] + a[1] + a[2]))
@@ -133,7 +139,7 @@ def next_candidate(
     two_sided: int,
     perspective: int,
 ) -> int:
-    """The first face from f on that may be drawn (see `drawn_face`), or the number of faces."""
+    """Find the first face from f on that may be drawn (see `drawn_face`); the number of faces if none."""
     ...
 
 
@@ -149,14 +155,17 @@ def drawn_face(
     two_sided: int,
     perspective: int,
 ):
-    """How a face lies (see `in_front`), -1 if it is not seen between two heights; its index; its corners, turned."""
+    """Classify a face (see `in_front`; -1 if it is not drawn between two heights) and orient it counter-clockwise.
+
+    Returns the class, the index (of a back side: plus the number of faces) and the three corners.
+    """
     v0 = faces[b, f, 0]
     v1 = faces[b, f, 1]
     v2 = faces[b, f, 2]
     index = int(f)
     front = in_front(v0, v1, v2, perspective)
     if front == 1:
-        # Most faces end here: above or below, or too near or far.
+        # Most faces are skipped here: above, below, too near or too far.
         if wp.max(v0[1], wp.max(v1[1], v2[1])) < low or wp.min(v0[1], wp.min(v1[1], v2[1])) > high:
             front = -1
         if wp.max(v0[2], wp.max(v1[2], v2[2])) <= near or wp.min(v0[2], wp.min(v1[2], v2[2])) >= far:
@@ -166,8 +175,8 @@ def drawn_face(
         if side == 0 or (side < 0 and two_sided == 0):
             front = -1
         if side < 0:
-            # As the first packages do it, who append copies in reversed order after all faces: a face that a file holds
-            # twice, once turned over, has the depth of its copy to the last bit, and ties go to the lower index.
+            # The first packages append reversed copies after all faces. The same order decides ties here: a face that a
+            # file holds twice, once reversed, has the depth of its copy to the last bit.
             index = f + faces.shape[1]
             v0, v2 = v2, v0
     return front, index, v0, v1, v2
@@ -175,7 +184,7 @@ def drawn_face(
 
 @wp.func
 def depth_terms(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int):
-    """n and d of the depth (e . n) / (e . d) by the edge functions e."""
+    """Compute n and d, by which edge functions e give the depth (e . n) / (e . d)."""
     n = wp.vec3(v0[2], v1[2], v2[2])
     d = wp.vec3(1.0, 1.0, 1.0)
     if perspective == 1:
@@ -195,7 +204,7 @@ def _draw(
     two_sided: int,
     perspective: int,
 ):
-    """Every n-th row of one face, on CUDA."""
+    """Draw every n-th row of one face, on CUDA."""
     task = first + wp.tid()
     lane = task % lanes
     b = (task // lanes) // faces.shape[1]
@@ -233,7 +242,7 @@ def _draw_band(
     two_sided: int,
     perspective: int,
 ):
-    """All faces into some rows of one image, on the CPU."""
+    """Draw all faces into a band of rows of one image, on the CPU."""
     task = first + wp.tid()
     band = task % bands
     b = task // bands
@@ -287,7 +296,7 @@ _COVER_ROW = """
 
 @wp.func_native(_COVER_ROW)
 def cover_row(face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float), row: wp.int64, width: int):
-    """Of all rows of all images, this one."""
+    """Fill one row of the mask, counted over all images."""
     ...
 
 

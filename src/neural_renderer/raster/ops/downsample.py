@@ -1,4 +1,4 @@
-"""Anti-aliasing's second half: the average of 2 x 2 pixels."""
+"""Downsampling of anti-aliased images: the mean of 2 x 2 pixels."""
 
 import torch
 import torch.nn.functional as F
@@ -9,18 +9,25 @@ from ..warp.registration import differentiable, operator
 
 @operator
 def halve(image: Tensor) -> Tensor:
-    """The averages [B, C, H / 2, W / 2] of 2 x 2 blocks of an image [B, C, H, W], H and W even; contiguous.
+    """Average 2 x 2 blocks of an image.
 
-    torch's own pooling takes several times as long on images of one channel.
+    torch's own pooling takes several times as long for images of one channel.
+
+    Args:
+        image: [B, C, H, W] float32; H and W even.
+
+    Returns:
+        [B, C, H / 2, W / 2] float32, contiguous.
     """
-    rows = image[..., 0::2, :] + image[..., 1::2, :]
-    return (rows[..., 0::2] + rows[..., 1::2]).mul_(0.25).contiguous()
+    # Multiplied before the sum, which may be too large for float32.
+    rows = image[..., 0::2, :].mul(0.25).add_(image[..., 1::2, :], alpha=0.25)
+    return (rows[..., 0::2] + rows[..., 1::2]).contiguous()
 
 
 @operator
 def halve_backward(grad: Tensor) -> Tensor:
-    """The transpose of `halve`: a quarter of each gradient to each pixel of its block."""
-    if not grad.numel():  # which torch does not enlarge
+    """Send a quarter of each gradient to each pixel of its block: the transpose of `halve`."""
+    if not grad.numel():  # torch refuses to enlarge empty images
         return grad.new_zeros((*grad.shape[:2], 2 * grad.shape[2], 2 * grad.shape[3]))
     return F.interpolate(grad.contiguous() * 0.25, scale_factor=2, mode="nearest")
 

@@ -1,7 +1,7 @@
-"""The pixels of one face, for `coverage`: loops in plain C++, eight pixels at once on the CPU.
+"""Drawing the pixels of one face, for `coverage`: loops in plain C++, eight pixels at once on the CPU.
 
-A pixel with the edge functions e lies in a counter-clockwise face if none of them is negative, at the depth
-(e . n) / (e . d). All formulas are the same for both devices, so that they agree to the bit.
+A pixel with edge functions e lies in a counter-clockwise face if none of them is negative; its depth is
+(e . n) / (e . d). The formulas are the same on both devices, so that results agree to the bit.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -9,8 +9,8 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# For each row of the face's box: where it crosses the edges, and what rounding leaves in doubt. A box that is not wider
-# than what is tested at once needs no such look.
+# For each row of the face's box, the span between its crossings with the edges, widened by the rounding error. A box
+# that is narrower than the pixels tested at once has no need of it.
 _ROWS = """
     const float x0 = v0[0], x1 = v1[0], x2 = v2[0], w = (float)width, h = (float)height;
     const float slope[3] = {v1[1] - v2[1], v2[1] - v0[1], v0[1] - v1[1]};
@@ -47,7 +47,7 @@ _TEST = """
             const FLOATS z = (e0 * n[0] + e1 * n[1] + e2 * n[2]) / (e0 * d[0] + e1 * d[1] + e2 * d[2]);
             const auto inside = (e0 >= 0.0f) & (e1 >= 0.0f) & (e2 >= 0.0f) & (z > near);
 """
-# Of several faces the nearest is seen, of those at equal depth the one of lowest index.
+# The nearest face is visible; of equal depths, the lowest index.
 _SINGLE = """
         for (int i = first; i <= last; ++i) {
             const float x = (float)(2 * i + 1 - width) / w;
@@ -66,7 +66,7 @@ _NEAREST = """
             int& shown = face_index.data[row + i];
             if (inside & ((z < depth) | ((z == depth) & (index < shown)))) depth = z, shown = index;
 """
-# The compiler's own vectors: most faces are too narrow for loops that it would make into such.
+# The compiler's vector types: most faces are too narrow for loops that it would vectorise itself.
 _EIGHT = """
         for (int i = first; i <= last; i += 8) {
             const int at = i < width - 8 ? i : width - 8;
@@ -118,7 +118,7 @@ def draw_into_keys(
     top: int,
     step: int,
 ):
-    """Draw a face in front of the camera into every n-th row of its box, on CUDA, while others draw there too."""
+    """Draw a face in front of the camera into every n-th row of its box, on CUDA; other faces are drawn meanwhile."""
     ...
 
 
@@ -150,7 +150,7 @@ def draw_into_rows(
     bottom: int,
     top: int,
 ):
-    """The same on the CPU, where nobody else draws: ``nearest`` holds the depth of what is seen so far, or far."""
+    """Draw a face into its box on the CPU; ``nearest`` is the least depth of a row's pixels so far, at first far."""
     ...
 
 
@@ -165,11 +165,11 @@ _EACH = """
 def clear_rows(
     nearest: wp.array3d(dtype=float), face_index: wp.array3d(dtype=int), b: int, first: int, last: int, far: float
 ):
-    """Nothing is seen yet in the rows [first, last) of an image."""
+    """Clear the rows [first, last) of an image: no face, at depth far."""
     ...
 
 
 @wp.func_native(_EACH.replace("DO", "face_index.data[i] -= face_index.data[i] < count ? 0 : count"))
 def turn_rows(face_index: wp.array3d(dtype=int), b: int, first: int, last: int, count: int):
-    """Faces seen from behind were drawn as copies after all ``count``: give them their own numbers."""
+    """Replace the indices of back sides, which follow all ``count`` faces, by those of the faces."""
     ...

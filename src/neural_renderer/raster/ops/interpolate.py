@@ -1,4 +1,4 @@
-"""Anything given at the corners of faces, at every pixel."""
+"""Interpolation of corner attributes at every pixel."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -11,19 +11,24 @@ from ..warp.point import FACE, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
 
-# As in `barycentrics`, whose weights these are, to the bit.
+# As in `barycentrics`, so that the weights are equal to the bit.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @operator
 def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
-    """The attributes of the corners mixed by the weights of each pixel; differentiable in attributes and faces.
+    """Interpolate attributes by the barycentric weights of each pixel; differentiable in attributes and faces.
 
-    attributes: [B or 1, F, 3, C] float32, any number of channels.
-    faces, face_index, perspective: as `barycentrics` takes them, which says what the weights are. They are made anew,
-        here and in backward, which is quicker than to keep images of them.
+    Weights are those of `barycentrics`. They are computed anew, here and in backward: faster than storing them.
 
-    Returns [B, H, W, C] float32, 0 where no face is seen.
+    Args:
+        attributes: Values at the corners, [B or 1, F, 3, C] float32.
+        faces: As in `barycentrics`.
+        face_index: As in `barycentrics`.
+        perspective: As in `barycentrics`.
+
+    Returns:
+        [B, H, W, C] float32; 0 where no face is visible.
     """
     batch, height, width = face_index.shape
     result = torch.empty((batch, height, width, attributes.shape[3]), dtype=torch.float32, device=faces.device)
@@ -42,13 +47,13 @@ def _(attributes, faces, face_index, perspective):  # type: ignore[no-untyped-de
 def interpolate_backward(
     grad: Tensor, attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, faces_too: bool
 ) -> tuple[Tensor, Tensor]:
-    """The gradients of `interpolate` to attributes and faces [B, F, 3, 3] (empty if not ``faces_too``)."""
+    """Compute the gradients of `interpolate` to attributes and to faces, [B, F, 3, 3]; empty if not ``faces_too``."""
     batch, height, width = face_index.shape
     count = faces.shape[1]
     to_attributes = zeros(attributes.shape, faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     lanes = face_lanes(faces, height * width)
-    # Attributes that images share belong to one task, which takes the images in turn.
+    # One task sums the gradient to attributes that images share, image by image.
     images = 1 if attributes.shape[0] < batch else batch
     maps = [array(face_index), array(seen_faces(face_index, count)), array(grad)]
     options = [int(perspective), int(faces_too), images, lanes]
@@ -77,7 +82,7 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(interpolate, _to_inputs, _save)
 
 
-# The usual three channels are spelled out, so that compilers unroll the loop over them.
+# Three channels, the usual number, have a loop of constant length, which compilers unroll.
 _MIX = """
             const wp::int64 images = attributes.shape[0];
             const float* from = attributes.data + ((b < images ? b : images - 1) * count + f) * 3 * channels;
@@ -106,7 +111,7 @@ def mix_rows(
     first: int,
     last: int,
 ):
-    """Some of the rows of all images."""
+    """Interpolate in the rows [first, last), counted over all images."""
     ...
 
 
@@ -156,7 +161,7 @@ _UNMIX = (
     if (faces_too) face.give(to_faces.data + (b * count + f) * 3, lanes == 1);
 """
 )
-# The same on the CPU, for eight pixels at once: the sums of all lanes come together at the end of the face.
+# The same for eight pixels at once, on the CPU; lanes are added at the end of the face.
 _EIGHT = """
     #if !defined(__CUDA_ARCH__)
     typedef float floats __attribute__((ext_vector_type(8)));
@@ -185,7 +190,7 @@ _EIGHT = """
                 w[k] = share < 0.0f ? none : share > 1.0f ? none + 1.0f : share;
             }
             const floats whole = w[0] + w[1] + w[2];
-            // Then the pixels of this face one by one. (0 / 0 beside the face counts, too: times 0 it is not 0.)
+            // Fall back to single pixels. (0 / 0 beside the face does harm, too: NaN times 0 is NaN.)
             if (__builtin_reduce_or(whole == 0.0f)) {
                 plain = false;
                 break;
@@ -254,7 +259,7 @@ def unmix_face(
     to_attributes: wp.array4d(dtype=float),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """A face's pixels in its box, every n-th row; ``own``: whose attributes."""
+    """Sum the gradients of a face's pixels in its box, every n-th row; ``own``: the image of its attributes."""
     ...
 
 
@@ -273,7 +278,7 @@ def _backward(
     to_attributes: wp.array4d(dtype=float),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """One face, of one image or of all, over the pixels that show it; with several lanes, each takes some rows."""
+    """Visit the pixels that show one face, in one image or in all; with several lanes, each takes some rows."""
     task = first + wp.tid()
     lane = task % lanes
     f = (task // lanes) % faces.shape[1]

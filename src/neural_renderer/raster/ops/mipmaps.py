@@ -1,4 +1,4 @@
-"""Sampling an image by texture coordinates, trilinear between its mipmaps (Williams, "Pyramidal parametrics", 1983)."""
+"""Texture sampling, trilinear between mipmaps (Williams, "Pyramidal parametrics", 1983)."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -13,19 +13,19 @@ wp.set_module_options({"enable_backward": False})
 
 
 def pyramid(image: Tensor) -> Tensor:
-    """The image [N, C, h, w] and its mipmaps, each the mean over half the size, as one list of texels [N, T, C]."""
+    """Append the mipmaps of an image [N, C, h, w], each the mean at half the size, in one list of texels [N, T, C]."""
     levels = [image]
     while max(image.shape[2:]) > 1:
         half = (max(1, image.shape[2] // 2), max(1, image.shape[3] // 2))
         even = image.shape[2] == 2 * half[0] and image.shape[3] == 2 * half[1]
-        # The general mean is the same where sides are even, but much slower.
+        # For even sides the adaptive mean is equal, but much slower.
         image = functional.avg_pool2d(image, 2) if even else functional.adaptive_avg_pool2d(image, half)
         levels.append(image)
     return torch.cat([level.flatten(2).transpose(1, 2) for level in levels], 1)
 
 
 def level_sizes(height: int, width: int) -> list[tuple[int, int, int]]:
-    """(the number of texels before it, height, width) of each level of `pyramid`."""
+    """List (texels before it, height, width) of each level of `pyramid`."""
     sizes, before = [(0, height, width)], 0
     while max(height, width) > 1:
         before += height * width
@@ -38,14 +38,21 @@ def level_sizes(height: int, width: int) -> list[tuple[int, int, int]]:
 def sample_mipmaps(
     texels: Tensor, height: int, width: int, uv: Tensor, face_index: Tensor, mipmaps: bool, repeat: bool
 ) -> Tensor:
-    """The colours [B, H, W, C] at uv, 0 where face_index is below 0; differentiable in texels and uv.
+    """Sample textures at texture coordinates; differentiable in texels and uv. Level selection is not differentiated.
 
-    texels: [B or 1, T, C] float32, what `pyramid` makes of images of ``height`` x ``width``.
-    uv: [B, H, W, 2] float32, u to the right and v up, the image over [0, 1]²; at a texel's centre is its colour.
-    face_index: [B, H, W] int32.
-    mipmaps: mean over what uv changes by to the next pixel of the same face (to the last, where there is no next one);
-        else the image itself. What the choice of the level gains has no gradient.
-    repeat: beyond [0, 1] the image is repeated, else its border goes on.
+    Args:
+        texels: As from `pyramid`, [B or 1, T, C] float32.
+        height: Height of the image.
+        width: Width of the image.
+        uv: Texture coordinates, [B, H, W, 2] float32; u to the right, v up, the image over [0, 1]². Texel centres have
+            the colours of the texels.
+        face_index: Visible face of each pixel, [B, H, W] int32.
+        mipmaps: Whether to average over the change of uv to the next pixel of the same face, or from the previous one
+            if there is none; else the image itself is sampled.
+        repeat: Whether the image repeats outside [0, 1]; else its border is extended.
+
+    Returns:
+        [B, H, W, C] float32; 0 where ``face_index`` is negative.
     """
     batch, rows, columns = face_index.shape
     result = torch.empty((batch, rows, columns, texels.shape[2]), dtype=torch.float32, device=texels.device)
@@ -71,10 +78,13 @@ def sample_mipmaps_backward(
     repeat: bool,
     texels_too: bool,
 ) -> tuple[Tensor, Tensor]:
-    """The gradients of `sample_mipmaps` to texels (empty if not ``texels_too``) and uv.
+    """Compute the gradients of `sample_mipmaps` to texels (empty if not ``texels_too``) and to uv.
 
-    On the CPU each image's texels belong to one task, which needs no atomic sums: one image for a whole batch is one
-    task. On CUDA texels get their sums in whatever order, and RuntimeError is raised where torch asks for another.
+    On the CPU one task sums the gradient to each image's texels, without atomics; a batch that shares one image is one
+    task. On CUDA the order of sums varies.
+
+    Raises:
+        RuntimeError: On CUDA, if torch asks for deterministic results.
     """
     batch, rows, _ = face_index.shape
     to_texels = zeros(texels.shape if texels_too else (0, 0, 0), texels.device)
@@ -122,7 +132,7 @@ differentiable(sample_mipmaps, _to_inputs, _save)
 def change(
     uv: wp.array3d(dtype=wp.vec2), face_index: wp.array3d(dtype=int), b: int, j: int, i: int, down: int, right: int
 ) -> wp.vec2:
-    """What uv changes by from a pixel to its neighbour, or from the one before; 0 if neither shows its face."""
+    """Compute the change of uv to the next pixel, or from the previous one; 0 if neither shows the same face."""
     f = face_index[b, j, i]
     at = uv[b, j, i]
     if j + down < face_index.shape[1] and i + right < face_index.shape[2]:
@@ -143,7 +153,7 @@ def level_of(
     j: int,
     i: int,
 ) -> float:
-    """log2 of how many texels a pixel spans along its longer side, in the range of the levels there are."""
+    """Select the mipmap level: log2 of the texels along the longer side of a pixel, clamped to the levels."""
     size = wp.vec2(float(sizes[0][2]), float(sizes[0][1]))
     x = wp.cw_mul(change(uv, face_index, b, j, i, 0, 1), size)
     y = wp.cw_mul(change(uv, face_index, b, j, i, 1, 0), size)
@@ -155,18 +165,18 @@ def level_of(
 
 @wp.func
 def column(x: int, width: int, repeat: int) -> int:
-    """The texel that is seen at a place of a row or column, which lies at most one outside."""
+    """Wrap or clamp a position in a row or column, at most one texel outside."""
     if repeat == 1:
         if x < 0:
             x += width
         if x >= width:
             x -= width
-    return wp.clamp(x, 0, width - 1)  # of a coordinate that is NaN, too
+    return wp.clamp(x, 0, width - 1)  # for NaN coordinates, too
 
 
 @wp.func
 def texel_place(at: float, size: int, repeat: int) -> float:
-    """A coordinate in [0, 1] as a position among texels, whose centres are whole numbers."""
+    """Convert a texture coordinate to texels, whose centres are the integers."""
     if repeat == 1:
         return (at - wp.floor(at)) * float(size) - 0.5
     return wp.clamp(at * float(size) - 0.5, 0.0, float(size - 1))
@@ -174,7 +184,7 @@ def texel_place(at: float, size: int, repeat: int) -> float:
 
 @wp.func
 def slope_of(at: float, size: int, repeat: int) -> float:
-    """What that position gains with the coordinate."""
+    """Compute the derivative of `texel_place` by the coordinate."""
     x = at * float(size) - 0.5
     if repeat == 0 and (x < 0.0 or x > float(size - 1)):
         return 0.0
@@ -183,7 +193,7 @@ def slope_of(at: float, size: int, repeat: int) -> float:
 
 @wp.func
 def texel_of(at: wp.vec2, size: wp.vec3i, repeat: int, corner: int):
-    """One of the four texels of a level around uv, and its shares by columns and by rows."""
+    """Find one of the four texels of a level around uv, and its bilinear weights along columns and rows."""
     x = texel_place(at[0], size[2], repeat)
     y = texel_place(1.0 - at[1], size[1], repeat)
     left = int(wp.floor(x)) + corner % 2
@@ -203,7 +213,7 @@ def _forward(
     repeat: int,
     result: wp.array4d(dtype=float),
 ):
-    """One row of one image."""
+    """Sample one row of one image."""
     task = first + wp.tid()
     b = task // face_index.shape[1]
     j = task % face_index.shape[1]
@@ -242,7 +252,7 @@ def _backward(
     to_texels: wp.array3d(dtype=float),
     to_uv: wp.array3d(dtype=wp.vec2),
 ):
-    """So many rows, counted through all images."""
+    """Send the gradients of ``rows`` rows, counted over all images."""
     task = first + wp.tid()
     channels = texels.shape[2]
     for line in range(task * rows, (task + 1) * rows):

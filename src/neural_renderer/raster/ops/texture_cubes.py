@@ -1,4 +1,4 @@
-"""Colour from the cube of texels that each face owns, and the light that falls on the face."""
+"""Texture cubes: the colour of each pixel from the cube of texels of its face, under light."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -11,7 +11,7 @@ from ..warp.point import FACE, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
 
-# As in `barycentrics`, whose weights these are, to the bit.
+# As in `barycentrics`, so that the weights are equal to the bit.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
@@ -25,16 +25,23 @@ def sample_textures(
     eps: float,
     perspective: bool,
 ) -> Tensor:
-    """The colour [B, 3, H, W] of each pixel; differentiable in textures, light, background and faces.
+    """Sample texture cubes; differentiable in textures, light, background and faces.
 
-    textures: [B or 1, F, T, T, T, 3] float32; texel [a][b][c] belongs to corner weights (0, 1, 2) in that order.
-    light: [B or 1, 2, F, 3] factors on the side that is seen when the corners run counter-clockwise, and on the other.
-    background: [B, 3, H, W], seen where no face is.
-    faces, face_index, perspective: as `barycentrics` takes them, which says what the weights are.
-    eps: cube coordinates end at T - 1 - eps.
+    The coordinate along the axis of corner k is T - 1 times its weight; the 8 texels around it are blended. With T = 1
+    a face has one colour. The gradient to faces comes from the colours inside them, through the weights.
 
-    The coordinate along corner k's axis is T - 1 times its weight, and the 8 texels around it are blended. With T = 1
-    the face has one colour. The faces' gradient is what the colours inside of them gain by other weights.
+    Args:
+        textures: Cubes, [B or 1, F, T, T, T, 3] float32; texel [a][b][c] belongs to corner weights (0, 1, 2).
+        light: Factors on the front and the back of each face, [B or 1, 2, F, 3] float32. On the front, corners run
+            counter-clockwise.
+        background: [B, 3, H, W] float32, for pixels without a face.
+        faces: As in `barycentrics`.
+        face_index: As in `barycentrics`.
+        eps: Cube coordinates end at T - 1 - eps.
+        perspective: As in `barycentrics`.
+
+    Returns:
+        [B, 3, H, W] float32.
     """
     batch, height, width = face_index.shape
     color = torch.empty((batch, 3, height, width), dtype=torch.float32, device=faces.device)
@@ -63,10 +70,13 @@ def sample_textures_backward(
     light_too: bool,
     faces_too: bool,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The gradients of `sample_textures` to textures, light (zero if not ``light_too``) and faces (likewise)."""
+    """Compute the gradients of `sample_textures` to textures, light (0 if not ``light_too``) and faces.
+
+    The gradient to faces is empty if not ``faces_too``.
+    """
     batch, height, width = face_index.shape
     lanes = face_lanes(faces, height * width)
-    # A face's only task clears its cubes itself, which spares the memory one pass.
+    # With one lane the task of a face clears its own cubes, which saves a pass over the memory.
     to_textures = torch.empty(textures.shape, dtype=torch.float32, device=faces.device)
     if lanes > 1 or batch == 0:
         to_textures.zero_()
@@ -78,7 +88,7 @@ def sample_textures_backward(
         array(to_light, wp.vec3),
         array(to_faces, wp.vec3),
     ]
-    # Textures that images share belong to one task, which takes the images in turn.
+    # One task sums the gradient to textures that images share, image by image.
     images = 1 if textures.shape[0] < batch else batch
     tasks = images * faces.shape[1] * lanes
     seen = array(seen_faces(face_index, faces.shape[1]))
@@ -120,7 +130,7 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(sample_textures, _to_inputs, _save)
 
 
-# A cube, and the 8 texels around a coordinate in it with their shares. One of a single texel has nothing to blend.
+# The 8 texels around a coordinate in a cube, and their weights. A cube of one texel has nothing to blend.
 _CUBE = """
 struct Cube {
     typedef wp::vec_t<3, float> vec3;
@@ -158,7 +168,7 @@ struct Cube {
             else wp::atomic_add(to, add);
         }
     }
-    // What the colour, weighted with `color`, gains by the weights.
+    // The derivative of the blend, times `color`, by the weights of the corners.
     CUDA_CALLABLE vec3 slope(const vec3* texels, const vec3& color) const {
         vec3 sum(0.0f);
         for (int n = 0; n < (size == 1 ? 0 : 8); ++n) {
@@ -175,7 +185,7 @@ struct Cube {
 struct Side {
     typedef wp::vec_t<3, float> vec3;
     static CUDA_CALLABLE int facing(vec3 v0, vec3 v1, vec3 v2, int perspective) { FACING }
-    // 1 if the back of a face is seen.
+    // 1 if the back of a face is visible, else 0.
     static CUDA_CALLABLE int of(const vec3* v, int perspective) { return facing(v[0], v[1], v[2], perspective) < 0; }
 };
 """.replace("FACING", FACING)
@@ -221,7 +231,7 @@ def color_rows(
     first: int,
     last: int,
 ):
-    """Some of the rows of all images."""
+    """Color the rows [first, last), counted over all images."""
     ...
 
 
@@ -249,7 +259,7 @@ def _forward(
     memset(textures.data + cube * texels, 0, texels * sizeof(wp::vec_t<3, float>));
 """)
 def clear(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int):
-    """Set the cube of that number to zero."""
+    """Set one cube, counted over all images, to zero."""
     ...
 
 
@@ -314,7 +324,7 @@ def uncolor_face(
     to_light: wp.array3d(dtype=wp.vec3),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """A face's pixels in its box, every n-th row; ``own``: whose cubes."""
+    """Sum the gradients of a face's pixels in its box, every n-th row; ``own``: the image of its cubes."""
     ...
 
 
@@ -338,7 +348,7 @@ def _backward(
     to_light: wp.array3d(dtype=wp.vec3),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """One face, of one image or of all, over the pixels that show it; with several lanes, each takes some rows."""
+    """Visit the pixels that show one face, in one image or in all; with several lanes, each takes some rows."""
     task = first + wp.tid()
     lane = task % lanes
     f = (task // lanes) % faces.shape[1]

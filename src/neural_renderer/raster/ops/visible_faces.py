@@ -1,4 +1,4 @@
-"""Which faces are seen, and where: all others, often more than half, have no part in a gradient."""
+"""Masks of visible faces: all others, often more than half, have no gradient and are skipped."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -11,9 +11,14 @@ wp.set_module_options({"enable_backward": False})
 
 
 def seen_faces(face_index: Tensor, count: int) -> Tensor:
-    """1 for each of ``count`` faces that a pixel of its image shows, 0 for others: [B, F + 1] int32.
+    """Mark the visible faces.
 
-    face_index: [B, H, W] int32, as `coverage` returns it. The last entry is for the pixels that show none.
+    Args:
+        face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
+        count: Number of faces F.
+
+    Returns:
+        [B, F + 1] int32: 1 for each visible face, else 0. The last entry stands for pixels without a face.
     """
     seen = zeros((len(face_index), count + 1), face_index.device, torch.int32)
     batch, height, width = face_index.shape
@@ -24,7 +29,7 @@ def seen_faces(face_index: Tensor, count: int) -> Tensor:
 
 _MARK_ROW = """
     const int* shown = face_index.data + row * width;
-    // Written again and again rather than asked about: neighbours differ too often for a branch.
+    // Always written, never tested: faces of neighbouring pixels differ too often for a predictable branch.
     for (int i = 0; i < width; ++i) seen.data[first + (shown[i] < 0 ? none : shown[i])] = 1;
 """
 
@@ -38,13 +43,13 @@ def mark_row(
     first: wp.int64,
     none: int,
 ):
-    """Mark what a row of pixels shows; ``first``: where its image's entries begin. In plain C++ for its speed."""
+    """Mark the faces in a row of pixels; ``first``: offset of its image's entries. In plain C++ for its speed."""
     ...
 
 
 @wp.kernel
 def _mark(first: int, face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int)):
-    """One row. Tasks may write to one place, but never different values."""
+    """Mark the faces of one row. Tasks may write to one place, but never different values."""
     task = first + wp.tid()
     b = task // int(face_index.shape[1])
     entries = int(seen.shape[1])
@@ -61,5 +66,5 @@ _NEXT_SHOWN = """
 
 @wp.func_native(_NEXT_SHOWN)
 def next_shown(face_index: wp.array3d(dtype=int), row: wp.int64, width: int, i: int, end: int, f: int) -> int:
-    """The first pixel in [i, end) of a row, counted over all images, that shows the face ``f``; ``end`` if none."""
+    """Find the first pixel in [i, end) of a row, counted over all images, that shows face ``f``; ``end`` if none."""
     ...

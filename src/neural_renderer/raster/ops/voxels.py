@@ -1,4 +1,4 @@
-"""Which voxels a mesh fills: those that its surface passes through, and what they enclose."""
+"""Voxelization: the voxels that the surface of a mesh passes through, and those that it encloses."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import math
@@ -9,32 +9,37 @@ from torch import Tensor
 
 from ..warp.launch import array, concurrent, launch, load_kernel
 
-# Without fused multiply-adds neighbours agree about a line that passes through their common edge.
+# Without fused multiply-adds adjacent faces agree on lines through their common edge.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _EMPTY = wp.constant(wp.uint8(0))
 _SURFACE = wp.constant(wp.uint8(1))
 _OUTSIDE = wp.constant(wp.uint8(2))
 
-# Of one mesh: so many points, queried at once, are worth another CPU thread.
+# Points or lines that are worth another CPU thread.
 _MANY_POINTS = 2048
 
 
 def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) -> Tensor:
-    """The voxels [B, size, size, size] bool that meshes fill; voxel (i, j, k) is [i, i + 1] × [j, j + 1] × [k, k + 1].
+    """Fill meshes with voxels.
 
-    vertices: [B, V, 3] float32, in voxels; what is outside of [0, size] is passed over.
-    faces: [F, 3] int32.
-    spacing: of points on the faces, in voxels.
+    Along each axis, a line through integers marks the four voxels around it where it meets a face. Corners mark their
+    voxel, and so do points on the faces at most ``spacing`` apart: with half a voxel, no part thinner than a voxel is
+    lost. Empty voxels connected to the border of the grid through sides of empty voxels are outside; all others are
+    filled.
 
-    A line along an axis through whole numbers marks, where it meets a face, the four voxels around it there; corners of
-    faces mark the voxel that they are in, and so do points all over the faces that are at most ``spacing`` apart: with
-    half a voxel, nothing that is thinner than a voxel is lost. Empty voxels that can be reached from the border of the
-    grid through sides of empty voxels are outside; all others are filled.
+    Args:
+        vertices: [B, V, 3] float32 in voxels; parts outside [0, size] are ignored.
+        faces: Vertex indices, [F, 3] int32.
+        size: Voxels along each side of the grid.
+        spacing: Largest distance of points on the faces, in voxels.
+
+    Returns:
+        [B, size, size, size] bool; voxel (i, j, k) is [i, i + 1] × [j, j + 1] × [k, k + 1].
     """
     batch, device = len(vertices), vertices.device
     state = torch.zeros((batch, size, size, size), dtype=torch.uint8, device=device)
-    # On the CPU one task marks all of a mesh; on CUDA one a face, and it does not matter which one is last.
+    # A task marks one mesh on the CPU and one face on CUDA, where the order of equal writes does not matter.
     groups = max(len(faces), 1) if concurrent(device) else 1
     points, corners = array(vertices, wp.vec3), array(faces)
     launch(_mark, batch * groups, [points, corners, groups, float(spacing), array(state)], device)
@@ -43,11 +48,19 @@ def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) 
 
 
 def inside(vertices: Tensor, faces: Tensor, points: Tensor, least: float = 0.5) -> Tensor:
-    """Which points [P, 3] a mesh (vertices [V, 3] float32, faces [F, 3] int32) winds around: [P] bool, on the CPU.
+    """Test which points are inside a mesh, by winding numbers.
 
-    Those with a winding number above ``least`` (Jacobson, Kavan and Sorkine-Hornung, "Robust inside-outside
-    segmentation using generalized winding numbers", 2013), which a hole in the mesh changes only near the hole. Faces
-    must run counter-clockwise seen from outside.
+    A point is inside if its winding number is above ``least`` (Jacobson, Kavan and Sorkine-Hornung, "Robust
+    inside-outside segmentation using generalized winding numbers", 2013). A hole in the mesh matters near it only.
+
+    Args:
+        vertices: [V, 3] float32 on the CPU.
+        faces: Vertex indices, [F, 3] int32; counter-clockwise seen from outside.
+        points: [P, 3] float32.
+        least: Least winding number of points inside.
+
+    Returns:
+        [P] bool.
     """
     result = torch.zeros(len(points), dtype=torch.uint8)
     load_kernel(_wind, "cpu")  # before Warp's first array, which would start it with a banner
@@ -58,10 +71,16 @@ def inside(vertices: Tensor, faces: Tensor, points: Tensor, least: float = 0.5) 
 
 
 def distances(marked: Tensor) -> Tensor:
-    """How far each voxel's centre is from the nearest of those that are marked, [B, S, S, S] bool; float32, in voxels.
+    """Compute the distance of each voxel's centre from the nearest marked one.
 
-    Exact: the least of squares, axis by axis (Felzenszwalb and Huttenlocher, "Distance transforms of sampled
-    functions", 2012, with the plain minimum, which is as fast for so few voxels). Infinite where none is marked.
+    Exact: the minimum of squared distances, axis by axis (Felzenszwalb and Huttenlocher, "Distance transforms of
+    sampled functions", 2012; a plain minimum is as fast for grids of this size).
+
+    Args:
+        marked: [B, S, S, S] bool.
+
+    Returns:
+        [B, S, S, S] float32 in voxels; infinite where a grid has no marked voxel.
     """
     least = torch.where(marked, 0.0, torch.inf)
     for axis in (1, 2, 3):
@@ -76,18 +95,19 @@ def distances(marked: Tensor) -> Tensor:
 
 @wp.func
 def whole_from(number: float) -> int:
+    """Round up to an integer."""
     return int(wp.ceil(number))
 
 
 @wp.func
 def turn(p: wp.vec3, axis: int) -> wp.vec3:
-    """The point with ``axis`` as its last coordinate."""
+    """Rotate the coordinates of a point so that ``axis`` is the last."""
     return wp.vec3(p[(axis + 1) % 3], p[(axis + 2) % 3], p[axis])
 
 
 @wp.func
 def mark(state: wp.array4d(dtype=wp.uint8), b: int, axis: int, p: int, q: int, along: int):
-    """Mark the voxel at p and q across ``axis`` and at ``along`` it, if it is in the grid."""
+    """Mark the voxel at (p, q) across ``axis`` and ``along`` it, if it is in the grid."""
     size = int(state.shape[1])
     if p >= 0 and p < size and q >= 0 and q < size and along >= 0 and along < size:
         if axis == 0:
@@ -100,7 +120,7 @@ def mark(state: wp.array4d(dtype=wp.uint8), b: int, axis: int, p: int, q: int, a
 
 @wp.func
 def mark_lines(state: wp.array4d(dtype=wp.uint8), b: int, axis: int, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3):
-    """Mark where the lines along ``axis`` meet the face with such corners, of which the last coordinate is along it."""
+    """Mark the voxels where lines along ``axis``, the last coordinate of the corners, meet a face."""
     size = float(state.shape[1])
     low = wp.vec3(wp.min(v0[0], wp.min(v1[0], v2[0])), wp.min(v0[1], wp.min(v1[1], v2[1])), 0.0)
     high = wp.vec3(wp.max(v0[0], wp.max(v1[0], v2[0])), wp.max(v0[1], wp.max(v1[1], v2[1])), 0.0)
@@ -122,7 +142,7 @@ def mark_lines(state: wp.array4d(dtype=wp.uint8), b: int, axis: int, v0: wp.vec3
 
 @wp.func
 def mark_points(state: wp.array4d(dtype=wp.uint8), b: int, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, spacing: float):
-    """Mark the voxels of a face's corners, and of points between them so that none is far from the next."""
+    """Mark the voxels of a face's corners, and of points between them at most ``spacing`` apart."""
     longest = wp.max(wp.length(v1 - v0), wp.max(wp.length(v2 - v1), wp.length(v0 - v2)))
     steps = int(wp.clamp(wp.ceil(longest / spacing), 1.0, 1024.0))
     for i in range(steps + 1):
@@ -153,7 +173,7 @@ def _mark(
 
 @wp.func
 def reached(state: wp.array4d(dtype=wp.uint8), b: int, i: int, j: int, k: int) -> bool:
-    """Whether an empty voxel lies at the border of the grid or beside one that was reached."""
+    """Test whether an empty voxel is at the border of the grid or beside an outside voxel."""
     last = int(state.shape[1]) - 1
     if i == 0 or j == 0 or k == 0 or i == last or j == last or k == last:
         return True
@@ -164,7 +184,7 @@ def reached(state: wp.array4d(dtype=wp.uint8), b: int, i: int, j: int, k: int) -
 
 @wp.kernel
 def _flood(first: int, state: wp.array4d(dtype=wp.uint8)):
-    """Sweep to and fro until nothing new is reached: a few times, for any but a maze."""
+    """Sweep forward and backward until no new voxel is outside; a few sweeps for all but mazes."""
     b = first + wp.tid()
     size = int(state.shape[1])
     count = size * size * size
@@ -200,6 +220,6 @@ def _nearest(first: int, lines: wp.array2d(dtype=float), result: wp.array2d(dtyp
         best = lines[task, i]
         for j in range(size):
             reach = lines[task, j] + float((i - j) * (i - j))
-            if reach < best:  # wp.min looks out for NaN, one by one
+            if reach < best:  # faster than wp.min, which tests for NaN
                 best = reach
         result[task, i] = best

@@ -1,1 +1,1 @@
-"""Slow float64 references in plain torch, to which the tests hold the kernels."""
+"""Float64 references of the operators in plain torch: slow, for tests of the kernels."""

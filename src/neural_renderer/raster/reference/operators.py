@@ -1,8 +1,7 @@
-"""The rasteriser's operations once more: slow, in float64, in plain torch, one formula after the other.
+"""Float64 references of the rasteriser's operators in plain torch, formula by formula.
 
-Nothing is drawn with these. They say what the kernels have to compute; the tests hold the kernels to them, and
-whoever ports a kernel can too. The arguments mean what they mean for the operation of the same name. A function takes
-time and memory in proportion to faces times pixels: use it on small scenes.
+The tests compare the kernels with them; so can a port of the kernels. Arguments are as in the operator of the same
+name. Time and memory grow with faces times pixels: use small scenes.
 """
 
 from __future__ import annotations
@@ -14,41 +13,41 @@ import torch
 from torch import Tensor
 
 NARROWEST = 2.0**-22  # screen units: four roundings of a coordinate near 1
-SHORTEST = 1e-9  # pixels: of an edge that crosses less of them no slope is computed
+SHORTEST = 1e-9  # pixels: an edge with a smaller extent across the scan lines has no slope
 
 
 class FacesAtPixels(NamedTuple):
-    """Every face of an image at every pixel centre, [F, H, W] each, float64."""
+    """The F faces of an image at every pixel centre."""
 
-    inside: Tensor  # bool: the centre is in the face or on its edge
-    depth: Tensor  # where inside; anything elsewhere
-    weights: Tensor  # [F, H, W, 3], screen-space barycentric, of sum 1
+    inside: Tensor  # [F, H, W] bool: the centre is in the face or on its edge
+    depth: Tensor  # [F, H, W] float64; undefined outside
+    weights: Tensor  # [F, H, W, 3] float64, screen-space barycentric; their sum is 1
 
 
 def pixel_centres(height: int, width: int, device: torch.device | None = None) -> tuple[Tensor, Tensor]:
-    """x and y [H, W] of the pixel centres on the screen, row 0 at the top."""
+    """Compute x and y [H, W] of the pixel centres on the screen, row 0 at the top."""
     x = (2 * torch.arange(width, dtype=torch.float64, device=device) + 1 - width) / width
     y = (2 * torch.arange(height, dtype=torch.float64, device=device) + 1 - height) / height
     return x.expand(height, width), y.flip(0)[:, None].expand(height, width)
 
 
 def in_camera_space(faces: Tensor) -> Tensor:
-    """Screen-space corners [..., 3] as points around a pinhole at the origin, which sees (x, y, z) at (x/z, y/z)."""
+    """Convert screen-space corners [..., 3] to camera space; a point (x, y, z) projects to (x/z, y/z)."""
     return torch.cat((faces[..., :2] * faces[..., 2:], faces[..., 2:]), -1)
 
 
 def sides(faces: Tensor, perspective: bool) -> Tensor:
-    """1 where the camera sees the corners run counter-clockwise, -1 clockwise, 0 edge on; of faces [..., 3, 3]."""
+    """Compute the visible side of faces [..., 3, 3]: 1 for counter-clockwise corners, -1 for clockwise, 0 edge on."""
     faces = faces.double()
     if perspective:
-        # The volume over the face with the camera as apex: its sign does not care which corners lie behind.
+        # The volume of the tetrahedron with the camera; corners behind the camera keep its sign right.
         return torch.linalg.det(in_camera_space(faces)).sign()
     a, b = faces[..., 1, :2] - faces[..., 0, :2], faces[..., 2, :2] - faces[..., 0, :2]
     return (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sign()
 
 
 def faces_at_pixels(faces: Tensor, height: int, width: int, perspective: bool) -> FacesAtPixels:
-    """Where the faces [F, 3, 3] of one image, and how deep; a face with all corners behind the camera is nowhere."""
+    """Evaluate the faces [F, 3, 3] of one image at all pixel centres; a face behind the camera covers none."""
     faces = faces.double()
     x, y = pixel_centres(height, width, faces.device)
     weights, inside = _screen_weights(faces[:, None, None], x, y)
@@ -60,7 +59,7 @@ def faces_at_pixels(faces: Tensor, height: int, width: int, perspective: bool) -
         weights = torch.where(crossing[:, None, None, None], hit.weights, weights)
         depth = torch.where(crossing[:, None, None], hit.depth, depth)
         inside = torch.where(crossing[:, None, None], hit.inside, inside & ~behind.all(-1)[:, None, None])
-        # On the camera's plane itself a corner has no place on the screen.
+        # A corner on the camera's plane has no projection.
         inside = inside & ~(crossing & (faces[..., 2] == 0).any(-1))[:, None, None]
     drawable = faces.isfinite().flatten(1).all(-1) & (sides(faces, perspective) != 0)
     return FacesAtPixels(inside & drawable[:, None, None], depth, weights)
@@ -69,15 +68,15 @@ def faces_at_pixels(faces: Tensor, height: int, width: int, perspective: bool) -
 def coverage_reference(
     faces: Tensor, height: int, width: int, near: float, far: float, two_sided: bool, perspective: bool
 ) -> Tensor:
-    """The face seen at each pixel, [B, H, W] int32; see `coverage`."""
+    """Find the visible face of each pixel, [B, H, W] int32; see `coverage`."""
     batch, count = faces.shape[:2]
     result = torch.full((batch, height, width), -1, dtype=torch.int32, device=faces.device)
     for b in range(batch if count else 0):
         found = faces_at_pixels(faces[b], height, width, perspective)
         side = sides(faces[b], perspective)[:, None, None]
         drawn = found.inside & (found.depth > near) & (found.depth < far) & ((side > 0) | two_sided)
-        # Backs come after all fronts, as if they had been appended; argmin takes the first of equals.
-        # Depths are compared as float32, so that faces in one plane tie.
+        # Of equal depths the first wins, and back sides come after all front sides. Depths are compared as float32, so
+        # that faces in one plane tie.
         depth = torch.where(drawn, found.depth.float(), math.inf)
         both = torch.cat((torch.where(side > 0, depth, math.inf), torch.where(side < 0, depth, math.inf)))
         nearest = both.argmin(0)
@@ -88,20 +87,20 @@ def coverage_reference(
 def barycentrics_reference(
     faces: Tensor, face_index: Tensor, near: float, far: float, perspective: bool
 ) -> tuple[Tensor, Tensor]:
-    """Weights [B, H, W, 3] and depth [B, H, W] of the seen faces, differentiable in ``faces``; see `barycentrics`."""
-    seen = face_index >= 0
+    """Compute weights [B, H, W, 3] and depth [B, H, W], differentiable in ``faces``; see `barycentrics`."""
+    covered = face_index >= 0
     if not faces.shape[1]:
         empty = torch.zeros(face_index.shape, dtype=torch.float64, device=faces.device)
         return empty[..., None].expand(*empty.shape, 3), empty + far
-    # Pixels without a face look at a plain one, so that nothing there divides by zero.
+    # Pixels without a face get a regular one, so that nothing divides by zero.
     plain = torch.tensor([[-1.0, -1, 1], [1, -1, 1], [0, 1, 1]], dtype=torch.float64, device=faces.device)
-    own = torch.where(seen[..., None, None], _own(faces.double(), face_index), plain)
+    own = torch.where(covered[..., None, None], _own(faces.double(), face_index), plain)
     x, y = pixel_centres(face_index.shape[1], face_index.shape[2], faces.device)
     still = degenerate(own)[..., None, None] & (torch.arange(3, device=faces.device) < 2)
     own = torch.where(still, own.detach(), own)
     flat = sides(own.detach(), False) == 0
     weights, _ = _screen_weights(torch.where(flat[..., None, None], plain, own), x, y)
-    # What is clamped lies outside the face by rounding only: the derivative is that of the inside.
+    # Weights leave [0, 1] by rounding only, so the clamp has a derivative of 1.
     clamped = torch.where(flat[..., None], 1.0, weights.detach().clamp(0, 1))
     weights = weights + (clamped / clamped.sum(-1, keepdim=True) - weights).detach()
     depth = _depth(weights, own, perspective)
@@ -112,7 +111,7 @@ def barycentrics_reference(
         depth = torch.where(crossing, hit.depth, depth)
         weights = weights * depth[..., None] / own[..., 2]
     depth = depth + (depth.detach().clamp(near, far) - depth).detach()
-    return torch.where(seen[..., None], weights, 0.0), torch.where(seen, depth, far)
+    return torch.where(covered[..., None], weights, 0.0), torch.where(covered, depth, far)
 
 
 def sample_textures_reference(
@@ -125,23 +124,23 @@ def sample_textures_reference(
     eps: float,
     perspective: bool,
 ) -> Tensor:
-    """The colour [B, 3, H, W], differentiable in all but faces; see `sample_textures`."""
-    batch, size, seen = len(faces), textures.shape[2], (face_index >= 0)[..., None]
+    """Sample the colours [B, 3, H, W], differentiable in all arguments but ``faces``; see `sample_textures`."""
+    batch, size, covered = len(faces), textures.shape[2], (face_index >= 0)[..., None]
     if not faces.shape[1]:
         return background.double()
     c = (weights.double() * (size - 1)).clamp(0, max(size - 1 - eps, 0))
-    # A tent of width 1 around the coordinate along each axis: the trilinear blend as a sum over the whole cube.
+    # Tent functions along the three axes: the trilinear blend as a sum over the whole cube.
     tents = (1 - (c[..., None] - torch.arange(size, dtype=torch.float64, device=c.device)).abs()).clamp(min=0)
     cubes = _own(textures.double().expand(batch, *textures.shape[1:]), face_index)
     blend = torch.einsum("bhwi,bhwj,bhwk,bhwijkc->bhwc", *tents.unbind(-2), cubes)
     back = _own((sides(faces, perspective) < 0)[..., None], face_index)
     front_light, back_light = light.double().expand(batch, *light.shape[1:]).unbind(1)
     lit = blend * torch.where(back, _own(back_light, face_index), _own(front_light, face_index))
-    return torch.where(seen, lit, background.double().permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
+    return torch.where(covered, lit, background.double().permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
 
 
 def gather_corners_reference(vertices: Tensor, faces: Tensor) -> Tensor:
-    """The corners [B, F, 3, 3], differentiable in ``vertices``; NaN for an index out of range; see `gather_corners`."""
+    """Gather corners [B, F, 3, 3], differentiable in ``vertices``; NaN for invalid indices; see `gather_corners`."""
     faces = faces.long().expand(len(vertices), *faces.shape[1:])
     valid = ((faces >= 0) & (faces < vertices.shape[1]))[..., None]
     if not vertices.shape[1]:
@@ -153,11 +152,16 @@ def gather_corners_reference(vertices: Tensor, faces: Tensor) -> Tensor:
 def nmr_edges_reference(
     grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool
 ) -> Tensor:
-    """The gradient [B, F, 3, 3] of the paper's estimator, from the image's gradient ``grad``; see `nmr_edges`."""
+    """Compute the gradient of the paper's estimator to the faces, [B, F, 3, 3] float64; see `nmr_edges`.
+
+    Args:
+        grad: Gradient to the image, [B, C, H, W].
+        image, faces, face_index, eps, two_sided: As in `nmr_edges`.
+    """
     result = torch.zeros(faces.shape, dtype=torch.float64)
     corners, side = faces.double().cpu(), sides(faces, True).cpu()
     for b in range(len(faces)):
-        # From here on rows count from the bottom. Rows serve the gradient to x, columns that to y.
+        # Rows, from the bottom here, give the gradient to x; columns give that to y.
         maps = (grad[b].double().permute(1, 2, 0), image[b].double().permute(1, 2, 0), face_index[b])
         rows = [m.detach().cpu().flip(0) for m in maps]
         columns = [m.transpose(0, 1) for m in rows]
@@ -177,16 +181,22 @@ def nmr_edges_reference(
 def _pull_edge(
     grad: Tensor, image: Tensor, shown: Tensor, f: int, corners: Tensor, axis: int, eps: float
 ) -> tuple[float, float]:
-    """What an edge p -> q, its corners and the third given, sends to coordinate ``axis`` of p and of q.
+    """Compute the gradient that an edge p -> q sends to coordinate ``axis`` of p and of q.
 
-    Maps are [lines, pixels along the line, ...].
+    Args:
+        grad, image: [lines, pixels of a line, channels].
+        shown: Visible faces, [lines, pixels of a line].
+        f: Face of the edge.
+        corners: p, q and the third corner, [3, 3].
+        axis: 0 if lines are rows, 1 if they are columns.
+        eps: As in `nmr_edges`.
     """
     lines, length = shown.shape
     (pu, pv), (qu, qv), (ru, rv) = (
         ((lines * c[1 - axis] + lines - 1) / 2, (length * c[axis] + length - 1) / 2) for c in corners.tolist()
     )
     to_p = to_q = 0.0
-    # An end behind the camera has no place on the screen.
+    # An end behind the camera has no projection.
     if abs(pu - qu) < SHORTEST or corners[0, 2] <= 0 or corners[1, 2] <= 0:
         return 0.0, 0.0
     d = (-1 if pu < qu else 1) * (1 if axis == 1 else -1)
@@ -196,10 +206,10 @@ def _pull_edge(
         outer = inner + d
         if not (0 <= inner < length and 0 <= outer < length):
             continue
-        # Pulled outward: all pixels from the outer one to the border. Pulled inward: the face's own pixels.
+        # Pixels from the outer one to the border pull the edge outward; the face's own pixels pull it inward.
         outward = range(outer, length if d > 0 else -1, d) if shown[u, inner] == f else range(0)
         last = 0 if d > 0 else length - 1
-        if corners[2, 2] > 0:  # else the face has no third corner on the screen, and its pixels may reach the border
+        if corners[2, 2] > 0:  # a face whose third corner is behind the camera may extend to the border
             last = _leaves(u, (pu, pv), (qu, qv), (ru, rv), length, d)
         inward = [j for j in range(inner, last - d, -d) if shown[u, j] == f]
         for pixels, new, sign in ((list(outward), inner, d), (inward, outer, -d)):
@@ -215,20 +225,20 @@ def _pull_edge(
 
 
 def _leaves(u: int, p: tuple[float, float], q: tuple[float, float], r: tuple[float, float], length: int, d: int) -> int:
-    """The last pixel of line u before it leaves the face through p-r or q-r, rounded outward, within the image."""
+    """Find the last pixel of line u before it leaves the face through p-r or q-r, rounded outward, within the image."""
     a = p if min(p[0], r[0]) < u < max(p[0], r[0]) else q
     c = r[1] if a[0] == r[0] else a[1] + (r[1] - a[1]) * (u - a[0]) / (r[0] - a[0])
     return min(max(math.ceil(c) if d > 0 else math.floor(c), 0), length - 1)
 
 
 def _own(values: Tensor, face_index: Tensor) -> Tensor:
-    """Of values [B, F, ...], those of the face at each pixel, [B, H, W, ...]; of face 0 where there is none."""
+    """Gather the values [B, F, ...] of the face at each pixel, [B, H, W, ...]; those of face 0 where there is none."""
     image = torch.arange(len(values), device=values.device)[:, None, None]
     return values[image, face_index.clamp(min=0).long()]
 
 
 def degenerate(faces: Tensor) -> Tensor:
-    """Whether weights change by 1 over less than `NARROWEST`, along x or y, in the faces [..., 3, 3]."""
+    """Test in which faces [..., 3, 3] a weight changes by 1 over less than `NARROWEST` along x or y."""
     v = faces.detach()[..., :2]
     arms = v[..., [2, 0, 1], :] - v[..., [1, 2, 0], :]
     area = arms[..., 0, 0] * arms[..., 1, 1] - arms[..., 0, 1] * arms[..., 1, 0]
@@ -236,7 +246,7 @@ def degenerate(faces: Tensor) -> Tensor:
 
 
 def _screen_weights(faces: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-    """Barycentric weights [..., 3] of (x, y) in the projected faces [..., 3, 3], and whether it is inside."""
+    """Compute screen-space barycentric weights [..., 3] of (x, y) in faces [..., 3, 3], and whether it is inside."""
     v = faces[..., :2] - torch.stack((x, y), -1)[..., None, :]
     a, b = v[..., [1, 2, 0], :], v[..., [2, 0, 1], :]
     areas = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
@@ -246,19 +256,20 @@ def _screen_weights(faces: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor
 
 
 def _depth(weights: Tensor, faces: Tensor, perspective: bool) -> Tensor:
+    """Interpolate depth by screen-space weights [..., 3] of faces [..., 3, 3]."""
     z = faces[..., 2]
     return 1 / (weights / z).sum(-1) if perspective else (weights * z).sum(-1)
 
 
 def _hit(faces: Tensor, x: Tensor, y: Tensor) -> FacesAtPixels:
-    """Where the ray from the camera through (x, y) hits the faces in camera space."""
+    """Intersect the rays from the camera through (x, y) with the faces in camera space."""
     p = in_camera_space(faces)
     ray = torch.stack((x, y, torch.ones_like(x)), -1)
     normal = torch.linalg.cross(p[..., 1, :] - p[..., 0, :], p[..., 2, :] - p[..., 0, :])
     depth = (normal * p[..., 0, :]).sum(-1) / (normal * ray).sum(-1)
     arms = p - (depth[..., None] * ray)[..., None, :]
-    # The share of each corner in the hit point, in space: the part of the face's area that lies opposite.
+    # Barycentric weights of the hit point in space: ratios of areas.
     parts = (torch.linalg.cross(arms[..., [1, 2, 0], :], arms[..., [2, 0, 1], :]) * normal[..., None, :]).sum(-1)
     shares = parts / (normal * normal).sum(-1, keepdim=True)
-    # On the screen a corner's weight is its share times its depth over that of the point.
+    # A screen-space weight is the weight in space times the corner's depth over that of the point.
     return FacesAtPixels((shares >= 0).all(-1) & (depth > 0), depth, shares * p[..., 2] / depth[..., None])

@@ -1,4 +1,10 @@
-"""Where colours go on from face to face: numbers for each edge that tell, when compared with the other face's."""
+"""Hashes of the colours along each edge, which tell whether the colour is continuous across it.
+
+Each edge of a face gets two 64-bit hashes: of the colours along it from its first corner to its second, and of those
+read the other way. An adjacent face has the same edge in the opposite direction, so the colour is continuous where the
+first hash of one face equals the second of the other. Equal hashes are nearly certain to mean equal colours; 0 never
+matches.
+"""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -10,59 +16,76 @@ from ..warp.registration import operator
 
 wp.set_module_options({"enable_backward": False})
 
-_ODD = 0x9E3779B97F4A7C15 - 2**64  # the golden ratio in 64 bits, whose powers' bits are as good as random
+_ODD = 0x9E3779B97F4A7C15 - 2**64  # the golden ratio in 64 bits, whose powers have well-mixed bits
 _THERE, _BACK = 0x2545F4914F6CDD1D, 0x5851F42D4C957F2D
 
 
 @operator
-def texture_marks(textures: Tensor, light: Tensor) -> Tensor:
-    """Marks [B, F, 3, 2] int64 for `boundaries`, of texture cubes [B, F, T, T, T, 3] and light [B, 2, F, 3].
+def texture_edge_hashes(textures: Tensor, light: Tensor) -> Tensor:
+    """Hash the colours of texture cubes under light along each edge.
 
-    For edge k, from corner k to the next, one of what is on it in this order, and one of the same in the other. The
-    first is equal to the second of the face beyond if the texels that are blended on the edge are, to about one part in
-    4000, and the light is.
+    The hashes of two faces match if the light is equal and so are the texels that are blended on the edge, both to
+    about one part in 4000.
+
+    Args:
+        textures: Cubes, [B or 1, F, T, T, T, 3] float32.
+        light: Factors on the front and the back of each face, [B or 1, 2, F, 3] float32.
+
+    Returns:
+        [B, F, 3, 2] int64: for edge k, from corner k to the next, the hash in this direction and in the other.
     """
     batch, count, size = max(len(textures), len(light)), textures.shape[1], textures.shape[2]
-    marks = torch.empty((batch, count, 3, 2), dtype=torch.int64, device=textures.device)
+    hashes = torch.empty((batch, count, 3, 2), dtype=torch.int64, device=textures.device)
     cubes = array(textures.reshape(len(textures), count, size**3, 3), wp.vec3)
-    launch(_mark, batch * count, [cubes, array(light, wp.vec3), size, array(marks)], textures.device)
-    return marks
+    launch(_hash_edges, batch * count, [cubes, array(light, wp.vec3), size, array(hashes)], textures.device)
+    return hashes
 
 
-@torch.library.register_fake("neural_renderer::texture_marks")
+@torch.library.register_fake("neural_renderer::texture_edge_hashes")
 def _(textures, light):  # type: ignore[no-untyped-def]
     batch = max(textures.shape[0], light.shape[0])
     return textures.new_empty((batch, textures.shape[1], 3, 2), dtype=torch.int64)
 
 
-def image_marks(uv: Tensor, image_index: Tensor, light: Tensor | None) -> Tensor:
-    """Likewise [1 or B, F, 3, 2] of texture coordinates [F, 3, 2] on images of that index [F], which must be equal."""
+def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> Tensor:
+    """Hash the texture coordinates along each edge.
+
+    The hashes of two faces match if the coordinates and the image are exactly equal and the light is to about one part
+    in 4000. A face without an image has a colour of its own and matches no other face.
+
+    Args:
+        uv: Texture coordinates of the corners, [F, 3, 2] float32.
+        image_index: Texture image of each face, [F] int64; -1 for none.
+        light: Factors on the front and the back of each face, [B, 2, F, 3]; None for 1.
+
+    Returns:
+        [1 or B, F, 3, 2] int64, as from `texture_edge_hashes`.
+    """
     corners = _hash(torch.cat((_bits(uv.detach()).long(), image_index.long()[:, None, None].expand(-1, 3, 1)), 2))
     following = corners.roll(-1, 1)
-    marks = torch.stack((corners * _THERE + following * _BACK, following * _THERE + corners * _BACK), 2)
-    # A face without an image has colours of its own.
+    hashes = torch.stack((corners * _THERE + following * _BACK, following * _THERE + corners * _BACK), 2)
     own = _hash(torch.arange(len(uv), device=uv.device)[:, None] + 1)[:, None, None]
-    marks = _mixed(torch.where(image_index[:, None, None] < 0, own, marks))[None]
-    return _never_zero(marks if light is None else marks + _light_hash(light))
+    hashes = _mixed(torch.where(image_index[:, None, None] < 0, own, hashes))[None]
+    return _never_zero(hashes if light is None else hashes + _light_hash(light))
 
 
 def _light_hash(light: Tensor) -> Tensor:
-    """[B, F, 1, 1] of the factors [B, 2, F, 3] on both sides of each face."""
+    """Hash light [B, 2, F, 3] on both sides of each face; returns [B, F, 1, 1]."""
     return _hash(_digits(light.detach()).permute(0, 2, 1, 3).flatten(2))[..., None, None]
 
 
 def _digits(values: Tensor) -> Tensor:
-    """Whole numbers that are equal for values that are to one part in 4000: 12 of a float's 23 bits are left."""
+    """Round float32 to 12 of its 23 mantissa bits, one part in 4000, as an int32."""
     return (_bits(values) + (1 << 10)) >> 11
 
 
 def _bits(values: Tensor) -> Tensor:
-    """Those of float32, int32; the same for 0 and -0."""
+    """Reinterpret as float32 and then as int32; -0 becomes 0."""
     return (values.float() + 0.0).view(torch.int32)
 
 
 def _hash(numbers: Tensor) -> Tensor:
-    """One int64 for the last dimension's."""
+    """Hash the numbers of the last dimension into one int64."""
     result = torch.zeros(numbers.shape[:-1], dtype=torch.int64, device=numbers.device)
     for part in numbers.unbind(-1):
         result = (result + part) * _ODD
@@ -70,16 +93,18 @@ def _hash(numbers: Tensor) -> Tensor:
 
 
 def _mixed(number: Tensor) -> Tensor:
+    """Mix the high bits into the low ones."""
     number = (number ^ (number >> 32)) * _ODD
     return number ^ (number >> 29)
 
 
-def _never_zero(marks: Tensor) -> Tensor:
-    return torch.where(marks == 0, 1, marks)
+def _never_zero(hashes: Tensor) -> Tensor:
+    """Replace 0, which matches nothing."""
+    return torch.where(hashes == 0, 1, hashes)
 
 
-# As `_hash`, `_digits` and `_mixed` have it, for numbers without a sign.
-_MARK = """
+# The same as `_hash`, `_digits` and `_mixed`, for unsigned integers.
+_HASH_FACE = """
     typedef unsigned long long number;
     struct Hash {
         static CUDA_CALLABLE number mixed(number n) {
@@ -101,7 +126,7 @@ _MARK = """
     const auto* cube = textures.data + ((b < cubes ? b : cubes - 1) * count + f) * texels;
     const auto* lit = light.data + (b < lamps ? b : lamps - 1) * 2 * count + f;
     const number lamp = Hash::mixed(Hash::add(Hash::add(0, lit[0]), lit[count]));
-    // From one texel to the next along the first corner's axis, and along the second's.
+    // Strides from texel to texel along the axis of the edge's first corner, and of its second.
     const wp::int64 along[3] = {square, size, 1}, beside[3] = {size, 1, square};
     for (int k = 0; k < 3; ++k) {
         number there = 0, back = 0;
@@ -111,35 +136,60 @@ _MARK = """
                 there += Hash::mixed(color + (number)i * THERE + (number)j * BACK);
                 back += Hash::mixed(color + (number)j * THERE + (number)i * BACK);
             }
-        wp::int64* to = marks.data + ((b * count + f) * 3 + k) * 2;
+        wp::int64* to = hashes.data + ((b * count + f) * 3 + k) * 2;
         to[0] = (wp::int64)(there + lamp), to[1] = (wp::int64)(back + lamp);
-        for (int n = 0; n < 2; ++n) to[n] = to[n] == 0 ? 1 : to[n];  // which says nothing
+        for (int n = 0; n < 2; ++n) to[n] = to[n] == 0 ? 1 : to[n];  // 0 matches nothing
     }
 """
 for _name, _value in {"ODD": _ODD % 2**64, "THERE": _THERE, "BACK": _BACK}.items():
-    _MARK = _MARK.replace(_name, f"{_value}ull")
+    _HASH_FACE = _HASH_FACE.replace(_name, f"{_value}ull")
 
 
-@wp.func_native(_MARK)
-def mark_face(
+@wp.func_native(_HASH_FACE)
+def hash_face(
     textures: wp.array3d(dtype=wp.vec3),
     light: wp.array3d(dtype=wp.vec3),
     size: int,
     b: int,
     f: int,
-    marks: wp.array4d(dtype=wp.int64),
+    hashes: wp.array4d(dtype=wp.int64),
 ):
-    """The marks of one face of one image."""
+    """Hash the edges of one face of one image."""
     ...
 
 
 @wp.kernel
-def _mark(
+def _hash_edges(
     first: int,
     textures: wp.array3d(dtype=wp.vec3),
     light: wp.array3d(dtype=wp.vec3),
     size: int,
-    marks: wp.array4d(dtype=wp.int64),
+    hashes: wp.array4d(dtype=wp.int64),
 ):
+    """Hash the edges of one face of one image."""
     task = first + wp.tid()
-    mark_face(textures, light, size, task // textures.shape[1], task % textures.shape[1], marks)
+    hash_face(textures, light, size, task // textures.shape[1], task % textures.shape[1], hashes)
+
+
+@wp.func
+def colors_continue(
+    edge_hashes: wp.array4d(dtype=wp.int64),
+    faces: wp.array3d(dtype=wp.vec3),
+    adjacent: wp.array3d(dtype=int),
+    b: int,
+    f: int,
+    k: int,
+) -> bool:
+    """Test whether the hashes of edge k of face f match those of the same edge of the adjacent face.
+
+    Hashes of one image, or of too few faces, stand for all: their last image and last face are repeated.
+    """
+    own = wp.min(b, edge_hashes.shape[0] - 1)
+    last = edge_hashes.shape[1] - 1
+    own_hash = edge_hashes[own, wp.min(f, last), k, 0]
+    g = adjacent[b, f, k]
+    if own_hash != wp.int64(0):
+        for m in range(3):
+            if faces[b, g, (m + 1) % 3] == faces[b, f, k] and faces[b, g, m] == faces[b, f, (k + 1) % 3]:
+                return edge_hashes[own, wp.min(g, last), m, 1] == own_hash
+    return False

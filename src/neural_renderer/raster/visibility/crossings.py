@@ -1,120 +1,179 @@
-"""What a scan line meets where it crosses an edge: the pixels and the faces beside it, and what its motion changes."""
+"""Crossings of edges and scan lines: where they are, which pixels and faces are beside them, how far a face extends.
+
+Scan lines are the rows of an image (axis 0), which measure the motion of edges along x, or its columns (axis 1), for
+the motion along y. They are numbered by u; a position on a line is v. Both are in pixels from the bottom left, so that
+pixel centres are the integers.
+"""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import warp as wp
 
-from ..warp.geometry import homogeneous_weights, to_pixels
+from ..warp.geometry import SHORTEST, to_pixels
 from .scanlines import place
 
 wp.set_module_options({"enable_backward": False})
 
-# A crossing of a face that is seen on a line with a small probability counts the more, up to the inverse of this: more
-# would be noise, and what is lost is a fiftieth of a pixel.
-LEAST_RUN = wp.constant(0.02)
-# Faces of less area, in pixels, are often missed by all centres. Measured: below it the colour of the middle is too
-# often not to be had, above it a pair of pixels that shows both faces.
-SMALL = wp.constant(1.5)
+# Pixels: a crossing is weighted by the inverse of a chord, which is the probability that pixel centres show it. The
+# weight is at most 1 / LEAST_CHORD, to limit noise; this loses the gradient of a fiftieth of a pixel.
+LEAST_CHORD = wp.constant(0.02)
 
 
-_GAIN = """
-    #pragma clang fp contract(fast)
-    const wp::int64 area = (wp::int64)image.shape[2] * image.shape[3];
-    // The gradient of the pixel that contains the boundary. A centre within a narrow face lies to one side of it in the
-    // mean: there, between the two pixels.
-    const float share = narrow ? away : away < 0.5f ? 0.0f : 1.0f;
-    float sum = 0.0f;
-    for (int c = 0; c < image.shape[1]; ++c) {
-        const float* value = image.data + c * area;
-        const float inside = weights[0] * value[before] + weights[1] * value[own];
-        const float outside = weights[2] * value[other] + weights[3] * value[behind];
-        const float* pull = grad.data + c * area;
-        sum += (inside - outside) * ((1.0f - share) * pull[inner] + share * pull[outer]);
-    }
-    return sum;
-"""
+@wp.struct
+class Edge:
+    """An edge p -> q of a counter-clockwise face with third corner r; u, v in pixels and depth z of each."""
+
+    image: int
+    face: int
+    # The adjacent faces across p-q, p-r and q-r; -1 at a border of the surface.
+    adjacent: int
+    adjacent_pr: int
+    adjacent_qr: int
+    axis: int
+    lines: int  # number of scan lines
+    length: int  # pixels of a line
+    outward: int  # 1 if v grows from the face across the edge, else -1
+    pu: float
+    pv: float
+    pz: float
+    qu: float
+    qv: float
+    qz: float
+    ru: float
+    rv: float
+    rz: float
+    slope: float  # dv / du
 
 
-@wp.func_native(_GAIN)
-def gain(
-    image: wp.array4d(dtype=float),
-    grad: wp.array4d(dtype=float),
-    before: wp.int64,
-    own: wp.int64,
-    other: wp.int64,
-    behind: wp.int64,
-    weights: wp.vec4,
-    inner: wp.int64,
-    outer: wp.int64,
-    away: float,
-    narrow: bool,
-) -> float:
-    """What the loss changes by if the boundary between two pixels moves outward by a pixel.
+@wp.struct
+class Crossing:
+    """The point where a scan line crosses an edge, between the centres of two pixels."""
 
-    before, own | other, behind: pixels in the first channel; weights: theirs, in this order, in the colours on the two
-    sides.
-    inner | outer: the pixels next to the boundary. away: from ``inner`` to it.
-    narrow: whether a side is narrower than a pixel here.
-    """
-    ...
+    u: int
+    v: float
+    share: float  # of q in the motion of the point, in [0, 1]; p has the rest
+    inner: int  # the pixel on the face's side
+    outer: int  # the pixel across the edge
+    offset: float  # from the inner pixel's centre to the point, in [0, 1]
+    inner_face: int  # visible there; -1 for none, -2 outside the image
+    outer_face: int
 
 
 @wp.func
-def nearness(z: float, perspective: int) -> float:
-    """What is linear on the screen over a face, and larger for what hides the other."""
-    if perspective == 1:
-        return 1.0 / z
-    return -z
+def scanned_edge(p: wp.vec3, q: wp.vec3, r: wp.vec3, axis: int, height: int, width: int) -> Edge:
+    """Convert an edge and the third corner of its face from screen units to scan lines of one axis."""
+    edge = Edge()
+    edge.axis = axis
+    edge.lines = width
+    edge.length = height
+    if axis == 0:
+        edge.lines = height
+        edge.length = width
+    edge.pu = to_pixels(p[1 - axis], edge.lines)
+    edge.qu = to_pixels(q[1 - axis], edge.lines)
+    edge.ru = to_pixels(r[1 - axis], edge.lines)
+    edge.pv = to_pixels(p[axis], edge.length)
+    edge.qv = to_pixels(q[axis], edge.length)
+    edge.rv = to_pixels(r[axis], edge.length)
+    edge.pz = p[2]
+    edge.qz = q[2]
+    edge.rz = r[2]
+    edge.slope = (edge.qv - edge.pv) / (edge.qu - edge.pu)
+    edge.outward = 1
+    if (edge.pu < edge.qu) == (axis == 1):
+        edge.outward = -1
+    return edge
 
 
 @wp.func
-def plane_nearness(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float, perspective: int) -> float:
-    """The nearness of a face's plane at a place on the screen; between its corners' if they are before the camera."""
-    a = homogeneous_weights(v0, v1, v2, x, y)
-    near = float(a[0] + a[1] + a[2])
-    if perspective == 0:
-        near = -float(a[0]) * v0[2] * v0[2] - float(a[1]) * v1[2] * v1[2] - float(a[2]) * v2[2] * v2[2]
-    elif v0[2] <= 0.0 or v1[2] <= 0.0 or v2[2] <= 0.0:
-        return near
-    # Not beyond the face's own: seen edge on, its plane goes anywhere within a pixel.
-    n0 = nearness(v0[2], perspective)
-    n1 = nearness(v1[2], perspective)
-    n2 = nearness(v2[2], perspective)
-    return wp.clamp(near, wp.min(n0, wp.min(n1, n2)), wp.max(n0, wp.max(n1, n2)))
+def has_crossings(edge: Edge, perspective: int) -> bool:
+    """Test whether an edge has a slope and both ends on the screen."""
+    return not (wp.abs(edge.pu - edge.qu) < SHORTEST or (perspective == 1 and (edge.pz <= 0.0 or edge.qz <= 0.0)))
 
 
 @wp.func
-def leaves(pu: float, pv: float, qu: float, qv: float, ru: float, rv: float, u: float) -> float:
-    """Where line u, which crosses the edge p - q of a triangle, leaves it again: through p - r or q - r."""
-    limit = rv
-    if (pu <= u) != (ru <= u):
-        limit = pv + (rv - pv) * (u - pu) / (ru - pu)
-    elif qu != ru:
-        limit = qv + (rv - qv) * (u - qu) / (ru - qu)
-    return limit
+def first_line(edge: Edge) -> int:
+    """Find the first scan line that crosses an edge."""
+    return int(wp.ceil(wp.clamp(wp.min(edge.pu, edge.qu), 0.0, float(edge.lines))))
 
 
 @wp.func
-def end_of(
-    faces: wp.array3d(dtype=wp.vec3), b: int, g: int, axis: int, u: int, v: float, count: int, length: int
-) -> float:
-    """Where line u, which at v enters the face g, leaves it again."""
-    end = v
+def end_line(edge: Edge) -> int:
+    """Find the scan line after the last one that crosses an edge; a line through a shared corner counts once."""
+    return int(wp.ceil(wp.clamp(wp.max(edge.pu, edge.qu), 0.0, float(edge.lines))))
+
+
+@wp.func
+def crossing_on(edge: Edge, u: int, face_index: wp.array3d(dtype=int)) -> Crossing:
+    """Find the crossing of an edge on scan line u, with the pixels and the visible faces beside it."""
+    at = Crossing()
+    at.u = u
+    at.v = wp.clamp(edge.pv + edge.slope * (float(u) - edge.pu), -2.0, float(edge.length) + 1.0)
+    at.share = (float(u) - edge.pu) / (edge.qu - edge.pu)
+    inner = int(wp.ceil(at.v))
+    if edge.outward > 0:
+        inner = int(wp.floor(at.v))
+    at.inner = inner
+    at.outer = inner + edge.outward
+    at.offset = wp.abs(at.v - float(inner))
+    at.inner_face = face_at(face_index, edge.image, edge.axis, u, inner, edge.length)
+    at.outer_face = face_at(face_index, edge.image, edge.axis, u, at.outer, edge.length)
+    return at
+
+
+@wp.func
+def separates_faces(at: Crossing) -> bool:
+    """Test whether the two pixels beside a crossing are in the image and show different faces."""
+    return at.inner_face != -2 and at.outer_face != -2 and at.inner_face != at.outer_face
+
+
+@wp.func
+def leaves_through_pr(edge: Edge, u: int) -> bool:
+    """Test whether scan line u, which crosses p-q, leaves the face through p-r rather than q-r."""
+    return (edge.pu <= float(u)) != (edge.ru <= float(u))
+
+
+@wp.func
+def exit_from_face(edge: Edge, u: int) -> float:
+    """Find the position where scan line u, which crosses p-q, leaves the face."""
+    v = edge.rv
+    if leaves_through_pr(edge, u):
+        v = edge.pv + (edge.rv - edge.pv) * (float(u) - edge.pu) / (edge.ru - edge.pu)
+    elif edge.qu != edge.ru:
+        v = edge.qv + (edge.rv - edge.qv) * (float(u) - edge.qu) / (edge.ru - edge.qu)
+    return v
+
+
+@wp.func
+def chord(faces: wp.array3d(dtype=wp.vec3), face: int, edge: Edge, u: int, entry: float, start: float) -> float:
+    """Measure from ``start`` to the exit of scan line u from a face, which it enters at ``entry``; at most a pixel."""
+    end = entry
     for k in range(3):
-        p = faces[b, g, k]
-        q = faces[b, g, (k + 1) % 3]
-        pu = to_pixels(p[1 - axis], count)
-        qu = to_pixels(q[1 - axis], count)
+        p = faces[edge.image, face, k]
+        q = faces[edge.image, face, (k + 1) % 3]
+        pu = to_pixels(p[1 - edge.axis], edge.lines)
+        qu = to_pixels(q[1 - edge.axis], edge.lines)
         if (pu <= float(u)) != (qu <= float(u)):
-            pv = to_pixels(p[axis], length)
-            at = pv + (to_pixels(q[axis], length) - pv) * (float(u) - pu) / (qu - pu)
-            if wp.abs(at - v) > wp.abs(end - v):
-                end = at
-    return end
+            pv = to_pixels(p[edge.axis], edge.length)
+            v = pv + (to_pixels(q[edge.axis], edge.length) - pv) * (float(u) - pu) / (qu - pu)
+            if wp.abs(v - entry) > wp.abs(end - entry):
+                end = v
+    return wp.min(wp.abs(end - start), 1.0)
+
+
+@wp.func
+def border_weight(v: float, length: int) -> float:
+    """Weight a position on a line of ``length`` pixels: 2 within half a pixel of the first or last centre, else 1.
+
+    Pairs of centres sample only the inner half of a border pixel, so that half counts for both.
+    """
+    if v < 0.5 or v > float(length) - 1.5:
+        return 2.0
+    return 1.0
 
 
 @wp.func
 def pixel_at(image: wp.array4d(dtype=float), b: int, axis: int, u: int, v: int) -> wp.int64:
-    """Where the pixel v of scan line u lies in the image's memory, in the first channel."""
+    """Compute the offset in memory of pixel v of scan line u, in the first channel of image b."""
     row, column = place(axis, u, v, image.shape[2])
     first_row = wp.int64(b) * wp.int64(image.shape[1]) * wp.int64(image.shape[2])
     return (first_row + wp.int64(row)) * wp.int64(image.shape[3]) + wp.int64(column)
@@ -122,120 +181,8 @@ def pixel_at(image: wp.array4d(dtype=float), b: int, axis: int, u: int, v: int) 
 
 @wp.func
 def face_at(face_index: wp.array3d(dtype=int), b: int, axis: int, u: int, v: int, length: int) -> int:
-    """The face at the pixel v of scan line u; -2 beyond the image."""
+    """Read the visible face at pixel v of scan line u; -1 for none, -2 outside the image."""
     if v < 0 or v >= length:
         return -2
     row, column = place(axis, u, v, face_index.shape[1])
     return face_index[b, row, column]
-
-
-@wp.func
-def area_of(faces: wp.array3d(dtype=wp.vec3), b: int, g: int, image: wp.array4d(dtype=float)) -> float:
-    """A face's area in pixels."""
-    a = faces[b, g, 1] - faces[b, g, 0]
-    c = faces[b, g, 2] - faces[b, g, 0]
-    return wp.abs(a[0] * c[1] - a[1] * c[0]) * float(image.shape[2]) * float(image.shape[3]) / 8.0
-
-
-@wp.func
-def middle_of(
-    faces: wp.array3d(dtype=wp.vec3), b: int, g: int, image: wp.array4d(dtype=float), face_index: wp.array3d(dtype=int)
-) -> wp.int64:
-    """A pixel that shows a face near its middle, as `pixel_at` counts, or -1 if there is none."""
-    v0 = faces[b, g, 0]
-    v1 = faces[b, g, 1]
-    v2 = faces[b, g, 2]
-    x = to_pixels((v0[0] + v1[0] + v2[0]) / 3.0, image.shape[3])
-    y = to_pixels((v0[1] + v1[1] + v2[1]) / 3.0, image.shape[2])
-    if not (wp.abs(x) < 32768.0 and wp.abs(y) < 32768.0):
-        return wp.int64(-1)
-    i = int(wp.floor(x + 0.5))
-    j = int(wp.floor(y + 0.5))
-    for n in range(9):
-        # Itself, the pixels beside it, those at its corners.
-        right = (int(n == 1) - int(n == 2)) + (int(n == 5) + int(n == 6) - int(n == 7) - int(n == 8))
-        up = (int(n == 3) - int(n == 4)) + (int(n == 5) - int(n == 6) + int(n == 7) - int(n == 8))
-        row = j + up
-        if row >= 0 and row < image.shape[2]:
-            if face_at(face_index, b, 0, row, i + right, image.shape[3]) == g:
-                return pixel_at(image, b, 0, row, i + right)
-    return wp.int64(-1)
-
-
-@wp.func
-def seam(
-    faces: wp.array3d(dtype=wp.vec3),
-    image: wp.array4d(dtype=float),
-    face_index: wp.array3d(dtype=int),
-    b: int,
-    axis: int,
-    u: int,
-    c: float,
-    count: int,
-    length: int,
-    f: int,
-    g: int,
-    shown: int,
-    other: int,
-    own_pixel: wp.int64,
-    other_pixel: wp.int64,
-    away: float,
-):
-    """How much the seam between the faces f and g counts where line u crosses it at c, and the pixels of their colours.
-
-    shown, own_pixel | other, other_pixel: the face and the pixel before the seam | behind it. A weight of 0: nothing is
-    known of it here.
-    """
-    run = wp.min(wp.abs(end_of(faces, b, f, axis, u, c, count, length) - c), 1.0)
-    ahead = wp.min(wp.abs(end_of(faces, b, g, axis, u, c, count, length) - c), 1.0)
-    weight = float(1.0)
-    if wp.min(area_of(faces, b, f, image), area_of(faces, b, g, image)) < SMALL:
-        # Centres may miss such a face. A pair of them shows both with this probability, next to none at the seam's
-        # ends.
-        weight = 1.0 / wp.max(run + ahead - 1.0, LEAST_RUN)
-        if shown != f or other != g:
-            weight = 0.0
-    elif (shown != f and away < run) or (other != g and 1.0 - away < ahead):
-        weight = 0.0  # something hides it
-    else:
-        # It shows its colour near its middle, where no centre beside the seam meets it.
-        if shown != f:
-            own_pixel = middle_of(faces, b, f, image, face_index)
-        if other != g:
-            other_pixel = middle_of(faces, b, g, image, face_index)
-        if own_pixel < wp.int64(0) or other_pixel < wp.int64(0):
-            weight = 0.0
-    return weight, own_pixel, other_pixel
-
-
-@wp.func
-def sewn(
-    marks: wp.array4d(dtype=wp.int64),
-    faces: wp.array3d(dtype=wp.vec3),
-    beyond: wp.array3d(dtype=int),
-    b: int,
-    f: int,
-    k: int,
-) -> bool:
-    """Whether the marks say that colours go on beyond the edge k of face f."""
-    own = wp.min(b, marks.shape[0] - 1)
-    last = marks.shape[1] - 1
-    mark = marks[own, wp.min(f, last), k, 0]
-    g = beyond[b, f, k]
-    if mark != wp.int64(0):
-        for m in range(3):
-            if faces[b, g, (m + 1) % 3] == faces[b, f, k] and faces[b, g, m] == faces[b, f, (k + 1) % 3]:
-                return marks[own, wp.min(g, last), m, 1] == mark
-    return False
-
-
-@wp.func
-def continued(weight: float, away: float, straight: bool) -> wp.vec2:
-    """The colour at a boundary, times a weight, from two pixels: how much the one beside it counts, and the next one.
-
-    away: from the first pixel to the boundary. straight: both show the same face, and the colour goes on along the
-    slope between them; else the first alone counts.
-    """
-    if straight:
-        return wp.vec2(weight * (1.0 + away), -weight * away)
-    return wp.vec2(weight, 0.0)

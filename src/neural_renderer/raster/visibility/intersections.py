@@ -1,4 +1,18 @@
-"""Where one face cuts through another: the line of equal depth, which moves with the corners of both."""
+"""The gradient through visibility where faces intersect: the motion of the line at which their depths are equal.
+
+Maths. Two neighbouring pixels show two faces, and between their centres lies a point at which the nearness of both is
+equal. Nearness (see `nearness`) is linear on the screen. So with a lead a of the own face at its pixel and a lead b of
+the other face at the other pixel, the point is at the share ``t = a / (a + b)`` of the way, and it moves by
+``d(lead) / (a + b)`` pixels if a corner changes the lead there. That times the difference of the two colours and the
+gradient of the pixel that contains the point is the gradient to the corner, in x, y and z.
+
+Rows and columns both sample the line. Each pair is weighted by the square of the component of the line's normal along
+its axis; over the two axes the weights add to 1.
+
+Pitfalls. At the ends of an intersection, up to a pixel of its length is lost. Faces in one plane have leads of rounding
+only, and faces that share two corners meet without intersecting: neither is counted. Faces that cross the camera's
+plane and `degenerate` ones have no gradient here.
+"""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -6,162 +20,61 @@ import warp as wp
 from torch import Tensor
 
 from ..ops.visible_faces import next_shown
-from ..warp.geometry import HOMOGENEOUS, degenerate, homogeneous_weights, in_front, pixel_box, pixel_centre
+from ..warp.geometry import degenerate, in_front, pixel_box, pixel_centre
 from ..warp.launch import array, face_lanes, launch, zeros
+from .candidates import find_in_row
+from .crossings import border_weight
+from .nearness import covers, nearness_slope, nearness_terms, total
 from .neighbors import same
 
 wp.set_module_options({"enable_backward": False})
 
 
 def add_intersections(
-    result: Tensor, grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, beyond: Tensor, perspective: bool
+    result: Tensor, grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, adjacent: Tensor, perspective: bool
 ) -> None:
-    """Add to ``result`` [B, F, 3, 3] what `boundaries` sends to the corners of faces that cut through each other.
+    """Add the gradient of the intersections of faces, in place.
 
-    Two neighbouring pixels show two faces, and between their centres lies a point of both at which their nearness q
-    (1 / z; -z without perspective) is equal. q is linear on the screen, so where that line crosses the pair, and how
-    the six corners move it, are ratios of differences. Rows and columns share its motion by the squares of the
-    components of its normal. A `degenerate` face has no part in it.
+    Args:
+        result: Gradient to the corners, [B, F, 3, 3] float32; changed.
+        grad: Gradient to the image, [B, C, H, W] float32.
+        image: [B, C, H, W] float32.
+        faces: Screen-space corners, [B, F, 3, 3] float32.
+        face_index: Visible face of each pixel, [B, H, W] int32.
+        adjacent: Adjacent faces, [B, F, 3] int32, as from `neighbors`.
+        perspective: As in `coverage`.
     """
     batch, count = faces.shape[:2]
     height, width = face_index.shape[1:]
-    # Few faces stand beside one that they can meet; the others have no second look.
-    marks = zeros((batch, count), faces.device, torch.int32)
-    looked_at = [array(faces, wp.vec3), array(face_index), array(image), array(beyond)]
-    launch(_mark, batch * height, [*looked_at, int(perspective), array(marks)], faces.device)
+    # Few faces are beside one that they may intersect; the others need no second look.
+    candidates = zeros((batch, count), faces.device, torch.int32)
+    scene = [array(faces, wp.vec3), array(face_index), array(image), array(adjacent)]
+    launch(_find_candidates, batch * height, [*scene, int(perspective), array(candidates)], faces.device)
     lanes = face_lanes(faces, height * width)
-    maps = [array(image), array(grad), array(face_index), array(marks)]
+    maps = [array(image), array(grad), array(face_index), array(candidates)]
     arguments = [array(faces, wp.vec3), *maps, int(perspective), lanes, array(result, wp.vec3)]
-    launch(_cut, batch * count * lanes, arguments, faces.device)
-
-
-@wp.func
-def shares(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float, perspective: int) -> wp.vec3:
-    """The corners' parts of the nearness, and their sum its value, at a place on the screen: w_k q_k."""
-    a = homogeneous_weights(v0, v1, v2, x, y)
-    if perspective == 1:
-        return wp.vec3(float(a[0]), float(a[1]), float(a[2]))
-    return -wp.vec3(float(a[0]) * v0[2] * v0[2], float(a[1]) * v1[2] * v1[2], float(a[2]) * v2[2] * v2[2])
-
-
-@wp.func
-def covers(part: wp.vec3, perspective: int) -> bool:
-    """Whether the place of these shares is in the face."""
-    if perspective == 1:
-        return part[0] >= 0.0 and part[1] >= 0.0 and part[2] >= 0.0
-    return part[0] <= 0.0 and part[1] <= 0.0 and part[2] <= 0.0
-
-
-@wp.func
-def total(part: wp.vec3) -> float:
-    return part[0] + part[1] + part[2]
-
-
-# Whether two faces can meet between two pixels, of which the first shows the one and the second the other: each covers
-# the way from its pixel on, up to the first of its edges, and both have to cover one place.
-_MAY_MEET = """
-    struct Way {
-        typedef wp::vec_t<3, float> vec3;
-        static CUDA_CALLABLE float covered(const vec3* v, float x, float y, float x2, float y2) {
-            const float area = (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
-            float end = 1.0f;
-            for (int k = 0; k < 3; ++k) {
-                const vec3 &p = v[k], &q = v[k == 2 ? 0 : k + 1];
-                const float s = area < 0.0f ? -1.0f : 1.0f, dx = s * (q[0] - p[0]), dy = s * (q[1] - p[1]);
-                const float here = dx * (y - p[1]) - dy * (x - p[0]), there = dx * (y2 - p[1]) - dy * (x2 - p[0]);
-                const float doubt = 1.0e-6f * (fabsf(dx) + fabsf(dy));
-                if (there < -doubt && here > there) {
-                    const float at = (here + doubt) / (here - there);
-                    end = at < end ? at : end;
-                }
-            }
-            return end;
-        }
-        static CUDA_CALLABLE wp::vec_t<3, double> homogeneous(vec3 v0, vec3 v1, vec3 v2, float x, float y) { WEIGHTS }
-        // As `shares` and `total` have it.
-        static CUDA_CALLABLE float nearness(const vec3* v, float x, float y, int perspective) {
-            const wp::vec_t<3, double> a = homogeneous(v[0], v[1], v[2], x, y);
-            float part[3];
-            for (int k = 0; k < 3; ++k) part[k] = perspective ? (float)a[k] : -((float)a[k] * v[k][2] * v[k][2]);
-            return part[0] + part[1] + part[2];
-        }
-    };
-""".replace("WEIGHTS", HOMOGENEOUS)
-
-_MARK_ROW = (
-    _MAY_MEET
-    + """
-    const int height = face_index.shape[1], width = face_index.shape[2], channels = image.shape[1];
-    const wp::int64 area = (wp::int64)height * width;
-    const wp::int64 first = (wp::int64)row * width, own = b * (wp::int64)beyond.shape[1];
-    const int* shown = face_index.data + b * area + first;
-    const float* colors = image.data + b * channels * area + first;
-    const int steps[2] = {1, width};
-    const float across = 2.0f / (float)width, down = 2.0f / (float)height;
-    for (int i = 0; i < width; ++i) {
-        const int f = shown[i];
-        if (f < 0) continue;
-        for (int k = 0; k < 2; ++k) {
-            if (k == 0 ? i + 1 == width : row + 1 == height) continue;
-            const int other = shown[i + steps[k]];
-            if (f == other || other < 0) continue;
-            const int* next = beyond.data + (own + f) * 3;
-            if (other == next[0] || other == next[1] || other == next[2]) continue;
-            const wp::vec_t<3, float> *v = faces.data + (own + f) * 3, *u = faces.data + (own + other) * 3;
-            if (perspective == 0 || ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f)
-                                     & (u[0][2] > 0.0f) & (u[1][2] > 0.0f) & (u[2][2] > 0.0f))) {
-                const float x = (float)(2 * i + 1 - width) / (float)width;
-                const float y = (float)(height - 1 - 2 * row) / (float)height;
-                const float x2 = k == 0 ? x + across : x, y2 = k == 0 ? y : y - down;
-                if (Way::covered(v, x, y, x2, y2) + Way::covered(u, x2, y2, x, y) < 0.999f) continue;
-                const float own_here = Way::nearness(v, x, y, perspective);
-                const float ahead = own_here - Way::nearness(u, x, y, perspective);
-                const float short_of = Way::nearness(u, x2, y2, perspective) - Way::nearness(v, x2, y2, perspective);
-                if (!(ahead > 0.0f && short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here))) continue;
-            }
-            bool differs = false;
-            for (int c = 0; c < channels; ++c) differs |= colors[c * area + i] != colors[c * area + i + steps[k]];
-            if (differs) marks.data[own + f] = marks.data[own + other] = 1;
-        }
-    }
-"""
-)
-
-
-@wp.func_native(_MARK_ROW)
-def mark_row(
-    faces: wp.array3d(dtype=wp.vec3),
-    face_index: wp.array3d(dtype=int),
-    image: wp.array4d(dtype=float),
-    beyond: wp.array3d(dtype=int),
-    perspective: int,
-    b: int,
-    row: int,
-    marks: wp.array2d(dtype=int),
-):
-    """Mark the faces of a row that stand beside one, in another colour, which is not the next of the same surface and
-    may meet them there; below it, too."""
-    ...
+    launch(_intersect, batch * count * lanes, arguments, faces.device)
 
 
 @wp.kernel
-def _mark(
+def _find_candidates(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
     image: wp.array4d(dtype=float),
-    beyond: wp.array3d(dtype=int),
+    adjacent: wp.array3d(dtype=int),
     perspective: int,
-    marks: wp.array2d(dtype=int),
+    candidates: wp.array2d(dtype=int),
 ):
+    """Mark the candidates in one row of one image. Tasks may write to one place, but never different values."""
     task = first + wp.tid()
     height = int(face_index.shape[1])
-    mark_row(faces, face_index, image, beyond, perspective, task // height, task % height, marks)
+    find_in_row(faces, face_index, image, adjacent, perspective, task // height, task % height, candidates)
 
 
 @wp.func
 def share_edge(faces: wp.array3d(dtype=wp.vec3), b: int, f: int, g: int) -> bool:
-    """Whether two corners of the faces are the same: such faces meet, and do not cut each other."""
+    """Test whether two faces have two corners in common: such faces meet at an edge and do not intersect."""
     count = int(0)
     for k in range(3):
         corner = faces[b, f, k]
@@ -170,24 +83,192 @@ def share_edge(faces: wp.array3d(dtype=wp.vec3), b: int, f: int, g: int) -> bool
     return count >= 2
 
 
+@wp.struct
+class Pair:
+    """Two neighbouring pixels of an image, columns and rows from the bottom left: i, j and the next one i2, j2."""
+
+    image: int
+    axis: int  # along which they are neighbours
+    step: int  # from the first to the second: 1 or -1
+    i: int
+    j: int
+    i2: int
+    j2: int
+
+
+@wp.struct
+class Intersection:
+    """The point between two pixels at which a face and another one have the same nearness."""
+
+    exists: bool
+    t: float  # from the first pixel, in pixels
+    lead: float  # of each face at its own pixel over the other face, added
+    terms: wp.vec3  # of the nearness of the own face at the point, by corner
+    own_slope: wp.vec2  # of the nearness of the own face, a pixel to the right and up
+    other_slope: wp.vec2
+
+
+@wp.func
+def pair_beside(b: int, i: int, j: int, side: int) -> Pair:
+    """Pair a pixel with its neighbour on one of four sides: right, left, above, below."""
+    pair = Pair()
+    pair.image = b
+    pair.axis = side // 2
+    pair.step = 1 - 2 * (side % 2)
+    pair.i = i
+    pair.j = j
+    pair.i2 = i + pair.step * (1 - pair.axis)
+    pair.j2 = j + pair.step * pair.axis
+    return pair
+
+
+@wp.func
+def second_face(pair: Pair, face_index: wp.array3d(dtype=int)) -> int:
+    """Read the visible face at the second pixel; -1 for none, and outside the image."""
+    height = face_index.shape[1]
+    if pair.i2 < 0 or pair.i2 >= face_index.shape[2] or pair.j2 < 0 or pair.j2 >= height:
+        return -1
+    return face_index[pair.image, height - 1 - pair.j2, pair.i2]
+
+
+@wp.func
+def find_intersection(
+    faces: wp.array3d(dtype=wp.vec3), f: int, g: int, pair: Pair, height: int, width: int, perspective: int
+) -> Intersection:
+    """Find where face f, visible at the first pixel of a pair, and face g, visible at the second, are equally near."""
+    found = Intersection()
+    v0 = faces[pair.image, f, 0]
+    v1 = faces[pair.image, f, 1]
+    v2 = faces[pair.image, f, 2]
+    u0 = faces[pair.image, g, 0]
+    u1 = faces[pair.image, g, 1]
+    u2 = faces[pair.image, g, 2]
+    if in_front(u0, u1, u2, perspective) != 1 or degenerate(u0, u1, u2):
+        return found
+    x = pixel_centre(pair.i, width)
+    y = pixel_centre(pair.j, height)
+    x2 = pixel_centre(pair.i2, width)
+    y2 = pixel_centre(pair.j2, height)
+    own_first = nearness_terms(v0, v1, v2, x, y, perspective)
+    own_second = nearness_terms(v0, v1, v2, x2, y2, perspective)
+    other_first = nearness_terms(u0, u1, u2, x, y, perspective)
+    other_second = nearness_terms(u0, u1, u2, x2, y2, perspective)
+    own_lead = total(own_first) - total(other_first)
+    other_lead = total(other_second) - total(own_second)
+    found.lead = own_lead + other_lead
+    # Faces in one plane lead by rounding only.
+    if not (own_lead > 0.0 and other_lead > 0.0 and found.lead > 1.0e-6 * wp.abs(total(own_first))):
+        return found
+    found.t = own_lead / found.lead
+    found.terms = own_first + found.t * (own_second - own_first)
+    other_terms = other_first + found.t * (other_second - other_first)
+    if covers(found.terms, perspective) and covers(other_terms, perspective):
+        found.exists = True
+        pixel = wp.vec2(2.0 / float(width), 2.0 / float(height))
+        found.own_slope = nearness_slope(v0, v1, v2, x, y, total(own_first), pixel, perspective)
+        found.other_slope = nearness_slope(u0, u1, u2, x, y, total(other_first), pixel, perspective)
+    return found
+
+
+@wp.func
+def color_difference(
+    pair: Pair, image: wp.array4d(dtype=float), grad: wp.array4d(dtype=float), at_second: bool
+) -> float:
+    """Sum (first - second colour) * gradient over the channels; ``at_second``: the second pixel has the gradient."""
+    b = pair.image
+    row = image.shape[2] - 1 - pair.j
+    row2 = image.shape[2] - 1 - pair.j2
+    result = float(0.0)
+    for c in range(image.shape[1]):
+        pull = grad[b, c, row, pair.i]
+        if at_second:
+            pull = grad[b, c, row2, pair.i2]
+        result += (image[b, c, row, pair.i] - image[b, c, row2, pair.i2]) * pull
+    return result
+
+
+@wp.func
+def nearness_gain(
+    found: Intersection, pair: Pair, image: wp.array4d(dtype=float), grad: wp.array4d(dtype=float)
+) -> float:
+    """Compute the change of the loss if the own face's nearness at an intersection grows by 1."""
+    slope = found.own_slope - found.other_slope
+    gain = slope[pair.axis] * slope[pair.axis] / wp.dot(slope, slope) / found.lead
+    gain *= color_difference(pair, image, grad, found.t >= 0.5)
+    v = float(pair.i) + float(pair.step) * found.t
+    length = image.shape[3]
+    if pair.axis == 1:
+        v = float(pair.j) + float(pair.step) * found.t
+        length = image.shape[2]
+    return gain * border_weight(v, length)
+
+
+@wp.func
+def corner_gradients(
+    found: Intersection, gain: float, faces: wp.array3d(dtype=wp.vec3), b: int, f: int, pixel: wp.vec2, perspective: int
+) -> wp.mat33:
+    """Compute the gradient to x, y and z (rows) of the corners (columns) of the own face f.
+
+    At a fixed position, moving corner k by v on the screen changes the nearness by -w_k grad(nearness) . v, and moving
+    its depth by dz changes it by w_k dn_k/dz dz.
+    """
+    result = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for k in range(3):
+        z = faces[b, f, k][2]
+        w = found.terms[k] * z
+        to_z = -w / (z * z)
+        if perspective == 0:
+            w = -found.terms[k] / z
+            to_z = -w
+        result[0, k] = -(gain * w * found.own_slope[0] / pixel[0])
+        result[1, k] = -(gain * w * found.own_slope[1] / pixel[1])
+        result[2, k] = gain * to_z
+    return result
+
+
+@wp.func
+def pair_gradients(
+    pair: Pair,
+    f: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    perspective: int,
+) -> wp.mat33:
+    """Compute the gradients to the corners of face f, visible at the first pixel of a pair; see `corner_gradients`."""
+    other = second_face(pair, face_index)
+    if other >= 0 and other != f:
+        if not share_edge(faces, pair.image, f, other):
+            found = find_intersection(faces, f, other, pair, image.shape[2], image.shape[3], perspective)
+            if found.exists:
+                gain = nearness_gain(found, pair, image, grad)
+                pixel = wp.vec2(2.0 / float(image.shape[3]), 2.0 / float(image.shape[2]))
+                return corner_gradients(found, gain, faces, pair.image, f, pixel, perspective)
+    return wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
 @wp.kernel
-def _cut(
+def _intersect(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
-    marks: wp.array2d(dtype=int),
+    candidates: wp.array2d(dtype=int),
     perspective: int,
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
-    """One face of one image: each of its pixels with its four neighbours. The other faces have tasks of their own."""
+    """Visit the pixels of one face of one image; with several lanes, each takes every n-th row.
+
+    The other face of an intersection has a task of its own.
+    """
     task = first + wp.tid()
     lane = task % lanes
     b = (task // lanes) // faces.shape[1]
     f = (task // lanes) % faces.shape[1]
-    if marks[b, f] == 0:
+    if candidates[b, f] == 0:
         return
     height = face_index.shape[1]
     width = face_index.shape[2]
@@ -197,83 +278,15 @@ def _cut(
     if in_front(v0, v1, v2, perspective) != 1 or degenerate(v0, v1, v2):
         return
     sums = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    steps = wp.vec2(2.0 / float(width), 2.0 / float(height))
     box = pixel_box(v0, v1, v2, 1, height, width)
     for j in range(box[2] + lane, box[3] + 1, lanes):
-        row = height - 1 - j
-        y = pixel_centre(j, height)
-        line = wp.int64(b) * wp.int64(height) + wp.int64(row)
-        i = next_shown(face_index, line, width, box[0], box[1] + 1, f)
+        row = wp.int64(b) * wp.int64(height) + wp.int64(height - 1 - j)
+        i = next_shown(face_index, row, width, box[0], box[1] + 1, f)
         while i <= box[1]:
             sides = int(4)  # a variable, or Warp would unroll the loop
             for side in range(sides):
-                axis = side // 2
-                way = 1 - 2 * (side % 2)
-                i2 = i
-                j2 = j
-                if axis == 0:
-                    i2 += way
-                else:
-                    j2 += way
-                other = int(-1)
-                if i2 >= 0 and i2 < width and j2 >= 0 and j2 < height:
-                    other = face_index[b, height - 1 - j2, i2]
-                if other >= 0 and other != f and not share_edge(faces, b, f, other):
-                    u0 = faces[b, other, 0]
-                    u1 = faces[b, other, 1]
-                    u2 = faces[b, other, 2]
-                    x = pixel_centre(i, width)
-                    x2 = pixel_centre(i2, width)
-                    y2 = pixel_centre(j2, height)
-                    here = shares(v0, v1, v2, x, y, perspective)
-                    there = shares(v0, v1, v2, x2, y2, perspective)
-                    others_here = shares(u0, u1, u2, x, y, perspective)
-                    others_there = shares(u0, u1, u2, x2, y2, perspective)
-                    ahead = total(here) - total(others_here)
-                    short = total(others_there) - total(there)
-                    # Of faces in one plane the difference is rounding.
-                    clear = ahead + short > 1.0e-6 * wp.abs(total(here))
-                    solid = in_front(u0, u1, u2, perspective) == 1 and not degenerate(u0, u1, u2)
-                    if clear and ahead > 0.0 and short > 0.0 and solid:
-                        t = ahead / (ahead + short)
-                        q = here + t * (there - here)
-                        others_q = others_here + t * (others_there - others_here)
-                        if covers(q, perspective) and covers(others_q, perspective):
-                            # How the two change over a pixel to the right and up.
-                            right = total(shares(v0, v1, v2, x + steps[0], y, perspective)) - total(here)
-                            up = total(shares(v0, v1, v2, x, y + steps[1], perspective)) - total(here)
-                            own = wp.vec2(right, up)
-                            right = total(shares(u0, u1, u2, x + steps[0], y, perspective)) - total(others_here)
-                            up = total(shares(u0, u1, u2, x, y + steps[1], perspective)) - total(others_here)
-                            slope = own - wp.vec2(right, up)
-                            part = slope[axis] * slope[axis] / wp.dot(slope, slope) / (ahead + short)
-                            jump = float(0.0)
-                            for c in range(image.shape[1]):
-                                pull = grad[b, c, row, i]
-                                if t >= 0.5:
-                                    pull = grad[b, c, height - 1 - j2, i2]
-                                jump += (image[b, c, row, i] - image[b, c, height - 1 - j2, i2]) * pull
-                            part *= jump
-                            place = float(i) + float(way) * t
-                            last = float(width) - 1.0
-                            if axis == 1:
-                                place = float(j) + float(way) * t
-                                last = float(height) - 1.0
-                            if place < 0.5 or place > last - 0.5:
-                                part *= 2.0  # of the pixel at the border centres show one half: it stands for the other
-                            # With the place fixed, moving corner k by v changes q by -w_k grad(q) . v, and raising its
-                            # depth changes it by w_k dq_k / dz_k.
-                            for k in range(3):
-                                z = faces[b, f, k][2]
-                                w = q[k] * z
-                                to_z = -w / (z * z)
-                                if perspective == 0:
-                                    w = -q[k] / z
-                                    to_z = -w
-                                sums[0, k] -= part * w * own[0] / steps[0]
-                                sums[1, k] -= part * w * own[1] / steps[1]
-                                sums[2, k] += part * to_z
-            i = next_shown(face_index, line, width, i + 1, box[1] + 1, f)
+                sums += pair_gradients(pair_beside(b, i, j, side), f, faces, image, grad, face_index, perspective)
+            i = next_shown(face_index, row, width, i + 1, box[1] + 1, f)
     for k in range(3):
         column = wp.vec3(sums[0, k], sums[1, k], sums[2, k])
         if lanes == 1:

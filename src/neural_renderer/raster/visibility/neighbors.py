@@ -1,4 +1,11 @@
-"""On the other side of an edge: the next face of the same surface, or something else."""
+"""Neighbours of faces: the adjacent face across each edge, with which a surface continues on the screen.
+
+The adjacent face is the drawn face of lowest index that has the same two corners, equal to the last bit, and lies on
+the other side of the edge on the screen. At a border of the surface and at a fold there is none.
+
+No topology is needed: a hash table for each image finds the faces with the same corners. With the `edge_rings` of a
+mesh, the table is only for edges that stand alone in them, such as those at doubled vertices.
+"""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -10,33 +17,36 @@ from ..warp.launch import array, concurrent, launch, zeros
 
 wp.set_module_options({"enable_backward": False})
 
-# More faces than this at one edge are left out, or a pile of equal faces would take forever.
+# Further faces at one edge are ignored; without a limit a pile of equal faces would take quadratic time.
 MOST_EQUALS = wp.constant(8)
 
 
 def neighbors(
-    faces: Tensor, two_sided: bool, perspective: bool, seen: Tensor | None = None, rings: Tensor | None = None
+    faces: Tensor, two_sided: bool, perspective: bool, visible: Tensor | None = None, rings: Tensor | None = None
 ) -> Tensor:
-    """The face with which the surface goes on beyond an edge on the screen; -1 at a border of the surface or a fold.
+    """Find the adjacent face across each edge.
 
-    faces: [B, F, 3, 3] float32 screen-space corners.
-    two_sided, perspective: as in `coverage`.
-    seen: as `visible_faces` gives it, and rings: as `edge_rings` gives it, of the indices that the faces are made of.
+    Args:
+        faces: Screen-space corners, [B, F, 3, 3] float32.
+        two_sided: As in `coverage`.
+        perspective: As in `coverage`.
+        visible: 1 for each visible face, [B, F + 1] int32, as from `seen_faces`. Used with ``rings`` only.
+        rings: [1 or B, F + 1, 3] int32 from `edge_rings`, of the triangles that the faces were gathered by.
 
-    Returns [B, F, 3] int32, edge k from corner k to the next; -1 for faces that would not be drawn. The surface goes on
-    with a face that would, has the same two corners, to the last bit, and lies on the edge's other side; with
-    the one of lowest index if there are several. No topology is asked for, so it works for any faces: the edges are
-    found through a hash table for each image. With rings, the table is only for edges that stand alone in them, and
-    faces that are neither seen nor beside one that is get -1 for their other edges.
+    Returns:
+        [B, F, 3] int32: the face across edge k, from corner k to the next; -1 for none and for faces that are not
+        drawn. With ``rings``, also -1 for faces that are neither visible nor beside a visible one.
     """
     batch, count = faces.shape[:2]
     result = torch.empty((batch, count, 3), dtype=torch.int32, device=faces.device)
     corners = array(faces, wp.vec3)
     options = [int(two_sided), int(perspective)]
     most = 3 * count
-    if rings is not None and seen is not None:
-        launch(_walk, batch * count, [corners, array(seen), array(rings), *options, array(result)], faces.device)
-        if faces.device.type == "cpu":  # on CUDA to look is to wait
+    if rings is not None and visible is not None:
+        launch(
+            _search_rings, batch * count, [corners, array(visible), array(rings), *options, array(result)], faces.device
+        )
+        if faces.device.type == "cpu":  # on CUDA, reading the number would wait for the device
             most = int(rings[0, -1, 0])
     else:
         rings = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
@@ -44,11 +54,11 @@ def neighbors(
         return result
     size = 1 << (2 * most - 1).bit_length()
     table = zeros((batch, size), faces.device, torch.int32)
-    # The CPU's atomics are none: there one task fills an image's table alone.
+    # Warp's CPU atomics are not atomic, so on the CPU one task fills an image's table.
     lanes = max(count, 1) if concurrent(faces.device) else 1
     alone = array(rings)
-    launch(_insert, batch * lanes, [corners, array(table), alone, *options, lanes], faces.device)
-    launch(_find, batch * count, [corners, array(table), alone, *options, array(result)], faces.device)
+    launch(_insert_edges, batch * lanes, [corners, array(table), alone, *options, lanes], faces.device)
+    launch(_search_table, batch * count, [corners, array(table), alone, *options, array(result)], faces.device)
     return result
 
 
@@ -63,7 +73,7 @@ _HASH = """
             bits = (bits ^ part) * 0x85EBCA6Bu;
             bits ^= bits >> 15;
         }
-        sum += bits;  // either end first
+        sum += bits;  // independent of the direction
     }
     sum = (sum ^ (sum >> 16)) * 0xC2B2AE35u;
     return (int)((sum ^ (sum >> 13)) & (unsigned)(size - 1));
@@ -72,11 +82,11 @@ _HASH = """
 
 @wp.func_native(_HASH)
 def edge_hash(p: wp.vec3, q: wp.vec3, size: int) -> int:
-    """Where to begin to look for an edge in a table of ``size``, a power of two."""
+    """Compute the first place of an edge in a table of ``size`` places, a power of two."""
     ...
 
 
-_WALK = """
+_SEARCH_RINGS = """
     struct Drawn {
         typedef wp::vec_t<3, float> vec3;
         static CUDA_CALLABLE int facing(vec3 v0, vec3 v1, vec3 v2, int perspective) { FACING }
@@ -92,15 +102,15 @@ _WALK = """
     };
     const wp::int64 count = faces.shape[1], own = b < rings.shape[0] ? b : rings.shape[0] - 1;
     const int* next = rings.data + own * (count + 1) * 3;
-    const int* visible = seen.data + (wp::int64)b * seen.shape[1];
+    const int* shown = visible.data + (wp::int64)b * visible.shape[1];
     const wp::vec_t<3, float>* corners = faces.data + b * count * 3;
     int* to = result.data + (b * count + f) * 3;
     to[0] = to[1] = to[2] = -1;
-    int near = visible[f];
+    int near = shown[f];
     for (int k = 0; k < 3; ++k) {
         int entry = next[3 * f + k];
-        near |= entry == 3 * f + k;  // whose neighbour is not known yet
-        for (int n = 0; n < MOST && !near && entry != 3 * f + k; ++n, entry = next[entry]) near = visible[entry / 3];
+        near |= entry == 3 * f + k;  // alone in its ring; the table may have a neighbour
+        for (int n = 0; n < MOST && !near && entry != 3 * f + k; ++n, entry = next[entry]) near = shown[entry / 3];
     }
     const auto* v = corners + 3 * (wp::int64)f;
     if (!near || !Drawn::is(v, two_sided, perspective)) return;
@@ -118,10 +128,10 @@ _WALK = """
 """
 
 
-@wp.func_native(_WALK.replace("FACING", FACING).replace("IN_FRONT", IN_FRONT).replace("MOST", str(MOST_EQUALS)))
-def walk_rings(
+@wp.func_native(_SEARCH_RINGS.replace("FACING", FACING).replace("IN_FRONT", IN_FRONT).replace("MOST", str(MOST_EQUALS)))
+def search_rings(
     faces: wp.array3d(dtype=wp.vec3),
-    seen: wp.array2d(dtype=int),
+    visible: wp.array2d(dtype=int),
     rings: wp.array3d(dtype=int),
     two_sided: int,
     perspective: int,
@@ -129,29 +139,30 @@ def walk_rings(
     f: int,
     result: wp.array3d(dtype=int),
 ):
-    """Look for the faces beyond the edges of one face among those that share the edges' vertices."""
+    """Find the faces adjacent to one face, among those that share the vertices of its edges."""
     ...
 
 
 @wp.kernel
-def _walk(
+def _search_rings(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
-    seen: wp.array2d(dtype=int),
+    visible: wp.array2d(dtype=int),
     rings: wp.array3d(dtype=int),
     two_sided: int,
     perspective: int,
     result: wp.array3d(dtype=int),
 ):
+    """Find the faces adjacent to one face of one image by the rings of its edges."""
     task = first + wp.tid()
-    walk_rings(
-        faces, seen, rings, two_sided, perspective, task // int(faces.shape[1]), task % int(faces.shape[1]), result
+    search_rings(
+        faces, visible, rings, two_sided, perspective, task // int(faces.shape[1]), task % int(faces.shape[1]), result
     )
 
 
 @wp.func
 def stands_alone(rings: wp.array3d(dtype=int), b: int, f: int, k: int) -> bool:
-    """Whether an edge has to be looked for in the table."""
+    """Test whether an edge has no other in its ring, so that only the table can find its neighbour."""
     if rings.shape[0] == 0:
         return True
     return rings[wp.min(b, rings.shape[0] - 1), f, k] == 3 * f + k
@@ -159,35 +170,54 @@ def stands_alone(rings: wp.array3d(dtype=int), b: int, f: int, k: int) -> bool:
 
 @wp.func
 def same(a: wp.vec3, b: wp.vec3) -> bool:
+    """Test whether two corners are equal; 0 equals -0."""
     return a[0] == b[0] and a[1] == b[1] and a[2] == b[2]
 
 
 @wp.func
 def is_drawn(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, two_sided: int, perspective: int) -> bool:
+    """Test whether a face can be drawn: its side is visible, and it is not wholly behind the camera."""
     side = facing(v0, v1, v2, perspective)
     return in_front(v0, v1, v2, perspective) >= 0 and (side > 0 or (side < 0 and two_sided == 1))
 
 
 @wp.func
 def beside(p: wp.vec3, q: wp.vec3, r: wp.vec3, perspective: int) -> float:
-    """Above zero if the face of p, q and r lies on the left of p -> q on the screen."""
+    """Compute a number above zero if the face of p, q and r lies to the left of p -> q on the screen."""
     side = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
     if perspective == 1 and r[2] <= 0.0:
-        side = -side  # a corner behind the camera is seen on the wrong side
+        side = -side  # a corner behind the camera is projected to the opposite side
     return side
 
 
 @wp.func
 def same_edge(faces: wp.array3d(dtype=wp.vec3), b: int, entry: int, p: wp.vec3, q: wp.vec3) -> bool:
-    """Whether an entry of the table stands for the edge p - q."""
+    """Test whether an entry of the table is the edge p - q, in either direction."""
     f = (entry - 1) // 3
     start = faces[b, f, (entry - 1) % 3]
     end = faces[b, f, entry % 3]
     return (same(start, p) and same(end, q)) or (same(start, q) and same(end, p))
 
 
+@wp.func
+def insert_edge(faces: wp.array3d(dtype=wp.vec3), table: wp.array2d(dtype=int), b: int, f: int, k: int):
+    """Insert edge k of face f as 3 f + k + 1 in the next free place, unless the table has MOST_EQUALS equal ones."""
+    size = int(table.shape[1])
+    p = faces[b, f, k]
+    q = faces[b, f, (k + 1) % 3]
+    at = edge_hash(p, q, size)
+    equals = int(0)
+    entry = wp.atomic_cas(table, b, at, 0, 3 * f + k + 1)
+    while entry != 0 and equals < MOST_EQUALS:
+        if same_edge(faces, b, entry, p, q):
+            equals += 1
+        at = (at + 1) & (size - 1)
+        if equals < MOST_EQUALS:
+            entry = wp.atomic_cas(table, b, at, 0, 3 * f + k + 1)
+
+
 @wp.kernel
-def _insert(
+def _insert_edges(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
     table: wp.array2d(dtype=int),
@@ -196,30 +226,18 @@ def _insert(
     perspective: int,
     lanes: int,
 ):
-    """Put every edge of the drawn faces into its image's table, as 3 f + k + 1, in the next free place."""
+    """Insert the edges of every n-th drawn face of an image into its table, a hash table with linear probing."""
     task = first + wp.tid()
     b = task // lanes
-    size = int(table.shape[1])
     for f in range(task % lanes, faces.shape[1], lanes):
         if is_drawn(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], two_sided, perspective):
             for k in range(3):
-                if not stands_alone(rings, b, f, k):
-                    continue
-                p = faces[b, f, k]
-                q = faces[b, f, (k + 1) % 3]
-                at = edge_hash(p, q, size)
-                equals = int(0)
-                entry = wp.atomic_cas(table, b, at, 0, 3 * f + k + 1)
-                while entry != 0 and equals < MOST_EQUALS:
-                    if same_edge(faces, b, entry, p, q):
-                        equals += 1
-                    at = (at + 1) & (size - 1)
-                    if equals < MOST_EQUALS:
-                        entry = wp.atomic_cas(table, b, at, 0, 3 * f + k + 1)
+                if stands_alone(rings, b, f, k):
+                    insert_edge(faces, table, b, f, k)
 
 
 @wp.kernel
-def _find(
+def _search_table(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
     table: wp.array2d(dtype=int),
@@ -228,6 +246,7 @@ def _find(
     perspective: int,
     result: wp.array3d(dtype=int),
 ):
+    """Find the faces adjacent to one face of one image by the table of its edges."""
     task = first + wp.tid()
     b = task // int(faces.shape[1])
     f = task % int(faces.shape[1])
@@ -242,15 +261,15 @@ def _find(
         p = faces[b, f, k]
         q = faces[b, f, (k + 1) % 3]
         side = beside(p, q, faces[b, f, (k + 2) % 3], perspective)
-        beyond = int(-1)
+        adjacent = int(-1)
         at = edge_hash(p, q, size)
         entry = table[b, at]
         while entry != 0:
             g = (entry - 1) // 3
             if g != f and same_edge(faces, b, entry, p, q):
                 across = side * beside(p, q, faces[b, g, (entry + 1) % 3], perspective)
-                if across < 0.0 and (beyond < 0 or g < beyond):
-                    beyond = g
+                if across < 0.0 and (adjacent < 0 or g < adjacent):
+                    adjacent = g
             at = (at + 1) & (size - 1)
             entry = table[b, at]
-        result[b, f, k] = beyond
+        result[b, f, k] = adjacent

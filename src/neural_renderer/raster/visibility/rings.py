@@ -1,4 +1,8 @@
-"""Which faces share an edge, by the indices of their vertices: found once for a mesh, and kept."""
+"""Rings of the edges that faces share, found by vertex indices once for each mesh.
+
+Edge k of face f runs from corner k to the next and has the number 3 f + k. The edges with the same two vertices form a
+ring: each names the next one, and the last names the first. An edge that no other face shares names itself.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +18,8 @@ from ..warp.registration import is_plain, operator
 
 
 class _Kept(NamedTuple):
+    """The rings of a mesh seen before."""
+
     faces: Tensor  # a copy, on the CPU
     source: weakref.ref[Tensor]
     version: int
@@ -25,20 +31,24 @@ _lock = threading.Lock()
 
 
 def edge_rings(faces: Tensor) -> Tensor:
-    """The rings of the edges that ``faces`` [F, 3] or [1 or B, F, 3] of integers share, [1 or B, F + 1, 3] int32.
+    """Find the rings of the edges that faces share.
 
-    Edge k of face f, from corner k to the next, is number 3 f + k. Its entry is the next edge with the same two
-    vertices, around in a ring; itself where no other face has it. The last row holds how many those are, three times.
+    The rings of the last eight meshes are kept. On the CPU a mesh is recognised by its values; on CUDA, where comparing
+    values would wait for the device, by its tensor, unless that was changed in place.
 
-    The rings of the last few meshes are kept. On the CPU a mesh is known by its numbers; on CUDA, where a comparison
-    would wait for the device, by its tensor, unless that has been changed in place.
+    Args:
+        faces: Vertex indices, [F, 3] or [B or 1, F, 3] of integers. Faces of (-1, -1, -1) are padding.
+
+    Returns:
+        [B or 1, F + 1, 3] int32: the next edge in the ring of each edge; the last row holds the number of edges that
+        stand alone, three times.
     """
     return _known_rings(faces) if is_plain((faces,)) else _edge_rings(faces)
 
 
 @operator
 def _edge_rings(faces: Tensor) -> Tensor:
-    return _known_rings(faces).clone()  # compiled programs may overwrite what they were given
+    return _known_rings(faces).clone()  # compiled programs may overwrite their inputs
 
 
 @torch.library.register_fake("neural_renderer::_edge_rings")
@@ -48,6 +58,7 @@ def _(faces):  # type: ignore[no-untyped-def]
 
 
 def _known_rings(faces: Tensor) -> Tensor:
+    """Look the rings up among those kept, or find and keep them."""
     with _lock:
         kept = list(_kept)
     on_cpu = faces.device.type == "cpu"
@@ -70,6 +81,7 @@ def _known_rings(faces: Tensor) -> Tensor:
 
 @torch.no_grad()
 def _find_rings(faces: Tensor) -> Tensor:
+    """Sort the edges of faces [B, F, 3] by their vertices, and link equal ones to rings."""
     batch, count = faces.shape[:2]
     start = faces.long()
     end = start.roll(-1, 2)
@@ -77,7 +89,7 @@ def _find_rings(faces: Tensor) -> Tensor:
     vertices = int(high.max()) + 2 if high.numel() else 1
     image = torch.arange(batch, device=faces.device)[:, None, None]
     own = torch.arange(batch * count * 3, device=faces.device)
-    # An edge from a vertex to itself is nobody else's, nor are those of (-1, -1, -1), which stands for no face.
+    # An edge from a vertex to itself has a name of its own; so have the edges of (-1, -1, -1), which is padding.
     name = torch.where(low == high, -1 - own.view(batch, count, 3), (image * vertices + low + 1) * vertices + high)
     name, order = name.flatten().sort(stable=True)
     last = torch.cat((name[1:] != name[:-1], name.new_ones(min(1, len(name)), dtype=torch.bool)))

@@ -1,4 +1,4 @@
-"""Warp's folder of compiled kernels: damaged ones are compiled again, what a killed process left is removed."""
+"""Warp's folder of compiled kernels: compile damaged ones again, and remove the remains of killed processes."""
 
 from __future__ import annotations
 
@@ -13,16 +13,21 @@ from pathlib import Path
 
 import warp as wp
 
-_ROOM = 1 << 20  # bytes, more than any module takes: where a disk is full, LLVM ends the whole process
+_ROOM = 1 << 20  # bytes, more than any module takes: on a full disk LLVM ends the whole process
 _LEFT_BEHIND = re.compile(r"wp_neural_renderer\..*_p\d+_t\d+")
 _ATTEMPTS = 2
 _HOUR = 3600.0  # seconds; no module takes so long to compile
 
 
 def load_module(kernel: wp.Kernel, device: str) -> None:
-    """Load the kernel's module from the cache; compile it first if it is not there or damaged.
+    """Load the kernel's module from the cache; compile it first if it is missing or damaged.
 
-    Raises OSError, with the folder's name, for a disk without room and for damage that cannot be removed.
+    Args:
+        kernel: Any kernel of the module.
+        device: Warp's name of the device, such as "cpu" or "cuda:0".
+
+    Raises:
+        OSError: The disk is full, or a damaged file cannot be removed. The message names the folder.
     """
     removed = 0
     while True:
@@ -31,7 +36,7 @@ def load_module(kernel: wp.Kernel, device: str) -> None:
         try:
             return _load(kernel, device)
         except Exception as error:
-            # As a full disk or a power cut leaves it. Another process may remove the same, and what this one has made.
+            # A full disk or a power cut damages files. Another process may remove the same files, and new ones.
             folder = _cache() / kernel.module.get_module_identifier(1 if device == "cpu" else None)
             gone = isinstance(error, FileNotFoundError)
             damaged = gone or (not isinstance(error, OSError) and (folder.exists() or removed))
@@ -52,7 +57,7 @@ def _remove(folder: Path, error: Exception) -> None:
 
 def _load(kernel: wp.Kernel, device: str) -> None:
     wp.load_module(kernel.module, device=device)
-    # A file of zeros loads too, and has no kernels.
+    # A file of zeros loads as well, without kernels.
     for loaded in getattr(kernel.module, "execs", {}).values():
         if loaded.get_kernel_hooks(kernel).forward is None:
             raise RuntimeError(f"no kernel {kernel.key} in it")
@@ -63,15 +68,15 @@ def _cache() -> Path:
 
 
 def _is_known(module: wp.Module) -> bool:
-    """Whether the cache has the module, perhaps with other code."""
+    """Test whether the cache has the module, perhaps with other code."""
     name = re.compile(rf"wp_{re.escape(module.name)}_[0-9a-f]+")
     return any(name.fullmatch(path.name) for path in _cache().iterdir())
 
 
 def _prepare() -> None:
-    """Look for room to compile, and remove folders of processes that were killed while they did."""
+    """Check the room on the disk, and remove folders of processes that were killed while compiling."""
     for path in _cache().iterdir():
-        with suppress(OSError):  # another process may be at the same
+        with suppress(OSError):  # another process may remove it first
             if _LEFT_BEHIND.fullmatch(path.name) and time.time() - path.stat().st_mtime > _HOUR:
                 shutil.rmtree(path)
     if shutil.disk_usage(_cache()).free < _ROOM:

@@ -42,9 +42,9 @@ _asked: set[tuple[Any, torch.device]] = set()  # what `load_ahead` was asked for
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
-# What kernels take for a tensor. (Warp tells this type by an example alone.)
+# The type of a tensor argument of a kernel; Warp has no public name for it.
 _Array: Any = type(wp.from_torch(torch.zeros(1, device="cpu"), return_ctype=True))
-# Warp's versions whose compiled kernels `_direct` knows how to call, and the numbers that it can hand over.
+# Warp versions whose compiled kernels `_direct` can call, and the types of their number arguments.
 _KNOWN = ("1.19.",)
 _NUMBERS: dict[Any, Any] = {
     wp.int32: ctypes.c_int32,
@@ -55,9 +55,8 @@ _NUMBERS: dict[Any, Any] = {
 
 
 def _after_fork() -> None:
-    # A forked child has none of its parent's threads, and perhaps a lock that nobody will release. OpenMP does not
-    # start its threads anew, so torch would wait for them forever: the child computes on one, as torch's own data
-    # loading does.
+    # A forked child has no threads of its parent, and perhaps a lock that is never released. OpenMP does not restart
+    # its threads, so torch would wait for them forever. The child therefore uses one thread, like torch's data loading.
     global _pool, _lock
     _pool, _lock = None, threading.Lock()
     if _ready:
@@ -70,8 +69,8 @@ if hasattr(os, "register_at_fork"):
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    # Without a CUDA driver Warp's library writes a warning straight to the file descriptor; it says nothing that
-    # torch.cuda.is_available() does not, and a CPU user would meet it in every process.
+    # Without a CUDA driver Warp writes a warning to the file descriptor in every process. It only says that CUDA is not
+    # available, which users of the CPU know.
     if torch.cuda.is_available():
         yield
         return
@@ -139,9 +138,9 @@ def _threads(count: int) -> ThreadPoolExecutor:
 
 
 def concurrent(device: torch.device) -> bool:
-    """Whether the tasks of a launch run all at once, as on CUDA, so that they share sums by atomics.
+    """Test whether the tasks of a launch run concurrently and share sums by atomics, as on CUDA.
 
-    This is the one question that decides between the layouts of a kernel's work; tests ask for CUDA's on the CPU.
+    It alone selects the layout of a kernel's work; tests select that of CUDA on the CPU.
     """
     return device.type == "cuda" or emulator is not None
 
@@ -163,16 +162,16 @@ def face_tasks(faces: Tensor, pixels: int) -> int:
 
 
 def row_tasks(rows: int, device: torch.device) -> tuple[int, int]:
-    """How many tasks share so many rows of pixels, and how many rows each of them takes: one on CUDA."""
+    """Compute the number of tasks for ``rows`` rows of pixels, and the rows of each task: one on CUDA."""
     each = 1 if concurrent(device) else 16
     return -(-rows // each), each
 
 
 def face_lanes(faces: Tensor, pixels: int) -> int:
-    """How many CUDA threads share one face of ``faces`` [B, F, ...] in an image of so many pixels.
+    """Compute the number of CUDA threads per face of ``faces`` [B, F, ...] in an image of ``pixels`` pixels.
 
-    More where faces are few and large. One on the CPU, and one where torch asks for deterministic results: several add
-    their sums in whatever order they end.
+    It is larger where faces are few and large. It is one on the CPU, and one if torch asks for deterministic results:
+    several threads add their sums in any order.
     """
     if not concurrent(faces.device) or torch.are_deterministic_algorithms_enabled():
         return 1
@@ -180,10 +179,10 @@ def face_lanes(faces: Tensor, pixels: int) -> int:
 
 
 def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
-    """A tensor of zeros, float32 or int32.
+    """Make a tensor of zeros, float32 or int32.
 
-    On the CPU the system's own empty pages: torch would write zeros on all its threads, which then spin for a while
-    where a kernel's threads want to run.
+    On the CPU the memory is the system's empty pages. torch would write zeros on all its threads, which then spin for a
+    while on the processors that a kernel needs.
     """
     if device.type != "cpu":
         return torch.zeros(shape, dtype=dtype, device=device)
@@ -191,7 +190,7 @@ def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch
 
 
 def copy(tensor: Tensor) -> Tensor:
-    """A contiguous copy, on the CPU by the threads that run kernels: see `zeros`."""
+    """Make a contiguous copy; on the CPU by the threads that run kernels, see `zeros`."""
     if tensor.device.type != "cpu":
         return tensor.clone(memory_format=torch.contiguous_format)
     source = tensor.detach().numpy()
@@ -201,9 +200,12 @@ def copy(tensor: Tensor) -> Tensor:
 
 
 def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
-    """The tensor as a kernel argument; vectors take the trailing dimension(s).
+    """Convert a tensor to a kernel argument.
 
-    Kernels may count on contiguous memory: another tensor is copied first, unless ``strided``.
+    Args:
+        tensor: Copied first if it is not contiguous, unless ``strided``.
+        dtype: Warp vector or matrix type of the trailing dimensions; None for scalars.
+        strided: Whether the kernel respects strides.
     """
     if not strided or tensor.numel() == 0:  # strides of nothing can be anything
         tensor = tensor.contiguous()
@@ -215,11 +217,14 @@ def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
 
 
 def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torch.device, least: int = 1) -> None:
-    """Run ``kernel(first, *arguments)`` for ``tasks`` tasks on ``device``.
+    """Run ``kernel(first, *arguments)`` for a range of tasks.
 
-    tasks: how many tasks; the kernel adds ``first`` to its thread index.
-    arguments: tensors as `array` gives them, and numbers.
-    least: how many tasks are worth another CPU thread.
+    Args:
+        kernel: Its task number is ``first`` plus its thread index.
+        tasks: Number of tasks.
+        arguments: Tensors as from `array`, and numbers.
+        device: Device of the tensors.
+        least: Tasks that are worth another CPU thread.
     """
     if tasks == 0 or (emulator is not None and emulator(kernel, tasks, [0, *arguments])):
         return
@@ -234,7 +239,7 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
 
 
 def _enter(kernel: wp.Kernel) -> Callable[..., None]:
-    """Load a kernel for the CPU; returns a function that runs so many tasks of it with its arguments."""
+    """Load a kernel for the CPU; returns a function of the number of tasks and the arguments that runs it."""
     load_kernel(kernel, "cpu")
 
     def run(tasks: int, *arguments: Any) -> None:
@@ -246,7 +251,7 @@ def _enter(kernel: wp.Kernel) -> Callable[..., None]:
 
 
 def _direct(kernel: wp.Kernel) -> Callable[..., None]:
-    """The same, calling what Warp compiled: its own launch looks at arguments for longer than a small scene takes."""
+    """Do the same by calling the compiled code: Warp's launch checks arguments for longer than small scenes take."""
     from warp._src.types import launch_bounds_t
 
     fields = [(arg.label, _NUMBERS.get(arg.type, _Array)) for arg in kernel.adj.args]
@@ -254,7 +259,7 @@ def _direct(kernel: wp.Kernel) -> Callable[..., None]:
     module: Any = kernel.module.load(wp.get_device("cpu"), 1)
     call = module.get_kernel_hooks(kernel).forward
 
-    def run(tasks: int, *arguments: Any, loaded: Any = module) -> None:  # which must not be unloaded
+    def run(tasks: int, *arguments: Any, loaded: Any = module) -> None:  # keeps the module loaded
         call(ctypes.byref(launch_bounds_t(tasks)), ctypes.byref(packed(*arguments)))
 
     return run
@@ -267,12 +272,12 @@ def _share(run: Callable[[int, int], object], tasks: int, least: int) -> None:
     numbers = itertools.count()
 
     def work() -> None:
-        # next() on a count is atomic, so each piece is taken once, by whoever is free.
+        # next() on a count is atomic, so each piece is taken once, by the next free thread.
         while (piece := next(numbers)) < pieces:
             run(tasks * piece // pieces, tasks * (piece + 1) // pieces)
 
     others = [_threads(threads - 1).submit(work) for _ in range(threads - 1)]
     work()
     for other in others:
-        if not other.cancel():  # one that never started, because other callers keep the pool busy, is not missed
+        if not other.cancel():  # other callers may keep the pool busy; then this thread has done all pieces
             other.result()

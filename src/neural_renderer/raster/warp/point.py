@@ -1,16 +1,16 @@
-"""The point of a face that a pixel shows, in plain C++: one source for every kernel that needs its weights.
+"""The visible point of a face at a pixel, in plain C++: one source for every kernel that needs its weights.
 
-``FACE`` declares a struct inside of a native function. ``set`` takes the corners of a face; ``at`` gives depth and
-weights at a pixel; ``gather``, ``pull`` and ``give`` send the gradients of weights and depths to the corners.
-`over_rows` makes a loop over pixels of it.
+``FACE`` declares a struct for native functions. ``set`` takes the corners of a face; ``at`` computes depth and weights
+at a pixel; ``gather``, ``pull`` and ``give`` send the gradients of weights and depth to the corners. `over_rows` builds
+a loop over pixels from it.
 
-It is C++ because the code that Warp generates from the same formulas in Python takes about twice as long on the CPU.
+The code that Warp generates from the same formulas in Python takes about twice as long on the CPU.
 """
 
 from .geometry import HOMOGENEOUS, NARROWEST
 
-# Of the square of a face's largest coordinate c, in pixels: in less area nothing is known of the weights by the inverse
-# matrix. They are made of products of up to 2 c^2, and all roundings together come to some 82 * 2^-24 c^2.
+# Least area of a face with reliable weights from the inverse matrix, over the square of its largest coordinate c in
+# pixels. The weights are made of products of up to 2 c^2, whose roundings add up to about 82 * 2^-24 c^2.
 LEAST_AREA = 2.0**-17
 
 FACE = f"""
@@ -130,7 +130,7 @@ struct Face {{
         }}
     }}
 
-    // Hand over to the face's corners what came together; ``alone`` if nobody else has a part in them.
+    // Add the sums to the gradients of the face's corners; ``alone``: no other task writes them.
     CUDA_CALLABLE void give(vec3* corners, bool alone) const {{
         for (int k = 0; k < 3; ++k) {{
             const vec3 part(to[3 * k], to[3 * k + 1], to[3 * k + 2]);
@@ -190,11 +190,17 @@ _ROWS = """
 
 
 def over_rows(shown: str, empty: str, begin: str = "", fresh: str = "") -> str:
-    """A native function's body for the rows [first, last) of all images.
+    """Build the body of a native function over the rows [first, last), counted over all images.
 
-    shown: statements for a pixel that shows a face, with row, pixel, i, b, f, own (f among the faces of all images),
-        face, weights and z. empty: for as many others in a row as the variable ``empty`` says, from i and pixel on.
-        begin: before the loop. fresh: for a face that was not among the KEPT ones, with its ``slot``.
+    Args:
+        shown: Statements for a pixel that shows a face, with row, pixel, i, b, f, own (f counted over all images),
+            face, weights and z.
+        empty: Statements for ``empty`` consecutive pixels without a face, from i and pixel on.
+        begin: Statements before the loop.
+        fresh: Statements for a face that is not among the KEPT ones, with its ``slot``.
+
+    Returns:
+        C++ statements.
     """
     body = FACE + _ROWS
     for name, part in {"BEGIN": begin, "EMPTY": empty, "FRESH": fresh, "SHOWN": shown}.items():

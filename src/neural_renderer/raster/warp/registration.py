@@ -16,12 +16,14 @@ R = TypeVar("R")
 
 
 def operator(function: Callable[P, R]) -> Callable[P, R]:
-    """Make the annotated function the operator ``neural_renderer::<its name>``, opaque to torch.compile.
+    """Register the annotated function as the operator ``neural_renderer::<its name>``, opaque to torch.compile.
 
     `torch.library.custom_op` does the same, but its first call imports torch's compiler, over a second in each process.
-    Plain tensors do not take the way through torch's dispatcher, which costs more than small scenes take to draw: for
-    them `differentiable` puts the function itself into torch's graph.
-    Derivatives in forward mode, which torch would take for zero, are an error (RuntimeError).
+    Plain tensors bypass torch's dispatcher, which takes longer than drawing a small scene: `differentiable` puts the
+    function itself into torch's graph.
+
+    Raises:
+        RuntimeError: In a call, for derivatives in forward mode. torch would silently take them for zero.
     """
     name = f"neural_renderer::{function.__name__}"
     torch.library.define(name, torch.library.infer_schema(function, mutates_args=()))
@@ -65,7 +67,7 @@ def differentiable(call: Any, backward: Callable[..., Any], setup_context: Calla
 
 
 def differentiable_once(function: Callable[P, R]) -> Callable[P, R]:
-    """The same for the operator that computes a gradient: whoever asks for the gradient's gradient gets an error."""
+    """Register the operator that computes a gradient; its own gradient is an error (RuntimeError)."""
     backward = operator(function)
 
     def refuse(ctx: Any, *grads: Any) -> Any:
@@ -78,9 +80,9 @@ def differentiable_once(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def is_plain(inputs: tuple[Any, ...]) -> bool:
-    """Whether the tensors are torch's own, with memory, and nothing traces or transforms what is done with them.
+    """Test whether all tensors are plain ones with memory, and no tracing or transformation is active.
 
-    The memory has to hold the numbers themselves, which that of a lazily negated view does not.
+    A lazily negated view is not plain: its memory holds other values.
     """
     if (
         torch.compiler.is_compiling()

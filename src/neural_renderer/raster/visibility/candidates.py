@@ -1,0 +1,100 @@
+"""Candidates for intersections: faces visible beside one that they may intersect.
+
+The test is cheap and visits each pixel once. Most faces fail it, and the kernel of `intersections` skips them.
+"""
+
+# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+import warp as wp
+
+from ..warp.geometry import HOMOGENEOUS
+
+wp.set_module_options({"enable_backward": False})
+
+
+# Two faces, each visible at one of two pixels, can meet between them only where both cover the way. Each covers it from
+# its own pixel to the first of its edges; together they must cover all of it.
+_MAY_MEET = """
+    struct Way {
+        typedef wp::vec_t<3, float> vec3;
+        static CUDA_CALLABLE float covered(const vec3* v, float x, float y, float x2, float y2) {
+            const float area = (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
+            float end = 1.0f;
+            for (int k = 0; k < 3; ++k) {
+                const vec3 &p = v[k], &q = v[k == 2 ? 0 : k + 1];
+                const float s = area < 0.0f ? -1.0f : 1.0f, dx = s * (q[0] - p[0]), dy = s * (q[1] - p[1]);
+                const float here = dx * (y - p[1]) - dy * (x - p[0]), there = dx * (y2 - p[1]) - dy * (x2 - p[0]);
+                const float doubt = 1.0e-6f * (fabsf(dx) + fabsf(dy));
+                if (there < -doubt && here > there) {
+                    const float at = (here + doubt) / (here - there);
+                    end = at < end ? at : end;
+                }
+            }
+            return end;
+        }
+        static CUDA_CALLABLE wp::vec_t<3, double> homogeneous(vec3 v0, vec3 v1, vec3 v2, float x, float y) { WEIGHTS }
+        // The same as `nearness_terms` and `total`.
+        static CUDA_CALLABLE float nearness(const vec3* v, float x, float y, int perspective) {
+            const wp::vec_t<3, double> a = homogeneous(v[0], v[1], v[2], x, y);
+            float part[3];
+            for (int k = 0; k < 3; ++k) part[k] = perspective ? (float)a[k] : -((float)a[k] * v[k][2] * v[k][2]);
+            return part[0] + part[1] + part[2];
+        }
+    };
+""".replace("WEIGHTS", HOMOGENEOUS)
+
+_FIND_IN_ROW = (
+    _MAY_MEET
+    + """
+    const int height = face_index.shape[1], width = face_index.shape[2], channels = image.shape[1];
+    const wp::int64 area = (wp::int64)height * width;
+    const wp::int64 first = (wp::int64)row * width, own = b * (wp::int64)adjacent.shape[1];
+    const int* shown = face_index.data + b * area + first;
+    const float* colors = image.data + b * channels * area + first;
+    const int steps[2] = {1, width};
+    const float across = 2.0f / (float)width, down = 2.0f / (float)height;
+    for (int i = 0; i < width; ++i) {
+        const int f = shown[i];
+        if (f < 0) continue;
+        for (int k = 0; k < 2; ++k) {
+            if (k == 0 ? i + 1 == width : row + 1 == height) continue;
+            const int other = shown[i + steps[k]];
+            if (f == other || other < 0) continue;
+            const int* next = adjacent.data + (own + f) * 3;
+            if (other == next[0] || other == next[1] || other == next[2]) continue;
+            const wp::vec_t<3, float> *v = faces.data + (own + f) * 3, *u = faces.data + (own + other) * 3;
+            if (perspective == 0 || ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f)
+                                     & (u[0][2] > 0.0f) & (u[1][2] > 0.0f) & (u[2][2] > 0.0f))) {
+                const float x = (float)(2 * i + 1 - width) / (float)width;
+                const float y = (float)(height - 1 - 2 * row) / (float)height;
+                const float x2 = k == 0 ? x + across : x, y2 = k == 0 ? y : y - down;
+                if (Way::covered(v, x, y, x2, y2) + Way::covered(u, x2, y2, x, y) < 0.999f) continue;
+                const float own_here = Way::nearness(v, x, y, perspective);
+                const float ahead = own_here - Way::nearness(u, x, y, perspective);
+                const float short_of = Way::nearness(u, x2, y2, perspective) - Way::nearness(v, x2, y2, perspective);
+                if (!(ahead > 0.0f && short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here))) continue;
+            }
+            bool differs = false;
+            for (int c = 0; c < channels; ++c) differs |= colors[c * area + i] != colors[c * area + i + steps[k]];
+            if (differs) candidates.data[own + f] = candidates.data[own + other] = 1;
+        }
+    }
+"""
+)
+
+
+@wp.func_native(_FIND_IN_ROW)
+def find_in_row(
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    image: wp.array4d(dtype=float),
+    adjacent: wp.array3d(dtype=int),
+    perspective: int,
+    b: int,
+    row: int,
+    candidates: wp.array2d(dtype=int),
+):
+    """Mark pairs of faces that may intersect between a pixel of a row and the next one, to the right or below.
+
+    They are not adjacent on one surface, and the two pixels differ in colour.
+    """
+    ...

@@ -1,0 +1,107 @@
+"""Gains: the change of the loss if a visible boundary moves outward by a pixel where a scan line crosses it."""
+
+# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+import warp as wp
+
+from .crossings import Crossing, Edge, face_at, pixel_at
+
+wp.set_module_options({"enable_backward": False})
+
+_GAIN = """
+    #pragma clang fp contract(fast)
+    const wp::int64 area = (wp::int64)image.shape[2] * image.shape[3];
+    // Take the gradient of the pixel that contains the boundary. A visible centre lies anywhere in a narrow side; then
+    // interpolate between both pixels.
+    const float share = narrow ? offset : offset < 0.5f ? 0.0f : 1.0f;
+    float sum = 0.0f;
+    for (int c = 0; c < image.shape[1]; ++c) {
+        const float* value = image.data + c * area;
+        const float inside = weights[0] * value[before] + weights[1] * value[inner_color];
+        const float outside = weights[2] * value[outer_color] + weights[3] * value[behind];
+        const float* pull = grad.data + c * area;
+        sum += (inside - outside) * ((1.0f - share) * pull[inner] + share * pull[outer]);
+    }
+    return sum;
+"""
+
+
+@wp.func_native(_GAIN)
+def color_gain(
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    before: wp.int64,
+    inner_color: wp.int64,
+    outer_color: wp.int64,
+    behind: wp.int64,
+    weights: wp.vec4,
+    inner: wp.int64,
+    outer: wp.int64,
+    offset: float,
+    narrow: bool,
+) -> float:
+    """Sum (inside - outside) * gradient over the channels.
+
+    before, inner_color | outer_color, behind: the pixels whose colours are blended on the two sides, by ``weights``.
+    inner | outer: the pixels beside the boundary. offset: from the centre of ``inner`` to it.
+    narrow: whether a face is narrower than a pixel here.
+    """
+    ...
+
+
+@wp.func
+def boundary_gain(
+    edge: Edge,
+    at: Crossing,
+    inner_color: wp.int64,
+    outer_color: wp.int64,
+    weight: float,
+    inside: wp.vec2,
+    outside: wp.vec2,
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+) -> float:
+    """Compute the change of the loss if the boundary moves outward by a pixel at a crossing.
+
+    inner_color, outer_color: the pixels with the colours of the two sides. weight: of the crossing, above 1 if a face
+    is narrower than a pixel there. inside, outside: weights of those colours, and of the next pixels' on each side.
+    """
+    last = edge.length - 1
+    before = wp.clamp(at.inner - edge.outward, 0, last)
+    behind = wp.clamp(at.outer + edge.outward, 0, last)
+    return color_gain(
+        image,
+        grad,
+        pixel_at(image, edge.image, edge.axis, at.u, before),
+        inner_color,
+        outer_color,
+        pixel_at(image, edge.image, edge.axis, at.u, behind),
+        wp.vec4(inside[1], inside[0], outside[0], outside[1]),
+        pixel_at(image, edge.image, edge.axis, at.u, at.inner),
+        pixel_at(image, edge.image, edge.axis, at.u, at.outer),
+        at.offset,
+        weight > 1.0,
+    )
+
+
+@wp.func
+def extrapolated(weight: float, offset: float, linear: bool) -> wp.vec2:
+    """Weight the colours of the pixel beside a boundary and of the next one, to extrapolate to the boundary.
+
+    offset: from the first pixel's centre to the boundary. linear: whether both show one face, whose colour continues
+    along the slope between them; else the first pixel's colour is taken.
+    """
+    if linear:
+        return wp.vec2(weight * (1.0 + offset), -weight * offset)
+    return wp.vec2(weight, 0.0)
+
+
+@wp.func
+def next_inside(edge: Edge, at: Crossing, face_index: wp.array3d(dtype=int)) -> int:
+    """Read the face at the second pixel on the face's side of a crossing, as `face_at`."""
+    return face_at(face_index, edge.image, edge.axis, at.u, at.inner - edge.outward, edge.length)
+
+
+@wp.func
+def next_outside(edge: Edge, at: Crossing, face_index: wp.array3d(dtype=int)) -> int:
+    """Read the face at the second pixel on the other side of a crossing, as `face_at`."""
+    return face_at(face_index, edge.image, edge.axis, at.u, at.outer + edge.outward, edge.length)

@@ -1,0 +1,90 @@
+"""Outlines: edges of a face with the background or a farther face across them.
+
+Pixel centres hit a face that is narrower than a pixel along a scan line with a probability equal to its chord, the
+length of the line in the face. Its crossings are weighted by the inverse. Where the surface continues behind the chord,
+a centre in the adjacent face shows the outline as well, and the chord runs through both faces.
+"""
+
+# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+import warp as wp
+
+from .crossings import LEAST_CHORD, Crossing, Edge, chord, exit_from_face, leaves_through_pr, pixel_at
+from .gains import boundary_gain, extrapolated, next_inside, next_outside
+from .nearness import nearness, plane_nearness
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Chord:
+    """The part of a scan line in a face, from a crossing on; lengths in pixels, at most 1."""
+
+    own: float
+    stand_in: int  # the adjacent face behind a chord of less than a pixel, whose centres may miss the face; or -1
+    joint: float  # through the face and the one that stands in
+
+
+@wp.func
+def chord_from(edge: Edge, at: Crossing, faces: wp.array3d(dtype=wp.vec3), perspective: int) -> Chord:
+    """Measure the chord of a face from a crossing of its edge; 1 if its third corner is behind the camera."""
+    result = Chord()
+    result.own = 1.0
+    result.stand_in = -1
+    result.joint = 1.0
+    if perspective == 0 or edge.rz > 0.0:
+        leave = exit_from_face(edge, at.u)
+        result.own = wp.min(wp.abs(leave - at.v), 1.0)
+        result.joint = result.own
+        if result.own < 1.0:
+            result.stand_in = edge.adjacent_qr
+            if leaves_through_pr(edge, at.u):
+                result.stand_in = edge.adjacent_pr
+            if result.stand_in >= 0:
+                result.joint = chord(faces, result.stand_in, edge, at.u, leave, at.v)
+    return result
+
+
+@wp.func
+def is_behind_plane(edge: Edge, at: Crossing, faces: wp.array3d(dtype=wp.vec3), perspective: int) -> bool:
+    """Test whether the face at the outer pixel passes in front of the crossing: it hides the edge, or intersects."""
+    x = (2.0 * at.v + 1.0 - float(edge.length)) / float(edge.length)
+    y = (2.0 * float(at.u) + 1.0 - float(edge.lines)) / float(edge.lines)
+    if edge.axis == 1:
+        x, y = y, x
+    own = (1.0 - at.share) * nearness(edge.pz, perspective) + at.share * nearness(edge.qz, perspective)
+    v0 = faces[edge.image, at.outer_face, 0]
+    v1 = faces[edge.image, at.outer_face, 1]
+    v2 = faces[edge.image, at.outer_face, 2]
+    return plane_nearness(v0, v1, v2, x, y, perspective) >= own
+
+
+@wp.func
+def outline_gain(
+    edge: Edge,
+    at: Crossing,
+    faces: wp.array3d(dtype=wp.vec3),
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    perspective: int,
+) -> float:
+    """Compute the gain at a crossing of an outline, with the background or a farther face outside; else 0."""
+    if at.inner_face < 0:
+        return 0.0
+    line = chord_from(edge, at, faces, perspective)
+    if at.inner_face != edge.face and at.inner_face != line.stand_in:
+        return 0.0
+    if at.outer_face >= 0:
+        if is_behind_plane(edge, at, faces, perspective):
+            return 0.0
+    weight = 1.0 / wp.max(line.joint, LEAST_CHORD)
+    before_face = next_inside(edge, at, face_index)
+    inside = extrapolated(weight, at.offset, before_face == at.inner_face)
+    outside = extrapolated(weight, 1.0 - at.offset, next_outside(edge, at, face_index) == at.outer_face)
+    if line.stand_in >= 0 and before_face == line.stand_in and at.inner_face == edge.face:
+        # The colour that stands in, plus the face's difference from it, weighted by the rarer hits of the face alone.
+        own_weight = 1.0 / wp.max(line.own, LEAST_CHORD)
+        inside = wp.vec2(own_weight, weight - own_weight)
+    inner_color = pixel_at(image, edge.image, edge.axis, at.u, at.inner)
+    outer_color = pixel_at(image, edge.image, edge.axis, at.u, at.outer)
+    return boundary_gain(edge, at, inner_color, outer_color, weight, inside, outside, image, grad)
