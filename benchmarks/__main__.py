@@ -1,8 +1,8 @@
 """Time of the renderer, forward and backward, over batch, size, faces and threads: ``python -m benchmarks``.
 
-Prints a table and the same numbers as JSON, with the hardware named. Each number is the median over
-``--repeats`` runs in turn with all the others, after one to warm up, through the public function, without
-anti-aliasing.
+Prints two tables, with the hardware named; ``--json`` writes the same numbers to a file. Each number of the first is
+the median over ``--repeats`` runs in turn with all the others, after one to warm up, through the public function,
+without anti-aliasing, with "nmr". The second has the ratios of `benchmarks.ratios`, as Markdown.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 import warp as wp
@@ -24,8 +25,10 @@ from rich.table import Table
 
 import neural_renderer as nr
 
+from .ratios import all_ratios
 from .scenes import noisy_icospheres
 
+GRADIENT = "nmr"  # the estimator of all cases
 # (what is drawn, images, side, icosphere level, both sides)
 CASES = [
     ("silhouettes", 64, 128, 3, False),
@@ -43,23 +46,42 @@ def main() -> None:
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--threads", type=int, nargs="*", help="CPU threads to try (default: 1 and all)")
     parser.add_argument("--repeats", type=int, default=11)
+    parser.add_argument(
+        "--large", action="store_true", help="also 1.3 million faces with both estimators: minutes more"
+    )
+    parser.add_argument("--only-ratios", action="store_true", help="without the first table")
     parser.add_argument("--json", type=Path, help="also write the JSON here")
     options = parser.parse_args()
+    report = {"hardware": hardware(options.device), "versions": versions(), "cases": [], "ratios": []}
+    if not options.only_ratios:
+        time_cases(report, options.device, options.threads, options.repeats)
+    if options.device == "cpu":
+        print(f"\n{report['hardware']['name']}, {report['hardware']['cores']} cores\n")
+        print("| what | measured | asked for |\n|---|---:|---:|")
+        for row in all_ratios(max(2, options.repeats // 2), options.large):
+            print("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |", flush=True)
+            report["ratios"].append(row)
+    text = json.dumps(report, indent=2)
+    if options.json:
+        options.json.write_text(text + "\n")
+
+
+def time_cases(report: dict[str, Any], device: str, threads: list[int] | None, repeats: int) -> None:
+    """Measure CASES into the report and print their table."""
     all_threads = torch.get_num_threads()
-    threads = options.threads or ([all_threads] if options.device != "cpu" else sorted({1, all_threads}))
-    report = {"hardware": hardware(options.device), "versions": versions(), "cases": []}
+    threads = threads or ([all_threads] if device != "cpu" else sorted({1, all_threads}))
     console = Console()
-    table = Table(title=f"neural_renderer {nr.__version__} on {report['hardware']['name']}, milliseconds")
+    table = Table(title=f'neural_renderer {nr.__version__} on {report["hardware"]["name"]}, "{GRADIENT}", milliseconds')
     for column in ("drawn", "images", "size", "faces", "sides", "threads", "forward", "forward + backward"):
         table.add_column(column, justify="right")
     started = time.perf_counter()
-    work(*CASES[0], options.device)[1]()
-    synchronize(options.device)
+    work(*CASES[0], device)[1]()
+    synchronize(device)
     report["first_call_s"] = round(time.perf_counter() - started, 2)
-    both_ways = [work(*case, options.device) for case in CASES]
+    both_ways = [work(*case, device) for case in CASES]
     for (case, count), (forward, both) in zip(
         ((case, count) for case in CASES for count in threads),
-        measure(both_ways, threads, options.device, options.repeats),
+        measure(both_ways, threads, device, repeats),
         strict=True,
     ):
         drawn, batch, size, level, two_sided = case
@@ -78,10 +100,6 @@ def main() -> None:
         import resource
 
         report["peak_memory_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
-    text = json.dumps(report, indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text + "\n")
 
 
 Work = Callable[[], object]
@@ -90,7 +108,13 @@ Work = Callable[[], object]
 def work(drawn: str, batch: int, size: int, level: int, two_sided: bool, device: str) -> tuple[Work, Work]:
     """The forward pass, without gradients, and forward and backward."""
     faces = noisy_icospheres(batch, level, device=device).requires_grad_()
-    options = {"outputs": (OUTPUT[drawn],), "two_sided": two_sided, "anti_aliasing": False, "eps": 1e-3}
+    options = {
+        "outputs": (OUTPUT[drawn],),
+        "two_sided": two_sided,
+        "anti_aliasing": False,
+        "eps": 1e-3,
+        "gradient": GRADIENT,
+    }
     leaves = [faces]
     if drawn == "rgb":
         leaves.append(torch.rand(batch, faces.shape[1], 4, 4, 4, 3, device=device, requires_grad=True))

@@ -11,6 +11,7 @@ both take turns; DEODR has one thread.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import math
 import time
 from collections.abc import Callable
@@ -35,11 +36,13 @@ def main() -> None:
     Console(width=140).print(table or "DEODR is not installed: pip install deodr, to compare with it")
 
 
+def is_installed() -> bool:
+    return importlib.util.find_spec("deodr") is not None
+
+
 def compare(rounds: int) -> Table | None:
     """The table of all scenes; None without DEODR."""
-    try:
-        import deodr  # noqa: F401
-    except ImportError:
+    if not is_installed():
         return None
     table = Table(title="colour at vertices, processor time in ms: forward | forward + backward")
     for column in ("scene", "faces", "DEODR", "ours, 1 thread", "DEODR / ours", "2 threads, passed", "faster by 2"):

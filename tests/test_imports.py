@@ -41,6 +41,7 @@ RASTER = [
     "visibility",
     "reference",
     "settings",
+    "ahead",
     "images",
     "faces",
     "background",

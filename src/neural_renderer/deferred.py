@@ -12,6 +12,7 @@ from .camera import Camera
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
+from .raster.ahead import ATTRIBUTES, load_kernels
 from .raster.background import background_image
 from .raster.faces import checked_faces, vertices_to_faces
 from .raster.ops.composite import composite
@@ -144,7 +145,9 @@ def fragments(
     settings = Settings.checked(
         size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
     )
-    return visible_fragments(camera(vertices, aspect=settings.width / settings.height), faces, settings, 8)
+    screen = camera(vertices, aspect=settings.width / settings.height)
+    load_kernels(settings, ("rgb",), ATTRIBUTES, screen)
+    return visible_fragments(screen, faces, settings, 8)
 
 
 def visible_fragments(screen: Tensor, faces: Tensor, settings: Settings, channels: int) -> Fragments:

@@ -15,6 +15,7 @@ from .deferred import Fragments, visible_fragments
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
+from .raster.ahead import CUBES, IMAGES, load_kernels
 from .raster.background import background_image
 from .raster.cubes import cube_colors, light_on_pixels
 from .raster.faces import checked_faces, world_corners
@@ -89,10 +90,12 @@ def render(
     aspect = settings.width / settings.height
     screen = validate.in_float32("vertices on the screen", camera(vertices, aspect=aspect))
     faces = checked_faces(faces)
+    load_kernels(settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, screen)
     factors = None
     if lights and "rgb" in outputs:
         corners = world_corners(vertices, faces, len(screen))
-        factors = torch.stack([one.two_sided(corners, camera.mirrored) for one in lights]).sum(0)
+        several = [one.two_sided(corners, camera.mirrored) for one in lights]
+        factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
     visible = visible_fragments(screen, faces, settings, 1 + 3 * ("rgb" in outputs))
     if "rgb" not in outputs:
         return visible.images(outputs)
@@ -113,10 +116,10 @@ def _image_colors(
     still = replace(visible, corners=visible.corners.detach())
     # Only "edge" differentiates what moves inside of faces.
     color = mesh.shade(visible if visible.settings.gradient == "edge" else still)
-    if light is not None:
-        color = color * light_on_pixels(visible, light)
     behind = background_image(background, len(color), 3, visible.settings, color.device)
     rgb = composite(color, behind, visible.face_index)
+    if light is not None:  # which is 1 on the background
+        rgb = rgb * light_on_pixels(visible, light)
     return rgb, lambda: image_edge_hashes(mesh.uv, mesh.image_index, light)
 
 

@@ -53,13 +53,13 @@ def light_on_pixels(visible: VisibleFaces, light: Tensor) -> Tensor:
         light: Factors [B or 1, 2, F, 3] on the front and the back of each face.
 
     Returns:
-        [B, H, W, 3] float32; 0 where no face is visible. Differentiable in ``light``.
+        [B, 3, H, W] float32; 1 where no face is visible. Differentiable in ``light``.
     """
     settings, index = visible.settings, visible.face_index
     white = torch.ones((1, visible.corners.shape[1], 1, 1, 1, 3), device=index.device)
-    black = white.new_zeros(()).expand(len(index), 3, *index.shape[1:])
+    behind = white.new_ones(()).expand(len(index), 3, *index.shape[1:])
     corners = visible.corners.detach()
-    return sample_textures(white, light, black, corners, index, settings.eps, settings.perspective).movedim(1, 3)
+    return sample_textures(white, light, behind, corners, index, settings.eps, settings.perspective)
 
 
 def _checked_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:

@@ -7,6 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
+from .ahead import CUBES, load_kernels
 from .cubes import cube_colors
 from .faces import checked_triangles
 from .images import OUTPUTS, Images, checked_outputs
@@ -67,6 +68,7 @@ def rasterize_images(
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, perspective, gradient)
     outputs = checked_outputs(outputs)
     corners = settings.corners(faces, 1 + 3 * ("rgb" in outputs))
+    load_kernels(settings, outputs, CUBES, corners)
     face_index = settings.face_index(corners)
     rings = None if triangles is None else settings.rings(corners, checked_triangles(triangles, corners))
     visible = VisibleFaces(corners, face_index, settings, rings)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -17,6 +19,11 @@ from .visibility.nmr import nmr_edges
 from .visibility.rings import edge_rings
 
 GRADIENTS = ("nmr", "edge")
+_CGROUPS = Path("/proc/self/cgroup")
+_LIMITS = {
+    "": (Path("/sys/fs/cgroup"), "memory.max"),
+    "memory": (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes"),
+}
 FARTHEST = 1e37  # so that the sum of four depths is finite in float32
 
 
@@ -181,17 +188,33 @@ def image_size(name: str, size: Any) -> tuple[int, int]:
 
 def _check_memory(batch: int, height: int, width: int, channels: int, device: torch.device) -> None:
     # The key, index, weights and depth, and four copies of the image on the way back.
-    need = batch * height * width * (28 + 16 * channels)
+    each = 28 + 16 * channels
+    need = batch * height * width * each
     if need < 1 << 30:
         return
-    if device.type == "cuda":
-        have = torch.cuda.get_device_properties(device).total_memory
-    elif hasattr(os, "sysconf"):
-        have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    else:
-        return
-    if need > have:
+    have = torch.cuda.get_device_properties(device).total_memory if device.type == "cuda" else _machine_memory()
+    if have is not None and need > have:
         raise ValueError(
-            f"image_size: expected images that fit into the {have / 2**30:.0f} GiB of {device}, got {batch} of "
-            f"{height} x {width} drawn pixels, which take {need / 2**30:.0f} GiB"
+            f"image_size: expected images that fit into the {have / 2**30:.1f} GiB of {device}, got {batch} of "
+            f"{height} x {width} drawn pixels, which take {need / 2**30:.1f} GiB; {have // each // 10**6} million "
+            "drawn pixels fit in one call"
         )
+
+
+def _machine_memory() -> int | None:
+    """Bytes that this process may use: the machine's, or fewer where a container has a limit; None if nobody tells."""
+    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")] if hasattr(os, "sysconf") else []
+    try:
+        groups = [line.split(":", 2) for line in _CGROUPS.read_text().splitlines()]
+    except OSError:
+        groups = []
+    for _, controllers, path in groups:  # of version 2, without controllers, or of version 1
+        if controllers in ("", "memory"):
+            root, name = _LIMITS[controllers]
+            own = root / path.lstrip("/")
+            for folder in (own, *own.parents):
+                with suppress(OSError, ValueError):  # "max" is no limit
+                    limits.append(int((folder / name).read_text()))
+                if folder == root:
+                    break
+    return min(limits, default=None)

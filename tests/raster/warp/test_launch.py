@@ -140,3 +140,28 @@ def test_says_nothing(tmp_path):
     """Neither the first kernel nor the later ones print."""
     done = run_python("-c", PRELUDE + "total(); total()")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+AHEAD = """
+from neural_renderer.raster.warp import launch
+loaded = []
+load = launch.load_module
+def record(kernel, device):
+    loaded.append(kernel.module.name)
+    load(kernel, device)
+launch.load_module = record
+mesh = nr.Mesh.icosphere()
+vertices = mesh.vertices.clone().requires_grad_()
+camera = nr.Camera.look_at((0, 0, -2.7))
+images = nr.render((vertices, mesh.faces, mesh.textures), camera, 16, gradient=sys.argv[1], outputs=eval(sys.argv[2]))
+together = set(loaded)
+sum(image.sum() for image in images if image is not None).backward()
+assert set(loaded) == together == {kernel.module.name for kernel in launch._entries}, (loaded, together)
+"""
+
+
+@pytest.mark.parametrize("outputs", [("rgb", "alpha", "depth"), ("alpha",)])
+@pytest.mark.parametrize("gradient", ["nmr", "edge"])
+def test_kernels_that_a_render_needs_are_loaded_together(tmp_path, gradient, outputs):
+    """All of them before the first one runs, and no others."""
+    run(tmp_path, AHEAD, gradient, repr(outputs))

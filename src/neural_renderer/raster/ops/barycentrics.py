@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
-from ..warp.launch import array, face_lanes, launch, row_tasks, zeros
+from ..warp.launch import array, face_lanes, face_tasks, launch, row_tasks, worth_a_thread, zeros
 from ..warp.point import FACE, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
@@ -43,7 +43,9 @@ def barycentrics(
     depth = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
     tasks, each = row_tasks(batch * height, faces.device)
     arguments = [array(faces, wp.vec3), array(face_index), near, far, int(perspective), each]
-    launch(_forward, tasks, [*arguments, array(weights, wp.vec3), array(depth)], faces.device)
+    launch(
+        _forward, tasks, [*arguments, array(weights, wp.vec3), array(depth)], faces.device, worth_a_thread(each * width)
+    )
     return weights, depth
 
 
@@ -76,7 +78,7 @@ def barycentrics_backward(
         lanes,
         array(result, wp.vec3),
     ]
-    launch(_backward, batch * faces.shape[1] * lanes, arguments, faces.device)
+    launch(_backward, batch * faces.shape[1] * lanes, arguments, faces.device, face_tasks(faces, height * width))
     return result
 
 

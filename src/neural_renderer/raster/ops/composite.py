@@ -5,7 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch
+from ..warp.launch import array, launch, worth_a_thread
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -26,7 +26,8 @@ def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
     batch, height, width = face_index.shape
     image = torch.empty((batch, colors.shape[3], height, width), dtype=torch.float32, device=colors.device)
     behind = array(background.expand(image.shape), strided=True)
-    launch(_forward, batch * height, [array(colors), behind, array(face_index), array(image)], colors.device)
+    arguments = [array(colors), behind, array(face_index), array(image)]
+    launch(_forward, batch * height, arguments, colors.device, worth_a_thread(width))
     return image
 
 
@@ -41,7 +42,8 @@ def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
     """Compute the gradient of `composite` to the colours, [B, H, W, C] float32."""
     batch, channels, height, width = grad.shape
     to_colors = torch.empty((batch, height, width, channels), dtype=torch.float32, device=grad.device)
-    launch(_backward, batch * height, [array(grad), array(face_index), array(to_colors)], grad.device)
+    arguments = [array(grad), array(face_index), array(to_colors)]
+    launch(_backward, batch * height, arguments, grad.device, worth_a_thread(width))
     return to_colors
 
 

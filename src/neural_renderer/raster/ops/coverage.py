@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import facing, homogeneous_weights, in_front, pixel_box, pixel_centre
-from ..warp.launch import MANY_PIXELS, array, concurrent, cpu_bands, launch
+from ..warp.launch import MANY_PIXELS, array, concurrent, cpu_bands, launch, worth_a_thread
 from ..warp.registration import operator
 from .draw_face import clear_rows, draw_into_keys, draw_into_rows, turn_rows
 
@@ -49,10 +49,11 @@ def coverage(
         launch(_decode, batch * height, [array(key), array(face_index), count], faces.device)
         return face_index
     # One task per image, or band of rows of it, which runs through all faces from first to last.
-    bands = min(height, cpu_bands(batch))
+    bands = min(height, cpu_bands(batch, height * width + 32 * count))
     nearest = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
     maps = [array(nearest), array(face_index)]
-    launch(_draw_band, batch * bands, [array(faces, wp.vec3), *maps, bands, *options], faces.device)
+    least = worth_a_thread(height * width / max(bands, 1) + 32 * count)
+    launch(_draw_band, batch * bands, [array(faces, wp.vec3), *maps, bands, *options], faces.device, least)
     return face_index
 
 

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
-from ..warp.launch import array, face_lanes, launch, row_tasks, zeros
+from ..warp.launch import array, face_lanes, face_tasks, launch, row_tasks, worth_a_thread, zeros
 from ..warp.point import FACE, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
@@ -34,7 +34,7 @@ def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspecti
     result = torch.empty((batch, height, width, attributes.shape[3]), dtype=torch.float32, device=faces.device)
     tasks, each = row_tasks(batch * height, faces.device)
     arguments = [array(attributes), array(faces, wp.vec3), array(face_index), int(perspective), each, array(result)]
-    launch(_forward, tasks, arguments, faces.device)
+    launch(_forward, tasks, arguments, faces.device, worth_a_thread(each * width))
     return result
 
 
@@ -59,7 +59,7 @@ def interpolate_backward(
     options = [int(perspective), int(faces_too), images, lanes]
     results = [array(to_attributes), array(to_faces, wp.vec3)]
     arguments = [array(attributes), array(faces, wp.vec3), *maps, *options, *results]
-    launch(_backward, images * count * lanes, arguments, faces.device)
+    launch(_backward, images * count * lanes, arguments, faces.device, face_tasks(faces, height * width))
     return to_attributes, to_faces
 
 

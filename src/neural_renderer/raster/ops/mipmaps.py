@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 from torch.nn import functional
 
-from ..warp.launch import array, concurrent, launch, zeros
+from ..warp.launch import array, concurrent, launch, worth_a_thread, zeros
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -57,7 +57,7 @@ def sample_mipmaps(
     batch, rows, columns = face_index.shape
     result = torch.empty((batch, rows, columns, texels.shape[2]), dtype=torch.float32, device=texels.device)
     arguments = _arguments(texels, height, width, uv, face_index, mipmaps, repeat)
-    launch(_forward, batch * rows, [*arguments, array(result)], texels.device)
+    launch(_forward, batch * rows, [*arguments, array(result)], texels.device, worth_a_thread(columns))
     return result
 
 

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import FACING, in_front, pixel_box
-from ..warp.launch import array, face_lanes, launch, row_tasks, zeros
+from ..warp.launch import array, face_lanes, face_tasks, launch, row_tasks, worth_a_thread, zeros
 from ..warp.point import FACE, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
@@ -47,7 +47,8 @@ def sample_textures(
     color = torch.empty((batch, 3, height, width), dtype=torch.float32, device=faces.device)
     arguments = _arguments(textures, light, faces, face_index, eps, perspective)
     tasks, each = row_tasks(batch * height, faces.device)
-    launch(_forward, tasks, [*arguments, array(background, strided=True), each, array(color)], faces.device)
+    arguments += [array(background, strided=True), each, array(color)]
+    launch(_forward, tasks, arguments, faces.device, worth_a_thread(each * width))
     return color
 
 
@@ -92,7 +93,8 @@ def sample_textures_backward(
     tasks = images * faces.shape[1] * lanes
     seen = array(seen_faces(face_index, faces.shape[1]))
     options = [int(light_too), int(faces_too), images, lanes]
-    launch(_backward, tasks, [*arguments, array(grad), seen, *options, *results], faces.device)
+    arguments += [array(grad), seen, *options, *results]
+    launch(_backward, tasks, arguments, faces.device, face_tasks(faces, height * width))
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_faces
 
 

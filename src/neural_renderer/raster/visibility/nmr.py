@@ -11,15 +11,15 @@ import warp as wp
 from torch import Tensor
 
 from ..ops.visible_faces import seen_faces
-from ..warp.geometry import SHORTEST, facing, to_pixels
-from ..warp.launch import array, concurrent, copy, face_lanes, launch, zeros
+from ..warp.geometry import SHORTEST, facing
+from ..warp.launch import array, concurrent, copy, face_lanes, face_tasks, launch, worth_a_thread, zeros
 from ..warp.registration import differentiable, differentiable_once, operator
-from .scanlines import WIDE, copy_lines, empty_lines, place, shrink, sweep
+from .scanlines import SCAN_LINE, WIDE, copy_lines, empty_lines
 
 wp.set_module_options({"enable_backward": False})
 
 # Keeps a quotient finite where a pixel lies on the edge and the corner has no share in it.
-TINY = wp.constant(1.0e-15)
+TINY = 1.0e-15
 # Bytes of scan lines that are stored at once: on the CPU no more than its caches hold, or so.
 _ROOM, _ROOM_CONCURRENT = 2**23, 2**28
 
@@ -75,9 +75,10 @@ def nmr_edges_backward(
         images = min(at_once, batch - first)
         shown = array(image[here])
         tasks = images * (-(-height // abreast) - (-width // abreast))
-        launch(copy_lines, tasks, [shown, array(grad[here]), *lines, abreast], device)
+        launch(copy_lines, tasks, [shown, array(grad[here]), *lines, abreast], device, worth_a_thread(abreast * width))
         arguments = [array(faces[here], wp.vec3), shown, array(face_index[here]), *lines, array(seen[here]), *options]
-        launch(_pull, images * faces.shape[1] * lanes, [*arguments, array(result[here], wp.vec3)], device)
+        arguments.append(array(result[here], wp.vec3))
+        launch(_pull, images * faces.shape[1] * lanes, arguments, device, face_tasks(faces, height * width))
     return result
 
 
@@ -103,7 +104,117 @@ def _backward(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(nmr_edges, _backward, _save)
 
 
-@wp.func
+# An edge p -> q of a counter-clockwise face with third corner r, and the scan lines that it crosses. Those are numbered
+# by u and run along v, in pixel units from the bottom left: for axis 0 rows, which pull x; for axis 1 columns and y.
+_EDGE = """
+struct Edge {
+    typedef wp::vec_t<3, float> vec3;
+    int count, length;  // of the lines
+    int outward;  // the way along v that leads out of the face
+    float pu, qu, ru, pv, qv, rv, slope;
+    bool placed, bounded;
+
+    static CUDA_CALLABLE float to_pixels(float x, int size) { return 0.5f * ((float)size * x + (float)(size - 1)); }
+    static CUDA_CALLABLE float between(float low, float x, float high) { return x > low ? (x < high ? x : high) : low; }
+
+    CUDA_CALLABLE Edge(const vec3& p, const vec3& q, const vec3& r, int axis, int height, int width) {
+        count = axis == 0 ? height : width, length = axis == 0 ? width : height;
+        pu = to_pixels(p[1 - axis], count), qu = to_pixels(q[1 - axis], count), ru = to_pixels(r[1 - axis], count);
+        pv = to_pixels(p[axis], length), qv = to_pixels(q[axis], length), rv = to_pixels(r[axis], length);
+        outward = (pu < qu) == (axis == 1) ? -1 : 1;
+        slope = (qv - pv) / (qu - pu);
+        // An edge that ends behind the camera has no place on the screen for its end: it gets no gradient.
+        placed = !(fabsf(pu - qu) < SHORTEST || p[2] <= 0.0f || q[2] <= 0.0f);
+        bounded = !(r[2] <= 0.0f);
+    }
+    CUDA_CALLABLE int first_line() const {
+        return (int)ceilf(between(0.0f, pu < qu ? pu : qu, (float)count));
+    }
+    CUDA_CALLABLE int last_line() const {
+        return (int)floorf(between(-1.0f, pu < qu ? qu : pu, (float)(count - 1)));
+    }
+    // From the nearer end, so that it is exact at both ends.
+    CUDA_CALLABLE float crossing(int u) const {
+        const float from_p = (float)u - pu, from_q = (float)u - qu;
+        const float c = fabsf(from_p) < fabsf(from_q) ? pv + slope * from_p : qv + slope * from_q;
+        return between(-2.0f, c, (float)length + 1.0f);
+    }
+    CUDA_CALLABLE int inside_of(float crossing) const {
+        return (int)(outward > 0 ? floorf(crossing) : ceilf(crossing));
+    }
+    // The last pixel before the line leaves the face through p-r or q-r; the image's if r is behind the camera.
+    CUDA_CALLABLE int far_side(int line) const {
+        const float u = (float)line;
+        float limit = rv;
+        if (!bounded) limit = outward > 0 ? 0.0f : (float)length;
+        else if ((pu < u && u < ru) || (ru < u && u < pu)) limit = pv + (rv - pv) * (u - pu) / (ru - pu);
+        else if (qu != ru) limit = qv + (rv - qv) * (u - qu) / (ru - qu);
+        limit = between(0.0f, limit, (float)(length - 1));
+        return (int)(outward > 0 ? ceilf(limit) : floorf(limit));
+    }
+};
+""".replace("SHORTEST", f"{SHORTEST!r}f")
+
+_PULL = (
+    (
+        SCAN_LINE
+        + _EDGE
+        + """
+    const Edge edge(p, q, r, axis, image.shape[2], image.shape[3]);
+    if (!edge.placed) return wp::vec_t<2, float>(0.0f);
+    const int height = image.shape[2], width = image.shape[3], way = edge.outward;
+    const wp::int64 area = (wp::int64)height * width, planes = lines.shape[2], plane = lines.shape[3];
+    const int* shown = face_index.data + b * area;
+    const float* colors = image.data + b * image.shape[1] * area;
+    // From one pixel of a line to the next in memory, where row 0 is at the top, and from one line to the next.
+    const int along = axis == 0 ? 1 : -width, across = axis == 0 ? -width : 1;
+    ScanLine line;
+    line.plane = plane, line.area = area, line.channels = (int)planes - 1;
+    line.reach = fabsf(edge.qu - edge.pu) * 2.0f / (float)edge.length;
+    line.to_p = line.to_q = 0.0f, line.also_to_p = line.also_to_q = 0.0f;
+    for (int u = edge.first_line() + lane, last = edge.last_line(); u <= last; u += lanes) {
+        const float c = edge.crossing(u);
+        const int inner = edge.inside_of(c), outer = inner + way;
+        if ((inner < outer ? inner : outer) < 0 || (inner < outer ? outer : inner) >= edge.length) continue;
+        const wp::int64 inside = (wp::int64)(height - 1) * width + (wp::int64)u * across + (wp::int64)inner * along;
+        const wp::int64 outside = inside + way * along;
+        const bool seen = shown[inside] == f, facing = !(binary && shown[outside] >= 0);
+        if (!seen && !facing) continue;
+        // For the edge to reach a pixel at the distance x on this line, p travels reach x / share_p, and q likewise (in
+        // screen units): their shares of the gradient, times what the pixels gain, over that and eps. The line through
+        // one corner is moved by that corner alone.
+        const float share_p = fabsf(edge.qu - (float)u), share_q = fabsf((float)u - edge.pu);
+        line.slack_p = eps * share_p + TINY, line.slack_q = eps * share_q + TINY;
+        line.share_p = -(float)way * share_p, line.share_q = -(float)way * share_q;
+        line.stored = lines.data + ((wp::int64)b * edge.count + u) * planes * plane + WIDE;
+        if (seen) {  // outward, to the end of what the line holds
+            const wp::vec_t<2, int> span = spans.data[(wp::int64)b * (height + width) + (axis == 0 ? u : height + u)];
+            const int begin = way > 0 ? (span[0] > outer ? span[0] : outer) : (span[1] < outer ? span[1] : outer);
+            const int pixels = way > 0 ? span[1] - begin + 1 : begin - span[0] + 1;
+            if (pixels > 0) {
+                line.color = colors + inside;
+                line.outward(begin, way, pixels, fabsf((float)begin - c));
+            }
+        }
+        if (facing) {
+            const int pixels = (inner - edge.far_side(u)) * way + 1;
+            if (pixels > 0) {
+                line.color = colors + outside;
+                line.share_p = -line.share_p, line.share_q = -line.share_q;
+                line.inward(inner, -way, pixels, fabsf((float)inner - c), f, shown + inside, -way * along);
+            }
+        }
+    }
+    return wp::vec_t<2, float>(
+        ScanLine::total(line.to_p) + line.also_to_p, ScanLine::total(line.to_q) + line.also_to_q);
+"""
+    )
+    .replace("TINY", f"{TINY!r}f")
+    .replace("WIDE", str(WIDE))
+)
+
+
+@wp.func_native(_PULL)
 def pull_edge(
     b: int,
     f: int,
@@ -120,130 +231,8 @@ def pull_edge(
     eps: float,
     binary: int,
 ) -> wp.vec2:
-    """The gradient that the edge p -> q of a counter-clockwise face with third corner r sends to p and q.
-
-    axis 0: to x, by the rows the edge crosses; axis 1: to y, by the columns. Scan lines are numbered by u and run along
-    v, in pixel units from the bottom left.
-    """
-    height = image.shape[2]
-    width = image.shape[3]
-    count = width
-    length = height
-    first_line = height
-    if axis == 0:
-        count = height
-        length = width
-        first_line = int(0)
-    channels = lines.shape[2] - 1
-    plane = wp.int64(lines.shape[3])
-    pu = to_pixels(p[1 - axis], count)
-    qu = to_pixels(q[1 - axis], count)
-    ru = to_pixels(r[1 - axis], count)
-    pv = to_pixels(p[axis], length)
-    qv = to_pixels(q[axis], length)
-    rv = to_pixels(r[axis], length)
-    # An edge that ends behind the camera has no place on the screen for its end: it gets no gradient.
-    if wp.abs(pu - qu) < SHORTEST or p[2] <= 0.0 or q[2] <= 0.0:
-        return wp.vec2(0.0, 0.0)
-    outward = int(1)
-    if (pu < qu) == (axis == 1):
-        outward = int(-1)
-    d = float(outward)
-    area = wp.int64(height) * wp.int64(width)
-    reach = wp.abs(qu - pu) * 2.0 / float(length)
-    slope = (qv - pv) / (qu - pu)
-    far_p = float(0.0)
-    far_q = float(0.0)
-    near_p = float(0.0)
-    near_q = float(0.0)
-    start = int(wp.ceil(wp.clamp(wp.min(pu, qu), 0.0, float(count))))
-    stop = int(wp.floor(wp.clamp(wp.max(pu, qu), -1.0, float(count - 1))))
-    for u in range(start + lane, stop + 1, lanes):
-        c = wp.clamp(pv + slope * (float(u) - pu), -2.0, float(length) + 1.0)
-        inner = int(wp.ceil(c))
-        if outward > 0:
-            inner = int(wp.floor(c))
-        outer = inner + outward
-        if wp.min(inner, outer) < 0 or wp.max(inner, outer) >= length:
-            continue
-        inner_row, inner_column = place(axis, u, inner, height)
-        outer_row, outer_column = place(axis, u, outer, height)
-        image_row = wp.int64(b) * wp.int64(image.shape[1]) * wp.int64(height)
-        inner_pixel = (image_row + wp.int64(inner_row)) * wp.int64(width) + wp.int64(inner_column)
-        outer_pixel = (image_row + wp.int64(outer_row)) * wp.int64(width) + wp.int64(outer_column)
-        # For the edge to reach a pixel at the distance x on this line, p travels reach x / share_p, and q likewise (in
-        # screen units): their shares of the gradient, times what the pixels gain, over that and eps. The line through
-        # one corner is moved by that corner alone.
-        share_p = wp.abs(qu - float(u))
-        share_q = wp.abs(float(u) - pu)
-        slack_p = eps * share_p + TINY
-        slack_q = eps * share_q + TINY
-        line = (wp.int64(b) * wp.int64(count) + wp.int64(u)) * wp.int64(lines.shape[2]) * plane + wp.int64(WIDE)
-        if face_index[b, inner_row, inner_column] == f:
-            span = spans[b, first_line + u]
-            begin = wp.max(span[0], outer)
-            pixels = span[1] - begin + 1
-            if outward < 0:
-                begin = wp.min(span[1], outer)
-                pixels = begin - span[0] + 1
-            if pixels > 0:
-                sums = sweep(
-                    lines,
-                    line + wp.int64(begin),
-                    plane,
-                    image,
-                    inner_pixel,
-                    channels,
-                    outward,
-                    pixels,
-                    wp.abs(float(begin) - c),
-                    reach,
-                    slack_p,
-                    slack_q,
-                )
-                far_p += share_p * sums[0]
-                far_q += share_q * sums[1]
-
-        if binary == 1 and face_index[b, outer_row, outer_column] >= 0:
-            continue
-        # Where the line leaves the face again: through p-r, or through q-r; nowhere if r is behind the camera.
-        limit = rv
-        if r[2] <= 0.0:
-            limit = float(wp.where(outward > 0, 0, length))
-        elif (pu < float(u) and float(u) < ru) or (ru < float(u) and float(u) < pu):
-            limit = pv + (rv - pv) * (float(u) - pu) / (ru - pu)
-        elif qu != ru:
-            limit = qv + (rv - qv) * (float(u) - qu) / (ru - qu)
-        limit = wp.clamp(limit, 0.0, float(length - 1))
-        last = int(wp.floor(limit))
-        if outward > 0:
-            last = int(wp.ceil(limit))
-        pixels = (inner - last) * outward + 1
-        if pixels > 0:
-            step = -outward
-            if axis == 1:
-                step = outward * width
-            sums = shrink(
-                lines,
-                line + wp.int64(inner),
-                plane,
-                image,
-                outer_pixel,
-                channels,
-                -outward,
-                pixels,
-                wp.abs(float(inner) - c),
-                reach,
-                slack_p,
-                slack_q,
-                f,
-                face_index,
-                inner_pixel - wp.int64(b) * wp.int64(image.shape[1] - 1) * area,
-                step,
-            )
-            near_p += share_p * sums[0]
-            near_q += share_q * sums[1]
-    return d * wp.vec2(near_p - far_p, near_q - far_q)
+    """The gradient that the edge p -> q sends to p and q, by every n-th of the lines that it crosses."""
+    ...
 
 
 @wp.kernel

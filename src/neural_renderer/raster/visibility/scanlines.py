@@ -150,109 +150,124 @@ def copy_lines(
         copy_columns(image, grad, b, pixel, count, height, columns, to, plane, planes, spans, span)
 
 
-# The sum over ``count`` pixels of a scan line, from ``line`` on in the direction ``way``, of what they gain by the
-# colour at ``pixel``, over the travel of an edge's two corners: for each corner reach * distance + its slack.
-# What is read beyond the count must be zero, or not be kept. Operands may be fused: an exact zero stays one.
-_SUM = """
-    #pragma clang fp contract(fast)
-    float gain[16], lost[16], sum_p[16], sum_q[16];
-    for (int k = 0; k < 16; ++k) sum_p[k] = sum_q[k] = 0.0f;
-    // The usual three channels are spelled out, so that their colours stay in registers.
-    const wp::int64 area = (wp::int64)image.shape[2] * image.shape[3];
-    const float red = image.data[pixel], green = channels < 3 ? 0.0f : image.data[pixel + area];
-    const float blue = channels < 3 ? 0.0f : image.data[pixel + 2 * area];
-    const float slope = way > 0 ? 1.0f : -1.0f;
-    const float offset = way > 0 ? distance : distance + 15.0f;
-    for (int n = 0; n < count; n += 16) {
-        const wp::int64 start = line + (way > 0 ? n : -n - 15);
-        const float* stored = lines.data + start;
-        BLOCK
-        if (channels > 0) {
-            const float* pull = stored + plane;
-            for (int k = 0; k < 16; ++k) lost[k] = red * pull[k];
-            if (channels >= 3) {
-                for (int k = 0; k < 16; ++k) lost[k] += green * pull[plane + k];
-                for (int k = 0; k < 16; ++k) lost[k] += blue * pull[2 * plane + k];
-            }
-            for (int c = channels < 3 ? 1 : 3; c < channels; ++c) {
-                const float color = image.data[pixel + c * area];
-                for (int k = 0; k < 16; ++k) lost[k] += color * pull[c * plane + k];
-            }
-            for (int k = 0; k < 16; ++k) gain[k] -= lost[k];
-        }
-        for (int k = 0; k < 16; ++k) {
-            const float away = offset + (float)n + slope * (float)k;
-            const float travel_p = reach * away + slack_p;
-            const float travel_q = reach * away + slack_q;
-            const float share = (KEEP ? gain[k] : 0.0f) / (travel_p * travel_q);
-            sum_p[k] += share * travel_q;
-            sum_q[k] += share * travel_p;
-        }
+# Sums along stored scan lines of what pixels gain by the colour that they would get if an edge were moved to them, over
+# the travel of each of the edge's two corners, which is reach * distance + slack, times the corner's share.
+# Operands may be fused as in `_COPY`: an exact zero stays one.
+SCAN_LINE = """
+struct ScanLine {
+    #if defined(__CUDA_ARCH__)
+    typedef float floats;
+    enum { AT_ONCE = 1 };
+    static CUDA_CALLABLE floats load(const float* from) { return *from; }
+    static CUDA_CALLABLE floats ahead() { return 0.0f; }
+    static CUDA_CALLABLE float total(floats v) { return v; }
+    #else
+    typedef float floats __attribute__((ext_vector_type(16)));
+    typedef int ints __attribute__((ext_vector_type(16)));
+    enum { AT_ONCE = 16, FEW = 8 };
+    static floats load(const float* from) {
+        floats all;
+        memcpy(&all, from, sizeof(all));
+        return all;
     }
-    for (int half = 8; half > 0; half /= 2)
-        for (int k = 0; k < half; ++k) {
-            sum_p[k] += sum_p[k + half];
-            sum_q[k] += sum_q[k + half];
+    static floats ahead() {
+        return floats{0.f, 1.f, 2.f, 3.f, 4.f, 5.f, 6.f, 7.f, 8.f, 9.f, 10.f, 11.f, 12.f, 13.f, 14.f, 15.f};
+    }
+    static float total(floats v) {
+        const auto eight = v.lo + v.hi;
+        const auto four = eight.lo + eight.hi;
+        return four[0] + four[2] + (four[1] + four[3]);
+    }
+    #endif
+    const float* stored;  // of the line's first pixel; a plane further is the gradient of the first channel
+    wp::int64 plane, area;
+    int channels;  // 0 where what is stored are the gains themselves
+    const float* color;  // the first channel's; the next is an area further
+    float reach, share_p, share_q, slack_p, slack_q;
+    floats to_p, to_q;  // what came together
+    float also_to_p, also_to_q;
+
+    // The usual three channels are spelled out, so that their colours stay in registers.
+    CUDA_CALLABLE floats loss(const float* pull, float red, float green, float blue) const {
+        #pragma clang fp contract(fast)
+        floats lost = red * load(pull);
+        if (channels >= 3) {
+            lost += green * load(pull + plane);
+            lost += blue * load(pull + 2 * plane);
         }
-    return wp::vec_t<2, float>(sum_p[0], sum_q[0]);
-"""
+        for (int c = channels < 3 ? 1 : 3; c < channels; ++c) lost += color[c * area] * load(pull + c * plane);
+        return lost;
+    }
 
+    // Over ``count`` pixels from ``begin`` on in the direction ``way``, of which the first is at that distance from the
+    // edge. Beyond them only zeros may be stored.
+    CUDA_CALLABLE void outward(int begin, int way, int count, float distance) {
+        #pragma clang fp contract(fast)
+        const float red = color[0], green = channels < 3 ? 0.0f : color[area];
+        const float blue = channels < 3 ? 0.0f : color[2 * area];
+        const floats none = 0.0f, start = distance + (way > 0 ? ahead() : (float)(AT_ONCE - 1) - ahead());
+        const float* at = stored + begin - (way > 0 ? 0 : AT_ONCE - 1);
+        floats sum_p = none, sum_q = none;
+        for (int n = 0; n < count; n += AT_ONCE, at += way * AT_ONCE) {
+            floats gain = load(at);
+            if (channels > 0) gain -= loss(at + plane, red, green, blue);
+            ADD
+        }
+        to_p += share_p * sum_p, to_q += share_q * sum_q;
+    }
 
-@wp.func_native(
-    _SUM.replace("BLOCK", "for (int k = 0; k < 16; ++k) gain[k] = stored[k];").replace("KEEP", "gain[k] > 0.0f")
+    // Inward: only over pixels that show the face f, by the face numbers from ``shown`` on, ``step`` apart.
+    CUDA_CALLABLE void inward(int begin, int way, int count, float distance, int f, const int* shown, int step) {
+        #pragma clang fp contract(fast)
+        #if !defined(__CUDA_ARCH__)
+        if (count > FEW) return inward_by_many(begin, way, count, distance, f, shown, step);
+        #endif
+        float sum_p = 0.0f, sum_q = 0.0f;
+        const float* at = stored + begin;
+        for (int n = 0; n < count; ++n, at += way, shown += step) {
+            if (*shown != f) continue;
+            float gain = channels > 0 ? at[0] : -at[0];
+            if (channels > 0) {
+                float lost = color[0] * at[plane];
+                for (int c = 1; c < channels; ++c) lost += color[c * area] * at[(c + 1) * plane];
+                gain -= lost;
+            }
+            typedef float floats;
+            const float start = distance, none = 0.0f;
+            ADD
+        }
+        also_to_p += share_p * sum_p, also_to_q += share_q * sum_q;
+    }
+
+    #if !defined(__CUDA_ARCH__)
+    void inward_by_many(int begin, int way, int count, float distance, int f, const int* shown, int step) {
+        #pragma clang fp contract(fast)
+        const float red = color[0], green = channels < 3 ? 0.0f : color[area];
+        const float blue = channels < 3 ? 0.0f : color[2 * area];
+        const floats none = 0.0f, start = distance + (way > 0 ? ahead() : (float)(AT_ONCE - 1) - ahead());
+        const float* at = stored + begin - (way > 0 ? 0 : AT_ONCE - 1);
+        floats sum_p = none, sum_q = none;
+        for (int n = 0; n < count; n += AT_ONCE, at += way * AT_ONCE) {
+            ints here;
+            for (int k = 0; k < AT_ONCE; ++k) {
+                const int away = way > 0 ? n + k : n + AT_ONCE - 1 - k;
+                here[k] = away < count && shown[away < count ? away * step : 0] == f ? -1 : 0;
+            }
+            floats gain = channels > 0 ? load(at) - loss(at + plane, red, green, blue) : -load(at);
+            gain = here ? gain : none;
+            ADD
+        }
+        to_p += share_p * sum_p, to_q += share_q * sum_q;
+    }
+    #endif
+};
+""".replace(
+    "ADD",
+    """const floats away = start + (float)n;
+            const floats travel_p = reach * away + slack_p, travel_q = reach * away + slack_q;
+            const floats part = (gain > 0.0f ? gain : none) / (travel_p * travel_q);
+            sum_p += part * travel_q, sum_q += part * travel_p;""",
 )
-def sweep(
-    lines: wp.array4d(dtype=float),
-    line: wp.int64,
-    plane: wp.int64,
-    image: wp.array4d(dtype=float),
-    pixel: wp.int64,
-    channels: int,
-    way: int,
-    count: int,
-    distance: float,
-    reach: float,
-    slack_p: float,
-    slack_q: float,
-) -> wp.vec2:
-    """Outward, to the end of the line's span. channels: 0 where what is stored at ``line`` are the gains themselves;
-    distance: of the first pixel from the edge."""
-    ...
-
-
-_SHOWN = """
-        const int* pixels = face_index.data + shown;
-        int face[16];
-        for (int k = 0; k < 16; ++k) {
-            const int here = way > 0 ? n + k : n + 15 - k;
-            face[k] = pixels[here < count ? here * step : 0];
-        }
-        for (int k = 0; k < 16; ++k) gain[k] = channels > 0 ? stored[k] : -stored[k];
-"""
-_IS_SHOWN = "gain[k] > 0.0f && face[k] == f && (way > 0 ? n + k : n + 15 - k) < count"
-
-
-@wp.func_native(_SUM.replace("BLOCK", _SHOWN).replace("KEEP", _IS_SHOWN))
-def shrink(
-    lines: wp.array4d(dtype=float),
-    line: wp.int64,
-    plane: wp.int64,
-    image: wp.array4d(dtype=float),
-    pixel: wp.int64,
-    channels: int,
-    way: int,
-    count: int,
-    distance: float,
-    reach: float,
-    slack_p: float,
-    slack_q: float,
-    f: int,
-    face_index: wp.array3d(dtype=int),
-    shown: wp.int64,
-    step: int,
-) -> wp.vec2:
-    """Inward, over the pixels that show the face ``f`` by ``face_index`` from ``shown`` on, ``step`` apart."""
-    ...
 
 
 @wp.func

@@ -23,11 +23,14 @@ from torch import Tensor
 
 from .kernel_cache import load_module
 
+# Threads that compile, each of which begins with two seconds for Warp's headers; and what spares them a third of it.
+_COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
+
 # Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
 _PIECES = 4
 
-# Pixels to look at before another CPU thread is worth waking.
-MANY_PIXELS = 1 << 20
+# Pixels to look at, or to draw and shade, before another CPU thread is worth waking.
+MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
 
 # Tests set it: called with a kernel, the number of tasks and the arguments of each launch, it runs CUDA's code of the
 # kernel on a processor and returns True, or False to have the launch run as usual.
@@ -35,6 +38,7 @@ emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
 
 _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
+_asked: set[tuple[Any, torch.device]] = set()  # what `load_ahead` was asked for before
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
@@ -82,25 +86,47 @@ def _quiet() -> Iterator[None]:
 
 def load_kernel(kernel: wp.Kernel, device: str) -> None:
     """Compile and load the kernel's module once, before any thread needs it."""
-    key = (kernel, device)
-    if key in _ready:
+    if (kernel, device) not in _ready:
+        _load([kernel], device)
+
+
+def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device) -> None:
+    """Compile and load the kernels of the modules in which these functions are, several modules at once.
+
+    Without it, each module is compiled when a kernel of it first runs, one after the other.
+    """
+    if (functions, device) in _asked or emulator is not None or device.type not in ("cpu", "cuda"):
         return
+    modules = [wp.get_module(name) for name in {function.__module__: None for function in functions}]
+    kernels = [next(iter(module.kernels.values())) for module in modules]
+    _load([kernel for kernel in kernels if (kernel, str(device)) not in _ready], str(device))
+    _asked.add((functions, device))
+
+
+def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
     with _lock:
-        if key not in _ready:
-            level = wp.config.log_level
-            wp.config.log_level = max(level, wp.LOG_WARNING)  # the banner and build lines belong to nobody's output
-            try:
-                with _quiet():
-                    wp.init()
-                load_module(kernel, device)
-            except OSError as error:
-                raise OSError(
-                    f"{wp.config.kernel_cache_dir}: expected a folder to keep compiled kernels in, got: {error}; "
-                    "WARP_CACHE_PATH can name another"
-                ) from error
-            finally:
-                wp.config.log_level = level
-            _ready.add(key)
+        level = wp.config.log_level
+        wp.config.log_level = max(level, wp.LOG_WARNING)  # the banner and build lines belong to nobody's output
+        try:
+            with _quiet():
+                wp.init()
+            for module in {kernel.module for kernel in kernels if isinstance(kernel.module, wp.Module)}:
+                if module.options["cpu_compiler_flags"] is None:
+                    flags = f"{wp.config.cpu_compiler_flags or '-march=native'} {_FLAGS}"
+                    wp.set_module_options({"cpu_compiler_flags": flags}, module)
+            if len(kernels) == 1:
+                load_module(kernels[0], device)
+            elif kernels:
+                with ThreadPoolExecutor(min(len(kernels), os.cpu_count() or 1, _COMPILERS)) as pool:
+                    list(pool.map(lambda kernel: load_module(kernel, device), kernels))
+        except OSError as error:
+            raise OSError(
+                f"{wp.config.kernel_cache_dir}: expected a folder to keep compiled kernels in, got: {error}; "
+                "WARP_CACHE_PATH can name another"
+            ) from error
+        finally:
+            wp.config.log_level = level
+        _ready.update((kernel, device) for kernel in kernels)
 
 
 def _threads(count: int) -> ThreadPoolExecutor:
@@ -119,10 +145,20 @@ def concurrent(device: torch.device) -> bool:
     return device.type == "cuda" or emulator is not None
 
 
-def cpu_bands(batch: int) -> int:
-    """Into how many bands of rows each image is cut so that all of torch's threads have work."""
-    threads = torch.get_num_threads()
+def cpu_bands(batch: int, pixels: int) -> int:
+    """Into how many bands of rows each image is cut so that torch's threads have work; pixels: with its faces."""
+    threads = min(torch.get_num_threads(), max(1, batch * pixels // _ENOUGH_PIXELS))
     return 1 if batch % threads == 0 or batch >= _PIECES * threads else 2 * threads
+
+
+def worth_a_thread(pixels: float) -> int:
+    """How many tasks of so many pixels each, to draw or to shade, are worth another CPU thread."""
+    return max(1, int(_ENOUGH_PIXELS / max(pixels, 1.0)))
+
+
+def face_tasks(faces: Tensor, pixels: int) -> int:
+    """The same for tasks of one face each, of ``faces`` [B, F, ...] in an image of so many pixels."""
+    return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
 
 
 def row_tasks(rows: int, device: torch.device) -> tuple[int, int]:

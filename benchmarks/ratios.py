@@ -1,0 +1,177 @@
+"""Ratios that say how fast colour, texture images and both estimators are: a part of ``python -m benchmarks``.
+
+Each ratio is of processor time on one thread, forward and backward, both sides taking turns; of each the least time
+counts, so that what else the machine does matters little. Estimators are named in every row. First use and peak memory
+are those of processes of their own.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+
+import torch
+
+import neural_renderer as nr
+
+from .deodr import SCENES as DEODR_SCENES
+from .deodr import Scene, is_installed, least
+
+Row = tuple[str, str, str]  # what, measured, asked for
+
+
+def all_ratios(rounds: int, large: bool) -> Iterator[Row]:
+    """Measure everything, row by row. ``large``: also meshes of 1.3 million faces with both estimators."""
+    for what, one_mesh, images, side, level in (
+        ("64 cameras, 128²", True, 64, 128, 3),
+        ("64 meshes, 128²", False, 64, 128, 3),
+        ("1 camera, 512², 82k faces", True, 1, 512, 6),
+    ):
+        for gradient, asked in (("nmr", "1.6"), ("edge", "2")):
+            scene = _Scene(images, side, level, one_mesh, gradient)
+            ratio = _ratio(scene.step("rgb"), scene.step("alpha"), rounds)
+            yield f'colour ÷ silhouettes, "{gradient}", {what}', f"{ratio:.2f}", f"≤ {asked}"
+    for gradient in ("nmr", "edge"):
+        scene = _Scene(8, 128, 4, True, gradient)
+        ratio = _ratio(scene.step("rgb", images=True), scene.step("rgb"), rounds)
+        yield f'UVMesh ÷ cubes, "{gradient}", 8 cameras, 128², 5k faces', f"{ratio:.2f}", "≤ 1.3"
+    if large:
+        scenes = [_Scene(1, 1024, 8, True, gradient) for gradient in ("edge", "nmr")]
+        for output in ("alpha", "rgb"):
+            ratio = _ratio(*(scene.step(output) for scene in scenes), 3)
+            yield f'"edge" ÷ "nmr", {output}, 1024², 1.3 M faces', f"{ratio:.2f}", "≤ 1.5"
+    yield from _against_deodr(rounds)
+    yield from _small(20 * rounds)
+    yield from _beside_others()
+    yield from _in_own_process()
+
+
+class _Scene:
+    """One noisy sphere from several cameras, or several spheres from one each, with cubes of 2³ texels and a light."""
+
+    def __init__(self, images: int, side: int, level: int, one_mesh: bool, gradient: str) -> None:
+        generator = torch.Generator().manual_seed(0)
+        vertices, self.faces = nr.icosphere(level)
+        meshes = () if one_mesh else (images,)
+        push = 1 + 0.1 * torch.rand(*meshes, len(vertices), 1, generator=generator)
+        self.vertices = (0.7 * vertices * push).requires_grad_()
+        self.cubes = torch.rand(*meshes, len(self.faces), 2, 2, 2, 3, generator=generator).requires_grad_()
+        self.image = torch.rand(256, 256, 3, generator=generator).requires_grad_()
+        self.grad = torch.randn(images, 3, side, side, generator=generator)
+        eye = nr.get_points_from_angles(2.732, 20.0, torch.arange(images) * (360.0 / images))
+        self.camera = nr.Camera.look_at(eye, viewing_angle=20.0)
+        self.options = {"size": side, "anti_aliasing": False, "gradient": gradient}
+
+    def step(self, output: str, images: bool = False, backward: bool = True) -> Callable[[], None]:
+        """Forward and backward of one output; ``images``: colours from a texture image instead of cubes."""
+        mesh: object = (self.vertices, self.faces, self.cubes) if output == "rgb" else (self.vertices, self.faces)
+        if images:
+            count = len(self.faces)
+            uv = 0.5 + 0.5 * self.vertices.detach()[self.faces.long()][..., :2]
+            none = torch.zeros(count, dtype=torch.long)
+            mesh = nr.UVMesh(self.vertices, self.faces, uv, none, (self.image,), torch.ones(count, 3, 3), ("repeat",))
+        grad = self.grad if output == "rgb" else self.grad[:, 0].contiguous()
+
+        def run() -> None:
+            for leaf in (self.vertices, self.cubes, self.image):
+                leaf.grad = None
+            with torch.set_grad_enabled(backward):
+                drawn = getattr(nr.render(mesh, self.camera, outputs=(output,), **self.options), output)
+            if backward:
+                drawn.backward(grad)
+
+        return run
+
+
+def _ratio(one: Callable[[], None], other: Callable[[], None], rounds: int) -> float:
+    (first, _), (second, _) = least([(1, one), (1, other)], rounds)
+    return first / second
+
+
+def _against_deodr(rounds: int) -> Iterator[Row]:
+    if not is_installed():
+        yield "DEODR ÷ ours", "DEODR is not installed: pip install deodr", "≥ 1"
+        return
+    for images, side, level in DEODR_SCENES:
+        scene = Scene(images, side, level)
+        jobs = [(scene.theirs, False), (scene.ours, False), (scene.theirs, True), (scene.ours, True)]
+        best = least([(1, lambda job=job: job[0](job[1])) for job in jobs], rounds)
+        forward, both = best[0][0] / best[1][0], best[2][0] / best[3][0]
+        what = f'DEODR ÷ ours, "edge", {images} × {side}², {20 * 4**level:,} faces, forward | + backward'
+        yield what, f"{forward:.2f} | {both:.2f}", "≥ 1"
+
+
+def _small(rounds: int) -> Iterator[Row]:
+    """Milliseconds that pass, with as many threads as torch has."""
+    threads = torch.get_num_threads()
+    for gradient in ("nmr", "edge"):
+        scene = _Scene(1, 32, 1, True, gradient)
+        steps = [scene.step(output, backward=both) for output in ("alpha", "rgb") for both in (False, True)]
+        passed = [time for _, time in least([(threads, step) for step in steps], rounds)]
+        for name, (forward, both), asked in (
+            ("silhouette", passed[:2], "≤ 0.3 | 0.9"),
+            ("colour", passed[2:], "≤ 0.6 | 1.6"),
+        ):
+            what = f'80 faces, 32², {name}, "{gradient}", ms, forward | + backward'
+            yield what, f"{forward:.2f} | {both:.2f}", asked
+
+
+def _beside_others() -> Iterator[Row]:
+    step = _Scene(8, 256, 3, True, "nmr").step("alpha")
+    threads = torch.get_num_threads()
+    alone = _median(step, threads)
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+    try:
+        beside = _median(step, threads)
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    yield '8 silhouettes, 256², "nmr", time passed beside two busy programs ÷ alone', f"{beside / alone:.2f}", "≤ 2.2"
+
+
+def _median(step: Callable[[], None], threads: int) -> float:
+    return sorted(least([(threads, step)], 1)[0][1] for _ in range(15))[7]
+
+
+# Of what a process needs for one step; prints seconds of the step and the peak of its memory.
+_STEP = """
+import resource, sys, time, torch
+import neural_renderer as nr
+level, size, outputs, gradient, anti_aliasing = eval(sys.argv[1])
+vertices, faces = nr.icosphere(level)
+vertices.requires_grad_()
+cubes = torch.rand(len(faces), 2, 2, 2, 3).requires_grad_()
+camera = nr.Camera.look_at((0.0, 0.0, -2.732))
+started = time.perf_counter()
+mesh = (vertices, faces, cubes) if "rgb" in outputs else (vertices, faces)
+images = nr.render(mesh, camera, size, outputs=outputs, gradient=gradient, anti_aliasing=anti_aliasing)
+sum(image.sum() for image in images if image is not None).backward()
+print(time.perf_counter() - started, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6)
+"""
+
+
+def _in_own_process() -> Iterator[Row]:
+    if sys.platform == "win32":
+        return
+    for gradient in ("edge", "nmr"):
+        with tempfile.TemporaryDirectory() as cache:
+            case = (2, 64, ("rgb", "alpha", "depth"), gradient, True)
+            seconds = [_own_process(case, WARP_CACHE_PATH=cache)[0] for _ in range(2)]
+        what = f'first render and backward, "{gradient}", s: kernels compiled | in the cache'
+        yield what, f"{seconds[0]:.1f} | {seconds[1]:.2f}", "≤ 5"
+    for output, asked in (("rgb", "1.8"), ("alpha", "1.2")):
+        for gradient in ("edge", "nmr"):
+            _, peak = _own_process((8, 1024, (output,), gradient, True))
+            what = f'peak memory, {output}, "{gradient}", 1024² anti-aliased, 1.3 M faces, GB'
+            yield what, f"{peak:.2f}", f"≤ {asked}"
+
+
+def _own_process(case: tuple[object, ...], **environment: str) -> tuple[float, float]:
+    command = [sys.executable, "-c", _STEP, repr(case)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env={**os.environ, **environment})
+    seconds, peak = map(float, done.stdout.split())
+    return seconds, peak

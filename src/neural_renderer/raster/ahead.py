@@ -1,0 +1,62 @@
+"""Kernels that images will need, compiled together before the first of them runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .ops.barycentrics import barycentrics
+from .ops.composite import composite
+from .ops.corners import gather_corners
+from .ops.coverage import coverage
+from .ops.interpolate import interpolate
+from .ops.mipmaps import sample_mipmaps
+from .ops.texture_cubes import sample_textures
+from .ops.visible_faces import seen_faces
+from .settings import Settings
+from .visibility.continuity import texture_edge_hashes
+from .visibility.edge import boundaries
+from .visibility.intersections import add_intersections
+from .visibility.neighbors import neighbors
+from .visibility.nmr import nmr_edges
+from .visibility.scanlines import empty_lines
+from .warp.launch import load_ahead
+from .warp.registration import is_plain
+
+Functions = tuple[Callable[..., Any], ...]
+
+CUBES: Functions = (sample_textures,)
+ATTRIBUTES: Functions = (interpolate, composite)
+IMAGES: Functions = (interpolate, composite, sample_mipmaps, sample_textures)
+_ALWAYS: Functions = (coverage, gather_corners)
+_VISIBILITY: dict[str, Functions] = {
+    "nmr": (nmr_edges, empty_lines, seen_faces),
+    "edge": (boundaries, add_intersections, neighbors, seen_faces),
+}
+
+
+def load_kernels(settings: Settings, outputs: Collection[str], colors: Functions, corners: Tensor) -> None:
+    """Compile what is not yet in the cache of the kernels that images of these corners or vertices need.
+
+    A kernel that is missing here is compiled when it is first run.
+
+    Args:
+        settings: How faces are drawn.
+        outputs: Some of "rgb", "alpha", "depth".
+        colors: What colors the faces if "rgb" is among the outputs: CUBES, ATTRIBUTES or IMAGES.
+        corners: Positions on the device where images are drawn.
+    """
+    if not is_plain((corners,)):
+        return
+    moving = corners.requires_grad and torch.is_grad_enabled()
+    # What takes longest to compile comes first.
+    needed = _VISIBILITY[settings.gradient] if moving else ()
+    if "rgb" in outputs:
+        needed += colors + (
+            (texture_edge_hashes,) if moving and settings.gradient == "edge" and colors == CUBES else ()
+        )
+    needed += (barycentrics,) if "depth" in outputs else ()
+    load_ahead(needed + _ALWAYS, corners.device)
