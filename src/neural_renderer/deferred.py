@@ -24,7 +24,7 @@ from .raster.visible import VisibleFaces
 
 @dataclass(frozen=True, eq=False)
 class Fragments(VisibleFaces):
-    """The visible face of each pixel of B images, for shading of your own.
+    """The visible face of each pixel of B images, for custom shaders.
 
     Under anti-aliasing, H and W are twice the size asked for; `composite` averages to that size.
 
@@ -80,13 +80,13 @@ class Fragments(VisibleFaces):
         return interpolate(own, self.corners, self.face_index, self.settings.perspective)
 
     def composite(self, colors: Tensor, background: Any = 0.0, *, seams: bool = False) -> Tensor:
-        """Put colors before a background and add the gradient through visibility.
+        """Composite colours over a background and add the gradient through visibility.
 
         Args:
-            colors: Colors of the pixels, [B, H, W, C] floating. Those of pixels without a face are ignored.
-            background: Number, color [C] or [B, C], or image [C, height, width] or [B, C, height, width]. It gets
+            colors: Colours of the pixels, [B, H, W, C] floating. Those of pixels without a face are ignored.
+            background: Number, colour [C] or [B, C], or image [C, height, width] or [B, C, height, width]. It gets
                 gradients.
-            seams: Whether colors may jump where two faces of the surface meet, as with texture charts that do not
+            seams: Whether colours may jump where two faces of the surface meet, as with texture charts that do not
                 match, or light per face. Then ``"edge"`` differentiates the motion of those jumps too. False is faster
                 and less noisy, but the gradient is wrong at jumps.
 
@@ -95,7 +95,7 @@ class Fragments(VisibleFaces):
 
         Raises:
             TypeError: A tensor of another dtype.
-            ValueError: Another shape or device, NaN or infinite colors.
+            ValueError: Another shape or device, NaN or infinite colours.
         """
         batch, rows, columns = self.face_index.shape
         validate.floating("colors", colors, (batch, rows, columns, "C"))
@@ -119,7 +119,7 @@ def fragments(
     gradient: str = "edge",
     eps: float = 1e-3,
 ) -> Fragments:
-    """Find what every camera of a batch sees of a mesh.
+    """Rasterise a mesh from every camera of a batch, for deferred shading.
 
     Args:
         mesh: `Mesh`, `UVMesh`, or (vertices, faces) with vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or

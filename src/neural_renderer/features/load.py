@@ -104,7 +104,7 @@ def _read(path: Path) -> dict[str, Any]:
             from safetensors.torch import load_file
         except ModuleNotFoundError:
             raise ModuleNotFoundError(
-                f"{path}: reading it needs safetensors (pip install 'neural-renderer[editing]')"
+                f"{path}: expected safetensors to be installed to read it (pip install safetensors)"
             ) from None
         try:
             return load_file(path)

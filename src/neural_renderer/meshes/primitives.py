@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from .subdivision import split_faces
 
 _MOST_LEVELS = 8  # 655,362 vertices
 
@@ -47,21 +48,11 @@ def icosphere(level: int = 3, radius: float = 1.0) -> tuple[Tensor, Tensor]:
     top, bottom = np.zeros(5, dtype=np.int64), np.full(5, 11)
     faces = np.concatenate([np.stack(f, axis=1) for f in ((top, a, b), (a, c, b), (c, d, b), (bottom, d, c))])
     for _ in range(level):
-        vertices, faces = _subdivide(vertices, faces)
+        edges, split = split_faces(torch.from_numpy(faces), len(vertices))
+        vertices, faces = np.concatenate([vertices, vertices[edges.numpy()].mean(axis=1)]), split.numpy()
     vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
     vertices[np.abs(vertices) < 1e-12] = 0
     return _mesh(vertices * radius, faces)
-
-
-def _subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split each face into four at the midpoints of its edges."""
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, inverse = np.unique(edges, axis=0, return_inverse=True)
-    middle = vertices[edges].mean(axis=1)
-    a, b, c = faces.T
-    ab, bc, ca = inverse.reshape(-1, 3).T + len(vertices)
-    children = [np.stack(f, axis=1) for f in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-    return np.concatenate([vertices, middle]), np.stack(children, axis=1).reshape(-1, 3)
 
 
 def cube(size: float = 2.0) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""What is seen where no face is: a number, a color or an image."""
+"""Background: a number, a colour or an image."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def background_image(background: Any, batch: int, channels: int, settings: Setti
     """Check a background and bring it to a shape that broadcasts to the images before anti-aliasing.
 
     Args:
-        background: Number; color [C] or [B, C]; or image [C, height, width] or [B, C, height, width] of the size that
+        background: Number; colour [C] or [B, C]; or image [C, height, width] or [B, C, height, width] of the size that
             is returned. Array-likes are converted. uint8 is refused: its numbers are in [0, 255].
         batch: Number of images B.
         channels: Number of channels C.

@@ -1,4 +1,4 @@
-"""Colors from texture cubes under light, at every pixel."""
+"""Colours from texture cubes under light, at every pixel."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from .visible import VisibleFaces
 def cube_colors(
     visible: VisibleFaces, textures: Any, light: Tensor | None, background: Any
 ) -> tuple[Tensor, Callable[[], Tensor]]:
-    """Color an image by texture cubes.
+    """Colour an image by texture cubes.
 
     Args:
         visible: Visible faces of B images.
-        textures: Cubes [B or 1, F, T, T, T, 3] floating; T = 1 is one color per face.
+        textures: Cubes [B or 1, F, T, T, T, 3] floating; T = 1 is one colour per face.
         light: Factors [B or 1, 2, F, 3] on the front and the back of each face; None for 1.
         background: As in `background_image`.
 
     Returns:
-        [B, 3, H, W] float32, and a function that hashes the colors along edges (`texture_edge_hashes`).
+        [B, 3, H, W] float32, and a function that hashes the colours along edges (`texture_edge_hashes`).
 
     Raises:
         TypeError: A tensor of another dtype.
@@ -39,7 +39,7 @@ def cube_colors(
     factors = _checked_light(light, batch, count, corners.device)
     behind = background_image(background, batch, 3, settings, corners.device)
     behind = behind.expand(batch, 3, *visible.face_index.shape[1:])
-    # Only "edge" differentiates what moves inside of faces.
+    # Only "edge" differentiates shading inside faces.
     inside = corners if settings.gradient == "edge" else corners.detach()
     rgb = sample_textures(cubes, factors, behind, inside, visible.face_index, settings.eps, settings.perspective)
     return rgb, lambda: texture_edge_hashes(cubes, factors)

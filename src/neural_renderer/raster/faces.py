@@ -43,9 +43,9 @@ def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def world_corners(vertices: Tensor, faces: Tensor, images: int) -> Tensor:
-    """Gather the corners in world space, where light falls.
+    """Gather the corners of faces in world space, for lighting.
 
-    One mesh seen by several cameras with faces of their own is repeated for each of them.
+    If there are faces for each image, one mesh is repeated for all of them.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.

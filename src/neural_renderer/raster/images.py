@@ -1,4 +1,4 @@
-"""What a renderer returns: up to three kinds of images, by name."""
+"""Rendered images: colour, silhouettes and depth."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class _Outputs(NamedTuple):
 class Images(_Outputs):
     """Rendered images. Row 0 is at the top.
 
-    Unpacking gives three values, ``rgb, alpha, depth = images``, with None for an output that was not asked for; the
-    attribute of such an output is an AttributeError that says so. Images may be changed in place before ``backward``.
+    Unpacking gives three values, ``rgb, alpha, depth = images``, with None for an output that was not asked for.
+    Reading the attribute of such an output raises AttributeError. Images may be changed in place before ``backward``.
 
     Example:
         >>> images = nr.render(mesh, camera, 32, outputs=("rgb", "alpha"))
@@ -34,7 +34,7 @@ class Images(_Outputs):
 
     @property
     def rgb(self) -> Tensor:
-        """Colors, [B, 3, H, W] float32."""
+        """Colours, [B, 3, H, W] float32."""
         return self._drawn(0)
 
     @property

@@ -1,4 +1,4 @@
-"""Rasterisation of faces in screen space into color, silhouettes and depth."""
+"""Rasterisation of faces in screen space into colour, silhouettes and depth."""
 
 from __future__ import annotations
 
@@ -39,19 +39,20 @@ def rasterize_images(
             the viewing axis in world units, positive in front of the camera. Other types are computed in float32.
         size: Side of the images, or (height, width), in pixels.
         outputs: Some of "rgb", "alpha", "depth". Outputs that are not asked for cost nothing.
-        textures: Cubes [B or 1, F, T, T, T, 3] floating (T = 1: one color per face). Needed for "rgb".
+        textures: Cubes [B or 1, F, T, T, T, 3] floating (T = 1: one colour per face). Needed for "rgb".
         light: Factors [B or 1, 2, F, 3] on the front and the back of each face; None for 1.
-        background: Number, color [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.
+        background: Number, colour [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.
         near, far: Depth range, 0 <= near < far; a point is visible if near < depth < far.
         eps: Added to distances in the denominators of ``"nmr"``, in screen units; cube coordinates end at T - 1 - eps.
         anti_aliasing: Draw at twice the size and average 2 x 2 pixels of all outputs.
         two_sided: Draw also faces whose corners run clockwise on the screen.
         perspective: Interpolate depth and texture coordinates in perspective; False for orthographic cameras.
         gradient: Estimator of the gradient through visibility. ``"edge"`` is the derivative of the image averaged over
-            sub-pixel shifts, with that of texture coordinates and depth (see `raster.visibility.edge`). ``"nmr"`` is
-            the paper's approximation (section 3.2): it also pulls from afar, and its size is not a derivative's.
+            sub-pixel shifts, including the derivatives of texture coordinates and depth. ``"nmr"`` is the paper's
+            approximation (section 3.2): it also acts over long distances, and its magnitude is not a derivative's.
         triangles: Vertex indices of ``faces``, [F, 3] or [B or 1, F, 3] integer, as given to `vertices_to_faces`. With
-            them ``"edge"`` finds neighbouring faces once per mesh; without, by their corners in each backward pass.
+            them ``"edge"`` finds adjacent faces once per mesh. Without them, it searches them by the positions of
+            corners in every backward pass.
 
     Returns:
         Images. An empty batch or mesh gives the background.

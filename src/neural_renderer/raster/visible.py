@@ -1,4 +1,4 @@
-"""The one road from visible faces to images: every way of coloring them meets here."""
+"""The one road from visible faces to images: every way of colouring them meets here."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class VisibleFaces:
 
     @property
     def _points(self) -> tuple[Tensor, Tensor]:
-        # Computed at first use and kept, but not without gradients for a later use with gradients.
+        # Cached, unless they were computed under no_grad and a later use may need gradients.
         points: tuple[Tensor, Tensor] | None = self.__dict__.get("_kept")
         if points is None:
             points = self._locate()
@@ -90,7 +90,7 @@ class VisibleFaces:
 
         Args:
             outputs: Some of "rgb", "alpha", "depth".
-            rgb: Colors with their background, [B, 3, H, W] float32, if "rgb" is among the outputs.
+            rgb: Colours with their background, [B, 3, H, W] float32, if "rgb" is among the outputs.
             edge_hashes: As in `Settings.through_visibility`.
         """
         layers = {} if rgb is None else {"rgb": rgb}
@@ -112,7 +112,7 @@ class VisibleFaces:
     def _average_depth(self, depth: Tensor) -> Tensor:
         if self.settings.anti_aliasing:
             return halve(depth[:, None])[:, 0]
-        # Its gradient needs the values as they are, and callers may change theirs in place.
+        # Backward needs the original values, and callers may change theirs in place.
         return depth.clone() if depth.requires_grad else depth
 
 
@@ -120,7 +120,7 @@ def _split(image: Tensor, layers: dict[str, Tensor]) -> dict[str, Tensor]:
     """Cut an image into layers of the given numbers of channels."""
     if len(layers) == 1:  # the gradient of a slice is a larger tensor, filled and copied
         return dict.fromkeys(layers, image)
-    # Copies, for autograd lets nobody change one of several views in place.
+    # Copies: autograd forbids in-place changes of one of several views.
     parts = image.split([layer.shape[1] for layer in layers.values()], 1)
     copies = (part.clone(memory_format=torch.contiguous_format) for part in parts)
     return dict(zip(layers, copies, strict=True))

@@ -1,8 +1,11 @@
 """The paper's approximate gradient through visibility, as an operation on an image (paper, section 3.2).
 
-Forward it is the identity. Backward it asks, for every edge of every seen face and every scan line that the edge
-crosses, what each pixel of the line would change to if the edge moved there, whether that would lower the loss, and how
-far the edge's corners would have to travel. How the image was shaded does not matter.
+Forward it is the identity. Backward, each edge of a visible face is moved, in thought, along each row and column that
+it crosses, until it reaches a pixel. The pixel then changes its colour. If that lowers the loss (to first order, by the
+pixel's gradient), the edge's corners get a gradient: the decrease of the loss divided by the distance that the corner
+travels, summed over all pixels of the line. The gradient depends on the image alone, not on how it was shaded.
+
+Source: Kato, Ushiku and Harada, "Neural 3D Mesh Renderer", CVPR 2018, section 3.2.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -26,14 +29,21 @@ _ROOM, _ROOM_CONCURRENT = 2**23, 2**28
 
 @operator
 def nmr_edges(image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool) -> Tensor:
-    """The image unchanged; its gradient also flows to the faces' x and y, by the estimator "nmr".
+    """Return the image unchanged and send a gradient to the x and y of faces, by the estimator "nmr".
 
-    image: [B, C, H, W] float32, any number of channels, background included, before anti-aliasing.
-    faces: [B, F, 3, 3] float32 screen-space corners; face_index: [B, H, W] int32, as `coverage` returns it.
-    eps: added to every distance (screen units), which bounds the gradient of a pixel that touches the edge.
-    two_sided: faces whose corners run clockwise are seen too.
-    The gains are differences of sums: of a contrast below some 1e-5 of the values themselves little is left in float32.
-    binary: the image is the silhouette, 1 where a face is seen and 0 elsewhere; the result is the same without, slower.
+    Contrasts below about 1e-5 of the values are lost to float32 rounding, because the loss's decrease is computed as a
+    difference of sums.
+
+    Args:
+        image: [B, C, H, W] float32, any number of channels, with its background, before anti-aliasing.
+        faces: Screen-space corners, [B, F, 3, 3] float32.
+        face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
+        eps: Added to every distance, in screen units. It bounds the gradient of pixels that touch the edge.
+        two_sided: Whether faces whose corners run clockwise are drawn.
+        binary: Whether the image is a silhouette of 0 and 1. The result is the same with False, but slower.
+
+    Returns:
+        [B, C, H, W] float32.
     """
     return copy(image)
 
@@ -47,7 +57,7 @@ def _(image, faces, face_index, eps, two_sided, binary):  # type: ignore[no-unty
 def nmr_edges_backward(
     grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool
 ) -> Tensor:
-    """The gradient [B, F, 3, 3] that `nmr_edges` sends to its faces; z gets none."""
+    """Compute the gradient of `nmr_edges` to faces, [B, F, 3, 3]; that of z is 0."""
     grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
     batch, channels, height, width = image.shape
     result = zeros(faces.shape, faces.device)
@@ -104,8 +114,8 @@ def _backward(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(nmr_edges, _backward, _save)
 
 
-# An edge p -> q of a counter-clockwise face with third corner r, and the scan lines that it crosses. Those are numbered
-# by u and run along v, in pixel units from the bottom left: for axis 0 rows, which pull x; for axis 1 columns and y.
+# An edge p -> q of a counter-clockwise face with third corner r, and the scan lines that it crosses: rows for axis 0,
+# which give the gradient of x, and columns for axis 1. Line u runs along v, in pixel units from the bottom left.
 _EDGE = """
 struct Edge {
     typedef wp::vec_t<3, float> vec3;
@@ -231,7 +241,7 @@ def pull_edge(
     eps: float,
     binary: int,
 ) -> wp.vec2:
-    """The gradient that the edge p -> q sends to p and q, by every n-th of the lines that it crosses."""
+    """Compute the gradient of the edge p -> q to p and q, over every n-th of the lines that it crosses."""
     ...
 
 

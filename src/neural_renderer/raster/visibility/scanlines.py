@@ -18,11 +18,11 @@ WIDE = 16
 
 
 def empty_lines(batch: int, lines: int, length: int, planes: int, device: torch.device) -> Tensor:
-    """Room for scan lines: [batch, lines, planes, WIDE + length]; what is stored of a pixel is a plane apart.
+    """Allocate scan lines, [batch, lines, planes, WIDE + length] float32.
 
-    First the sum over channels of value times gradient, then the gradient of each channel, of which the image may have
-    more than are stored. Of a silhouette, one number: what a pixel beside the shape gains by being covered, or, less
-    than zero, what one of the shape gains by being uncovered.
+    Plane 0 holds the sum over channels of value times gradient; the other planes hold the gradient of each channel, of
+    which the image may have more. A silhouette has one plane: the decrease of the loss if the pixel is covered, or
+    with a negative sign, if it is uncovered.
     """
     shape = (batch, lines, planes, WIDE + length)
     room = torch.empty(math.prod(shape) + WIDE, dtype=torch.float32, device=device)

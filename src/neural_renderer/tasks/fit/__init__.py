@@ -1,5 +1,6 @@
 """Fitting: a textured mesh from images with cameras, the texture of a known mesh, or the camera of one image."""
 
+from ..deprecated import old_names
 from ..settings import FitWeights
 from .fit_views import Views
 from .hull import carve, object_bounds
@@ -21,3 +22,5 @@ __all__ = [
     "load_views",
     "object_bounds",
 ]
+
+__getattr__ = old_names(__name__, Weights="FitWeights", frame="object_bounds")

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ... import losses, validate
 from ...io.cubes import barycentric_grid
+from ...meshes.subdivision import split_faces
 from ...meshes.topology import Topology
 from ..settings import FitWeights
 from .descent import SmoothDescent
@@ -151,16 +152,10 @@ class ShapeFit:
 
     def _subdivide(self) -> None:
         """Split each face into four at the midpoints of its edges."""
-        edges, faces, count = self._topology.edges, self._faces, len(self._vertices)
-        sides = torch.stack((faces, faces.roll(-1, 1)), -1)  # ab, bc, ca
-        key = sides.amin(-1) * count + sides.amax(-1)
-        ab, bc, ca = (torch.searchsorted(edges[:, 0] * count + edges[:, 1], key) + count).unbind(1)
-        a, b, c = faces.unbind(1)
-        children = torch.stack([torch.stack(f, 1) for f in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))], 1)
-
+        edges, faces = split_faces(self._faces, len(self._vertices))
         vertices = torch.cat((self._vertices, self._vertices[edges].mean(1)))
         colors = None if self._colors is None else torch.cat((self._colors, self._colors[edges].mean(1)))
-        self._set_shape(vertices, children.reshape(-1, 3), colors)
+        self._set_shape(vertices, faces, colors)
         self._subdivided += 1
 
     def state_dict(self) -> dict[str, Any]:

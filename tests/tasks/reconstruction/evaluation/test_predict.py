@@ -147,7 +147,7 @@ def test_many_pictures_of_which_some_are_wrong(pictures: Path, capsys: pytest.Ca
     for sentence in (
         "nothing.png: expected an object, got a picture without one",
         "text.png: expected a picture",
-        "crowd.png: expected transparency, a mask, or an object before a plain background",
+        "crowd.png: expected transparency, a mask, or a plain background",
         "nowhere.png: expected a file, got nothing there",
     ):
         assert sentence in told.err

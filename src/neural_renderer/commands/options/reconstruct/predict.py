@@ -13,8 +13,8 @@ import tyro
 class PredictOptions:
     """Predict a mesh from a picture of an object with a trained network.
 
-    A picture is a PNG with transparency, a photo with a --mask, or an object before a plain background, of any size.
-    The object is cut out and framed like the training images; several sizes are tried, and the best one is used. A
+    A picture is a PNG with transparency, a photo with a --mask, or an object in front of a plain background. The object
+    is cut out and framed like the training images; several sizes are tried, and the best one is used. A
     square of 64 pixels with transparency is used unchanged. The mesh has y up and a longest side of about 1. Beside it
     are written a contact sheet (_sheet.png) of the picture, the network's input and views of the mesh, and a turntable
     (_turntable.gif).

@@ -131,9 +131,7 @@ def plain_background_mask(rgb: Tensor) -> Tensor:
     noise = float(error[error <= error.quantile(_BACKGROUND_SHARE)].square().mean().sqrt())
     threshold = max(_LEAST_THRESHOLD, _NOISES * noise)
     if threshold > _MOST_THRESHOLD or float((error > threshold).float().mean()) > _MOST_OUTSIDE:
-        raise ValueError(
-            "expected transparency, a mask, or an object before a plain background, got a picture without a plain one"
-        )
+        raise ValueError("expected transparency, a mask, or a plain background, got a background of many colours")
     distance = (rgb - (basis @ coefficients).permute(2, 0, 1)).abs().amax(0)
     return ((distance - _SOFT_FROM * threshold) / (_SOFT_WIDTH * threshold)).clamp(0, 1)
 
