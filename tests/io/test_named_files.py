@@ -110,7 +110,7 @@ def test_an_absolute_path_is_no_file_of_the_folder(folder: Path, exists: bool) -
     path = obj(folder, str(target))
     if not exists:
         target.unlink()
-    with pytest.warns(UserWarning, match=r"red\.png' is missing in its folder; allow_outside=True"):
+    with pytest.warns(UserWarning, match=r"is missing in its folder; allow_outside=True"):
         assert (nr.load_mesh(path, 2)[2] == 0.5).all()
     if exists:
         assert color(path, allow_outside=True) == [1, 0, 0]
