@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from neural_renderer.raster.ops.coverage import coverage, silhouette
 from neural_renderer.raster.reference.operators import nmr_edges_reference
 from neural_renderer.raster.visibility.nmr import nmr_edges
+from neural_renderer.raster.warp.launch import concurrent
 from tests.raster.scenes import FAR, NEAR, Scene, examples, scenes
 from tests.rounding import rounding
 
@@ -183,7 +184,9 @@ def test_tensors_of_any_strides(device):
     expected = gradient(image, faces, index.contiguous(), 1e-3, True, False, grad)
     many = [t.expand(5, *t.shape[1:]) for t in (image, faces, index)]
     found = gradient(many[0], many[1], many[2], 1e-3, True, False, grad.expand(5, -1, -1, -1))
-    assert torch.equal(found, expected.expand_as(found))
+    # Tasks that run all at once add their sums of up to 2 (18 + 24) lines in any order.
+    allowed = rounding(2 * (18 + 24), float(expected.abs().max())) if concurrent(faces.device) else rounding(0)
+    torch.testing.assert_close(found, expected.expand_as(found), **allowed)
     assert torch.equal(silhouette(many[2]), silhouette(index.contiguous()).expand(5, -1, -1, -1))
 
 
