@@ -141,7 +141,7 @@ class Scene:
         return images
 
     def different_pixels(self) -> int:
-        """How many pixels of the images differ, edges apart, which DEODR smooths over a pixel."""
+        """Number of pixels that differ, except at edges, which DEODR smooths over a pixel."""
         theirs = []
         for scene in self.scenes:
             flags, scene.edgeflags = scene.edgeflags, np.zeros_like(scene.edgeflags)

@@ -137,7 +137,7 @@ def _median(step: Callable[[], None], threads: int) -> float:
     return sorted(least([(threads, step)], 1)[0][1] for _ in range(15))[7]
 
 
-# Of what a process needs for one step; prints seconds of the step and the peak of its memory.
+# A process that takes one step, and prints its seconds and its peak of memory.
 _STEP = """
 import resource, sys, time, torch
 import neural_renderer as nr

@@ -147,11 +147,13 @@ def fragments(
     )
     screen = camera(vertices, aspect=settings.width / settings.height)
     load_kernels(settings, ("rgb",), ATTRIBUTES, screen)
-    return visible_fragments(screen, faces, settings, 8)
+    return visible_fragments(screen, checked_faces(faces), settings, 8)
 
 
 def visible_fragments(screen: Tensor, faces: Tensor, settings: Settings, channels: int) -> Fragments:
-    """Find the visible faces of vertices [B, V, 3] in screen space, for images of at most so many channels."""
-    faces = checked_faces(faces)
+    """Find the visible faces of vertices [B, V, 3] in screen space, for so many channels at most.
+
+    ``faces`` are checked already.
+    """
     corners = settings.corners(vertices_to_faces(screen, faces), channels)
     return Fragments(corners, settings.face_index(corners), settings, settings.rings(corners, faces), faces)

@@ -46,17 +46,18 @@ def load_kernels(settings: Settings, outputs: Collection[str], colors: Functions
     Args:
         settings: How faces are drawn.
         outputs: Some of "rgb", "alpha", "depth".
-        colors: What colors the faces if "rgb" is among the outputs: CUBES, ATTRIBUTES or IMAGES.
+        colors: Operators that colour the faces if "rgb" is among the outputs: CUBES, ATTRIBUTES or IMAGES.
         corners: Positions on the device where images are drawn.
     """
     if not is_plain((corners,)):
         return
     moving = corners.requires_grad and torch.is_grad_enabled()
-    # What takes longest to compile comes first.
-    needed = _VISIBILITY[settings.gradient] if moving else ()
+    # The modules that take longest to compile come first.
+    needed: Functions = _VISIBILITY[settings.gradient] if moving else ()
     if "rgb" in outputs:
-        needed += colors + (
-            (texture_edge_hashes,) if moving and settings.gradient == "edge" and colors == CUBES else ()
-        )
-    needed += (barycentrics,) if "depth" in outputs else ()
+        needed += colors
+        if moving and settings.gradient == "edge" and colors == CUBES:
+            needed += (texture_edge_hashes,)
+    if "depth" in outputs:
+        needed += (barycentrics,)
     load_ahead(needed + _ALWAYS, corners.device)

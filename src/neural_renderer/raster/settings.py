@@ -29,7 +29,7 @@ FARTHEST = 1e37  # so that the sum of four depths is finite in float32
 
 @dataclass(frozen=True)
 class Settings:
-    """How faces are drawn.
+    """Options of a drawing.
 
     Attributes:
         height: Height of the returned image in pixels.

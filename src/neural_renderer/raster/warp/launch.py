@@ -146,18 +146,18 @@ def concurrent(device: torch.device) -> bool:
 
 
 def cpu_bands(batch: int, pixels: int) -> int:
-    """Into how many bands of rows each image is cut so that torch's threads have work; pixels: with its faces."""
+    """Number of bands of rows per image, so that all threads have work; ``pixels`` counts its pixels and faces."""
     threads = min(torch.get_num_threads(), max(1, batch * pixels // _ENOUGH_PIXELS))
     return 1 if batch % threads == 0 or batch >= _PIECES * threads else 2 * threads
 
 
 def worth_a_thread(pixels: float) -> int:
-    """How many tasks of so many pixels each, to draw or to shade, are worth another CPU thread."""
+    """Number of tasks, each of so many pixels to draw or to shade, that are worth another CPU thread."""
     return max(1, int(_ENOUGH_PIXELS / max(pixels, 1.0)))
 
 
 def face_tasks(faces: Tensor, pixels: int) -> int:
-    """The same for tasks of one face each, of ``faces`` [B, F, ...] in an image of so many pixels."""
+    """Number of tasks of one face each of ``faces`` [B, F, ...] that are worth another CPU thread."""
     return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
 
 
