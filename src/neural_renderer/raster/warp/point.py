@@ -329,8 +329,7 @@ def over_rows(shown: str, run: str, empty: str, begin: str = "", fresh: str = ""
     Returns:
         C++ statements.
     """
-    parts = {"BEGIN": begin, "EMPTY": empty, "FRESH": fresh, "SHOWN": shown, "RUN": run}
-    return FACE + structs + _fill(_ROWS, parts)
+    return FACE + structs + fill(_ROWS, BEGIN=begin, EMPTY=empty, FRESH=fresh, SHOWN=shown, RUN=run)
 
 
 def over_face(
@@ -360,10 +359,10 @@ def over_face(
     Returns:
         C++ statements.
     """
-    parts = {"EIGHT_BEGIN": eight_begin, "EIGHT_END": eight_end, "EIGHT": eight, "ONE": one, "FITS": fits}
-    return FACE + structs + _fill(_BOX, {**parts, "BEGIN": begin, "END": end})
+    eights = {"EIGHT_BEGIN": eight_begin, "EIGHT": eight, "EIGHT_END": eight_end, "FITS": fits}
+    return FACE + structs + fill(_BOX, BEGIN=begin, ONE=one, END=end, **eights)
 
 
-def _fill(code: str, parts: dict[str, str]) -> str:
+def fill(code: str, **parts: str) -> str:
     """Replace the words that stand alone in C++ code by statements."""
     return re.sub(r"\b(" + "|".join(parts) + r")\b", lambda found: parts[found[0]], code)
