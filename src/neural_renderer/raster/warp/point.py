@@ -344,8 +344,8 @@ def over_face(
 ) -> str:
     """Build the body of a native function that sums over the pixels of a face f of image b in its box.
 
-    The function has the arguments faces, face_index, perspective, b, f, the box (left, right, bottom, top), ``lane`` and
-    ``lanes`` (every n-th row), ``faces_too`` and ``to_faces``.
+    The function has the arguments faces, face_index, perspective, b, f, the box (left, right, bottom, top), ``lane``
+    and ``lanes`` (every n-th row), ``faces_too`` and ``to_faces``.
 
     Args:
         one: Statements for a pixel i, row + i in memory, with face, weights, on_screen, whole and z.
