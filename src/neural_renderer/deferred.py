@@ -9,6 +9,7 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
+from .camera.pinhole import screen_positions
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
@@ -145,7 +146,7 @@ def fragments(
     settings = Settings.checked(
         size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
     )
-    screen = camera(vertices, aspect=settings.width / settings.height)
+    screen = screen_positions(camera, vertices, settings.width / settings.height)
     load_kernels(settings, ("rgb",), ATTRIBUTES, screen)
     return visible_fragments(screen, checked_faces(faces), settings, 8)
 

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
+from .camera.pinhole import screen_positions
 from .deferred import Fragments, visible_fragments
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
@@ -23,6 +24,7 @@ from .raster.images import OUTPUTS, Images, checked_outputs
 from .raster.ops.composite import composite
 from .raster.settings import Settings
 from .raster.visibility.continuity import image_edge_hashes
+from .shading.flat_light import light_factors
 from .shading.lights import Light
 from .shading.spherical_harmonics import SphericalHarmonicLight
 
@@ -88,13 +90,13 @@ def render(
         size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
     )
     aspect = settings.width / settings.height
-    screen = validate.in_float32("vertices on the screen", camera(vertices, aspect=aspect))
+    screen = validate.in_float32("vertices on the screen", screen_positions(camera, vertices, aspect))
     faces = checked_faces(faces)
     load_kernels(settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, screen)
     factors = None
     if lights and "rgb" in outputs:
         corners = world_corners(vertices, faces, len(screen))
-        several = [one.two_sided(corners, camera.mirrored) for one in lights]
+        several = [light_factors(one, corners, camera.mirrored) for one in lights]
         factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
     visible = visible_fragments(screen, faces, settings, 1 + 3 * ("rgb" in outputs))
     if "rgb" not in outputs:
