@@ -9,7 +9,7 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .camera.pinhole import screen_positions
+from .camera.screen import screen_positions
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh

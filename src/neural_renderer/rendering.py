@@ -11,7 +11,7 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .camera.pinhole import screen_positions
+from .camera.screen import screen_positions
 from .deferred import Fragments, visible_fragments
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
@@ -24,8 +24,7 @@ from .raster.images import OUTPUTS, Images, checked_outputs
 from .raster.ops.composite import composite
 from .raster.settings import Settings
 from .raster.visibility.continuity import image_edge_hashes
-from .shading.flat_light import light_factors
-from .shading.lights import Light
+from .shading.lights import Light, light_factors
 from .shading.spherical_harmonics import SphericalHarmonicLight
 
 AnyLight: TypeAlias = Light | SphericalHarmonicLight

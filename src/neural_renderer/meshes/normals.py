@@ -8,10 +8,9 @@ from torch.nn import functional
 
 from .. import validate
 from ..raster.faces import checked_faces, vertices_to_faces
+from ..raster.ops.flat_light import LARGE, SMALLEST_SINE
 
-LARGE = 1e4  # faces with larger coordinates are scaled down before their normals are computed
 _TINY = 1e-20  # smallest divisor of a vertex normal
-SMALLEST_SINE = 1e-5  # a face with a smaller area, relative to its squared edge length, has a normal shorter than 1
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:

@@ -12,7 +12,9 @@ from torch import Tensor
 from .. import validate
 from ..camera.parameters import Array, Scalar, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
+from ..raster.ops.flat_light import flat_light
 from ..raster.warp.registration import is_plain
+from .spherical_harmonics import SphericalHarmonicLight
 
 _WHITE = (1.0, 1.0, 1.0)
 _UP = (0.0, 1.0, 0.0)
@@ -66,23 +68,23 @@ class Light:
     def _facing(self, corners: Tensor) -> Tensor:
         """Compute n · direction of each face, [B, F], with the orientation of `face_normals`."""
         validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
-        if self.is_ambient:
+        if self._is_ambient:
             return corners.new_zeros(corners.shape[:2])
-        _, _, direction = self.parameters(corners.dtype, corners.device, len(corners))
+        _, _, direction = self._parameters(corners.dtype, corners.device, len(corners))
         return (face_normals(corners) * direction[..., None, :]).sum(-1)
 
     def _shade(self, facing: Tensor) -> Tensor:
         """Compute light [B, ..., 3] from n · direction [B, ...]."""
-        ambient, directional, _ = self.parameters(facing.dtype, facing.device, len(facing))
+        ambient, directional, _ = self._parameters(facing.dtype, facing.device, len(facing))
         across = (-1, *(1,) * (facing.ndim - 1), 3)
         return ambient.reshape(across) + directional.reshape(across) * torch.relu(facing)[..., None]
 
     @property
-    def is_ambient(self) -> bool:
+    def _is_ambient(self) -> bool:
         """Whether there is no directional light, by its number; the direction is then of no use."""
         return isinstance(self.directional, (int, float)) and self.directional == 0
 
-    def parameters(self, dtype: torch.dtype, device: torch.device, images: int) -> tuple[Tensor, Tensor, Tensor]:
+    def _parameters(self, dtype: torch.dtype, device: torch.device, images: int) -> tuple[Tensor, Tensor, Tensor]:
         """Convert the parameters to tensors: RGB of the ambient and of the directional light, and the direction.
 
         Args:
@@ -95,11 +97,6 @@ class Light:
         Raises:
             TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
                 finite.
-
-        Example:
-            >>> ambient, directional, direction = nr.Light(ambient=0.25).parameters(torch.float32, "cpu", 1)
-            >>> ambient
-            tensor([[0.2500, 0.2500, 0.2500]])
         """
         kept = self.__dict__.get("_kept")
         if kept is not None and kept[0] == (dtype, device) and is_plain(()):
@@ -115,7 +112,7 @@ class Light:
         return parts
 
     def _convert(self, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-        towards = (0.0, 0.0, 0.0) if self.is_ambient else self.direction
+        towards = (0.0, 0.0, 0.0) if self._is_ambient else self.direction
         direction = parameter("direction", towards, (3,), dtype, device).reshape(-1, 3)
         return self._rgb("ambient", dtype, device), self._rgb("directional", dtype, device), direction
 
@@ -129,3 +126,25 @@ class Light:
         """Yield what the parameters are made of: numbers that stay, or tensors and lists that may change."""
         for value in (self.ambient, self.directional, self.ambient_color, self.directional_color, self.direction):
             yield from value if isinstance(value, tuple) else (value,)
+
+
+def light_factors(light: Light | SphericalHarmonicLight, corners: Tensor, mirrored: bool) -> Tensor:
+    """Compute the light on both sides of faces as ``light.two_sided``; for callers with first derivatives only.
+
+    Args:
+        light: Ambient and directional light, or spherical harmonics.
+        corners: [B, F, 3 corners, 3] floating, finite, in world space.
+        mirrored: Whether the camera mirrors.
+
+    Returns:
+        [B, 2, F, 3], as `Light.two_sided`.
+
+    Raises:
+        TypeError, ValueError: As `Light.two_sided`.
+    """
+    if not isinstance(light, Light) or type(light) is not Light or light._is_ambient:
+        return light.two_sided(corners, mirrored)
+    if corners.dtype != torch.float32 or not is_plain((corners,)):
+        return light.two_sided(corners, mirrored)
+    ambient, directional, direction = light._parameters(corners.dtype, corners.device, len(corners))
+    return flat_light(corners, ambient, directional, direction, mirrored)

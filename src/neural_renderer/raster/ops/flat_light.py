@@ -1,48 +1,20 @@
-"""Ambient and directional light on both sides of faces, as one operator: what `Light` computes in fifty of torch's.
-
-`light_factors` takes it where first derivatives in float32 are all that is asked for, as in `render`.
-"""
+"""Ambient and directional light on both sides of faces, as one operator: what `Light` computes in fifty of torch's."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
-from typing import Union
-
 import torch
 import warp as wp
 from torch import Tensor
 
-from ..meshes.normals import LARGE, SMALLEST_SINE
-from ..raster.warp.launch import array, concurrent, launch
-from ..raster.warp.registration import differentiable, differentiable_once, is_plain, operator
-from .lights import Light
-from .spherical_harmonics import SphericalHarmonicLight
+from ..warp.launch import array, concurrent, launch
+from ..warp.registration import differentiable, differentiable_once, operator
 
 # Without fused multiply-adds, the light on both sides is that of opposite normals, exactly.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+LARGE = 1e4  # faces with larger coordinates are scaled down before their normals are computed
+SMALLEST_SINE = 1e-5  # a face with a smaller area, relative to its squared edge length, has a normal shorter than 1
 _SUMS = 9  # partial sums of each group of faces: ambient, directional, direction
 _LEAST = 16  # groups of faces that are worth another thread
-
-
-def light_factors(light: Union[Light, SphericalHarmonicLight], corners: Tensor, mirrored: bool) -> Tensor:  # noqa: UP007
-    """Compute the light on both sides of faces as ``light.two_sided``; for callers with first derivatives only.
-
-    Args:
-        light: Ambient and directional light, or spherical harmonics.
-        corners: [B, F, 3 corners, 3] floating, finite, in world space.
-        mirrored: Whether the camera mirrors.
-
-    Returns:
-        [B, 2, F, 3], as `Light.two_sided`.
-
-    Raises:
-        TypeError, ValueError: As `Light.two_sided`.
-    """
-    if not isinstance(light, Light) or type(light) is not Light:
-        return light.two_sided(corners, mirrored)
-    if corners.dtype != torch.float32 or light.is_ambient or not is_plain((corners,)):
-        return light.two_sided(corners, mirrored)
-    ambient, directional, direction = light.parameters(corners.dtype, corners.device, len(corners))
-    return flat_light(corners, ambient, directional, direction, mirrored)
 
 
 @operator

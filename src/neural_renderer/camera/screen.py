@@ -1,0 +1,55 @@
+"""Vertices on the screen, for the rasteriser: by one operator where cameras have no distortion."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from .. import validate
+from ..raster.ops.pinhole import pinhole
+from ..raster.warp.registration import is_plain
+from .camera import Camera
+from .lens import viewing_angle
+from .parameters import batch_of, batch_size, scalar
+
+
+def screen_positions(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
+    """Project vertices as ``camera(vertices, aspect)``, with the same values; for callers with first derivatives only.
+
+    Args:
+        camera: B cameras.
+        vertices: [V, 3] or [B, V, 3] floating, in the world.
+        aspect: Width / height of the image.
+
+    Returns:
+        [B, V, 3], as `Camera.__call__`.
+
+    Raises:
+        TypeError, ValueError: As `Camera.__call__`.
+    """
+    is_simple = type(camera) is Camera and camera.K is None
+    if not is_simple or getattr(vertices, "dtype", None) != torch.float32 or not is_plain((vertices, camera.rotation)):
+        return camera(vertices, aspect=aspect)
+    validate.vertices(vertices)
+    rotation, origin = camera.rotation.to(vertices), camera.origin.to(vertices)
+    batch_size(vertices=batch_of(vertices, 2), camera=len(rotation))
+    if camera.viewing_angle is None:
+        name, width = "scale", scalar("scale", camera.scale, vertices.dtype, vertices.device)
+    else:
+        name, width = "angle", viewing_angle("angle", camera.viewing_angle, vertices.dtype, vertices.device)
+    if isinstance(width, Tensor):
+        width = width if camera.viewing_angle is None else torch.tan(torch.deg2rad(width))
+    else:
+        width = _constant(width, camera.viewing_angle is not None, vertices.device)
+    batch_size(vertices=max(batch_of(vertices, 2), len(rotation)), **{name: batch_of(width, 0)})
+    points = vertices if vertices.dim() == 3 else vertices[None]
+    return pinhole(points, rotation, origin, width.reshape(-1), aspect, camera.perspective)
+
+
+@lru_cache(maxsize=64)
+def _constant(width: float, is_angle: bool, device: torch.device) -> Tensor:
+    with torch.inference_mode(False):
+        value = torch.tensor(width, dtype=torch.float32)
+        return (torch.tan(torch.deg2rad(value)) if is_angle else value).to(device)
