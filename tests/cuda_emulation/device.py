@@ -22,6 +22,7 @@ import warp as wp
 from warp._src.types import launch_bounds_t
 
 from neural_renderer.raster.warp import launch as launching
+from neural_renderer.raster.warp import layout
 
 from .ptx import Kernel, parse
 from .translate import translate
@@ -62,11 +63,11 @@ class EmulatedDevice:
         self._libraries: dict[str, tuple[ctypes.CDLL, dict[str, Kernel]]] = {}
 
     def __enter__(self) -> EmulatedDevice:
-        launching.emulator = self._launch
+        launching.emulator, layout.as_on_cuda = self._launch, True
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        launching.emulator = None
+        launching.emulator, layout.as_on_cuda = None, False
 
     def _launch(self, kernel: wp.Kernel, tasks: int, arguments: Sequence[Any]) -> bool:
         """Run a launch; False for a kernel that has to run on the CPU."""
