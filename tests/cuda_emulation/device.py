@@ -85,13 +85,13 @@ class EmulatedDevice:
             )
         ]
         pointers = (ctypes.c_void_p * len(buffers))(*map(ctypes.addressof, buffers))
-        result = (ctypes.c_int64 * 5)()
+        result = (ctypes.c_int64 * 7)()
         stride = ctypes.c_uint64(_stride(tasks) if self._shuffled else 1)
         if library.run(entry.name.encode(), pointers, ctypes.c_uint64(tasks), stride, result):
             raise RuntimeError(f"{entry.name}: expected a kernel of the module {name}, found none")
         where = f"{name.removeprefix('neural_renderer.raster.')}.{kernel.key}"
         self.launches[where] += 1
-        sums = self.measured.setdefault(where, [0] * 5)
+        sums = self.measured.setdefault(where, [0] * 7)
         for place, value in enumerate(result):
             sums[place] = max(sums[place], value) if place == 1 else sums[place] + value
         return True
