@@ -22,7 +22,7 @@ import warp as wp
 from torch import Tensor
 
 from .kernel_cache import load_module
-from .layout import PIECES, concurrent, face_lanes, face_tasks, row_tasks, worth_a_thread  # noqa: F401
+from .layout import PIECES
 
 # Threads that compile, each of which begins with two seconds for Warp's headers; and what spares them a third of it.
 _COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
