@@ -16,6 +16,7 @@ SOURCE = Path(neural_renderer.__file__).parent
 ROOMS = [
     "version",
     "validate",
+    "constants",
     "metrics",
     "io",
     "raster",

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..constants import on_device
 from ..raster.ops.pinhole import pinhole
 from ..raster.warp.registration import is_plain
 from .camera import Camera
@@ -33,7 +34,7 @@ def screen_positions(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
     if not is_simple or getattr(vertices, "dtype", None) != torch.float32 or not is_plain((vertices, camera.rotation)):
         return camera(vertices, aspect=aspect)
     validate.vertices(vertices)
-    rotation, origin = camera.rotation.to(vertices), camera.origin.to(vertices)
+    rotation, origin = on_device(camera.rotation, vertices), on_device(camera.origin, vertices)
     batch_size(vertices=batch_of(vertices, 2), camera=len(rotation))
     if camera.viewing_angle is None:
         name, width = "scale", scalar("scale", camera.scale, vertices.dtype, vertices.device)

@@ -113,12 +113,12 @@ class Light:
 
     def _convert(self, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
         towards = (0.0, 0.0, 0.0) if self._is_ambient else self.direction
-        direction = parameter("direction", towards, (3,), dtype, device).reshape(-1, 3)
+        direction = parameter("direction", towards, (3,), dtype, device, shared=True).reshape(-1, 3)
         return self._rgb("ambient", dtype, device), self._rgb("directional", dtype, device), direction
 
     def _rgb(self, intensity: str, dtype: torch.dtype, device: torch.device) -> Tensor:
         strength = scalar(intensity, getattr(self, intensity), dtype, device)
-        rgb = parameter(f"{intensity}_color", getattr(self, f"{intensity}_color"), (3,), dtype, device)
+        rgb = parameter(f"{intensity}_color", getattr(self, f"{intensity}_color"), (3,), dtype, device, shared=True)
         rgb = rgb * (strength[:, None] if isinstance(strength, Tensor) and strength.ndim else strength)
         return rgb.reshape(-1, 3)
 

@@ -5,7 +5,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch, worth_a_thread
+from ..warp.launch import array, launch
+from ..warp.layout import worth_a_thread
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})

@@ -5,7 +5,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, concurrent, launch, zeros
+from ..warp.launch import array, launch, zeros
+from ..warp.layout import concurrent
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -26,8 +27,7 @@ def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
     """
     shape = (vertices.shape[0], *faces.shape[1:], vertices.shape[2])
     corners = torch.empty(shape, dtype=torch.float32, device=vertices.device)
-    each = 1 if concurrent(vertices.device) else 256
-    groups = -(-corners.shape[1] // each)
+    groups, each = group_tasks(corners.shape[1], vertices.device, 256)
     arguments = [array(vertices), array(faces), array(corners), groups, each]
     launch(_forward, corners.shape[0] * groups, arguments, vertices.device)
     return corners

@@ -6,7 +6,8 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import facing, homogeneous_weights, in_front, pixel_box, pixel_centre
-from ..warp.launch import MANY_PIXELS, array, concurrent, cpu_bands, launch, worth_a_thread
+from ..warp.launch import array, launch
+from ..warp.layout import MANY_PIXELS, concurrent, cpu_bands, worth_a_thread
 from ..warp.registration import operator
 from .draw_face import clear_rows, draw_into_keys, draw_into_rows, turn_rows
 

@@ -5,7 +5,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, concurrent, launch
+from ..warp.launch import array, launch
+from ..warp.layout import concurrent, group_tasks
 from ..warp.registration import differentiable, differentiable_once, operator
 
 # Without fused multiply-adds, the light on both sides is that of opposite normals, exactly.
@@ -33,8 +34,7 @@ def flat_light(corners: Tensor, ambient: Tensor, directional: Tensor, direction:
     """
     batch, count = _batch(corners, ambient, directional, direction), corners.shape[1]
     factors = torch.empty((batch, 2, count, 3), dtype=torch.float32, device=corners.device)
-    each = 1 if concurrent(corners.device) else 512
-    groups = -(-count // each)
+    groups, each = group_tasks(count, corners.device, 512)
     arguments = [*_arguments(corners, ambient, directional, direction, mirrored), groups, each, array(factors)]
     launch(_forward, batch * groups, arguments, corners.device, _LEAST)
     return factors
@@ -55,8 +55,7 @@ def flat_light_backward(
         To the corners, [1 or B, F, 3, 3]; to the light, [B, 9]: ambient, directional, direction.
     """
     batch, _, count, _ = grad.shape
-    each = 32 if concurrent(grad.device) else 512
-    groups = -(-count // each)
+    groups, each = group_tasks(count, grad.device, 512, 32)
     # On the CPU, one task sums the gradient to faces that images share, image by image.
     own = batch if concurrent(grad.device) else len(corners)
     to_corners = torch.empty((own, count, 3, 3), dtype=torch.float32, device=grad.device)

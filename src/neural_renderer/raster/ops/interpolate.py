@@ -6,7 +6,8 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
-from ..warp.launch import array, face_lanes, face_tasks, launch, row_tasks, worth_a_thread, zeros
+from ..warp.launch import array, launch, zeros
+from ..warp.layout import face_lanes, face_tasks, row_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces

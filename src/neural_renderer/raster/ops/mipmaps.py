@@ -6,7 +6,8 @@ import warp as wp
 from torch import Tensor
 from torch.nn import functional
 
-from ..warp.launch import array, concurrent, launch, row_tasks, worth_a_thread, zeros
+from ..warp.launch import array, launch, zeros
+from ..warp.layout import concurrent, row_tasks, worth_a_thread
 from ..warp.point import fill
 from ..warp.registration import differentiable, differentiable_once, operator
 

@@ -5,7 +5,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, concurrent, launch
+from ..warp.launch import array, launch
+from ..warp.layout import concurrent, group_tasks
 from ..warp.registration import differentiable, differentiable_once, operator
 
 # Without fused multiply-adds, positions are bitwise those of torch.
@@ -34,8 +35,7 @@ def pinhole(
     """
     batch, count = _batch(vertices, rotation, origin, width), vertices.shape[1]
     screen = torch.empty((batch, count, 3), dtype=torch.float32, device=vertices.device)
-    each = 1 if concurrent(vertices.device) else 1024
-    groups = -(-count // each)
+    groups, each = group_tasks(count, vertices.device, 1024)
     arguments = [*_arguments(vertices, rotation, origin, width, aspect, perspective), groups, each, array(screen)]
     launch(_forward, batch * groups, arguments, vertices.device, _LEAST)
     return screen
@@ -63,8 +63,7 @@ def pinhole_backward(
         To the vertices, [1 or B, V, 3]; to the cameras, [B, 13]: rotation, origin, width; empty if not ``camera_too``.
     """
     batch, count = grad.shape[:2]
-    each = 32 if concurrent(grad.device) else 1024
-    groups = -(-count // each)
+    groups, each = group_tasks(count, grad.device, 1024, 32)
     # On the CPU, one task sums the gradient to vertices that images share, image by image.
     own = batch if concurrent(grad.device) else len(vertices)
     to_vertices = torch.empty((own, count, 3), dtype=torch.float32, device=grad.device)

@@ -4,14 +4,20 @@
 import torch
 import warp as wp
 from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
 
-from ..warp.launch import MANY_PIXELS, array, launch, zeros
+from ..warp.launch import array, launch, stream_of, zeros
+from ..warp.layout import MANY_PIXELS
 
 wp.set_module_options({"enable_backward": False})
 
 
+# Masks by their `face_index`, which several operators of one backward pass have in common; and for what they hold.
+_kept = WeakTensorKeyDictionary()
+
+
 def seen_faces(face_index: Tensor, count: int) -> Tensor:
-    """Mark the visible faces.
+    """Mark the visible faces. The mask of a tensor is kept as long as the tensor lives unchanged.
 
     Args:
         face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
@@ -20,6 +26,17 @@ def seen_faces(face_index: Tensor, count: int) -> Tensor:
     Returns:
         [B, F + 1] int32: 1 for each visible face, else 0. The last entry stands for pixels without a face.
     """
+    stream = stream_of(face_index.device)
+    if stream is None or face_index.is_inference():
+        return _seen_faces(face_index, count)
+    key = (face_index._version, count, stream)
+    kept = _kept.get(face_index)
+    if kept is None or kept[0] != key:
+        kept = _kept[face_index] = (key, _seen_faces(face_index, count))
+    return kept[1]
+
+
+def _seen_faces(face_index: Tensor, count: int) -> Tensor:
     seen = zeros((len(face_index), count + 1), face_index.device, torch.int32)
     batch, height, width = face_index.shape
     many_rows = MANY_PIXELS // max(width, 1)

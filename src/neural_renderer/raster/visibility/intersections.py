@@ -21,7 +21,8 @@ from torch import Tensor
 
 from ..ops.visible_faces import next_shown
 from ..warp.geometry import degenerate, in_front, pixel_box, pixel_centre
-from ..warp.launch import array, face_lanes, launch, zeros
+from ..warp.launch import array, launch, zeros
+from ..warp.layout import face_lanes
 from .candidates import find_in_row
 from .crossings import border_weight
 from .nearness import covers, nearness_slope, nearness_terms, total

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import SHORTEST, facing
-from ..warp.launch import array, concurrent, copy, face_lanes, face_tasks, launch, worth_a_thread, zeros
+from ..warp.launch import array, copy, launch, zeros
+from ..warp.layout import concurrent, face_lanes, face_tasks, worth_a_thread
 from ..warp.registration import differentiable, differentiable_once, operator
 from .scanlines import SCAN_LINE, WIDE, copy_lines, empty_lines
 

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
+_PLAIN = (Tensor, nn.Parameter)
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -41,10 +43,12 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
         if not is_plain(inputs):
             return registered(*inputs)
         inputs += defaults[len(inputs) :]
-        if not graph or not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
-            with torch.no_grad():
-                return plain(*inputs)
-        return graph[0].apply(*inputs)
+        if not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
+            return plain(*inputs)
+        if graph:
+            return graph[0].apply(*inputs)
+        with torch.no_grad():
+            return plain(*inputs)
 
     call.operator = registered  # type: ignore[attr-defined]
     call.graph = graph  # type: ignore[attr-defined]
@@ -90,11 +94,10 @@ def is_plain(inputs: tuple[Any, ...]) -> bool:
         or torch._C._are_functorch_transforms_active()
     ):
         return False
-    return all(
-        value.device.type != "meta" and type(value) in (Tensor, nn.Parameter) and not value.is_neg()
-        for value in inputs
-        if isinstance(value, Tensor)
-    )
+    for value in inputs:
+        if isinstance(value, Tensor) and (type(value) not in _PLAIN or value.is_meta or value.is_neg()):
+            return False
+    return True
 
 
 def _requires_grad(value: Any) -> bool:

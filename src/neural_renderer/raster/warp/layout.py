@@ -1,0 +1,73 @@
+"""Layout: how the work of a launch is divided into tasks. This module alone decides what differs between devices.
+
+On the CPU a task is long, and no two tasks write to one place. On CUDA a task is a short thread of many thousands;
+threads share sums by atomics, and reading a number would wait for the device.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+# Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
+PIECES = 4
+
+# Pixels to look at, or to draw and shade, before another CPU thread is worth waking.
+MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
+
+# Tests set it, to run the layout of CUDA, and its code, on a processor; see `emulator` in `launch`.
+as_on_cuda = False
+
+
+def concurrent(device: torch.device) -> bool:
+    """Test whether the tasks of a launch run concurrently and share sums by atomics, as on CUDA."""
+    return device.type == "cuda" or as_on_cuda
+
+
+def readable(device: torch.device) -> bool:
+    """Test whether numbers of a tensor can be read without waiting for the device."""
+    return device.type == "cpu"
+
+
+def in_any_order(device: torch.device) -> bool:
+    """Test whether tasks may share sums and places in any order: they are concurrent, and torch allows it."""
+    return concurrent(device) and not torch.are_deterministic_algorithms_enabled()
+
+
+def cpu_bands(batch: int, pixels: int) -> int:
+    """Number of bands of rows per image, so that all threads have work; ``pixels`` counts its pixels and faces."""
+    threads = min(torch.get_num_threads(), max(1, batch * pixels // _ENOUGH_PIXELS))
+    return 1 if batch % threads == 0 or batch >= PIECES * threads else 2 * threads
+
+
+def worth_a_thread(pixels: float) -> int:
+    """Number of tasks, each of so many pixels to draw or to shade, that are worth another CPU thread."""
+    return max(1, int(_ENOUGH_PIXELS / max(pixels, 1.0)))
+
+
+def face_tasks(faces: Tensor, pixels: int) -> int:
+    """Number of tasks of one face each of ``faces`` [B, F, ...] that are worth another CPU thread."""
+    return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
+
+
+def group_tasks(count: int, device: torch.device, on_cpu: int, on_cuda: int = 1) -> tuple[int, int]:
+    """Compute the number of groups of ``count`` vertices or faces, one task each, and the size of a group."""
+    each = on_cuda if concurrent(device) else on_cpu
+    return -(-count // each), each
+
+
+def row_tasks(rows: int, device: torch.device) -> tuple[int, int]:
+    """Compute the number of tasks for ``rows`` rows of pixels, and the rows of each task: one on CUDA."""
+    each = 1 if concurrent(device) else 16
+    return -(-rows // each), each
+
+
+def face_lanes(faces: Tensor, pixels: int) -> int:
+    """Compute the number of CUDA threads per face of ``faces`` [B, F, ...] in an image of ``pixels`` pixels.
+
+    It is larger where faces are few and large. It is one on the CPU, and one if torch asks for deterministic results:
+    several threads add their sums in any order.
+    """
+    if not in_any_order(faces.device):
+        return 1
+    return min(32, 1 << (8 * pixels // max(faces.shape[1], 1)).bit_length() // 2)
