@@ -15,7 +15,7 @@ from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ahead import ATTRIBUTES, load_kernels
 from .raster.background import background_image
-from .raster.faces import checked_faces, vertices_to_faces
+from .raster.faces import checked_faces, corners_of
 from .raster.ops.composite import composite
 from .raster.ops.corners import gather_corners
 from .raster.ops.interpolate import interpolate
@@ -159,5 +159,5 @@ def visible_fragments(screen: Tensor, faces: Tensor, settings: Settings, channel
 
     ``faces`` are checked already.
     """
-    corners = settings.corners(vertices_to_faces(screen, faces), channels)
+    corners = settings.corners(corners_of(screen, faces), channels)
     return Fragments(corners, settings.face_index(corners), settings, settings.rings(corners, faces), faces)

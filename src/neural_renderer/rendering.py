@@ -18,10 +18,11 @@ from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ahead import CUBES, IMAGES, load_kernels
 from .raster.background import background_image
-from .raster.cubes import cube_colors, light_on_pixels
+from .raster.cubes import cube_colors
 from .raster.faces import checked_faces, world_corners
 from .raster.images import OUTPUTS, Images, checked_outputs
 from .raster.ops.composite import composite
+from .raster.ops.light_pixels import light_pixels
 from .raster.settings import Settings
 from .raster.visibility.continuity import image_edge_hashes
 from .shading.lights import Light, light_factors
@@ -93,14 +94,14 @@ def render(
     screen = validate.in_float32("vertices on the screen", screen_positions(camera, vertices, aspect))
     faces = checked_faces(faces)
     load_kernels(settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, screen)
-    factors = None
-    if lights and "rgb" in outputs:
-        corners = world_corners(vertices, faces, len(screen))
-        several = [light_factors(one, corners, camera.mirrored) for one in lights]
-        factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
     visible = visible_fragments(screen, faces, settings, 1 + 3 * ("rgb" in outputs))
     if "rgb" not in outputs:
         return visible.images(outputs)
+    factors = None
+    if lights:
+        corners = world_corners(vertices, faces, screen.shape[0], in_range=True)
+        several = [light_factors(one, corners, camera.mirrored) for one in lights]
+        factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
     if isinstance(mesh, UVMesh):
         return visible.images(outputs, *_image_colors(visible, mesh, factors, background))
     if textures is None:
@@ -120,8 +121,8 @@ def _image_colors(
     color = mesh.shade(visible if visible.settings.gradient == "edge" else still)
     behind = background_image(background, len(color), 3, visible.settings, color.device)
     rgb = composite(color, behind, visible.face_index)
-    if light is not None:  # which is 1 on the background
-        rgb = rgb * light_on_pixels(visible, light)
+    if light is not None:
+        rgb = light_pixels(rgb, light, visible.corners.detach(), visible.face_index, visible.settings.perspective)
     return rgb, lambda: image_edge_hashes(mesh.uv, mesh.image_index, light)
 
 

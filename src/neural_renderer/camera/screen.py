@@ -35,22 +35,29 @@ def screen_positions(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
         return camera(vertices, aspect=aspect)
     validate.vertices(vertices)
     rotation, origin = on_device(camera.rotation, vertices), on_device(camera.origin, vertices)
-    batch_size(vertices=batch_of(vertices, 2), camera=len(rotation))
-    if camera.viewing_angle is None:
-        name, width = "scale", scalar("scale", camera.scale, vertices.dtype, vertices.device)
-    else:
-        name, width = "angle", viewing_angle("angle", camera.viewing_angle, vertices.dtype, vertices.device)
-    if isinstance(width, Tensor):
-        width = width if camera.viewing_angle is None else torch.tan(torch.deg2rad(width))
-    else:
-        width = _constant(width, camera.viewing_angle is not None, vertices.device)
-    batch_size(vertices=max(batch_of(vertices, 2), len(rotation)), **{name: batch_of(width, 0)})
+    views, meshes = rotation.shape[0], batch_of(vertices, 2)
+    if meshes != 1:
+        batch_size(vertices=meshes, camera=views)
+    width = _width(camera, vertices.device, max(views, meshes))
     points = vertices if vertices.dim() == 3 else vertices[None]
-    return pinhole(points, rotation, origin, width.reshape(-1), aspect, camera.perspective)
+    return pinhole(points, rotation, origin, width, aspect, camera.perspective)
+
+
+def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
+    """Return the tangent of half the field of view, or the scale of an orthographic camera, [1 or B] float32."""
+    is_angle = camera.viewing_angle is not None
+    if is_angle:
+        name, width = "angle", viewing_angle("angle", camera.viewing_angle, torch.float32, device)
+    else:
+        name, width = "scale", scalar("scale", camera.scale, torch.float32, device)
+    if not isinstance(width, Tensor):
+        return _constant(width, is_angle, device)
+    batch_size(vertices=images, **{name: batch_of(width, 0)})
+    return (torch.tan(torch.deg2rad(width)) if is_angle else width).reshape(-1)
 
 
 @lru_cache(maxsize=64)
 def _constant(width: float, is_angle: bool, device: torch.device) -> Tensor:
     with torch.inference_mode(False):
-        value = torch.tensor(width, dtype=torch.float32)
+        value = torch.tensor([width], dtype=torch.float32)
         return (torch.tan(torch.deg2rad(value)) if is_angle else value).to(device)

@@ -18,7 +18,7 @@ from ..raster.faces import checked_faces, vertices_to_faces, world_corners
 from ..raster.images import Images
 from ..raster.rasterize import rasterize_images
 from ..raster.settings import image_size
-from ..shading.lights import Light
+from ..shading.lights import Light, light_factors
 from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR
 
 # Attribute of `Light` → attribute of `Renderer`.
@@ -269,7 +269,7 @@ class Renderer(nn.Module):
             )
             # Light is computed in world space, on the side that the first packages lit (see the class).
             with validate.called(**_LIGHT):
-                light = lamp.two_sided(world_corners(vertices, faces, len(screen)), mirrored=True)
+                light = light_factors(lamp, world_corners(vertices, faces, len(screen)), mirrored=True)
         with validate.called(background="background_color", eps="rasterizer_eps", light="light_*"):
             return rasterize_images(
                 vertices_to_faces(screen, faces),

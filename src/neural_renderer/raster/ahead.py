@@ -12,8 +12,11 @@ from .ops.barycentrics import barycentrics
 from .ops.composite import composite
 from .ops.corners import gather_corners
 from .ops.coverage import coverage
+from .ops.flat_light import flat_light
 from .ops.interpolate import interpolate
+from .ops.light_pixels import light_pixels
 from .ops.mipmaps import sample_mipmaps
+from .ops.pinhole import pinhole
 from .ops.texture_cubes import sample_textures
 from .ops.visible_faces import seen_faces
 from .settings import Settings
@@ -28,10 +31,10 @@ from .warp.registration import is_plain
 
 Functions = tuple[Callable[..., Any], ...]
 
-CUBES: Functions = (sample_textures,)
+CUBES: Functions = (sample_textures, flat_light)
 ATTRIBUTES: Functions = (interpolate, composite)
-IMAGES: Functions = (interpolate, composite, sample_mipmaps, sample_textures)
-_ALWAYS: Functions = (coverage, gather_corners)
+IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels, flat_light)
+_ALWAYS: Functions = (coverage, gather_corners, pinhole)
 _VISIBILITY: dict[str, Functions] = {
     "nmr": (nmr_edges, empty_lines, seen_faces),
     "edge": (boundaries, add_intersections, neighbors, seen_faces),

@@ -45,23 +45,6 @@ def cube_colors(
     return rgb, lambda: texture_edge_hashes(cubes, factors)
 
 
-def light_on_pixels(visible: VisibleFaces, light: Tensor) -> Tensor:
-    """Look up the light on the visible side of each pixel's face.
-
-    Args:
-        visible: Visible faces of B images of F faces.
-        light: Factors [B or 1, 2, F, 3] on the front and the back of each face.
-
-    Returns:
-        [B, 3, H, W] float32; 1 where no face is visible. Differentiable in ``light``.
-    """
-    settings, index = visible.settings, visible.face_index
-    white = torch.ones((1, visible.corners.shape[1], 1, 1, 1, 3), device=index.device)
-    behind = white.new_ones(()).expand(len(index), 3, *index.shape[1:])
-    corners = visible.corners.detach()
-    return sample_textures(white, light, behind, corners, index, settings.eps, settings.perspective)
-
-
 def _checked_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:
     if textures is None:
         raise ValueError('textures: expected a tensor [B, F, T, T, T, 3] to draw "rgb", got None')

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import concurrent
+from ..warp.layout import concurrent, group_tasks
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
