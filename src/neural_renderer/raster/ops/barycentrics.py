@@ -107,12 +107,14 @@ _ROWS = over_rows(
             depth.data[pixel] = z < near ? near : z > far ? far : z;  // only rounding leaves the range
     """,
     run="""
-            float w[3][8], z[8];
-            memcpy(w, eight.weights, sizeof(w));
-            memcpy(z, &eight.z, sizeof(z));
-            for (int n = 0; n < run; ++n) {
+            const Eight::floats z = eight.z < near ? near : eight.z > far ? far : eight.z;
+            if (i + 8 <= width) {
+                Eight::store((float*)(weights_at.data + pixel), eight.weights[0], eight.weights[1], eight.weights[2]);
+                memcpy(depth.data + pixel, &z, sizeof(z));
+            } else for (int n = 0; n < run; ++n) {
+                const auto* w = eight.weights;
                 weights_at.data[pixel + n] = wp::vec_t<3, float>(w[0][n], w[1][n], w[2][n]);
-                depth.data[pixel + n] = z[n] < near ? near : z[n] > far ? far : z[n];
+                depth.data[pixel + n] = z[n];
             }
     """,
     empty="""
@@ -161,11 +163,8 @@ _PULL = over_face(
                 const float* g = (const float*)(grad_weights.data + row + at);
                 Eight::floats to_weights[3], to_depth;
                 memcpy(&to_depth, grad_depth.data + row + at, sizeof(to_depth));
-                for (int k = 0; k < 3; ++k) {
-                    to_weights[k] = Eight::floats{g[k], g[k + 3], g[k + 6], g[k + 9], g[k + 12], g[k + 15], g[k + 18],
-                                                  g[k + 21]};
-                    to_weights[k] = here ? to_weights[k] : Eight::none();
-                }
+                Eight::load(g, to_weights);
+                for (int k = 0; k < 3; ++k) to_weights[k] = here ? to_weights[k] : Eight::none();
                 eight.pull(face, to_weights, here ? to_depth : Eight::none(), here);
     """,
 )

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from ..warp.launch import array, launch
 from ..warp.layout import worth_a_thread
+from ..warp.point import VECTORS, fill
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -98,7 +99,17 @@ _FORWARD = {
         const auto at = [&](int c, int i) { return *(const float*)(behind + c * next + i * step); };
         if (step == 0) {
             const float r = at(0, 0), g = at(1, 0), b = at(2, 0);
-            for (int i = 0; i < width; ++i) {
+            int i = 0;
+            #if !defined(__CUDA_ARCH__)
+            for (; i + 8 <= width; i += 8) {
+                Vectors::floats own[3];
+                Vectors::ints here;
+                Vectors::load(color + 3 * i, own), memcpy(&here, shown + i, sizeof(here));
+                own[0] = here < 0 ? r : own[0], own[1] = here < 0 ? g : own[1], own[2] = here < 0 ? b : own[2];
+                memcpy(red + i, &own[0], 32), memcpy(green + i, &own[1], 32), memcpy(blue + i, &own[2], 32);
+            }
+            #endif
+            for (; i < width; ++i) {
                 red[i] = shown[i] < 0 ? r : color[3 * i];
                 green[i] = shown[i] < 0 ? g : color[3 * i + 1];
                 blue[i] = shown[i] < 0 ? b : color[3 * i + 2];
@@ -121,7 +132,18 @@ _FORWARD = {
 }
 _BACKWARD = {
     "THREE": """
-        for (int i = 0; i < width; ++i) {
+        int i = 0;
+        #if !defined(__CUDA_ARCH__)
+        for (; i + 8 <= width; i += 8) {
+            Vectors::floats own[3];
+            Vectors::ints here;
+            memcpy(&own[0], red + i, 32), memcpy(&own[1], green + i, 32), memcpy(&own[2], blue + i, 32);
+            memcpy(&here, shown + i, sizeof(here));
+            for (int k = 0; k < 3; ++k) own[k] = here < 0 ? Vectors::none() : own[k];
+            Vectors::store(color + 3 * i, own[0], own[1], own[2]);
+        }
+        #endif
+        for (; i < width; ++i) {
             color[3 * i] = shown[i] < 0 ? 0.0f : red[i];
             color[3 * i + 1] = shown[i] < 0 ? 0.0f : green[i];
             color[3 * i + 2] = shown[i] < 0 ? 0.0f : blue[i];
@@ -132,7 +154,7 @@ _BACKWARD = {
 
 
 def _row(parts: dict[str, str]) -> str:
-    return _ROW.replace("THREE", parts["THREE"]).replace("EACH", parts["EACH"])
+    return VECTORS + fill(_ROW, **parts)
 
 
 @wp.func_native(_row(_FORWARD))
