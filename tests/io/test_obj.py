@@ -405,7 +405,7 @@ def test_kinds_of_image(tmp_path, kind, image):
 
 def coloured_sphere(size: int):
     vertices, faces = icosphere(2)
-    return vertices, faces, torch.from_numpy(bake_corners((vertices[faces.long()].numpy() + 1) / 2, size))
+    return vertices, faces, bake_corners((vertices[faces.long()] + 1) / 2, size)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ... import losses, validate
-from ...io.cubes import barycentric_grid
+from ...io.cubes import bake_corners
 from ...meshes.subdivision import split_faces
 from ...meshes.topology import Topology
 from ..settings import FitWeights
@@ -102,7 +102,7 @@ class ShapeFit:
         """Current vertices, faces and, if vertices have colours, textures, in the form of `render`."""
         if self._colors is None:
             return self._vertices, self._faces
-        return self._vertices, self._faces, _corner_textures(self._colors, self._faces).clamp(0, 1)
+        return self._vertices, self._faces, bake_corners(self._colors[self._faces], 2).clamp(0, 1)
 
     def advance(self) -> dict[str, float]:
         """Take one step.
@@ -131,7 +131,7 @@ class ShapeFit:
         """Compute the loss and the mean silhouette IoU."""
         shape: tuple[Tensor, ...] = vertices, self._faces
         if colors is not None:
-            shape = (*shape, _corner_textures(colors, self._faces))
+            shape = (*shape, bake_corners(colors[self._faces], 2))
         images = views.draw(shape, "alpha" if colors is None else ("rgb", "alpha"), self._gradient)
         weights = self._weights
         loss = weights.silhouette * losses.silhouette_iou_loss(images.alpha, views.masks)
@@ -176,9 +176,3 @@ class ShapeFit:
         self._set_shape(state["vertices"], state["faces"], state["colors"])
         self._descent.load_state_dict(state["descent"])
         self._color_descent.load_state_dict(state["color_descent"])
-
-
-def _corner_textures(colors: Tensor, faces: Tensor) -> Tensor:
-    """Make texture cubes [F, 2, 2, 2, 3] that blend the vertex colours [V, 3] of each face."""
-    weights = torch.from_numpy(barycentric_grid(2)).to(colors)
-    return torch.einsum("gk,fkc->fgc", weights, colors[faces]).reshape(len(faces), 2, 2, 2, 3)
