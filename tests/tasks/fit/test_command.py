@@ -132,6 +132,11 @@ def test_interrupted_and_resumed(
     assert "expected a checkpoint of this run (gradient nmr), got one of gradient edge" in capsys.readouterr().err
     assert cli.main([*arguments, "--size", "40", "--resume"]) == 1
     assert "size 40" in capsys.readouterr().err
+    checkpoint = torch.load(tmp_path / "a" / "checkpoint.pt", weights_only=True)
+    torch.save({**checkpoint, "task": {"step": 2}}, tmp_path / "a" / "checkpoint.pt")
+    assert cli.main([*arguments, "--resume"]) == 1
+    assert "got one of another version (it has no 'phase')" in capsys.readouterr().err.replace("\n", " ")
+    torch.save(checkpoint, tmp_path / "a" / "checkpoint.pt")
     assert cli.main([*arguments, "--resume"]) == 0
     arguments[3] = str(tmp_path / "b")
     assert cli.main(arguments) == 0
