@@ -134,5 +134,15 @@ def linear(weight: Tensor, bias: Tensor) -> nn.Linear:
     return layer
 
 
+def weight_and_bias(weights: Mapping[str, Tensor], name: str, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
+    """Return the tensors of a layer from a checkpoint; ValueError unless the weight has the shape [·, *shape]."""
+    weight, bias = weights.get(f"{name}.weight"), weights.get(f"{name}.bias")
+    if weight is None or bias is None:
+        raise ValueError(f"expected weight and bias of {name}, got neither or only one")
+    if tuple(weight.shape[1:]) != shape or bias.shape != weight.shape[:1]:
+        raise ValueError(f"expected {name}.weight of shape [·, {', '.join(map(str, shape))}], got {list(weight.shape)}")
+    return weight, bias
+
+
 IMAGENET_MEAN = (123.675, 116.28, 103.53)
 IMAGENET_STD = (58.395, 57.12, 57.375)
