@@ -230,6 +230,32 @@ def _draw(
                 wp.atomic_min(key, b, height - 1 - j, i, candidate)
 
 
+@wp.func
+def draw_crossing_rows(
+    nearest: wp.array3d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    b: int,
+    index: int,
+    v0: wp.vec3,
+    v1: wp.vec3,
+    v2: wp.vec3,
+    near: float,
+    bottom: int,
+    top: int,
+):
+    """Draw a face that crosses the camera's plane into rows of an image, counted from the bottom, on the CPU."""
+    height = face_index.shape[1]
+    width = face_index.shape[2]
+    for j in range(bottom, top + 1):
+        row = height - 1 - j
+        for i in range(width):
+            z = crossing_depth(v0, v1, v2, i, j, height, width)
+            closest = nearest[b, row, i]
+            if z > near and (z < closest or (z == closest and index < face_index[b, row, i])):
+                nearest[b, row, i] = z
+                face_index[b, row, i] = index
+
+
 @wp.kernel
 def _draw_band(
     first: int,
@@ -260,22 +286,14 @@ def _draw_band(
             box = pixel_box(v0, v1, v2, front, height, width)
             from_row = wp.max(box[2], bottom)
             to_row = wp.min(box[3], top)
-            if front == 1:
-                if box[0] <= box[1]:
-                    n, d = depth_terms(v0, v1, v2, perspective)
-                    draw_into_rows(
-                        nearest, face_index, b, index, v0, v1, v2, n, d, near, height, width, box[0], box[1], from_row,
-                        to_row,
-                    )  # fmt: skip
-            else:
-                for j in range(from_row, to_row + 1):
-                    row = height - 1 - j
-                    for i in range(width):
-                        z = crossing_depth(v0, v1, v2, i, j, height, width)
-                        closest = nearest[b, row, i]
-                        if z > near and (z < closest or (z == closest and index < face_index[b, row, i])):
-                            nearest[b, row, i] = z
-                            face_index[b, row, i] = index
+            if front == 0:
+                draw_crossing_rows(nearest, face_index, b, index, v0, v1, v2, near, from_row, to_row)
+            elif box[0] <= box[1]:
+                n, d = depth_terms(v0, v1, v2, perspective)
+                draw_into_rows(
+                    nearest, face_index, b, index, v0, v1, v2, n, d, near, height, width, box[0], box[1], from_row,
+                    to_row,
+                )  # fmt: skip
         f = next_candidate(faces, b, f + 1, low, high, near, far, two_sided, perspective)
     if two_sided == 1:
         turn_rows(face_index, b, height - 1 - top, height - bottom, faces.shape[1])

@@ -45,9 +45,9 @@ def boundaries_reference(
         for axis in range(2):
             scan = _Scan.of(pull, color, shown, corners[b], adjacent[b], axis, perspective)
             for f, k in itertools.product(drawn[b].nonzero().flatten().tolist(), range(3)):
-                if adjacent[b, f, k] >= 0:  # no outline, but perhaps a seam
-                    if not seams or _colors_continue(edge_hashes, corners[b], adjacent[b], b, f, k):
-                        continue
+                is_outline = bool(adjacent[b, f, k] < 0)
+                if not is_outline and not (seams and _is_seam(edge_hashes, corners[b], adjacent[b], b, f, k)):
+                    continue
                 to_start, to_end = _move_edge(scan, f, k, bool(side[b, f] > 0))
                 result[b, f, k, axis] += to_start
                 result[b, f, (k + 1) % 3, axis] += to_end
@@ -55,15 +55,15 @@ def boundaries_reference(
     return result.to(faces.device)
 
 
-def _colors_continue(edge_hashes: Tensor | None, corners: Tensor, adjacent: Tensor, b: int, f: int, k: int) -> bool:
-    """Test whether the hashes of edge k of face f match those of the same edge of the adjacent face."""
+def _is_seam(edge_hashes: Tensor | None, corners: Tensor, adjacent: Tensor, b: int, f: int, k: int) -> bool:
+    """Test whether the hashes of edge k of face f differ from those of the same edge of the adjacent face."""
     if edge_hashes is None:
-        return False
+        return True
     own, g = edge_hashes[min(b, len(edge_hashes) - 1)].tolist(), int(adjacent[f, k])
     for m in range(3):
         if torch.equal(corners[g, [(m + 1) % 3, m]], corners[f, [k, (k + 1) % 3]]):
-            return own[f][k][0] != 0 and own[g][m][1] == own[f][k][0]
-    return False
+            return own[f][k][0] == 0 or own[g][m][1] != own[f][k][0]
+    return True
 
 
 class _Scan(NamedTuple):

@@ -12,7 +12,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.geometry import FACING, IN_FRONT, facing, in_front
+from ..warp.geometry import FACING, IN_FRONT
 from ..warp.launch import array, concurrent, launch, zeros
 
 wp.set_module_options({"enable_backward": False})
@@ -86,7 +86,7 @@ def edge_hash(p: wp.vec3, q: wp.vec3, size: int) -> int:
     ...
 
 
-_SEARCH_RINGS = """
+_DRAWN = """
     struct Drawn {
         typedef wp::vec_t<3, float> vec3;
         static CUDA_CALLABLE int facing(vec3 v0, vec3 v1, vec3 v2, int perspective) { FACING }
@@ -97,9 +97,27 @@ _SEARCH_RINGS = """
         }
         static CUDA_CALLABLE float beside(const vec3& p, const vec3& q, const vec3& r, int perspective) {
             const float side = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
-            return perspective && r[2] <= 0.0f ? -side : side;
+            return perspective && r[2] <= 0.0f ? -side : side;  // a corner behind the camera is projected opposite
         }
     };
+""".replace("FACING", FACING).replace("IN_FRONT", IN_FRONT)
+
+
+@wp.func_native(
+    _DRAWN + "const wp::vec_t<3, float> corners[3] = {v0, v1, v2}; return Drawn::is(corners, two_sided, perspective);"
+)
+def is_drawn(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, two_sided: int, perspective: int) -> bool:
+    """Test whether a face can be drawn: its side is visible, and it is not wholly behind the camera."""
+    ...
+
+
+@wp.func_native(_DRAWN + "return Drawn::beside(p, q, r, perspective);")
+def beside(p: wp.vec3, q: wp.vec3, r: wp.vec3, perspective: int) -> float:
+    """Compute a number above zero if the face of p, q and r lies to the left of p -> q on the screen."""
+    ...
+
+
+_SEARCH_RINGS = """
     const wp::int64 count = faces.shape[1], own = b < rings.shape[0] ? b : rings.shape[0] - 1;
     const int* next = rings.data + own * (count + 1) * 3;
     const int* shown = visible.data + (wp::int64)b * visible.shape[1];
@@ -128,7 +146,7 @@ _SEARCH_RINGS = """
 """
 
 
-@wp.func_native(_SEARCH_RINGS.replace("FACING", FACING).replace("IN_FRONT", IN_FRONT).replace("MOST", str(MOST_EQUALS)))
+@wp.func_native(_DRAWN + _SEARCH_RINGS.replace("MOST", str(MOST_EQUALS)))
 def search_rings(
     faces: wp.array3d(dtype=wp.vec3),
     visible: wp.array2d(dtype=int),
@@ -172,22 +190,6 @@ def stands_alone(rings: wp.array3d(dtype=int), b: int, f: int, k: int) -> bool:
 def same(a: wp.vec3, b: wp.vec3) -> bool:
     """Test whether two corners are equal; 0 equals -0."""
     return a[0] == b[0] and a[1] == b[1] and a[2] == b[2]
-
-
-@wp.func
-def is_drawn(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, two_sided: int, perspective: int) -> bool:
-    """Test whether a face can be drawn: its side is visible, and it is not wholly behind the camera."""
-    side = facing(v0, v1, v2, perspective)
-    return in_front(v0, v1, v2, perspective) >= 0 and (side > 0 or (side < 0 and two_sided == 1))
-
-
-@wp.func
-def beside(p: wp.vec3, q: wp.vec3, r: wp.vec3, perspective: int) -> float:
-    """Compute a number above zero if the face of p, q and r lies to the left of p -> q on the screen."""
-    side = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
-    if perspective == 1 and r[2] <= 0.0:
-        side = -side  # a corner behind the camera is projected to the opposite side
-    return side
 
 
 @wp.func
