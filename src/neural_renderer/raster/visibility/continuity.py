@@ -1,9 +1,9 @@
 """Hashes of the colours along each edge, which tell whether the colour is continuous across it.
 
-Each edge of a face gets two 64-bit hashes: of the colours from its first corner to its second, and of the colours in the
-opposite order. An adjacent face has the same edge in the opposite direction, so the colour is continuous if the first
-hash of one face equals the second hash of the other. Equal hashes are nearly certain to mean equal colours; 0 never
-matches.
+Each edge of a face gets two 64-bit hashes: of the colours from its first corner to its second, and of the colours in
+the opposite order. An adjacent face has the same edge in the opposite direction, so the colour is continuous if the
+first hash of one face equals the second hash of the other. Equal hashes are nearly certain to mean equal colours; 0
+never matches.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
