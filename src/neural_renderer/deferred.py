@@ -35,6 +35,9 @@ class Fragments(VisibleFaces):
         rings: Rings of the edges that the faces share, for the gradient.
         triangles: Vertex indices of the faces, [F, 3] or [B, F, 3].
 
+    Raises:
+        TypeError, ValueError: In `interpolate` and `composite`, an argument that does not fit.
+
     Example:
         >>> seen = nr.fragments(mesh, camera, 64)
         >>> height = seen.interpolate(mesh.vertices)[..., 1:2]
@@ -60,6 +63,11 @@ class Fragments(VisibleFaces):
         Raises:
             TypeError: A tensor of another dtype.
             ValueError: Another shape, device or index, NaN or infinite attributes.
+
+        Example:
+            >>> seen = nr.fragments(mesh, camera, 64)
+            >>> seen.interpolate(torch.rand(len(mesh.vertices), 8)).shape  # 8 channels, at twice the size
+            torch.Size([1, 128, 128, 8])
         """
         shape = ("V", "C") if getattr(attributes, "ndim", 3) == 2 else ("B", "V", "C")
         validate.floating("attributes", attributes, shape)
@@ -96,6 +104,12 @@ class Fragments(VisibleFaces):
         Raises:
             TypeError: A tensor of another dtype.
             ValueError: Another shape or device, NaN or infinite colours.
+
+        Example:
+            >>> seen = nr.fragments(mesh, camera, 64)
+            >>> red = torch.tensor([1.0, 0.0, 0.0]).expand(*seen.face_index.shape, 3)
+            >>> seen.composite(red, background=(0.0, 0.0, 1.0)).shape
+            torch.Size([1, 3, 64, 64])
         """
         batch, rows, columns = self.face_index.shape
         validate.floating("colors", colors, (batch, rows, columns, "C"))

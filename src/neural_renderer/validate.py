@@ -29,13 +29,16 @@ def check_values(enabled: bool) -> None:
     Args:
         enabled: Whether to check values.
 
+    Raises:
+        TypeError: ``enabled`` is not True or False.
+
     Example:
         >>> nr.check_values(False)
         >>> images = nr.render(mesh, camera)
         >>> nr.check_values(True)
     """
     global _check_values
-    _check_values = bool(enabled)
+    _check_values = flag("enabled", enabled)
 
 
 def values_are_checked(value: Tensor) -> bool:

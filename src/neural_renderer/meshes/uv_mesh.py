@@ -38,6 +38,9 @@ class UVMesh:
         colors: [F, 3, 3] float32, RGB at the corners of faces without an image.
         wraps: "repeat" or "clamp" for each image, as in `sample_texture`.
 
+    Raises:
+        TypeError, ValueError: In drawing or saving, attributes that do not fit together or are not finite.
+
     Example:
         >>> vertices, faces = nr.cube()
         >>> uv = torch.tensor([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]).expand(12, 3, 2)
@@ -67,11 +70,16 @@ class UVMesh:
             grey: Colour of a mesh without colours, in [0, 1].
             allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
+        Returns:
+            The mesh, on the CPU.
+
         Raises:
             OSError, TypeError, ValueError: As `load_mesh`.
 
         Example:
-            >>> spot = nr.UVMesh.load("spot.obj")  # doctest: +SKIP
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> nr.UVMesh.load("sphere.obj").uv.shape
+            torch.Size([320, 3, 2])
         """
         vertices, faces, surface, _ = read_mesh(path, allow_outside)
         surface = surface or SurfaceColors.plain(len(faces), validate.number("grey", grey))
@@ -108,6 +116,11 @@ class UVMesh:
             TypeError, ValueError: The suffix is unknown, a tensor does not fit, or a number is not finite.
             FileExistsError: The MTL or a PNG would replace a foreign file.
             OSError: A file cannot be written. All existing files stay as they were.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("white.obj")
+            >>> sphere = nr.UVMesh.load("white.obj")
+            >>> sphere.save("sphere.glb")
         """
         self._check(always=True)
         surface = SurfaceColors(
@@ -135,9 +148,11 @@ class UVMesh:
             ValueError: ``seen`` belongs to a mesh with another number of faces.
 
         Example:
-            >>> spot = nr.UVMesh.load("spot.obj")               # doctest: +SKIP
-            >>> seen = nr.fragments(spot, camera, 128)          # doctest: +SKIP
-            >>> images = seen.composite(spot.shade(seen))       # doctest: +SKIP
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> sphere = nr.UVMesh.load("sphere.obj")
+            >>> seen = nr.fragments(sphere, camera, 64)
+            >>> seen.composite(sphere.shade(seen)).shape
+            torch.Size([1, 3, 64, 64])
         """
         self._check()
         count = len(self.uv)
@@ -181,18 +196,56 @@ class UVMesh:
                 raise ValueError(f"image_index: expected one of {len(self.images)} images or -1, got {wrong}")
 
     def normalize(self) -> UVMesh:
-        """Copy the mesh, centred at the origin, with its longest side from −1 to 1; see `Mesh.normalize`."""
+        """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
+
+        Returns:
+            The copy. Its vertices are detached; the other tensors are shared.
+
+        Raises:
+            ValueError: All vertices coincide, or one is not finite.
+
+        Example:
+            >>> nr.Mesh.icosphere(2, radius=3.0).save("sphere.obj")
+            >>> nr.UVMesh.load("sphere.obj").normalize().vertices.max().item()
+            1.0
+        """
         return replace(self, vertices=centered(self.vertices).float())
 
     def resized(self, side: int) -> UVMesh:
-        """Copy the mesh with all images resized to ``side`` × ``side`` pixels, with antialiasing."""
+        """Copy the mesh, with all images resized to ``side`` × ``side`` pixels by an antialiasing filter.
+
+        Args:
+            side: Side of the new images in pixels, ≥ 1.
+
+        Returns:
+            The copy, differentiable in the images.
+
+        Raises:
+            TypeError, ValueError: ``side`` is not a whole number ≥ 1.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> [image.shape for image in nr.UVMesh.load("sphere.obj").resized(128).images]
+            [torch.Size([128, 128, 3])]
+        """
         size = (validate.whole("side", side, 1),) * 2
         images = [image.movedim(2, 0)[None] for image in self.images]
         resized = [functional.interpolate(image, size, mode="bilinear", antialias=True) for image in images]
         return replace(self, images=tuple(image[0].movedim(0, 2).contiguous() for image in resized))
 
     def to(self, device: torch.device | str) -> UVMesh:
-        """Copy the mesh to another device."""
+        """Copy the mesh to another device.
+
+        Args:
+            device: Device of the copy.
+
+        Returns:
+            The copy. Gradients flow back to the original.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> sphere = nr.UVMesh.load("sphere.obj").to("cuda" if torch.cuda.is_available() else "cpu")
+        """
 
         def moved(value: Any) -> Any:
             if isinstance(value, tuple):

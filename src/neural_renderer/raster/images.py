@@ -22,7 +22,15 @@ class Images(_Outputs):
     """Rendered images. Row 0 is at the top.
 
     Unpacking gives three values, ``rgb, alpha, depth = images``, with None for an output that was not asked for.
-    Reading the attribute of such an output raises AttributeError. Images may be changed in place before ``backward``.
+    Images may be changed in place before ``backward``.
+
+    Attributes:
+        rgb: Colours, [B, 3, H, W] float32.
+        alpha: Silhouettes, [B, H, W] float32: 1 where a face is visible, 0 elsewhere, in between at smoothed outlines.
+        depth: Depth along the viewing axis in world units, [B, H, W] float32; ``far`` where no face is visible.
+
+    Raises:
+        AttributeError: In reading an output that was not asked for.
 
     Example:
         >>> images = nr.render(mesh, camera, 32, outputs=("rgb", "alpha"))

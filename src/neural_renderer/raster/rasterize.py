@@ -51,8 +51,8 @@ def rasterize_images(
             sub-pixel shifts, including the derivatives of texture coordinates and depth. ``"nmr"`` is the paper's
             approximation (section 3.2): it also acts over long distances, and its magnitude is not a derivative's.
         triangles: Vertex indices of ``faces``, [F, 3] or [B or 1, F, 3] integer, as given to `vertices_to_faces`. With
-            them ``"edge"`` finds adjacent faces once per mesh. Without them, it searches them by the positions of
-            corners in every backward pass.
+            them ``"edge"`` finds adjacent faces once per mesh. Without them, it searches for adjacent faces by the
+            positions of corners in every backward pass.
 
     Returns:
         Images. An empty batch or mesh gives the background.

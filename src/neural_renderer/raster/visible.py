@@ -1,4 +1,4 @@
-"""The one road from visible faces to images: every way of colouring them meets here."""
+"""From visible faces to images: all shading meets here."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .settings import Settings
 
 @dataclass(frozen=True, eq=False)
 class VisibleFaces:
-    """The face that each pixel of B images shows, at twice the size that is returned under anti-aliasing.
+    """The visible face of each pixel of B images. Under anti-aliasing, H and W are twice the returned size.
 
     Attributes:
         corners: Screen-space corners of the faces, [B, F, 3, 3] float32.

@@ -91,6 +91,8 @@ def test_silhouettes_that_do_not_meet(views: Views) -> None:
     masks[1::2, -8:, -8:] = 1
     with pytest.raises(ValueError, match="that meet in space"):
         object_bounds(Views(views.camera, masks))
+    with pytest.raises(ValueError, match=r"that meet in \[-1, 1\]³"):
+        carve(Views(views.camera, masks), 16)
 
 
 def test_blur_is_the_inverse() -> None:

@@ -21,10 +21,10 @@ def barycentrics(
 ) -> tuple[Tensor, Tensor]:
     """Compute barycentric weights and depth at each pixel; differentiable in the corners.
 
-    With screen-space weights w_k, depth is ``z = 1 / sum(w_k / z_k)`` and the weights in space are ``w_k z / z_k``; in
-    orthographic projection, ``z = sum(w_k z_k)`` and w_k. Backward is the analytic derivative inside the face: at a
-    fixed pixel, moving corner m by v on the screen changes w_k by ``-w_m grad(w_k) . v``. A `degenerate` face has no
-    gradient to x and y.
+    With screen-space weights w_k, depth is ``z = 1 / sum(w_k / z_k)`` and the weights in space are ``w_k z / z_k``. In
+    orthographic projection, depth is ``sum(w_k z_k)`` and the weights are w_k. The backward pass is the analytic
+    derivative inside the face: at a fixed pixel, moving corner m by v on the screen changes w_k by
+    ``-w_m grad(w_k) . v``. A `degenerate` face has no gradient to x and y.
 
     Args:
         faces: Screen-space corners, [B, F, 3, 3] float32.
@@ -34,7 +34,7 @@ def barycentrics(
         perspective: Whether the projection is perspective; else orthographic.
 
     Returns:
-        Weights in space, [B, H, W, 3] float32 in [0, 1], which interpolate values at the corners: their sum is 1, or 0
+        Weights in space, [B, H, W, 3] float32 in [0, 1], which interpolate values at the corners. Their sum is 1, or 0
         where no face is visible. Depth, [B, H, W] float32 in [near, far]; ``far`` where no face is visible. Both are
         finite for every face that `coverage` draws.
     """
@@ -124,7 +124,7 @@ def weigh_rows(
     first: int,
     last: int,
 ):
-    """Compute the rows [first, last), counted over all images."""
+    """Compute weights and depth in the rows [first, last), counted over all images."""
     ...
 
 
@@ -185,7 +185,7 @@ def pull_face(
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
-    """Sum the gradients of a face's pixels in its box; every ``lanes``-th row."""
+    """Sum the gradients of a face's pixels in its box, over every ``lanes``-th row."""
     ...
 
 

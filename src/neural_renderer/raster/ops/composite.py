@@ -71,7 +71,7 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(composite, _to_inputs, _save)
 
 
-# Three channels, the usual number, have a loop of their own, which compilers turn into vector instructions.
+# Three channels, the usual number, have a separate loop, because compilers turn it into vector instructions.
 _ROW = """
     const int channels = image.shape[1], height = image.shape[2], width = image.shape[3];
     const wp::int64 area = (wp::int64)height * width, first = (wp::int64)row * width;

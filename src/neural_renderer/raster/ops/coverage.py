@@ -21,7 +21,7 @@ EMPTY = wp.constant(0x7FFFFFFF_FFFFFFFF)
 def coverage(
     faces: Tensor, height: int, width: int, near: float, far: float, two_sided: bool, perspective: bool
 ) -> Tensor:
-    """Find the visible face of each pixel: the nearest one at its centre; of equal depths, the lowest index.
+    """Find the visible face of each pixel: the nearest one at its centre, or at equal depth the one of lowest index.
 
     A pixel centre on an edge is inside. Faces with a corner that is not finite or beyond 1e12 are not drawn.
 
@@ -48,7 +48,7 @@ def coverage(
         launch(_draw, batch * count * lanes, [array(faces, wp.vec3), array(key), lanes, *options], faces.device)
         launch(_decode, batch * height, [array(key), array(face_index), count], faces.device)
         return face_index
-    # One task per image, or band of rows of it, which runs through all faces from first to last.
+    # One task per image, or per band of its rows, draws all faces in order.
     bands = min(height, cpu_bands(batch, height * width + 32 * count))
     nearest = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
     maps = [array(nearest), array(face_index)]
@@ -139,7 +139,7 @@ def next_candidate(
     two_sided: int,
     perspective: int,
 ) -> int:
-    """Find the first face from f on that may be drawn (see `drawn_face`); the number of faces if none."""
+    """Find the first face from f on that may be drawn (see `drawn_face`); return the number of faces if none."""
     ...
 
 
@@ -157,7 +157,7 @@ def drawn_face(
 ):
     """Classify a face (see `in_front`; -1 if it is not drawn between two heights) and orient it counter-clockwise.
 
-    Returns the class, the index (of a back side: plus the number of faces) and the three corners.
+    Returns the class, the index (plus the number of faces for a back side) and the three corners.
     """
     v0 = faces[b, f, 0]
     v1 = faces[b, f, 1]
@@ -175,8 +175,8 @@ def drawn_face(
         if side == 0 or (side < 0 and two_sided == 0):
             front = -1
         if side < 0:
-            # The first packages append reversed copies after all faces. The same order decides ties here: a face that a
-            # file holds twice, once reversed, has the depth of its copy to the last bit.
+            # The first packages append reversed copies after all faces. Ties are decided in the same order here: if a
+            # file contains a face twice, once reversed, both have the same depth to the last bit.
             index = f + faces.shape[1]
             v0, v2 = v2, v0
     return front, index, v0, v1, v2
@@ -184,7 +184,7 @@ def drawn_face(
 
 @wp.func
 def depth_terms(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int):
-    """Compute n and d, by which edge functions e give the depth (e . n) / (e . d)."""
+    """Compute the vectors n and d of the depth (e . n) / (e . d) for edge functions e."""
     n = wp.vec3(v0[2], v1[2], v2[2])
     d = wp.vec3(1.0, 1.0, 1.0)
     if perspective == 1:

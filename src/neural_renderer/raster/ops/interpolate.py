@@ -19,7 +19,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
     """Interpolate attributes by the barycentric weights of each pixel; differentiable in attributes and faces.
 
-    Weights are those of `barycentrics`. They are computed anew, here and in backward: faster than storing them.
+    The weights of `barycentrics` are computed again, here and in the backward pass; storing them would be slower.
 
     Args:
         attributes: Values at the corners, [B or 1, F, 3, C] float32.
@@ -53,7 +53,7 @@ def interpolate_backward(
     to_attributes = zeros(attributes.shape, faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     lanes = face_lanes(faces, height * width)
-    # One task sums the gradient to attributes that images share, image by image.
+    # If images share attributes, one task sums the gradient to them, image by image.
     images = 1 if attributes.shape[0] < batch else batch
     maps = [array(face_index), array(seen_faces(face_index, count)), array(grad)]
     options = [int(perspective), int(faces_too), images, lanes]
@@ -82,7 +82,7 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(interpolate, _to_inputs, _save)
 
 
-# Three channels, the usual number, have a loop of constant length, which compilers unroll.
+# Three channels, the usual number, have a loop of constant length, because compilers unroll it.
 _MIX = """
             const wp::int64 images = attributes.shape[0];
             const float* from = attributes.data + ((b < images ? b : images - 1) * count + f) * 3 * channels;
@@ -190,7 +190,7 @@ _EIGHT = """
                 w[k] = share < 0.0f ? none : share > 1.0f ? none + 1.0f : share;
             }
             const floats whole = w[0] + w[1] + w[2];
-            // Fall back to single pixels. (0 / 0 beside the face does harm, too: NaN times 0 is NaN.)
+            // Fall back to single pixels, also for 0 / 0 beside the face: NaN times 0 is NaN.
             if (__builtin_reduce_or(whole == 0.0f)) {
                 plain = false;
                 break;
@@ -259,7 +259,7 @@ def unmix_face(
     to_attributes: wp.array4d(dtype=float),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """Sum the gradients of a face's pixels in its box, every n-th row; ``own``: the image of its attributes."""
+    """Sum the gradients of a face's pixels in its box, over every n-th row; its attributes belong to image ``own``."""
     ...
 
 
@@ -278,7 +278,7 @@ def _backward(
     to_attributes: wp.array4d(dtype=float),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """Visit the pixels that show one face, in one image or in all; with several lanes, each takes some rows."""
+    """Visit the pixels that show one face, in one image or in all; with several lanes, each takes every n-th row."""
     task = first + wp.tid()
     lane = task % lanes
     f = (task // lanes) % faces.shape[1]

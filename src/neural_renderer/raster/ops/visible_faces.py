@@ -1,4 +1,4 @@
-"""Masks of visible faces: all others, often more than half, have no gradient and are skipped."""
+"""Masks of visible faces. All other faces, often more than half, have no gradient and are skipped."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -29,7 +29,7 @@ def seen_faces(face_index: Tensor, count: int) -> Tensor:
 
 _MARK_ROW = """
     const int* shown = face_index.data + row * width;
-    // Always written, never tested: faces of neighbouring pixels differ too often for a predictable branch.
+    // Written without a test: faces of neighbouring pixels differ too often for a predictable branch.
     for (int i = 0; i < width; ++i) seen.data[first + (shown[i] < 0 ? none : shown[i])] = 1;
 """
 
@@ -43,13 +43,13 @@ def mark_row(
     first: wp.int64,
     none: int,
 ):
-    """Mark the faces in a row of pixels; ``first``: offset of its image's entries. In plain C++ for its speed."""
+    """Mark the faces in a row of pixels; ``first`` is the offset of its image's entries. In plain C++ for speed."""
     ...
 
 
 @wp.kernel
 def _mark(first: int, face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int)):
-    """Mark the faces of one row. Tasks may write to one place, but never different values."""
+    """Mark the faces of one row. Several tasks may write to one place, but all write 1."""
     task = first + wp.tid()
     b = task // int(face_index.shape[1])
     entries = int(seen.shape[1])

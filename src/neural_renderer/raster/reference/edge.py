@@ -16,8 +16,8 @@ from .intersections import intersections_reference
 from .neighbors import drawn_faces, exact_sides, neighbors_reference
 from .operators import SHORTEST
 
-LEAST_CHORD = 0.02  # pixels: a crossing has a weight of at most the inverse
-SMALL = 1.5  # pixels: all centres often miss faces of less area
+LEAST_CHORD = 0.02  # pixels; the weight of a crossing is at most the inverse
+SMALL = 1.5  # largest area of a small face in pixels
 
 
 def boundaries_reference(

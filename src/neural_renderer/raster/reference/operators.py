@@ -75,7 +75,7 @@ def coverage_reference(
         found = faces_at_pixels(faces[b], height, width, perspective)
         side = sides(faces[b], perspective)[:, None, None]
         drawn = found.inside & (found.depth > near) & (found.depth < far) & ((side > 0) | two_sided)
-        # Of equal depths the first wins, and back sides come after all front sides. Depths are compared as float32, so
+        # At equal depth the first face wins; back sides come after all front sides. Depths are compared as float32, so
         # that faces in one plane tie.
         depth = torch.where(drawn, found.depth.float(), math.inf)
         both = torch.cat((torch.where(side > 0, depth, math.inf), torch.where(side < 0, depth, math.inf)))
@@ -232,7 +232,7 @@ def _leaves(u: int, p: tuple[float, float], q: tuple[float, float], r: tuple[flo
 
 
 def _own(values: Tensor, face_index: Tensor) -> Tensor:
-    """Gather the values [B, F, ...] of the face at each pixel, [B, H, W, ...]; those of face 0 where there is none."""
+    """Gather the values [B, F, ...] of the face at each pixel, [B, H, W, ...]; of face 0 if no face is visible."""
     image = torch.arange(len(values), device=values.device)[:, None, None]
     return values[image, face_index.clamp(min=0).long()]
 

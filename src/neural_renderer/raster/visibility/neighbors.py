@@ -1,10 +1,10 @@
-"""Neighbours of faces: the adjacent face across each edge, with which a surface continues on the screen.
+"""Neighbours of faces: the adjacent face across each edge, where the surface continues on the screen.
 
 The adjacent face is the drawn face of lowest index that has the same two corners, equal to the last bit, and lies on
-the other side of the edge on the screen. At a border of the surface and at a fold there is none.
+the other side of the edge on the screen. An edge at a border or at a fold of the surface has no adjacent face.
 
-No topology is needed: a hash table for each image finds the faces with the same corners. With the `edge_rings` of a
-mesh, the table is only for edges that stand alone in them, such as those at doubled vertices.
+No topology is needed: a hash table for each image finds the faces with the same corners. If the mesh's `edge_rings` are
+given, the table holds only edges that are alone in their ring, such as those between duplicated vertices.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -17,7 +17,7 @@ from ..warp.launch import array, concurrent, launch, zeros
 
 wp.set_module_options({"enable_backward": False})
 
-# Further faces at one edge are ignored; without a limit a pile of equal faces would take quadratic time.
+# Most faces that are examined at one edge. Without a limit, a pile of equal faces would take quadratic time.
 MOST_EQUALS = wp.constant(8)
 
 
@@ -31,7 +31,7 @@ def neighbors(
         two_sided: As in `coverage`.
         perspective: As in `coverage`.
         visible: 1 for each visible face, [B, F + 1] int32, as from `seen_faces`. Used with ``rings`` only.
-        rings: [1 or B, F + 1, 3] int32 from `edge_rings`, of the triangles that the faces were gathered by.
+        rings: [1 or B, F + 1, 3] int32 from `edge_rings` for the vertex indices of the faces.
 
     Returns:
         [B, F, 3] int32: the face across edge k, from corner k to the next; -1 for none and for faces that are not
@@ -180,7 +180,7 @@ def _search_rings(
 
 @wp.func
 def stands_alone(rings: wp.array3d(dtype=int), b: int, f: int, k: int) -> bool:
-    """Test whether an edge has no other in its ring, so that only the table can find its neighbour."""
+    """Test whether an edge is alone in its ring, so that only the table can find its neighbour."""
     if rings.shape[0] == 0:
         return True
     return rings[wp.min(b, rings.shape[0] - 1), f, k] == 3 * f + k

@@ -1,7 +1,7 @@
 """Scan lines of an image for the edge estimators: pixels stored side by side, and sums along them.
 
-The loops are plain C++ over memory, because that is what compilers turn into vector instructions; Warp's own vectors
-come out scalar.
+The loops are plain C++ over memory, because compilers turn those into vector instructions. Warp's own vectors compile
+to scalar code.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -13,16 +13,16 @@ from torch import Tensor
 
 wp.set_module_options({"enable_backward": False})
 
-# Pixels of a scan line that are handled at once; before each stored line, and behind the last, there are as many zeros.
+# Pixels of a scan line that are processed at once. As many zeros precede each stored line and follow the last one.
 WIDE = 16
 
 
 def empty_lines(batch: int, lines: int, length: int, planes: int, device: torch.device) -> Tensor:
     """Allocate scan lines, [batch, lines, planes, WIDE + length] float32.
 
-    Plane 0 holds the sum over channels of value times gradient; the other planes hold the gradient of each channel, of
-    which the image may have more. A silhouette has one plane: the decrease of the loss if the pixel is covered, or
-    with a negative sign, if it is uncovered.
+    Plane 0 holds the sum over channels of value times gradient. The other planes hold the gradients of the first
+    channels. A silhouette has one plane, the gains: if covering the pixel lowers the loss, the decrease; if uncovering
+    it does, minus the decrease.
     """
     shape = (batch, lines, planes, WIDE + length)
     room = torch.empty(math.prod(shape) + WIDE, dtype=torch.float32, device=device)
@@ -46,7 +46,7 @@ _COPY = """
     } else {
         EACH stored[to] = 0.0f;
         for (int c = 0; c < planes - 1; ++c, value += area, pull += area) {
-            // Summed as `_SUM` does it: a pixel of the very colour it would change to must gain nothing at all.
+            // The same sum as in `ScanLine::loss`: a pixel that has the new colour already gains exactly 0.
             float* pulls = stored + (c + 1) * plane;
             EACH {
                 stored[to] += value[from] * pull[from];
@@ -120,9 +120,9 @@ def copy_lines(
     spans: wp.array2d(dtype=wp.vec2i),
     abreast: int,
 ):
-    """Neighbouring rows, or columns, as many as are read ``abreast``; all are counted from the bottom left.
+    """Copy ``abreast`` neighbouring rows or columns of an image. Lines and pixels count from the bottom left.
 
-    A line's span is from the first to the last pixel that can pull an edge outward.
+    The span of a line reaches from the first to the last pixel that can pull an edge outward.
     """
     task = first + wp.tid()
     height = image.shape[2]
@@ -150,9 +150,9 @@ def copy_lines(
         copy_columns(image, grad, b, pixel, count, height, columns, to, plane, planes, spans, span)
 
 
-# Sums along stored scan lines of what pixels gain by the colour that they would get if an edge were moved to them, over
-# the travel of each of the edge's two corners, which is reach * distance + slack, times the corner's share.
-# Operands may be fused as in `_COPY`: an exact zero stays one.
+# Sums over the pixels of a stored scan line. The gain of a pixel is the decrease of the loss if an edge moves to the
+# pixel and changes its colour. Each of the edge's two corners gets the sum of gain / (reach * distance + slack), times
+# the corner's share. The compiler may fuse operations as in `_COPY`: an exact zero stays zero.
 SCAN_LINE = """
 struct ScanLine {
     #if defined(__CUDA_ARCH__)
@@ -179,13 +179,13 @@ struct ScanLine {
         return four[0] + four[2] + (four[1] + four[3]);
     }
     #endif
-    const float* stored;  // of the line's first pixel; a plane further is the gradient of the first channel
+    const float* stored;  // first pixel of the line in plane 0; the gradients of the channels follow, a plane each
     wp::int64 plane, area;
-    int channels;  // 0 where what is stored are the gains themselves
-    const float* color;  // the first channel's; the next is an area further
+    int channels;  // 0 for a silhouette, whose line stores the gains
+    const float* color;  // the new colour's first channel; the next one is an area further
     float reach, share_p, share_q, slack_p, slack_q;
-    floats to_p, to_q;  // what came together
-    float also_to_p, also_to_q;
+    floats to_p, to_q;  // sums over AT_ONCE pixels at a time
+    float also_to_p, also_to_q;  // sums over single pixels
 
     // The usual three channels are spelled out, so that their colours stay in registers.
     CUDA_CALLABLE floats loss(const float* pull, float red, float green, float blue) const {
@@ -199,8 +199,8 @@ struct ScanLine {
         return lost;
     }
 
-    // Over ``count`` pixels from ``begin`` on in the direction ``way``, of which the first is at that distance from the
-    // edge. Beyond them only zeros may be stored.
+    // Sum over ``count`` pixels from ``begin`` in the direction ``way``; ``distance`` is that of the first one from the
+    // edge. Beyond these pixels, the line must hold zeros.
     CUDA_CALLABLE void outward(int begin, int way, int count, float distance) {
         #pragma clang fp contract(fast)
         const float red = color[0], green = channels < 3 ? 0.0f : color[area];
@@ -216,7 +216,7 @@ struct ScanLine {
         to_p += share_p * sum_p, to_q += share_q * sum_q;
     }
 
-    // Inward: only over pixels that show the face f, by the face numbers from ``shown`` on, ``step`` apart.
+    // Sum over the pixels that show the face f. ``shown`` points to the first pixel's face; the next is ``step`` away.
     CUDA_CALLABLE void inward(int begin, int way, int count, float distance, int f, const int* shown, int step) {
         #pragma clang fp contract(fast)
         #if !defined(__CUDA_ARCH__)

@@ -15,8 +15,8 @@ import warp as wp
 
 # Screen units: four roundings of a coordinate near 1, the limit of what float32 resolves.
 NARROWEST = wp.constant(2.0**-22)
-# Pixels: an edge with a smaller extent across the scan lines has no slope. Only on the line of pixel 0 does float32
-# resolve so little.
+# An edge with a smaller extent across the scan lines, in pixels, has no slope. Float32 resolves such extents only near
+# pixel 0.
 SHORTEST = wp.constant(1.0e-9)
 Int4 = wp.types.vector(length=4, dtype=wp.int32)
 
@@ -76,8 +76,8 @@ IN_FRONT = """
 def in_front(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
     """Classify a face: 1 in front of the camera, 0 across the camera's plane, -1 if it cannot be drawn.
 
-    In orthographic projection every face is in front. Corners beyond 1e12 cannot be drawn: float32 has no products of
-    them.
+    In orthographic projection every face is in front. Corners beyond 1e12 cannot be drawn, because their products
+    overflow float32.
     """
     ...
 

@@ -23,17 +23,17 @@ from torch import Tensor
 
 from .kernel_cache import load_module
 
-# Threads that compile, each of which begins with two seconds for Warp's headers; and what spares them a third of it.
+# Number of compiling threads (each spends two seconds on Warp's headers), and a flag that saves a third of this time.
 _COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
 
 # Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
 _PIECES = 4
 
-# Pixels to look at, or to draw and shade, before another CPU thread is worth waking.
+# Numbers of pixels, to scan or to draw and shade, for which it is worth waking another CPU thread.
 MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
 
-# Tests set it: called with a kernel, the number of tasks and the arguments of each launch, it runs CUDA's code of the
-# kernel on a processor and returns True, or False to have the launch run as usual.
+# Set by tests. It is called with the kernel, the number of tasks and the arguments of each launch. It runs the kernel's
+# CUDA code on a processor and returns True; if it returns False, the launch runs as usual.
 emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
 
 _lock = threading.Lock()
@@ -91,9 +91,9 @@ def load_kernel(kernel: wp.Kernel, device: str) -> None:
 
 
 def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device) -> None:
-    """Compile and load the kernels of the modules in which these functions are, several modules at once.
+    """Compile and load the modules of these functions, several at once.
 
-    Without it, each module is compiled when a kernel of it first runs, one after the other.
+    Otherwise modules are compiled one after the other, each when one of its kernels first runs.
     """
     if (functions, device) in _asked or emulator is not None or device.type not in ("cpu", "cuda"):
         return
@@ -146,18 +146,18 @@ def concurrent(device: torch.device) -> bool:
 
 
 def cpu_bands(batch: int, pixels: int) -> int:
-    """Number of bands of rows per image, so that all threads have work; ``pixels`` counts its pixels and faces."""
+    """Choose a number of row bands per image that keeps all threads busy; ``pixels`` counts its pixels and faces."""
     threads = min(torch.get_num_threads(), max(1, batch * pixels // _ENOUGH_PIXELS))
     return 1 if batch % threads == 0 or batch >= _PIECES * threads else 2 * threads
 
 
 def worth_a_thread(pixels: float) -> int:
-    """Number of tasks, each of so many pixels to draw or to shade, that are worth another CPU thread."""
+    """Compute how many tasks are worth another CPU thread; each draws or shades ``pixels`` pixels."""
     return max(1, int(_ENOUGH_PIXELS / max(pixels, 1.0)))
 
 
 def face_tasks(faces: Tensor, pixels: int) -> int:
-    """Number of tasks of one face each of ``faces`` [B, F, ...] that are worth another CPU thread."""
+    """Compute how many tasks are worth another CPU thread; each draws one of ``faces`` [B, F, ...]."""
     return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
 
 
@@ -207,7 +207,7 @@ def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
         dtype: Warp vector or matrix type of the trailing dimensions; None for scalars.
         strided: Whether the kernel respects strides.
     """
-    if not strided or tensor.numel() == 0:  # strides of nothing can be anything
+    if not strided or tensor.numel() == 0:  # the strides of an empty tensor are arbitrary
         tensor = tensor.contiguous()
     bytes_each = tensor.element_size()
     dims = tensor.dim() - (0 if dtype is None else len(dtype._shape_))
@@ -224,7 +224,7 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
         tasks: Number of tasks.
         arguments: Tensors as from `array`, and numbers.
         device: Device of the tensors.
-        least: Tasks that are worth another CPU thread.
+        least: Number of tasks that are worth another CPU thread.
     """
     if tasks == 0 or (emulator is not None and emulator(kernel, tasks, [0, *arguments])):
         return
@@ -251,7 +251,7 @@ def _enter(kernel: wp.Kernel) -> Callable[..., None]:
 
 
 def _direct(kernel: wp.Kernel) -> Callable[..., None]:
-    """Do the same by calling the compiled code: Warp's launch checks arguments for longer than small scenes take."""
+    """Do the same by calling the compiled code. Warp's launch checks arguments for longer than a small scene takes."""
     from warp._src.types import launch_bounds_t
 
     fields = [(arg.label, _NUMBERS.get(arg.type, _Array)) for arg in kernel.adj.args]

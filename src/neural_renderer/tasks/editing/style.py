@@ -32,6 +32,9 @@ class StyleWeights:
         palette: Weight of the palette loss, ≥ 0. It penalises colours at more than 2.5 standard deviations from the
             mean of the painting (`Palette.excess`).
 
+    Raises:
+        TypeError, ValueError: In `Style`, a weight that is not a finite number ≥ 0.
+
     Example:
         >>> from neural_renderer.tasks.editing import StyleWeights
         >>> StyleWeights(content=100.0)
@@ -83,6 +86,10 @@ class Style:
         >>> from neural_renderer.tasks.editing import Style
         >>> network = vgg({"conv1_1.weight": torch.rand(8, 3, 3, 3), "conv1_1.bias": torch.zeros(8)})
         >>> style = Style(network, painting=torch.rand(3, 48, 64), size=64, layers=["conv1_1"])
+        >>> style.background(2, torch.Generator()).shape
+        torch.Size([2, 3])
+        >>> style.measure(torch.rand(2, 3, 64, 64), torch.ones(2, 64, 64)).shape
+        torch.Size([2])
     """
 
     name = "style"
@@ -115,7 +122,14 @@ class Style:
         self.plain = self._palette.mean
 
     def background(self, count: int, _: torch.Generator) -> Tensor:
-        """Return the background behind the object: the painting's mean colour, [count, 3]."""
+        """Choose the background behind the object: the painting's mean colour.
+
+        Args:
+            count: Number of images.
+
+        Returns:
+            [count, 3].
+        """
         return self.plain.expand(count, 3)
 
     def losses(self, images: Tensor, masks: Tensor, shape: Deformation) -> dict[str, Tensor]:
@@ -128,6 +142,9 @@ class Style:
 
         Returns:
             Weighted losses "style", "content", "bend", "variation", "palette", scalars; their sum is to be minimised.
+
+        Raises:
+            TypeError, ValueError: The images do not fit or are too small for a layer.
         """
         inside = (masks == 1).to(images.dtype)
         variation, content = losses.total_variation(images, inside), shape.movement.square().sum()
@@ -145,7 +162,18 @@ class Style:
 
     @torch.no_grad()
     def measure(self, images: Tensor, masks: Tensor) -> Tensor:
-        """Compute the style loss of each image, [B]."""
+        """Compute the style loss of each image.
+
+        Args:
+            images: [B, 3, H, W] in [0, 1].
+            masks: [B, H, W] in [0, 1], silhouettes of the object.
+
+        Returns:
+            [B], without a gradient.
+
+        Raises:
+            TypeError, ValueError: The images do not fit or are too small for a layer.
+        """
         return self._distances(images, masks)
 
     def _distances(self, images: Tensor, masks: Tensor) -> Tensor:

@@ -50,7 +50,13 @@ def load_views(
             nor alpha channel and ``background`` is None.
 
     Example:
-        >>> views = load_views("photos", size=128)  # doctest: +SKIP
+        >>> disc = nr.render(nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 0.0, -2.7)), 64).alpha[0]
+        >>> nr.save_image("photos/000.png", disc)
+        >>> table = "file,azimuth,elevation,distance\\n000.png,0,0,2.7\\n"
+        >>> _ = Path("photos/cameras.csv").write_text(table)
+        >>> views = load_views("photos", size=32, photos=False)
+        >>> len(views), views.size
+        (1, (32, 32))
     """
     size = validate.whole("size", size, _LEAST_SIZE)
     _check_background(background)

@@ -50,10 +50,14 @@ class CameraFit:
         >>> from neural_renderer.tasks.fit import CameraFit
         >>> mask = nr.render(mesh, camera, 32).alpha[0].detach()
         >>> fit = CameraFit((mesh.vertices, mesh.faces), mask, starts=2, steps=2)
+        >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     loss = fit.advance()["loss"]
-        >>> len(fit.best())
-        1
+        >>> len(fit.best()), len(fit.cameras())
+        (1, 2)
+        >>> fit.losses().shape, fit.iou().shape
+        (torch.Size([2]), torch.Size([2]))
+        >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
 
     phase = "camera"
@@ -99,23 +103,39 @@ class CameraFit:
         return self.step >= self.steps
 
     def cameras(self) -> Camera:
-        """Return the current cameras, one for each start, in the world of the mesh."""
+        """Make the current cameras.
+
+        Returns:
+            S cameras, one for each start, in the world of the mesh.
+        """
         camera = self._camera(self._axes.detach(), self._offset.detach())
         origin = camera.origin * self._scale + self._center
         return Camera(camera.rotation, origin, torch.zeros_like(origin), viewing_angle=self._angle)
 
     def best(self) -> Camera:
-        """Return the camera of least loss."""
+        """Make the camera with the least loss.
+
+        Returns:
+            One camera, in the world of the mesh.
+        """
         camera, row = self.cameras(), [int(self.losses().argmin())]
         return Camera(camera.rotation[row], camera.origin[row], camera.translation[row], viewing_angle=self._angle)
 
     def losses(self) -> Tensor:
-        """Compute the loss of each start at the fine size, [S]."""
+        """Compute the loss of each start at the fine size.
+
+        Returns:
+            [S], without a gradient.
+        """
         with torch.no_grad():
             return torch.cat([self._losses(self._axes[part], self._offset[part], _FINE) for part in self._parts()])
 
     def iou(self) -> Tensor:
-        """Compute the silhouette IoU of each start at the fine size, [S]."""
+        """Compute the silhouette IoU of each start at the fine size.
+
+        Returns:
+            [S] in [0, 1], without a gradient.
+        """
         alpha = self._silhouettes()
         return mask_iou(alpha, self._mask.expand_as(alpha))
 
@@ -135,12 +155,23 @@ class CameraFit:
         return {"loss": each.min().item()}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that changes from step to step."""
+        """Collect everything that changes from step to step.
+
+        Returns:
+            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
+        """
         descents = [descent.state_dict() for descent in self._descents]
         return {"step": self.step, "axes": self._axes, "offset": self._offset, "descents": descents}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from a `state_dict`."""
+        """Resume from the state of a fit of the same image.
+
+        Args:
+            state: Result of `state_dict`.
+
+        Raises:
+            KeyError: A name is missing.
+        """
         self.step, self._axes, self._offset = state["step"], state["axes"], state["offset"]
         for descent, means in zip(self._descents, state["descents"], strict=True):
             descent.load_state_dict(means)

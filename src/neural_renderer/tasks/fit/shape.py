@@ -53,9 +53,11 @@ class ShapeFit:
         >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
         >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
         >>> fit = ShapeFit(views, *nr.icosphere(2, radius=0.5), steps=2)
+        >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     numbers = fit.advance()
         >>> vertices, faces = fit.shape
+        >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
 
     _vertices: Tensor
@@ -159,7 +161,11 @@ class ShapeFit:
         self._subdivided += 1
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that changes from step to step."""
+        """Collect everything that changes from step to step.
+
+        Returns:
+            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
+        """
         return {
             "step": self.step,
             "subdivided": self._subdivided,
@@ -171,7 +177,14 @@ class ShapeFit:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from a `state_dict`."""
+        """Resume from the state of a fit of the same views.
+
+        Args:
+            state: Result of `state_dict`.
+
+        Raises:
+            KeyError: A name is missing.
+        """
         self.step, self._subdivided = state["step"], state["subdivided"]
         self._set_shape(state["vertices"], state["faces"], state["colors"])
         self._descent.load_state_dict(state["descent"])

@@ -47,10 +47,12 @@ class TextureFit:
         >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
         >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
         >>> fit = TextureFit(views, *nr.icosphere(2), steps=2)
+        >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     loss = fit.advance()["loss"]
         >>> fit.shape[2].shape
         torch.Size([320, 4, 4, 4, 3])
+        >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
 
     def __init__(
@@ -101,12 +103,23 @@ class TextureFit:
         return {"loss": max(loss, 0.0) / self._total}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that changes from step to step, and the shape."""
+        """Collect everything that changes from step to step, and the shape.
+
+        Returns:
+            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
+        """
         state = {"step": self.step, "vertices": self._vertices, "faces": self._faces}
         return state | {"solver": self._solver.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from a `state_dict`."""
+        """Resume from the state of a fit of the same views and shape.
+
+        Args:
+            state: Result of `state_dict`.
+
+        Raises:
+            KeyError: A name is missing.
+        """
         self.step = state["step"]
         self._solver.load_state_dict(state["solver"])
 

@@ -90,8 +90,11 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
         ValueError: The file is not a checkpoint of a reconstruction network, has another version, or is incomplete.
 
     Example:
-        >>> network = load_model("trained/best.ckpt")  # doctest: +SKIP
-        >>> vertices = network.vertices(images)  # doctest: +SKIP
+        >>> from neural_renderer.tasks.reconstruction.networks.configs import make_config
+        >>> save_model("best.ckpt", make_network("mesh", make_config("small", ["chair"])), ["chair"])
+        >>> network = load_model("best.ckpt")
+        >>> network.vertices(torch.rand(1, 4, 64, 64)).shape
+        torch.Size([1, 642, 3])
     """
     content = read_checkpoint(path)
     head, weights = content[HEADER], content["state_dict"]
