@@ -1,8 +1,8 @@
 """The page on PyPI: the README, with relative links and pictures made absolute.
 
 Everything else is in pyproject.toml. The repository's public address stands there alone, as ``Repository`` in
-``[project.urls]``. Without it, relative links become plain text and pictures are left out, so that nothing on the page is
-broken.
+``[project.urls]``. Without it, relative links become plain text and pictures are left out, so that no link on the
+page is broken.
 """
 
 import re

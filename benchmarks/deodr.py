@@ -134,8 +134,10 @@ class Scene:
         self.vertices.grad = self.colors.grad = None
         with torch.set_grad_enabled(backward):
             mesh = (self.vertices, self.faces)
-            seen = nr.fragments(mesh, self.camera, self.side, anti_aliasing=False, two_sided=False, gradient="edge")
-            images = seen.composite(seen.interpolate(self.colors))
+            fragments = nr.fragments(
+                mesh, self.camera, self.side, anti_aliasing=False, two_sided=False, gradient="edge"
+            )
+            images = fragments.composite(fragments.interpolate(self.colors))
         if backward:
             images.backward(self.grad)
         return images

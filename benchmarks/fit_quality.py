@@ -71,14 +71,14 @@ def around(count: int, turn: float = 0.0) -> nr.Camera:
 
 def shape(name: str, mesh: nr.Mesh, gradient: str, start: str, options: argparse.Namespace) -> dict[str, object]:
     light = nr.Light(ambient=0.6, directional=0.4, direction=(0.4, 0.8, -0.45))
-    seen = Views.of(mesh, around(24), options.size, light=light)
-    unseen = Views.of(mesh, around(12, 61.0), options.size, light=light)
+    fitted = Views.of(mesh, around(24), options.size, light=light)
+    held_out = Views.of(mesh, around(12, 61.0), options.size, light=light)
     begun = time.perf_counter(), time.process_time()
-    fit = MeshFit(seen, start, gradient=gradient, steps=options.steps)
+    fit = MeshFit(fitted, start, gradient=gradient, steps=options.steps)
     while not fit.done:
         fit.advance()
     seconds, work = time.perf_counter() - begun[0], time.process_time() - begun[1]
-    seen_quality, quality = fit.views.quality(fit.shape), fit.normalize(unseen).quality(fit.shape)
+    fitted_quality, quality = fit.views.quality(fit.shape), fit.normalize(held_out).quality(fit.shape)
     if options.save:
         fit.mesh().save(options.save / f"{Path(name).stem}_{start}_{gradient}.glb")
     return {
@@ -86,7 +86,7 @@ def shape(name: str, mesh: nr.Mesh, gradient: str, start: str, options: argparse
         "start": start,
         "gradient": gradient,
         "faces": len(fit.shape[1]),
-        "fitted IoU": seen_quality["iou"].mean().item(),
+        "fitted IoU": fitted_quality["iou"].mean().item(),
         "held-out IoU": quality["iou"].mean().item(),
         "least": quality["iou"].min().item(),
         "held-out PSNR": quality["psnr"].mean().item(),

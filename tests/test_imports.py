@@ -15,6 +15,7 @@ SOURCE = Path(neural_renderer.__file__).parent
 # From the bottom to the top; a module may import from its own room and from those before it.
 ROOMS = [
     "version",
+    "deprecated",
     "validate",
     "metrics",
     "io",

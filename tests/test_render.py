@@ -182,9 +182,9 @@ def test_depth_gradient_moves_the_camera_the_right_way(device):
     mesh = white_sphere(device, 3)
     eye = torch.tensor([0.0, 0, 3], device=device, requires_grad=True)
     images = nr.render(mesh, nr.Camera.look_at(eye, orthographic=True), 32, outputs=("alpha", "depth"))
-    seen = images.alpha.detach() == 1
-    images.depth[seen].sum().backward()
-    assert float(eye.grad[2]) == pytest.approx(float(seen.sum()), rel=2 * 32**2 * EPS)  # a sum over pixels
+    covered = images.alpha.detach() == 1
+    images.depth[covered].sum().backward()
+    assert float(eye.grad[2]) == pytest.approx(float(covered.sum()), rel=2 * 32**2 * EPS)  # a sum over pixels
 
 
 def test_a_camera_inside_the_mesh_sees_it_all_around(device):

@@ -39,9 +39,9 @@ class Fragments(VisibleFaces):
         TypeError, ValueError: In `interpolate` and `composite`, an argument that does not fit.
 
     Example:
-        >>> seen = nr.fragments(mesh, camera, 64)
-        >>> height = seen.interpolate(mesh.vertices)[..., 1:2]
-        >>> seen.composite(height, background=0.0).shape
+        >>> fragments = nr.fragments(mesh, camera, 64)
+        >>> height = fragments.interpolate(mesh.vertices)[..., 1:2]
+        >>> fragments.composite(height, background=0.0).shape
         torch.Size([1, 1, 64, 64])
     """
 
@@ -65,8 +65,8 @@ class Fragments(VisibleFaces):
             ValueError: Another shape, device or index, NaN or infinite attributes.
 
         Example:
-            >>> seen = nr.fragments(mesh, camera, 64)
-            >>> seen.interpolate(torch.rand(len(mesh.vertices), 8)).shape  # 8 channels, at twice the size
+            >>> fragments = nr.fragments(mesh, camera, 64)
+            >>> fragments.interpolate(torch.rand(len(mesh.vertices), 8)).shape  # 8 channels, at twice the size
             torch.Size([1, 128, 128, 8])
         """
         shape = ("V", "C") if getattr(attributes, "ndim", 3) == 2 else ("B", "V", "C")
@@ -106,9 +106,9 @@ class Fragments(VisibleFaces):
             ValueError: Another shape or device, NaN or infinite colours.
 
         Example:
-            >>> seen = nr.fragments(mesh, camera, 64)
-            >>> red = torch.tensor([1.0, 0.0, 0.0]).expand(*seen.face_index.shape, 3)
-            >>> seen.composite(red, background=(0.0, 0.0, 1.0)).shape
+            >>> fragments = nr.fragments(mesh, camera, 64)
+            >>> red = torch.tensor([1.0, 0.0, 0.0]).expand(*fragments.face_index.shape, 3)
+            >>> fragments.composite(red, background=(0.0, 0.0, 1.0)).shape
             torch.Size([1, 3, 64, 64])
         """
         batch, rows, columns = self.face_index.shape
@@ -148,9 +148,9 @@ def fragments(
         ValueError: An argument of another shape, device or range.
 
     Example:
-        >>> seen = nr.fragments(mesh, camera, 64)
-        >>> normals = torch.nn.functional.normalize(seen.interpolate(mesh.vertices), dim=-1)
-        >>> seen.composite(normals.clamp(min=0), background=1.0).shape
+        >>> fragments = nr.fragments(mesh, camera, 64)
+        >>> normals = torch.nn.functional.normalize(fragments.interpolate(mesh.vertices), dim=-1)
+        >>> fragments.composite(normals.clamp(min=0), background=1.0).shape
         torch.Size([1, 3, 64, 64])
     """
     vertices, faces, _ = mesh_parts(mesh)

@@ -59,14 +59,14 @@ def render_uv(s: Scene, leaves: Leaves, pick: Pick) -> dict[str, Tensor]:
 def fragments(s: Scene, leaves: Leaves, pick: Pick) -> dict[str, Tensor]:
     """Shading in torch, of normals, attributes and a texture."""
     mesh = pick(leaves["vertices"]), s.triangles(leaves["eye"].device)
-    seen = nr.fragments(mesh, s.view(leaves, pick), s.size, two_sided=s.two_sided, **s.options)
-    mixed = seen.interpolate(pick(leaves["attributes"]))
-    normals = seen.interpolate(nr.vertex_normals(*mesh))
-    texture = nr.sample_texture(leaves["image"], mixed[..., :2], seen.face_index)
+    fragments = nr.fragments(mesh, s.view(leaves, pick), s.size, two_sided=s.two_sided, **s.options)
+    mixed = fragments.interpolate(pick(leaves["attributes"]))
+    normals = fragments.interpolate(nr.vertex_normals(*mesh))
+    texture = nr.sample_texture(leaves["image"], mixed[..., :2], fragments.face_index)
     plain = nr.sample_texture(leaves["image"], mixed[..., :2], wrap="clamp")
     colors = torch.cat((normals, mixed, texture, plain), 3)
-    image = seen.composite(colors, 0.5, seams=s.gradient == "edge")
-    return {"weights": seen.weights, "depth": seen.depth, "image": image}
+    image = fragments.composite(colors, 0.5, seams=s.gradient == "edge")
+    return {"weights": fragments.weights, "depth": fragments.depth, "image": image}
 
 
 def rasterize_images(s: Scene, leaves: Leaves, pick: Pick) -> dict[str, Tensor]:

@@ -146,10 +146,10 @@ def doubt(faces: Tensor, height: int, width: int, two_sided: bool, perspective: 
     arm = (faces[:, a, :2] - faces[:, :, :2]).norm(dim=-1)
     thin = whole <= 1e-6 * (arm.amax(1)[:, None, None] + scale[..., 0]) * arm.amax(1)[:, None, None]
     side = sides(faces, perspective)[:, None, None]
-    seen = (side > 0) | two_sided
-    inside = found.inside & seen
+    visible = (side > 0) | two_sided
+    inside = found.inside & visible
     close = (edge * edge.sum(-1, keepdim=True).sign() >= -open_edge).all(-1) | crossing
-    possible = inside | (near_edge & close & (seen | thin)) | (thin & close)
+    possible = inside | (near_edge & close & (visible | thin)) | (thin & close)
     finite = faces.isfinite().flatten(1).all(1)[:, None, None] & (~(z <= 0).all(1)[:, None, None] | (not perspective))
     return Doubt(possible & finite, inside & ~near_edge & ~thin, found.depth, error)
 

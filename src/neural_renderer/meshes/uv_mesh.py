@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from .. import validate
+from ..deprecated import old_argument
 from ..io.formats import read_mesh
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
@@ -132,26 +133,27 @@ class UVMesh:
         )
         save_uv_mesh(path, self.vertices, self.faces, surface, overwrite=overwrite)
 
-    def shade(self, seen: Fragments) -> Tensor:
+    @old_argument("seen", "fragments")
+    def shade(self, fragments: Fragments) -> Tensor:
         """Sample the albedo of each pixel, with mipmaps.
 
         Gradients flow to images and colors, and, with ``gradient="edge"``, to vertices. If adjacent charts differ in
         colour at their border, pass ``seams`` to `Fragments.composite`.
 
         Args:
-            seen: Fragments of this mesh; see `fragments`.
+            fragments: Fragments of this mesh; see `fragments`.
 
         Returns:
             [B, H, W, 3] float32, RGB.
 
         Raises:
-            ValueError: ``seen`` belongs to a mesh with another number of faces.
+            ValueError: ``fragments`` belongs to a mesh with another number of faces.
 
         Example:
             >>> nr.Mesh.icosphere(2).save("sphere.obj")
             >>> sphere = nr.UVMesh.load("sphere.obj")
-            >>> seen = nr.fragments(sphere, camera, 64)
-            >>> seen.composite(sphere.shade(seen)).shape
+            >>> fragments = nr.fragments(sphere, camera, 64)
+            >>> fragments.composite(sphere.shade(fragments)).shape
             torch.Size([1, 3, 64, 64])
         """
         self._check()
@@ -160,15 +162,15 @@ class UVMesh:
         plain = self.image_index < 0
         parts = []  # images to add up; each is 0 where another one is visible
         if not self.images or bool(plain.any()):
-            parts.append(seen.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
+            parts.append(fragments.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
         if self.images:
-            uv = seen.interpolate(self.uv.reshape(-1, 2), corners)
+            uv = fragments.interpolate(self.uv.reshape(-1, 2), corners)
             shown = None
             if len(self.images) > 1 or parts:
                 # Face −1 (background) reads the extra entry at the end.
-                shown = torch.cat((self.image_index, self.image_index.new_tensor([-1])))[seen.face_index.long()]
+                shown = torch.cat((self.image_index, self.image_index.new_tensor([-1])))[fragments.face_index.long()]
             for number, (image, wrap) in enumerate(zip(self.images, self.wraps, strict=True)):
-                own = seen.face_index if shown is None else torch.where(shown == number, seen.face_index, -1)
+                own = fragments.face_index if shown is None else torch.where(shown == number, fragments.face_index, -1)
                 parts.append(sampled(image[None].float(), uv, own, wrap))
         return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
 

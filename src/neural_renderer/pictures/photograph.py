@@ -9,8 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .. import deferred
 from ..camera import Camera, get_points_from_angles
-from ..deferred import fragments
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
@@ -58,8 +58,8 @@ def photograph(
     lamp, forward = lamp_direction(camera), camera.rotation[0, 2]
 
     images = render(mesh, camera, size, light=None, outputs=("rgb", "alpha"))
-    seen = fragments((mesh.vertices, mesh.faces), camera, size)
-    normal = seen.composite(seen.interpolate(vertex_normals(mesh.vertices, mesh.faces)))[0]
+    fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size)
+    normal = fragments.composite(fragments.interpolate(vertex_normals(mesh.vertices, mesh.faces)))[0]
     normal = F.normalize(normal, dim=0)  # anti-aliasing shortens normals towards the outline
     rgb, alpha = images.rgb[0], images.alpha[0]
 

@@ -29,14 +29,14 @@ def check_each_pixel(scene: Scene, found: torch.Tensor) -> None:
         possible = open_.possible & (high > NEAR) & (low < FAR)
         nearest = torch.where(certain, high, math.inf).min(0).values
         index = found[b].clamp(min=0).long()[None]
-        seen = found[b] >= 0
-        assert possible.gather(0, index)[0][seen].all()
-        assert (low.gather(0, index)[0] <= nearest)[seen].all()
-        assert not certain.any(0)[~seen].any()
+        visible = found[b] >= 0
+        assert possible.gather(0, index)[0][visible].all()
+        assert (low.gather(0, index)[0] <= nearest)[visible].all()
+        assert not certain.any(0)[~visible].any()
         # Identical faces have identical depths: the first of them is seen.
         same = (scene.faces[b][:, None] == scene.faces[b]).flatten(2).all(2)
         first = same.int().argmax(0)
-        assert torch.equal(first[found[b][seen].long()], found[b][seen].long())
+        assert torch.equal(first[found[b][visible].long()], found[b][visible].long())
 
 
 @examples(25)
@@ -133,7 +133,7 @@ def test_two_sided_is_appending_reversed_faces(device, scene):
 
 
 def test_faces_that_exist_twice(device):
-    """Many models hold each face a second time in reversed order: the copy that faces the camera is seen, everywhere.
+    """Many models hold each face a second time in reversed order: the copy that faces the camera is visible.
 
     Its depth is that of the other copy's back to the last bit, and at equal depth fronts come before backs.
     """
