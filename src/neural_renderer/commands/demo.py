@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
 from ..io import save_animation, save_image
-from ..io.obj_writer import check_own
+from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.primitives import icosphere
 from ..pictures.clay import clay_mesh

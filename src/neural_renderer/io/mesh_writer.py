@@ -14,7 +14,7 @@ from .atlas import build_atlas, coordinates
 from .atomic_write import write_file
 from .cubes import bake_corners
 from .files import mesh_to_write
-from .obj_writer import Part, save_cubes, write_obj
+from .obj.writer import Part, save_cubes, write_obj
 from .surface_colors import SurfaceColors
 
 if TYPE_CHECKING:

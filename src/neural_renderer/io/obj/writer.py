@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image, PngImagePlugin
 
-from .atlas import build_atlas
-from .atomic_write import replacing
-from .files import mesh_to_write
+from ..atlas import build_atlas
+from ..atomic_write import replacing
+from ..files import mesh_to_write
 
 
 class Part(NamedTuple):

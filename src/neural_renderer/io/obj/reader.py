@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .cubes import WRAPPINGS
-from .files import existing, fits_float32, short, warn
-from .images import load_image
+from ..cubes import WRAPPINGS
+from ..files import existing, fits_float32, short, warn
+from ..images import load_image
+from ..named_files import find_file
+from ..surface_colors import SurfaceColors
 from .mtl import Material, read_mtl
-from .named_files import find_file
 from .parse import ObjFile, read_obj
-from .surface_colors import SurfaceColors
 
 
 def load_obj(

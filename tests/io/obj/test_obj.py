@@ -10,12 +10,13 @@ import pytest
 import torch
 from PIL import Image
 
-from neural_renderer.io import load_obj, obj, polygons, save_obj
+from neural_renderer.io import load_obj, save_obj
 from neural_renderer.io.atlas import build_atlas
 from neural_renderer.io.cubes import bake_corners, barycentric_grid
 from neural_renderer.io.images import load_image
-from neural_renderer.io.mtl import read_mtl
-from neural_renderer.io.polygons import triangulate
+from neural_renderer.io.obj import polygons, reader
+from neural_renderer.io.obj.mtl import read_mtl
+from neural_renderer.io.obj.polygons import triangulate
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import icosphere
 from neural_renderer.meshes.uv_mesh import UVMesh
@@ -306,7 +307,7 @@ def test_work_grows_with_the_length_and_not_with_its_square(tmp_path, monkeypatc
 
 def test_an_image_of_many_materials_is_loaded_and_kept_once(tmp_path, monkeypatch):
     calls = []
-    monkeypatch.setattr(obj, "load_image", lambda path: calls.append(path.name) or load_image(path))
+    monkeypatch.setattr(reader, "load_image", lambda path: calls.append(path.name) or load_image(path))
     for name in ("a.png", "b.png"):
         Image.new("RGBA", (8, 8), (255, 0, 0, 255)).save(tmp_path / name)
     images = [f"{'ab'[index % 2]}.png" for index in range(10)]
