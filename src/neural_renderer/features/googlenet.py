@@ -156,7 +156,7 @@ class _LayerBuilder:
         return nn.Sequential(convolution(weight, bias, stride), nn.ReLU(inplace=True))
 
     def weight_and_bias(self, name: str, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
-        """Return the tensors of a layer whose weight has the shape [·, *shape]."""
+        """Return the tensors of a layer; the weight must have the shape [·, *shape]."""
         weight, bias = self._weights.get(f"{name}.weight"), self._weights.get(f"{name}.bias")
         if weight is None or bias is None:
             raise ValueError(f"expected weight and bias of {name}, got neither or only one")

@@ -19,7 +19,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
     """Interpolate attributes by the barycentric weights of each pixel; differentiable in attributes and faces.
 
-    Weights are those of `barycentrics`. They are computed anew, here and in backward: faster than storing them.
+    The weights of `barycentrics` are computed again, here and in the backward pass; storing them would be slower.
 
     Args:
         attributes: Values at the corners, [B or 1, F, 3, C] float32.
