@@ -135,8 +135,8 @@ class UVMesh:
     def shade(self, seen: Fragments) -> Tensor:
         """Sample the albedo of each pixel, with mipmaps.
 
-        Gradients flow to images and colors, and, with ``gradient="edge"``, to vertices. If adjacent charts differ in
-        colour at their border, pass ``seams`` to `Fragments.composite`.
+        Gradients flow to ``images`` and ``colors``, and with ``gradient="edge"`` to ``vertices``. If adjacent charts
+        differ in colour at their border, pass ``seams`` to `Fragments.composite`.
 
         Args:
             seen: Fragments of this mesh; see `fragments`.
