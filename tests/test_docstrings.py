@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import doctest
 import importlib
 import inspect
+import io
 import re
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -136,3 +139,22 @@ def test_docstrings_are_complete(name: str) -> None:
     call = f".{name.rpartition('.')[2]}("
     shown = (">>>" in own and "+SKIP" not in own) or call in of_class or name.endswith(".forward")
     assert shown == (name not in WITHOUT_EXAMPLE)
+
+
+def prose(path: Path) -> Iterator[str]:
+    """Comments and docstrings of a file, without names in backquotes and without examples."""
+    source = path.read_text(encoding="utf-8")
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT and not re.search("noqa|type:", token.string):
+            yield re.sub("`+[^`]*`+", "", token.string)
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.Module)):
+            text = re.sub("`+[^`]*`+", "", ast.get_docstring(node) or "")
+            yield from re.sub(r"(?m)^ *(>>>|\.\.\.|[\w*, ]+: ).*$", "", text).splitlines()
+
+
+@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda path: str(path.relative_to(SOURCE)))
+def test_prose_is_british(path: Path) -> None:
+    american = re.compile(r"\b(?:(?<!\")colors?(?!\")|colored|gray|centers?|centered|neighbors?|behaviors?)\b")
+    found = [line.strip() for line in prose(path) if american.search(line)]
+    assert not found, f"expected British spelling in prose, and backquotes around names, got {found}"

@@ -91,7 +91,7 @@ class Fragments(VisibleFaces):
         """Composite colours over a background and add the gradient through visibility.
 
         Args:
-            colors: Colours of the pixels, [B, H, W, C] floating. Those of pixels without a face are ignored.
+            colors: Colours of the pixels, [B, H, W, C] floating. Colours of pixels without a face are ignored.
             background: Number, colour [C] or [B, C], or image [C, height, width] or [B, C, height, width]. It gets
                 gradients.
             seams: Whether colours may jump where two faces of the surface meet, as with texture charts that do not
@@ -165,9 +165,13 @@ def fragments(
 
 
 def visible_fragments(screen: Tensor, faces: Tensor, settings: Settings, channels: int) -> Fragments:
-    """Find the visible faces of vertices [B, V, 3] in screen space, for so many channels at most.
+    """Find the visible faces of vertices [B, V, 3] in screen space.
 
-    ``faces`` are checked already.
+    Args:
+        screen: Vertices in screen space, [B, V, 3].
+        faces: Vertex indices, checked already.
+        settings: How to draw.
+        channels: Most channels of an image; their memory is checked.
     """
     corners = settings.corners(vertices_to_faces(screen, faces), channels)
     return Fragments(corners, settings.face_index(corners), settings, settings.rings(corners, faces), faces)

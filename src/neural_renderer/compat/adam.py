@@ -130,7 +130,7 @@ class Adam(torch.optim.Optimizer):
             _move(part, slope, m, v, rates)
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned, as for any torch optimiser."""
+        """Restore the result of `state_dict`, as for any torch optimiser."""
         super().load_state_dict(state_dict)
         # torch casts the means to the parameters' dtype, which may lack range and precision.
         numbers = (number for group in state_dict["param_groups"] for number in group["params"])

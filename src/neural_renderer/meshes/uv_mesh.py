@@ -137,8 +137,8 @@ class UVMesh:
     def shade(self, fragments: Fragments) -> Tensor:
         """Sample the albedo of each pixel, with mipmaps.
 
-        Gradients flow to images and colors, and, with ``gradient="edge"``, to vertices. If adjacent charts differ in
-        colour at their border, pass ``seams`` to `Fragments.composite`.
+        Gradients flow to ``images`` and ``colors``, and with ``gradient="edge"`` to ``vertices``. If adjacent charts
+        differ in colour at their border, pass ``seams`` to `Fragments.composite`.
 
         Args:
             fragments: Fragments of this mesh; see `fragments`.

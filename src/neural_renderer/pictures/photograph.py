@@ -47,7 +47,7 @@ def photograph(
         size: Side of the picture, or height and width, in pixels.
         distance: Distance of the camera from the origin.
         viewing_angle: Half the vertical field of view in degrees.
-        floor: Height of the ground; by default that of the lowest vertex.
+        floor: Height of the ground; by default the height of the lowest vertex.
 
     Returns:
         [3, H, W] float32 in [0, 1].

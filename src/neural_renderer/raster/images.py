@@ -11,7 +11,7 @@ OUTPUTS = ("rgb", "alpha", "depth")
 
 
 class _Outputs(NamedTuple):
-    """Storage of `Images`: None for an output that was not asked for."""
+    """Storage of `Images`: None for an output that was not requested."""
 
     rgb: Tensor | None = None
     alpha: Tensor | None = None
@@ -21,7 +21,7 @@ class _Outputs(NamedTuple):
 class Images(_Outputs):
     """Rendered images. Row 0 is at the top.
 
-    Unpacking gives three values, ``rgb, alpha, depth = images``, with None for an output that was not asked for.
+    Unpacking gives three values, ``rgb, alpha, depth = images``, with None for an output that was not requested.
     Images may be changed in place before ``backward``.
 
     Attributes:
@@ -30,7 +30,7 @@ class Images(_Outputs):
         depth: Depth along the viewing axis in world units, [B, H, W] float32; ``far`` where no face is visible.
 
     Raises:
-        AttributeError: In reading an output that was not asked for.
+        AttributeError: In reading an output that was not requested.
 
     Example:
         >>> images = nr.render(mesh, camera, 32, outputs=("rgb", "alpha"))

@@ -38,7 +38,7 @@ def rasterize_images(
         faces: Corners (x, y, z), [B, F, 3, 3] floating: x right and y up in [-1, 1] over the image, z the depth along
             the viewing axis in world units, positive in front of the camera. Other types are computed in float32.
         size: Side of the images, or (height, width), in pixels.
-        outputs: Some of "rgb", "alpha", "depth". Outputs that are not asked for cost nothing.
+        outputs: Some of "rgb", "alpha", "depth". Other outputs are not computed.
         textures: Cubes [B or 1, F, T, T, T, 3] floating (T = 1: one colour per face). Needed for "rgb".
         light: Factors [B or 1, 2, F, 3] on the front and the back of each face; None for 1.
         background: Number, colour [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.

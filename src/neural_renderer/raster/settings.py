@@ -34,8 +34,8 @@ class Settings:
     Attributes:
         height: Height of the returned image in pixels.
         width: Width of the returned image in pixels.
-        near: Depth from which faces are drawn, in world units, >= 0.
-        far: Depth up to which faces are drawn, in world units; also the depth of the background.
+        near: Least visible depth in world units, >= 0.
+        far: Greatest visible depth in world units; also the depth of the background.
         eps: Added to distances in the denominators of "nmr", in screen units; cube coordinates end at T - 1 - eps.
             In [0, 1).
         anti_aliasing: Whether faces are drawn at twice the size and averaged over 2 x 2 pixels.
@@ -99,7 +99,7 @@ class Settings:
 
         Args:
             faces: [B, F, 3, 3] floating.
-            channels: Channels of the images to draw, whose memory is checked.
+            channels: Channels of the images to draw; their memory is checked.
 
         Returns:
             [B, F, 3, 3] float32, differentiable in ``faces``.

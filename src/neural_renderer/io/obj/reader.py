@@ -118,7 +118,7 @@ def obj_surface_colors(
     if np.isfinite(obj.colors).any():
         surface.colors[:] = np.nan_to_num(obj.colors, nan=0.5)[obj.faces]
         has_color = True
-    order = np.argsort(obj.material, kind="stable")  # faces without a material first, then those of each material
+    order = np.argsort(obj.material, kind="stable")  # faces without a material first, then by material
     groups = np.split(order, np.searchsorted(obj.material[order], np.arange(len(obj.names))))[1:]
     for name, chosen in zip(obj.names, groups, strict=True):
         material = materials.get(name)

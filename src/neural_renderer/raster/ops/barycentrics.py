@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, face_lanes, face_tasks, launch, row_tasks, worth_a_thread, zeros
-from ..warp.point import FACE, over_rows
+from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
 
@@ -101,11 +101,20 @@ differentiable(barycentrics, _to_corners, _save)
 
 
 _ROWS = over_rows(
-    """
+    shown="""
             weights_at.data[pixel] = weights;
             depth.data[pixel] = z < near ? near : z > far ? far : z;  // only rounding leaves the range
     """,
-    """
+    run="""
+            float w[3][8], z[8];
+            memcpy(w, eight.weights, sizeof(w));
+            memcpy(z, &eight.z, sizeof(z));
+            for (int n = 0; n < run; ++n) {
+                weights_at.data[pixel + n] = wp::vec_t<3, float>(w[0][n], w[1][n], w[2][n]);
+                depth.data[pixel + n] = z[n] < near ? near : z[n] > far ? far : z[n];
+            }
+    """,
+    empty="""
                 for (int n = 0; n < empty; ++n) depth.data[pixel + n] = far;
                 memset(weights_at.data + pixel, 0, empty * sizeof(wp::vec_t<3, float>));
     """,
@@ -145,26 +154,19 @@ def _forward(
     weigh_rows(faces, face_index, near, far, perspective, weights, depth, row, last)
 
 
-_PULL = (
-    FACE
-    + """
-    const int height = face_index.shape[1], width = face_index.shape[2];
-    const wp::int64 corner = ((wp::int64)b * faces.shape[1] + f) * 3;
-    Face face;
-    face.set(faces.data + corner, perspective, height, width);
-    face.gather();
-    for (int j = bottom + lane; j <= top; j += lanes) {
-        const wp::int64 row = ((wp::int64)b * height + height - 1 - j) * width;
-        for (int i = left; i <= right; ++i) {
-            if (face_index.data[row + i] != f) continue;
-            wp::vec_t<3, float> shares, w;
-            float whole;
-            const float z = face.at(i, j, shares, w, whole);
-            face.pull(grad_weights.data[row + i], grad_depth.data[row + i], shares, w, whole, z);
-        }
-    }
-    face.give(result.data + corner, lanes == 1);
-"""
+_PULL = over_face(
+    one="face.pull(grad_weights.data[row + i], grad_depth.data[row + i], weights, on_screen, whole, z);",
+    eight="""
+                const float* g = (const float*)(grad_weights.data + row + at);
+                Eight::floats to_weights[3], to_depth;
+                memcpy(&to_depth, grad_depth.data + row + at, sizeof(to_depth));
+                for (int k = 0; k < 3; ++k) {
+                    to_weights[k] = Eight::floats{g[k], g[k + 3], g[k + 6], g[k + 9], g[k + 12], g[k + 15], g[k + 18],
+                                                  g[k + 21]};
+                    to_weights[k] = here ? to_weights[k] : Eight::none();
+                }
+                eight.pull(face, to_weights, here ? to_depth : Eight::none(), here);
+    """,
 )
 
 
@@ -183,7 +185,8 @@ def pull_face(
     top: int,
     lane: int,
     lanes: int,
-    result: wp.array3d(dtype=wp.vec3),
+    faces_too: int,
+    to_faces: wp.array3d(dtype=wp.vec3),
 ):
     """Sum the gradients of a face's pixels in its box, over every ``lanes``-th row."""
     ...
@@ -216,5 +219,5 @@ def _backward(
         box = pixel_box(v0, v1, v2, front, face_index.shape[1], face_index.shape[2])
         pull_face(
             faces, face_index, grad_weights, grad_depth, perspective, b, f, box[0], box[1], box[2], box[3], lane, lanes,
-            result,
+            1, result,
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The visible face of each pixel: the discrete half of rasterisation, without a gradient of its own."""
+"""The visible face of each pixel: the discrete half of rasterisation, without a gradient."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch

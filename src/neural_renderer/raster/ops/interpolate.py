@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, face_lanes, face_tasks, launch, row_tasks, worth_a_thread, zeros
-from ..warp.point import FACE, over_rows
+from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
 
@@ -53,7 +53,7 @@ def interpolate_backward(
     to_attributes = zeros(attributes.shape, faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     lanes = face_lanes(faces, height * width)
-    # If images share attributes, one task sums the gradient to them, image by image.
+    # One task sums the gradient to attributes that images share, image by image.
     images = 1 if attributes.shape[0] < batch else batch
     maps = [array(face_index), array(seen_faces(face_index, count)), array(grad)]
     options = [int(perspective), int(faces_too), images, lanes]
@@ -82,26 +82,40 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(interpolate, _to_inputs, _save)
 
 
-# Three channels, the usual number, have a loop of constant length, because compilers unroll it.
-_MIX = """
+_BEGIN = "const int channels = attributes.shape[3];"
+_FROM = """
             const wp::int64 images = attributes.shape[0];
             const float* from = attributes.data + ((b < images ? b : images - 1) * count + f) * 3 * channels;
             float* to = result.data + pixel * channels;
-            const auto mixed = [&](int c, int stride) {
-                to[c] = weights[0] * from[c] + weights[1] * from[stride + c] + weights[2] * from[2 * stride + c];
-            };
-            if (channels == 3) for (int c = 0; c < 3; ++c) mixed(c, 3);
-            else for (int c = 0; c < channels; ++c) mixed(c, channels);
 """
-
-
-@wp.func_native(
-    over_rows(
-        _MIX,
-        "memset(result.data + pixel * channels, 0, (wp::int64)empty * channels * sizeof(float));",
-        "const int channels = attributes.shape[3];",
-    )
+_SHOWN = (
+    _FROM
+    + """
+            for (int c = 0; c < channels; ++c)
+                to[c] = weights[0] * from[c] + weights[1] * from[channels + c] + weights[2] * from[2 * channels + c];
+"""
 )
+# Three channels, the usual number, have a loop of constant length, because compilers unroll it.
+_RUN = (
+    _FROM
+    + """
+            const auto mix = [&](int channels) {
+                for (int c = 0; c < channels; ++c) {
+                    const Eight::floats mixed = eight.weights[0] * from[c] + eight.weights[1] * from[channels + c]
+                        + eight.weights[2] * from[2 * channels + c];
+                    float values[8];
+                    memcpy(values, &mixed, sizeof(values));
+                    for (int n = 0; n < run; ++n) to[n * channels + c] = values[n];
+                }
+            };
+            if (channels == 3) mix(3);
+            else mix(channels);
+"""
+)
+_EMPTY = "memset(result.data + pixel * channels, 0, (wp::int64)empty * channels * sizeof(float));"
+
+
+@wp.func_native(over_rows(_SHOWN, _RUN, _EMPTY, _BEGIN))
 def mix_rows(
     attributes: wp.array4d(dtype=float),
     faces: wp.array3d(dtype=wp.vec3),
@@ -130,116 +144,50 @@ def _forward(
     mix_rows(attributes, faces, face_index, perspective, result, row, last)
 
 
-_UNMIX = (
-    FACE
-    + """
-    const int channels = attributes.shape[3], height = face_index.shape[1], width = face_index.shape[2];
-    const wp::int64 count = faces.shape[1];
+_UNMIX = over_face(
+    begin="""
+    const int channels = attributes.shape[3];
     const float* from = attributes.data + (own * count + f) * 3 * channels;
-    float* to = to_attributes.data + (own * count + f) * 3 * channels;
-    Face face;
-    face.set(faces.data + (b * count + f) * 3, perspective, height, width);
-    if (faces_too) face.gather();
-    EIGHT
-    for (int j = bottom + lane; j <= top; j += lanes) {
-        const wp::int64 row = ((wp::int64)b * height + height - 1 - j) * width;
-        for (int i = left; i <= right; ++i) {
-            if (face_index.data[row + i] != f) continue;
-            wp::vec_t<3, float> w, on_screen, to_w(0.0f);
-            float whole;
-            const float z = face.at(i, j, w, on_screen, whole);
+    float* to_own = to_attributes.data + (own * count + f) * 3 * channels;
+    """,
+    one="""
             const float* pull = grad.data + (row + i) * channels;
+            wp::vec_t<3, float> to_weights(0.0f);
             for (int k = 0; k < 3; ++k)
                 for (int c = 0; c < channels; ++c) {
-                    to_w[k] += from[k * channels + c] * pull[c];
-                    if (lanes == 1) to[k * channels + c] += w[k] * pull[c];
-                    else wp::atomic_add(&to[k * channels + c], w[k] * pull[c]);
+                    to_weights[k] += from[k * channels + c] * pull[c];
+                    if (lanes == 1) to_own[k * channels + c] += weights[k] * pull[c];
+                    else wp::atomic_add(&to_own[k * channels + c], weights[k] * pull[c]);
                 }
-            if (faces_too) face.pull(to_w, 0.0f, w, on_screen, whole, z);
-        }
-    }
-    if (faces_too) face.give(to_faces.data + (b * count + f) * 3, lanes == 1);
-"""
+            if (faces_too) face.pull(to_weights, 0.0f, weights, on_screen, whole, z);
+    """,
+    fits="channels <= 8",
+    eight_begin="""
+        Eight::floats sums[3 * 8];
+        for (int k = 0; k < 3 * channels; ++k) sums[k] = Eight::none();
+    """,
+    eight="""
+                Eight::floats to_weights[3] = {Eight::none(), Eight::none(), Eight::none()};
+                for (int c = 0; c < channels; ++c) {
+                    const float* g = grad.data + (row + at) * channels + c;
+                    Eight::floats pull = {g[0], g[channels], g[2 * channels], g[3 * channels], g[4 * channels],
+                                          g[5 * channels], g[6 * channels], g[7 * channels]};
+                    pull = here ? pull : Eight::none();
+                    for (int k = 0; k < 3; ++k) {
+                        sums[3 * c + k] += eight.weights[k] * pull;
+                        to_weights[k] += from[k * channels + c] * pull;
+                    }
+                }
+                if (faces_too) eight.pull(face, to_weights, Eight::none(), here);
+    """,
+    eight_end="""
+            for (int c = 0; c < channels; ++c)
+                for (int k = 0; k < 3; ++k) to_own[k * channels + c] += Eight::sum(sums[3 * c + k]);
+    """,
 )
-# The same for eight pixels at once, on the CPU; lanes are added at the end of the face.
-_EIGHT = """
-    #if !defined(__CUDA_ARCH__)
-    typedef float floats __attribute__((ext_vector_type(8)));
-    typedef int ints __attribute__((ext_vector_type(8)));
-    const ints ahead = {0, 1, 2, 3, 4, 5, 6, 7};
-    const auto sum = [](floats v) { return v[0] + v[1] + v[2] + v[3] + (v[4] + v[5] + v[6] + v[7]); };
-    const floats none = 0.0f;
-    const int most = 8;
-    bool plain = face.front && face.known && width >= 8 && channels <= most;
-    floats sums[3 * most], corner[9];
-    for (int k = 0; k < 3 * channels && plain; ++k) sums[k] = none;
-    for (int k = 0; k < 9; ++k) corner[k] = none;
-    for (int j = bottom; j <= top && plain; ++j) {
-        const wp::int64 row = ((wp::int64)b * height + height - 1 - j) * width;
-        for (int i = left; i <= right && plain; i += 8) {
-            const int at = i < width - 8 ? i : width - 8;
-            ints shown;
-            memcpy(&shown, face_index.data + row + at, sizeof(shown));
-            const ints here = (shown == f) & (ahead >= i - at);
-            if (__builtin_reduce_or(here) == 0) continue;
-            const floats x = __builtin_convertvector(ahead + at, floats);
-            floats w[3], shares[3], to_w[3] = {none, none, none};
-            for (int k = 0; k < 3; ++k) {
-                const float along = face.matrix[3 * k + 1] * (float)j;
-                const floats share = x * face.matrix[3 * k] + along + face.matrix[3 * k + 2];
-                w[k] = share < 0.0f ? none : share > 1.0f ? none + 1.0f : share;
-            }
-            const floats whole = w[0] + w[1] + w[2];
-            // Fall back to single pixels, also for 0 / 0 beside the face: NaN times 0 is NaN.
-            if (__builtin_reduce_or(whole == 0.0f)) {
-                plain = false;
-                break;
-            }
-            const floats part = 1.0f / whole;
-            floats z = part;
-            for (int k = 0; k < 3; ++k) shares[k] = perspective ? w[k] * face.inverse[k] : w[k] * part;
-            if (perspective) {
-                const floats near = 1.0f / (shares[0] + shares[1] + shares[2]);
-                for (int k = 0; k < 3; ++k) shares[k] *= near;
-                z = whole * near;
-            }
-            for (int c = 0; c < channels; ++c) {
-                const float* g = grad.data + (row + at) * channels + c;
-                floats pull = {g[0], g[channels], g[2 * channels], g[3 * channels], g[4 * channels], g[5 * channels],
-                               g[6 * channels], g[7 * channels]};
-                pull = here ? pull : none;
-                for (int k = 0; k < 3; ++k) {
-                    sums[3 * c + k] += shares[k] * pull;
-                    to_w[k] += from[k * channels + c] * pull;
-                }
-            }
-            if (!faces_too) continue;
-            const floats same = to_w[0] * shares[0] + to_w[1] * shares[1] + to_w[2] * shares[2];
-            floats right = none, up = none, g[3];
-            for (int k = 0; k < 3; ++k) {
-                g[k] = perspective ? z * (to_w[k] - same) * face.inverse[k] : to_w[k];
-                right += g[k] * face.dx[k], up += g[k] * face.dy[k];
-            }
-            for (int k = 0; k < 3; ++k) {
-                const floats share = here ? w[k] * part : none;
-                corner[3 * k] -= right * share;
-                corner[3 * k + 1] -= up * share;
-                if (perspective) corner[3 * k + 2] -= share * g[k] * face.inverse[k];
-            }
-        }
-    }
-    if (plain) {
-        for (int c = 0; c < channels; ++c)
-            for (int k = 0; k < 3; ++k) to[k * channels + c] += sum(sums[3 * c + k]);
-        for (int k = 0; k < 9; ++k) face.to[k] = sum(corner[k]);
-        if (faces_too) face.give(to_faces.data + (b * count + f) * 3, true);
-        return;
-    }
-    #endif
-"""
 
 
-@wp.func_native(_UNMIX.replace("EIGHT", _EIGHT))
+@wp.func_native(_UNMIX)
 def unmix_face(
     attributes: wp.array4d(dtype=float),
     own: int,

@@ -6,7 +6,8 @@ import warp as wp
 from torch import Tensor
 from torch.nn import functional
 
-from ..warp.launch import array, concurrent, launch, worth_a_thread, zeros
+from ..warp.launch import array, concurrent, launch, row_tasks, worth_a_thread, zeros
+from ..warp.point import fill
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -56,8 +57,9 @@ def sample_mipmaps(
     """
     batch, rows, columns = face_index.shape
     result = torch.empty((batch, rows, columns, texels.shape[2]), dtype=torch.float32, device=texels.device)
-    arguments = _arguments(texels, height, width, uv, face_index, mipmaps, repeat)
-    launch(_forward, batch * rows, [*arguments, array(result)], texels.device, worth_a_thread(columns))
+    tasks, each = row_tasks(batch * rows, texels.device)
+    arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat), each, array(result)]
+    launch(_forward, tasks, arguments, texels.device, worth_a_thread(each * columns))
     return result
 
 
@@ -86,15 +88,16 @@ def sample_mipmaps_backward(
     Raises:
         RuntimeError: On CUDA, if torch asks for deterministic results.
     """
-    batch, rows, _ = face_index.shape
+    batch, rows, columns = face_index.shape
     to_texels = zeros(texels.shape if texels_too else (0, 0, 0), texels.device)
     to_uv = zeros(uv.shape, uv.device)
     if texels_too and concurrent(texels.device) and torch.are_deterministic_algorithms_enabled():
         raise RuntimeError("sample_texture: no deterministic gradient to a texture on CUDA, got a request for one")
     tasks = len(texels) if texels_too and not concurrent(texels.device) else batch * rows
-    arguments = _arguments(texels, height, width, uv, face_index, mipmaps, repeat)
-    pixels = [batch * rows // tasks if tasks else 0, int(texels_too)]
-    launch(_backward, tasks, [*arguments, array(grad), *pixels, array(to_texels), array(to_uv, wp.vec2)], texels.device)
+    each = batch * rows // tasks if tasks else 0
+    arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat), each, array(grad)]
+    arguments += [int(texels_too), array(to_texels), array(to_uv, wp.vec2)]
+    launch(_backward, tasks, arguments, texels.device, worth_a_thread(each * columns))
     return to_texels, to_uv
 
 
@@ -104,11 +107,8 @@ def _(grad, texels, height, width, uv, face_index, mipmaps, repeat, texels_too):
 
 
 def _arguments(texels, height, width, uv, face_index, mipmaps, repeat):  # type: ignore[no-untyped-def]
-    sizes = torch.tensor(level_sizes(height, width), dtype=torch.int32)
-    if texels.is_cuda:
-        sizes = sizes.pin_memory().to(texels.device, non_blocking=True)
-    maps = [array(uv, wp.vec2), array(face_index)]
-    return [array(texels), array(sizes, wp.vec3i), *maps, int(mipmaps), int(repeat)]
+    levels = max(height, width).bit_length() if mipmaps else 1
+    return [array(texels), height, width, levels, array(uv, wp.vec2), array(face_index), int(repeat)]
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
@@ -128,159 +128,229 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(sample_mipmaps, _to_inputs, _save)
 
 
-@wp.func
-def change(
-    uv: wp.array3d(dtype=wp.vec2), face_index: wp.array3d(dtype=int), b: int, j: int, i: int, down: int, right: int
-) -> wp.vec2:
-    """Compute the change of uv to the next pixel, or from the previous one; 0 if neither shows the same face."""
-    f = face_index[b, j, i]
-    at = uv[b, j, i]
-    if j + down < face_index.shape[1] and i + right < face_index.shape[2]:
-        if face_index[b, j + down, i + right] == f:
-            return uv[b, j + down, i + right] - at
-    if j - down >= 0 and i - right >= 0:
-        if face_index[b, j - down, i - right] == f:
-            return at - uv[b, j - down, i - right]
-    return wp.vec2(0.0, 0.0)
+# One texture with its mipmaps; a level's columns and rows of texels around a point, and their weights.
+_TEXTURE = """
+struct Texture {
+    typedef wp::vec_t<2, float> vec2;
+    int height, width, levels, repeat;
+
+    // The change of uv to the next pixel, or from the previous one; 0 if neither shows the same face.
+    static CUDA_CALLABLE vec2 change(const vec2* uv, const int* shown, bool next, bool previous, wp::int64 step) {
+        if (next && shown[step] == shown[0]) return uv[step] - uv[0];
+        if (previous && shown[-step] == shown[0]) return uv[0] - uv[-step];
+        return vec2(0.0f, 0.0f);
+    }
+    // log2 of the texels along the longer side of the pixel i, clamped to the levels.
+    CUDA_CALLABLE float level(const vec2* uv, const int* shown, int i, int j, int columns, int rows) const {
+        if (levels == 1) return 0.0f;
+        const vec2 x = change(uv, shown, i + 1 < columns, i > 0, 1);
+        const vec2 y = change(uv, shown, j + 1 < rows, j > 0, columns);
+        const float w = (float)width, h = (float)height;
+        const float across = x[0] * x[0] * w * w + x[1] * x[1] * h * h;
+        const float down = y[0] * y[0] * w * w + y[1] * y[1] * h * h;
+        const float longest = across > down ? across : down;
+        if (!(longest > 1.0f)) return 0.0f;
+        const float chosen = 0.5f * log2f(longest), last = (float)(levels - 1);
+        return chosen < last ? chosen : last;
+    }
+
+    struct Side {
+        int texel[2];
+        float part[2], slope;  // the slope of the position by the coordinate, in texels
+        CUDA_CALLABLE Side(float at, int size, int repeat) {
+            const float raw = at * (float)size - 0.5f, last = (float)(size - 1);
+            float x = raw < last ? raw : last;
+            x = x > 0.0f ? x : 0.0f;
+            slope = repeat || (raw >= 0.0f && raw <= last) ? (float)size : 0.0f;
+            if (repeat) x = (at - floorf(at)) * (float)size - 0.5f;
+            const float low = floorf(x);
+            part[1] = x - low, part[0] = 1.0f - part[1];
+            for (int k = 0; k < 2; ++k) {
+                int n = (int)low + k;
+                if (repeat) n = n < 0 ? n + size : n >= size ? n - size : n;
+                texel[k] = n < 0 ? 0 : n >= size ? size - 1 : n;  // for NaN coordinates, too
+            }
+        }
+    };
+    // One level: the place of its first texel, and the sides.
+    struct Level {
+        wp::int64 first, width;
+        Side x, y;
+        CUDA_CALLABLE Level(const Texture& all, vec2 uv, int n, wp::int64 before, int wide, int high)
+            : first(before), width(wide), x(uv[0], wide, all.repeat), y(1.0f - uv[1], high, all.repeat) {}
+        CUDA_CALLABLE wp::int64 texel(int down, int right) const {
+            return first + y.texel[down] * width + x.texel[right];
+        }
+    };
+    CUDA_CALLABLE Level at(vec2 uv, int n) const {
+        int wide = width, high = height;
+        wp::int64 before = 0;
+        for (int k = 0; k < n; ++k) {
+            before += (wp::int64)wide * high;
+            wide = wide > 1 ? wide >> 1 : 1, high = high > 1 ? high >> 1 : 1;
+        }
+        return Level(*this, uv, n, before, wide, high);
+    }
+};
+"""
+
+# Over the rows [first, last), counted over all images; PIXEL is done for the pixels that show a face, LEVEL for each
+# of their levels, with its share.
+_ROWS = (
+    _TEXTURE
+    + """
+    const int rows = face_index.shape[1], columns = face_index.shape[2], channels = texels.shape[2];
+    const Texture texture = {height, width, levels, repeat};
+    for (int line = first; line < last; ++line) {
+        const int b = line / rows, j = line % rows;
+        const wp::int64 own = b < texels.shape[0] ? b : texels.shape[0] - 1;
+        const float* image = texels.data + own * texels.shape[1] * channels;
+        for (int i = 0; i < columns; ++i) {
+            const wp::int64 pixel = (wp::int64)line * columns + i;
+            BEGIN
+            if (face_index.data[pixel] < 0) continue;
+            const wp::vec_t<2, float> at = uv.data[pixel];
+            const float chosen = texture.level(uv.data + pixel, face_index.data + pixel, i, j, columns, rows);
+            const int low = (int)chosen;
+            for (int n = low; n < low + 2 && n < levels; ++n) {
+                const float share = n == low ? 1.0f - (chosen - (float)low) : chosen - (float)low;
+                if (!(share > 0.0f)) continue;
+                const Texture::Level level = texture.at(at, n);
+                if (channels == 3) { const int channels = 3; LEVEL }
+                else { LEVEL }
+            }
+            END
+        }
+    }
+"""
+)
+
+_BLEND = """
+                for (int corner = 0; corner < 4; ++corner) {
+                    const int down = corner >> 1, right = corner & 1;
+                    const float part = share * level.y.part[down] * level.x.part[right];
+                    const float* texel = image + level.texel(down, right) * channels;
+                    for (int c = 0; c < channels; ++c) color[c] += part * texel[c];
+                }
+"""
+_BLEND_ROWS = fill(
+    _ROWS,
+    BEGIN="""
+            float* color = result.data + pixel * channels;
+            for (int c = 0; c < channels; ++c) color[c] = 0.0f;
+    """,
+    LEVEL=_BLEND,
+    END="",
+)
 
 
-@wp.func
-def level_of(
-    sizes: wp.array1d(dtype=wp.vec3i),
+@wp.func_native(_BLEND_ROWS)
+def blend_rows(
+    texels: wp.array3d(dtype=float),
+    height: int,
+    width: int,
+    levels: int,
     uv: wp.array3d(dtype=wp.vec2),
     face_index: wp.array3d(dtype=int),
-    b: int,
-    j: int,
-    i: int,
-) -> float:
-    """Select the mipmap level: log2 of the texels along the longer side of a pixel, clamped to the levels."""
-    size = wp.vec2(float(sizes[0][2]), float(sizes[0][1]))
-    x = wp.cw_mul(change(uv, face_index, b, j, i, 0, 1), size)
-    y = wp.cw_mul(change(uv, face_index, b, j, i, 1, 0), size)
-    longest = wp.max(wp.dot(x, x), wp.dot(y, y))
-    if longest > 1.0:
-        return wp.min(0.5 * wp.log2(longest), float(sizes.shape[0] - 1))
-    return 0.0
-
-
-@wp.func
-def column(x: int, width: int, repeat: int) -> int:
-    """Wrap or clamp a position in a row or column, at most one texel outside."""
-    if repeat == 1:
-        if x < 0:
-            x += width
-        if x >= width:
-            x -= width
-    return wp.clamp(x, 0, width - 1)  # for NaN coordinates, too
-
-
-@wp.func
-def texel_place(at: float, size: int, repeat: int) -> float:
-    """Convert a texture coordinate to texels, whose centres are the integers."""
-    if repeat == 1:
-        return (at - wp.floor(at)) * float(size) - 0.5
-    return wp.clamp(at * float(size) - 0.5, 0.0, float(size - 1))
-
-
-@wp.func
-def slope_of(at: float, size: int, repeat: int) -> float:
-    """Compute the derivative of `texel_place` by the coordinate."""
-    x = at * float(size) - 0.5
-    if repeat == 0 and (x < 0.0 or x > float(size - 1)):
-        return 0.0
-    return float(size)
-
-
-@wp.func
-def texel_of(at: wp.vec2, size: wp.vec3i, repeat: int, corner: int):
-    """Find one of the four texels of a level around uv, and its bilinear weights along columns and rows."""
-    x = texel_place(at[0], size[2], repeat)
-    y = texel_place(1.0 - at[1], size[1], repeat)
-    left = int(wp.floor(x)) + corner % 2
-    top = int(wp.floor(y)) + corner // 2
-    texel = size[0] + column(top, size[1], repeat) * size[2] + column(left, size[2], repeat)
-    return texel, 1.0 - wp.abs(x - float(left)), 1.0 - wp.abs(y - float(top))
+    repeat: int,
+    result: wp.array4d(dtype=float),
+    first: int,
+    last: int,
+):
+    """Sample the rows [first, last), counted over all images."""
+    ...
 
 
 @wp.kernel
 def _forward(
     first: int,
     texels: wp.array3d(dtype=float),
-    sizes: wp.array1d(dtype=wp.vec3i),
+    height: int,
+    width: int,
+    levels: int,
     uv: wp.array3d(dtype=wp.vec2),
     face_index: wp.array3d(dtype=int),
-    mipmaps: int,
     repeat: int,
+    each: int,
     result: wp.array4d(dtype=float),
 ):
-    """Sample one row of one image."""
-    task = first + wp.tid()
-    b = task // face_index.shape[1]
-    j = task % face_index.shape[1]
-    own = wp.min(b, texels.shape[0] - 1)
-    channels = texels.shape[2]
-    for i in range(face_index.shape[2]):
-        for c in range(channels):
-            result[b, j, i, c] = 0.0
-        if face_index[b, j, i] >= 0:
-            level = float(0.0)
-            if mipmaps == 1:
-                level = level_of(sizes, uv, face_index, b, j, i)
-            at = uv[b, j, i]
-            for n in range(int(level), wp.min(int(level) + 2, sizes.shape[0])):
-                share = 1.0 - wp.abs(level - float(n))
-                if share > 0.0:
-                    for corner in range(4):
-                        texel, across, along = texel_of(at, sizes[n], repeat, corner)
-                        part = share * across * along
-                        for c in range(channels):
-                            result[b, j, i, c] += part * texels[own, texel, c]
+    row = (first + wp.tid()) * each
+    last = wp.min(row + each, face_index.shape[0] * face_index.shape[1])
+    blend_rows(texels, height, width, levels, uv, face_index, repeat, result, row, last)
+
+
+_SCATTER = """
+                float gain[2][2];  // of each texel: what the loss gains with it
+                for (int corner = 0; corner < 4; ++corner) {
+                    const int down = corner >> 1, right = corner & 1;
+                    const float part = share * level.y.part[down] * level.x.part[right];
+                    const wp::int64 texel = level.texel(down, right) * channels;
+                    float sum = 0.0f;
+                    for (int c = 0; c < channels; ++c) {
+                        sum += pull[c] * image[texel + c];
+                        if (texels_too) ADD(to_image + texel + c, part * pull[c]);
+                    }
+                    gain[down][right] = share * sum;
+                }
+                const float *x = level.x.part, *y = level.y.part;
+                to_x += (y[0] * (gain[0][1] - gain[0][0]) + y[1] * (gain[1][1] - gain[1][0])) * level.x.slope;
+                to_y += (x[0] * (gain[1][0] - gain[0][0]) + x[1] * (gain[1][1] - gain[0][1])) * level.y.slope;
+"""
+_SCATTER_ROWS = """
+    #if defined(__CUDA_ARCH__)
+    #define ADD(to, value) wp::atomic_add(to, value)
+    #else
+    #define ADD(to, value) *(to) += value  // one task writes an image's texels
+    #endif
+""" + fill(
+    _ROWS,
+    BEGIN="""
+            const float* pull = grad.data + pixel * channels;
+            float* to_image = to_texels.data + own * texels.shape[1] * channels;
+            float to_x = 0.0f, to_y = 0.0f;
+    """,
+    LEVEL=_SCATTER,
+    END="to_uv.data[pixel] = wp::vec_t<2, float>(to_x, -to_y);",
+)
+
+
+@wp.func_native(_SCATTER_ROWS)
+def scatter_rows(
+    texels: wp.array3d(dtype=float),
+    height: int,
+    width: int,
+    levels: int,
+    uv: wp.array3d(dtype=wp.vec2),
+    face_index: wp.array3d(dtype=int),
+    repeat: int,
+    grad: wp.array4d(dtype=float),
+    texels_too: int,
+    to_texels: wp.array3d(dtype=float),
+    to_uv: wp.array3d(dtype=wp.vec2),
+    first: int,
+    last: int,
+):
+    """Send the gradients of the rows [first, last), counted over all images."""
+    ...
 
 
 @wp.kernel
 def _backward(
     first: int,
     texels: wp.array3d(dtype=float),
-    sizes: wp.array1d(dtype=wp.vec3i),
+    height: int,
+    width: int,
+    levels: int,
     uv: wp.array3d(dtype=wp.vec2),
     face_index: wp.array3d(dtype=int),
-    mipmaps: int,
     repeat: int,
+    each: int,
     grad: wp.array4d(dtype=float),
-    rows: int,
     texels_too: int,
     to_texels: wp.array3d(dtype=float),
     to_uv: wp.array3d(dtype=wp.vec2),
 ):
-    """Send the gradients of ``rows`` rows, counted over all images."""
-    task = first + wp.tid()
-    channels = texels.shape[2]
-    for line in range(task * rows, (task + 1) * rows):
-        b = line // face_index.shape[1]
-        j = line % face_index.shape[1]
-        own = wp.min(b, texels.shape[0] - 1)
-        for i in range(face_index.shape[2]):
-            if face_index[b, j, i] >= 0:
-                level = float(0.0)
-                if mipmaps == 1:
-                    level = level_of(sizes, uv, face_index, b, j, i)
-                at = uv[b, j, i]
-                to_x = float(0.0)
-                to_y = float(0.0)
-                for n in range(int(level), wp.min(int(level) + 2, sizes.shape[0])):
-                    share = 1.0 - wp.abs(level - float(n))
-                    if share > 0.0:
-                        size = sizes[n]
-                        for corner in range(4):
-                            texel, across, along = texel_of(at, size, repeat, corner)
-                            gain = float(0.0)
-                            for c in range(channels):
-                                pull = share * grad[b, j, i, c]
-                                gain += pull * texels[own, texel, c]
-                                if texels_too == 1:
-                                    wp.atomic_add(to_texels, own, texel, c, pull * across * along)
-                            right = float(2 * (corner % 2) - 1)
-                            down = float(2 * (corner // 2) - 1)
-                            to_x += gain * along * right * slope_of(at[0], size[2], repeat)
-                            to_y += gain * across * down * slope_of(1.0 - at[1], size[1], repeat)
-                to_uv[b, j, i] = wp.vec2(to_x, -to_y)
+    row = (first + wp.tid()) * each
+    scatter_rows(
+        texels, height, width, levels, uv, face_index, repeat, grad, texels_too, to_texels, to_uv, row, row + each
+    )

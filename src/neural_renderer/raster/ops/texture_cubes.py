@@ -5,10 +5,11 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.geometry import FACING, in_front, pixel_box
+from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, face_lanes, face_tasks, launch, row_tasks, worth_a_thread, zeros
-from ..warp.point import FACE, over_rows
+from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
+from .cube import CUBE
 from .visible_faces import seen_faces
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
@@ -130,66 +131,6 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(sample_textures, _to_inputs, _save)
 
 
-# The 8 texels around a coordinate in a cube, and their weights. A cube of one texel has nothing to blend.
-_CUBE = """
-struct Cube {
-    typedef wp::vec_t<3, float> vec3;
-    int size, low[3];
-    float up[3];
-    bool free[3];  // the coordinate was not clamped
-
-    CUDA_CALLABLE Cube(const vec3& weights, int texels, float eps) : size(texels) {
-        for (int k = 0; k < 3; ++k) {
-            const float top = (float)(size - 1), raw = top * weights[k], most = top - eps;
-            float at = raw < most ? raw : most;
-            at = at > 0.0f ? at : 0.0f;
-            free[k] = raw == at, low[k] = (int)at, up[k] = at - (float)low[k];
-        }
-    }
-    CUDA_CALLABLE float part(int axis, int above) const { return above ? up[axis] : 1.0f - up[axis]; }
-    CUDA_CALLABLE int texel(int i, int j, int k) const {
-        return ((low[0] + i) * size + low[1] + j) * size + low[2] + k;
-    }
-    CUDA_CALLABLE vec3 blend(const vec3* texels) const {
-        if (size == 1) return texels[0];
-        vec3 sum(0.0f);
-        for (int n = 0; n < 8; ++n) {
-            const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
-            sum += part(0, i) * part(1, j) * part(2, k) * texels[texel(i, j, k)];
-        }
-        return sum;
-    }
-    CUDA_CALLABLE void scatter(vec3* texels, const vec3& color, bool alone) const {
-        for (int n = 0; n < (size == 1 ? 1 : 8); ++n) {
-            const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
-            const vec3 add = size == 1 ? color : part(0, i) * part(1, j) * part(2, k) * color;
-            vec3* to = texels + (size == 1 ? 0 : texel(i, j, k));
-            if (alone) *to += add;
-            else wp::atomic_add(to, add);
-        }
-    }
-    // The derivative of the blend, times `color`, by the weights of the corners.
-    CUDA_CALLABLE vec3 slope(const vec3* texels, const vec3& color) const {
-        vec3 sum(0.0f);
-        for (int n = 0; n < (size == 1 ? 0 : 8); ++n) {
-            const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
-            const float gain = wp::dot(texels[texel(i, j, k)], color);
-            sum[0] += (i ? gain : -gain) * part(1, j) * part(2, k);
-            sum[1] += (j ? gain : -gain) * part(0, i) * part(2, k);
-            sum[2] += (k ? gain : -gain) * part(0, i) * part(1, j);
-        }
-        for (int k = 0; k < 3; ++k) sum[k] = free[k] ? sum[k] * (float)(size - 1) : 0.0f;
-        return sum;
-    }
-};
-struct Side {
-    typedef wp::vec_t<3, float> vec3;
-    static CUDA_CALLABLE int facing(vec3 v0, vec3 v1, vec3 v2, int perspective) { FACING }
-    // 1 if the back of a face is visible, else 0.
-    static CUDA_CALLABLE int of(const vec3* v, int perspective) { return facing(v[0], v[1], v[2], perspective) < 0; }
-};
-""".replace("FACING", FACING)
-
 _BEGIN = """
     const wp::int64 texels = (wp::int64)size * size * size, area = (wp::int64)height * width;
     const wp::int64 cubes = textures.shape[0], lamps = light.shape[0];
@@ -205,6 +146,24 @@ _SHOWN = """
             float* to = color.data + pixel + 2 * b * area;
             for (int c = 0; c < 3; ++c) to[c * area] = mixed[c] * factors[slot][c];
 """
+_RUN = """
+                    const auto* cube = textures.data + ((b < cubes ? b : cubes - 1) * count + f) * texels;
+                    float* to = color.data + pixel + 2 * b * area;
+                    Eight::floats mixed[3];
+                    if (size <= 2) CubeOfEight(eight.weights, size, eps).blend(cube, mixed);
+                    else {
+                        for (int n = 0; n < run; ++n) {
+                            const wp::vec_t<3, float> w(eight.weights[0][n], eight.weights[1][n], eight.weights[2][n]);
+                            const wp::vec_t<3, float> one = Cube(w, size, eps).blend(cube);
+                            for (int c = 0; c < 3; ++c) mixed[c][n] = one[c];
+                        }
+                    }
+                    for (int c = 0; c < 3; ++c, to += area) {
+                        mixed[c] *= factors[slot][c];
+                        if (i + 8 <= width) memcpy(to, &mixed[c], sizeof(mixed[c]));
+                        else for (int n = 0; n < run; ++n) to[n] = mixed[c][n];
+                    }
+"""
 _EMPTY = """
                 const int* step = background.strides;
                 const char* behind = (const char*)background.data + b * (wp::int64)step[0]
@@ -217,7 +176,7 @@ _EMPTY = """
 """
 
 
-@wp.func_native(_CUBE + over_rows(_SHOWN, _EMPTY, _BEGIN, _FRESH))
+@wp.func_native(over_rows(_SHOWN, _RUN, _EMPTY, _BEGIN, _FRESH, structs=CUBE))
 def color_rows(
     textures: wp.array3d(dtype=wp.vec3),
     light: wp.array3d(dtype=wp.vec3),
@@ -263,43 +222,57 @@ def clear(textures: wp.array3d(dtype=wp.vec3), cube: wp.int64, size: int):
     ...
 
 
-_FACE = (
-    FACE
-    + _CUBE
-    + """
-    const int height = face_index.shape[1], width = face_index.shape[2];
-    const wp::int64 count = faces.shape[1], texels = (wp::int64)size * size * size, area = (wp::int64)height * width;
+_SUM = over_face(
+    structs=CUBE,
+    begin="""
+    const wp::int64 texels = (wp::int64)size * size * size, area = (wp::int64)height * width;
     const auto* cube = textures.data + (own * count + f) * texels;
     auto* to_cube = to_textures.data + (own * count + f) * texels;
-    Face face;
-    face.set(faces.data + (b * count + f) * 3, perspective, height, width);
-    if (faces_too) face.gather();
     const int side = Side::of(face.v, perspective);
     const wp::int64 lamp = b < light.shape[0] ? b : light.shape[0] - 1;
     const wp::vec_t<3, float> factor = light.data[(2 * lamp + side) * count + f];
-    wp::vec_t<3, float> lit(0.0f), w, on_screen, g;
-    for (int j = bottom + lane; j <= top; j += lanes) {
-        const wp::int64 row = ((wp::int64)b * height + height - 1 - j) * width;
-        const float* pull = grad.data + 3 * b * area + (height - 1 - j) * (wp::int64)width;
-        for (int i = left; i <= right; ++i) {
-            if (face_index.data[row + i] != f) continue;
-            float whole;
-            const float z = face.at(i, j, w, on_screen, whole);
-            const Cube at(w, size, eps);
-            for (int c = 0; c < 3; ++c) g[c] = pull[c * area + i];
+    wp::vec_t<3, float> lit(0.0f), g;
+    const float* grads = grad.data + 2 * b * area;  // of the first channel, less a row's place
+    """,
+    one="""
+            const Cube at(weights, size, eps);
+            for (int c = 0; c < 3; ++c) g[c] = grads[c * area + row + i];
             if (light_too) lit += wp::cw_mul(at.blend(cube), g);
             g = wp::cw_mul(g, factor);
             at.scatter(to_cube, g, lanes == 1);
-            if (faces_too) face.pull(at.slope(cube, g), 0.0f, w, on_screen, whole, z);
-        }
-    }
-    if (faces_too) face.give(to_faces.data + (b * count + f) * 3, lanes == 1);
-    if (light_too) wp::atomic_add(to_light.data + (2 * b + side) * count + f, lit);
-"""
+            if (faces_too) face.pull(at.slope(cube, g), 0.0f, weights, on_screen, whole, z);
+    """,
+    fits="size <= 2",
+    eight_begin="""
+        wp::vec_t<3, float> lit_cube[8];
+        for (int n = 0; n < texels; ++n) lit_cube[n] = wp::cw_mul(cube[n], factor);
+        CubeOfEight::Sums sums;
+    """,
+    eight="""
+                const CubeOfEight inside(eight.weights, size, eps);
+                Eight::floats pull[3], to_weights[3];
+                for (int c = 0; c < 3; ++c) {
+                    memcpy(&pull[c], grads + c * area + row + at, sizeof(pull[c]));
+                    pull[c] = here ? pull[c] : Eight::none();
+                }
+                inside.scatter(sums, pull);
+                if (faces_too) {
+                    inside.slope(lit_cube, pull, to_weights);
+                    eight.pull(face, to_weights, Eight::none(), here);
+                }
+    """,
+    eight_end="""
+            for (int n = 0; n < texels; ++n) {
+                const wp::vec_t<3, float> sum = sums.of(n);
+                lit += wp::cw_mul(cube[n], sum);
+                to_cube[n] += wp::cw_mul(sum, factor);
+            }
+    """,
+    end="if (light_too) wp::atomic_add(to_light.data + (2 * b + side) * count + f, lit);",
 )
 
 
-@wp.func_native(_FACE)
+@wp.func_native(_SUM)
 def uncolor_face(
     textures: wp.array3d(dtype=wp.vec3),
     own: int,

@@ -173,7 +173,7 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
     if own < 0:
         return 0.0
 
-    # The chord in the face, and the joint one with the adjacent face behind it, which stands in; at most a pixel.
+    # The chord in the face, and the joint chord with the adjacent face behind it; at most a pixel.
     chord = joint = 1.0
     stand_in = -1
     if not scan.perspective or min(scan.depths[f]) > 0:
@@ -205,7 +205,7 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
         if continues:
             inside += offset * (colors[inner][n] - colors[before][n]) / probability
         elif stands_in:
-            # The colour that stands in, plus the face's difference from it, weighted by the rarer hits of the face.
+            # The stand-in's colour, plus the face's difference from it, weighted by the rarer hits of the face.
             inside = colors[before][n] / probability + (colors[inner][n] - colors[before][n]) / chord
         if continues_outside:
             outside += (1 - offset) * (colors[outer][n] - colors[behind][n]) / probability

@@ -16,7 +16,7 @@ def intersections_reference(
     x, y = pixel_centres(height, width)
 
     def pair(values: Tensor) -> tuple[Tensor, Tensor]:
-        """Pair the values [..., H, W] of each pixel with those of the next one to the right, or above."""
+        """Pair the values [..., H, W] of each pixel with the values of the next pixel to the right, or above."""
         return (values[..., 1:, :], values[..., :-1, :]) if axis else (values[..., :-1], values[..., 1:])
 
     # Pairs of pixels that show two faces wholly in front. Faces with a common edge meet there and do not intersect.
@@ -33,7 +33,7 @@ def intersections_reference(
     leaf = corners.clone().requires_grad_()
 
     def lead(at_x: Tensor, at_y: Tensor) -> Tensor:
-        """Compute the nearness of f minus that of g."""
+        """Compute the nearness of f minus the nearness of g."""
         return _nearness(leaf[f], at_x, at_y, perspective) - _nearness(leaf[g], at_x, at_y, perspective)
 
     here, there = lead(x, y).detach(), lead(next_x, next_y).detach()

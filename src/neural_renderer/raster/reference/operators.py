@@ -209,7 +209,7 @@ def _pull_edge(
         # Pixels from the outer one to the border pull the edge outward; the face's own pixels pull it inward.
         outward = range(outer, length if d > 0 else -1, d) if shown[u, inner] == f else range(0)
         last = 0 if d > 0 else length - 1
-        if corners[2, 2] > 0:  # a face whose third corner is behind the camera may extend to the border
+        if corners[2, 2] > 0:  # if the third corner is behind the camera, the face may extend to the border
             last = _leaves(u, (pu, pv), (qu, qv), (ru, rv), length, d)
         inward = [j for j in range(inner, last - d, -d) if shown[u, j] == f]
         for pixels, new, sign in ((list(outward), inner, d), (inward, outer, -d)):
@@ -271,5 +271,5 @@ def _hit(faces: Tensor, x: Tensor, y: Tensor) -> FacesAtPixels:
     # Barycentric weights of the hit point in space: ratios of areas.
     parts = (torch.linalg.cross(arms[..., [1, 2, 0], :], arms[..., [2, 0, 1], :]) * normal[..., None, :]).sum(-1)
     shares = parts / (normal * normal).sum(-1, keepdim=True)
-    # A screen-space weight is the weight in space times the corner's depth over that of the point.
+    # A screen-space weight is the weight in space times the corner's depth, over the point's depth.
     return FacesAtPixels((shares >= 0).all(-1) & (depth > 0), depth, shares * p[..., 2] / depth[..., None])

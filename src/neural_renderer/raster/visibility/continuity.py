@@ -180,9 +180,9 @@ def colors_continue(
     f: int,
     k: int,
 ) -> bool:
-    """Test whether the hashes of edge k of face f match those of the same edge of the adjacent face.
+    """Test whether the hashes of edge k of face f match the hashes of the same edge of the adjacent face.
 
-    If there are fewer hashes than images or faces, those of the last image and of the last face are repeated.
+    If there are fewer hashes than images or faces, the last image and the last face are repeated.
     """
     own = wp.min(b, edge_hashes.shape[0] - 1)
     last = edge_hashes.shape[1] - 1

@@ -10,9 +10,9 @@ the point.
 Rows and columns both sample the line. Each pair is weighted by the square of the component of the line's normal along
 its axis; over the two axes the weights add to 1.
 
-Pitfalls. At the ends of an intersection, up to a pixel of its length is lost. Faces in one plane, whose leads are
-rounding errors, and faces that share two corners, which meet without intersecting, are skipped. Faces that cross the
-camera's plane and `degenerate` faces have no gradient here.
+Pitfalls. At the ends of an intersection, up to a pixel of its length is lost. Faces in one plane are skipped, because
+their leads are rounding errors. So are faces that share two corners: they meet, but do not intersect. Faces that cross
+the camera's plane and `degenerate` faces have no gradient here.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -263,7 +263,7 @@ def _intersect(
 ):
     """Visit the pixels of one face of one image; with several lanes, each takes every n-th row.
 
-    The other face of an intersection has a task of its own.
+    The other face of an intersection has another task.
     """
     task = first + wp.tid()
     lane = task % lanes

@@ -57,7 +57,7 @@ def _(image, faces, face_index, eps, two_sided, binary):  # type: ignore[no-unty
 def nmr_edges_backward(
     grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool
 ) -> Tensor:
-    """Compute the gradient of `nmr_edges` to faces, [B, F, 3, 3]; that of z is 0."""
+    """Compute the gradient of `nmr_edges` to faces, [B, F, 3, 3]; the gradient to z is 0."""
     grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
     batch, channels, height, width = image.shape
     result = zeros(faces.shape, faces.device)

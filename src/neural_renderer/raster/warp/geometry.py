@@ -13,7 +13,7 @@ coordinates", 1997).
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import warp as wp
 
-# Screen units: four roundings of a coordinate near 1, the limit of what float32 resolves.
+# Screen units: four roundings of a coordinate near 1, the resolution of float32.
 NARROWEST = wp.constant(2.0**-22)
 # An edge with a smaller extent across the scan lines, in pixels, has no slope. Float32 resolves such extents only near
 # pixel 0.

@@ -1,8 +1,8 @@
 """Running Warp kernels on torch tensors: devices, streams and CPU threads.
 
 Warp runs a CPU kernel as a plain loop on the calling thread, without the GIL. Every kernel here therefore takes the
-number of its first task as its first argument, and `launch` hands pieces of the task range to several threads. A task
-writes only what no other task writes, so the result does not depend on how many threads there are.
+number of its first task as its first argument, and `launch` gives pieces of the task range to several threads. No two
+tasks write to the same place, so the result does not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
 
 _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
-_asked: set[tuple[Any, torch.device]] = set()  # what `load_ahead` was asked for before
+_asked: set[tuple[Any, torch.device]] = set()  # earlier arguments of `load_ahead`
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
@@ -140,7 +140,7 @@ def _threads(count: int) -> ThreadPoolExecutor:
 def concurrent(device: torch.device) -> bool:
     """Test whether the tasks of a launch run concurrently and share sums by atomics, as on CUDA.
 
-    It alone selects the layout of a kernel's work; tests select that of CUDA on the CPU.
+    Only this function selects the layout of a kernel's work; tests select CUDA's layout on the CPU.
     """
     return device.type == "cuda" or emulator is not None
 

@@ -15,7 +15,7 @@ from .deformation import Deformation
 
 @dataclass(frozen=True)
 class DreamWeights:
-    """Weights of the losses of `Dream`, relative to the dream loss, whose weight is 1.
+    """Weights of the losses of `Dream`. The weight of the dream loss is 1.
 
     Attributes:
         bend: Weight of the bending loss, ≥ 0 (`Deformation.bend`).
@@ -44,9 +44,9 @@ class Dream:
     """Objective of DeepDream: large activations of a layer, with regularisers for shape and colours.
 
     With ``relative``, the dream loss is minus the logarithm of the mean squared activation. Its gradient does not
-    depend on the scale of the network, so that one set of weights serves all networks and layers. Without it, the
-    losses are those of the published code: minus the mean squared activation, and the variance of edge lengths times
-    the number of faces.
+    depend on the scale of the network, so that one set of weights suits all networks and layers. Without it, the
+    losses follow the published code: minus the mean squared activation, and the variance of edge lengths times the
+    number of faces.
 
     Args:
         network: Feature network with the layer.

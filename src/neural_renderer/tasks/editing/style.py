@@ -23,7 +23,7 @@ _LEAST_SIDE, _MOST_ASPECT = 16, 16  # limits of a painting's shape, in pixels an
 
 @dataclass(frozen=True)
 class StyleWeights:
-    """Weights of the losses of `Style`, relative to the style loss, whose weight is 1.
+    """Weights of the losses of `Style`. The weight of the style loss is 1.
 
     Attributes:
         content: Weight of the squared displacements of vertices, ≥ 0.
@@ -60,8 +60,8 @@ class Style:
 
     With ``relative``, all losses are means that do not depend on the scale of the network, the mesh or the image size:
     ``|G − G*|² / |G*|²``, averaged over layers and views; the mean squared displacement of vertices; the mean total
-    variation of the object's pixels. Without it, the losses are the sums of the published code, whose weights suit the
-    features of the original VGG-16.
+    variation of the object's pixels. Without it, the losses are the sums of the published code; their weights suit the
+    features of the original VGG-16 only.
 
     Args:
         network: Feature network with the layers.

@@ -46,8 +46,8 @@ def load_views(
     Raises:
         FileNotFoundError: The folder, the camera file or an image does not exist.
         ValueError: A file is malformed, a key is missing, image sizes differ, an image is larger than `load_image`
-            accepts or outside of the folder without ``allow_outside``, a mask is empty, or an image has neither mask
-            nor alpha channel and ``background`` is None.
+            accepts or outside of the folder without ``allow_outside``, a mask is empty, or ``background`` is None and
+            an image has no mask and no alpha channel.
 
     Example:
         >>> disc = nr.render(nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 0.0, -2.7)), 64).alpha[0]

@@ -113,7 +113,7 @@ class MeshFit:
         return tuple(part.detach() for part in self._fit.shape)
 
     def normalize(self, views: Views) -> Views:
-        """Convert further views, such as those held out, from the world of the cameras to that of ``views``.
+        """Convert further views, such as held-out ones, from the world of the cameras to the world of ``views``.
 
         Args:
             views: Views in the world of the cameras.

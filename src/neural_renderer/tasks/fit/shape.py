@@ -16,7 +16,7 @@ from .descent import SmoothDescent
 from .fit_views import Views, mask_iou, views_of_step
 
 _REGULARIZERS = {"laplacian": 2, "edge_length": 1, "normal_consistency": 1, "smoothness": 1}
-"""Losses on the mesh alone → exponent of the number of vertices that makes their values independent of it.
+"""Loss on the mesh → power of the number of vertices that makes its value independent of the resolution.
 
 The edge length of a mesh with V vertices is proportional to V^(-1/2), and the distance of a vertex from the mean of its
 neighbours to V^(-1).

@@ -42,7 +42,7 @@ def refine_meshes(network: MeshNetwork, vertices: Tensor, images: Tensor, steps:
         [B, 642, 3] in [-½, ½], detached.
 
     Raises:
-        TypeError, ValueError: As `render`, or the number of images differs from that of the meshes.
+        TypeError, ValueError: As `render`, or the numbers of images and meshes differ.
 
     Example:
         >>> from neural_renderer.tasks.reconstruction.networks.configs import make_config
