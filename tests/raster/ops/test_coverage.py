@@ -1,4 +1,4 @@
-"""Which face is seen: against the reference, watertight, ties, both sides, behind the camera."""
+"""Visible faces: against the reference, watertight, ties, both sides, behind the camera. `draw_face` runs in its kernels."""
 
 from __future__ import annotations
 

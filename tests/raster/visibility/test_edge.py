@@ -1,4 +1,7 @@
-"""The estimator `gradient="edge"` against its reference and closed forms."""
+"""The estimator `gradient="edge"` against its reference and closed forms.
+
+Its parts, `crossings`, `outlines`, `seams`, `gains` and `nearness`, run inside its kernel and are tested through it.
+"""
 
 from __future__ import annotations
 
