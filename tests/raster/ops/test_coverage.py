@@ -1,4 +1,4 @@
-"""Visible faces: against the reference, watertight, ties, both sides, behind the camera. `draw_face` runs in its kernels."""
+"""Visible faces: against the reference, ties, both sides, behind the camera. `draw_face` runs in its kernels."""
 
 from __future__ import annotations
 
