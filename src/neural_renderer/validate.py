@@ -113,7 +113,7 @@ def indices(name: str, value: Any, shape: Sequence[int | str], always: bool = Fa
     result = value.detach().to(torch.int64)
     checked = value.dtype in FLOATING and (always or values_are_checked(value))
     if checked and not bool((result == value).all()):
-        raise ValueError(f"{name}: expected whole numbers, got {shape_of(value)} with others")
+        raise ValueError(f"{name}: expected whole numbers, got {shape_of(value)} with fractions or NaN")
     return result
 
 

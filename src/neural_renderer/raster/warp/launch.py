@@ -122,7 +122,7 @@ def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
         except OSError as error:
             raise OSError(
                 f"{wp.config.kernel_cache_dir}: expected a folder to keep compiled kernels in, got: {error}; "
-                "WARP_CACHE_PATH can name another"
+                "set WARP_CACHE_PATH to another one"
             ) from error
         finally:
             wp.config.log_level = level

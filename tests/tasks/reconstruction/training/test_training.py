@@ -168,7 +168,7 @@ def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected a checkpoint of version 1, got version 99"):
         load_model(path)
     torch.save(content | {"reconstruction": content["reconstruction"] | {"kind": "mesh"}}, path)
-    with pytest.raises(ValueError, match="expected the weights that its header describes, got others"):
+    with pytest.raises(ValueError, match="expected weights that match its header, got others"):
         load_model(path)
     content["state_dict"]["decoder.0.bias"][3] = torch.nan
     torch.save(content, path)

@@ -108,7 +108,7 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
         network.load_state_dict(found)
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError) as error:
         raise ValueError(
-            f"{path}: expected the weights that its header describes, got others ({reason(error)})"
+            f"{path}: expected weights that match its header, got others ({reason(error)})"
         ) from None
     if not all(bool(value.isfinite().all()) for value in found.values()):
         raise ValueError(f"{path}: expected finite weights, got NaN or infinity")
