@@ -26,7 +26,7 @@ from .raster.visible import VisibleFaces
 class Fragments(VisibleFaces):
     """The visible face of each pixel of B images, for custom shaders.
 
-    Under anti-aliasing, H and W are twice the size asked for; `composite` averages to that size.
+    Under anti-aliasing, H and W are twice the requested size; `composite` averages to that size.
 
     Attributes:
         corners: Screen-space corners of the faces, [B, F, 3, 3] float32.
@@ -99,7 +99,7 @@ class Fragments(VisibleFaces):
                 and less noisy, but the gradient is wrong at jumps.
 
         Returns:
-            Images [B, C, height, width] float32 of the size that `fragments` was asked for.
+            Images [B, C, height, width] float32, of the size given to `fragments`.
 
         Raises:
             TypeError: A tensor of another dtype.

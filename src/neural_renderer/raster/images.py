@@ -60,7 +60,7 @@ class Images(_Outputs):
         if image is None:
             name, drawn = OUTPUTS[index], [name for name, value in zip(OUTPUTS, self, strict=True) if value is not None]
             raise AttributeError(
-                f"{name}: expected a requested output, got images of {', '.join(drawn) or 'nothing'}; "
+                f"{name}: expected an output that was requested, got images of {', '.join(drawn) or 'nothing'}; "
                 f'add "{name}" to outputs'
             )
         return image

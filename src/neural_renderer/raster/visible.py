@@ -86,7 +86,7 @@ class VisibleFaces:
     def images(
         self, outputs: Collection[str], rgb: Tensor | None = None, edge_hashes: Callable[[], Tensor] | None = None
     ) -> Images:
-        """Make the images that were asked for.
+        """Make the requested images.
 
         Args:
             outputs: Some of "rgb", "alpha", "depth".

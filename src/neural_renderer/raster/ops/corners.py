@@ -111,7 +111,7 @@ _ADD = """
 """
 
 
-# Warp's CPU atomics are function calls, and slow.
+# Plain additions on the CPU, because Warp's CPU atomics are slow function calls.
 @wp.func_native(
     "#if defined(__CUDA_ARCH__)"
     + _EACH.replace("DO", _ADD).replace("ADD", "wp::atomic_add(vertex + c, corner[c])")

@@ -41,7 +41,7 @@ def coverage(
     face_index = torch.empty((batch, height, width), dtype=torch.int32, device=faces.device)
     options = [near, far, int(two_sided), int(perspective)]
     if concurrent(faces.device):
-        # A few threads share the rows of a face, more where faces are few and large.
+        # A few threads share the rows of a face; more threads if faces are few and large.
         key = torch.full((batch, height, width), EMPTY, dtype=torch.int64, device=faces.device)
         pixels = 8 * height * width // max(count, 1)
         lanes = max(1, min(height, 1 << (max(1, pixels) // width).bit_length()))

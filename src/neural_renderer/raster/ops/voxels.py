@@ -16,7 +16,7 @@ _EMPTY = wp.constant(wp.uint8(0))
 _SURFACE = wp.constant(wp.uint8(1))
 _OUTSIDE = wp.constant(wp.uint8(2))
 
-# Points or lines that are worth another CPU thread.
+# Number of points or lines that are worth another CPU thread.
 _MANY_POINTS = 2048
 
 

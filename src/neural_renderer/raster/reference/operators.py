@@ -40,7 +40,7 @@ def sides(faces: Tensor, perspective: bool) -> Tensor:
     """Compute the visible side of faces [..., 3, 3]: 1 for counter-clockwise corners, -1 for clockwise, 0 edge on."""
     faces = faces.double()
     if perspective:
-        # The volume of the tetrahedron with the camera; corners behind the camera keep its sign right.
+        # The sign of the tetrahedron's volume with the camera. It is also right for corners behind the camera.
         return torch.linalg.det(in_camera_space(faces)).sign()
     a, b = faces[..., 1, :2] - faces[..., 0, :2], faces[..., 2, :2] - faces[..., 0, :2]
     return (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sign()
@@ -161,7 +161,7 @@ def nmr_edges_reference(
     result = torch.zeros(faces.shape, dtype=torch.float64)
     corners, side = faces.double().cpu(), sides(faces, True).cpu()
     for b in range(len(faces)):
-        # Rows, from the bottom here, give the gradient to x; columns give that to y.
+        # Rows, from the bottom here, give the gradient to x; columns give the gradient to y.
         maps = (grad[b].double().permute(1, 2, 0), image[b].double().permute(1, 2, 0), face_index[b])
         rows = [m.detach().cpu().flip(0) for m in maps]
         columns = [m.transpose(0, 1) for m in rows]

@@ -10,8 +10,8 @@ wp.set_module_options({"enable_backward": False})
 _GAIN = """
     #pragma clang fp contract(fast)
     const wp::int64 area = (wp::int64)image.shape[2] * image.shape[3];
-    // Take the gradient of the pixel that contains the boundary. A visible centre lies anywhere in a narrow side; then
-    // interpolate between both pixels.
+    // Use the gradient of the pixel that contains the boundary. If a side is narrow, a visible centre may lie anywhere
+    // in it; then interpolate between the two pixels.
     const float share = narrow ? offset : offset < 0.5f ? 0.0f : 1.0f;
     float sum = 0.0f;
     for (int c = 0; c < image.shape[1]; ++c) {

@@ -133,7 +133,7 @@ struct Edge {
         pv = to_pixels(p[axis], length), qv = to_pixels(q[axis], length), rv = to_pixels(r[axis], length);
         outward = (pu < qu) == (axis == 1) ? -1 : 1;
         slope = (qv - pv) / (qu - pu);
-        // An edge with an end behind the camera gets no gradient, because that end has no place on the screen.
+        // An edge with an end behind the camera gets no gradient, because this end has no projection.
         placed = !(fabsf(pu - qu) < SHORTEST || p[2] <= 0.0f || q[2] <= 0.0f);
         bounded = !(r[2] <= 0.0f);
     }
@@ -152,7 +152,7 @@ struct Edge {
     CUDA_CALLABLE int inside_of(float crossing) const {
         return (int)(outward > 0 ? floorf(crossing) : ceilf(crossing));
     }
-    // The last pixel before the line leaves the face through p-r or q-r; that of the image if r is behind the camera.
+    // The last pixel before the line leaves the face through p-r or q-r; the image's last if r is behind the camera.
     CUDA_CALLABLE int far_side(int line) const {
         const float u = (float)line;
         float limit = rv;

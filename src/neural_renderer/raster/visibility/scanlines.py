@@ -181,13 +181,13 @@ struct ScanLine {
     #endif
     const float* stored;  // first pixel of the line in plane 0; the gradients of the channels follow, a plane each
     wp::int64 plane, area;
-    int channels;  // 0 for a silhouette, whose line stores the gains
+    int channels;  // 0 for a silhouette: the line stores its gains
     const float* color;  // the new colour's first channel; the next one is an area further
     float reach, share_p, share_q, slack_p, slack_q;
     floats to_p, to_q;  // sums over AT_ONCE pixels at a time
     float also_to_p, also_to_q;  // sums over single pixels
 
-    // The usual three channels are spelled out, so that their colours stay in registers.
+    // The usual three channels are written out, so that their colours stay in registers.
     CUDA_CALLABLE floats loss(const float* pull, float red, float green, float blue) const {
         #pragma clang fp contract(fast)
         floats lost = red * load(pull);
@@ -199,8 +199,8 @@ struct ScanLine {
         return lost;
     }
 
-    // Sum over ``count`` pixels from ``begin`` in the direction ``way``; ``distance`` is that of the first one from the
-    // edge. Beyond these pixels, the line must hold zeros.
+    // Sum over ``count`` pixels from ``begin`` in the direction ``way``; the first is at ``distance`` from the edge.
+    // Beyond these pixels, the line must hold zeros.
     CUDA_CALLABLE void outward(int begin, int way, int count, float distance) {
         #pragma clang fp contract(fast)
         const float red = color[0], green = channels < 3 ? 0.0f : color[area];

@@ -33,7 +33,7 @@ def to_pixels(x: float, size: int) -> float:
     return 0.5 * (float(size) * x + float(size - 1))
 
 
-# In plain C++: every kernel tests every face, and Warp's loops over components are slow.
+# Plain C++, because every kernel tests every face, and Warp's loops over components are slow.
 FACING = """
     const float left = (v2[1] - v0[1]) * (v1[0] - v0[0]), right = (v1[1] - v0[1]) * (v2[0] - v0[0]);
     const int side = (left > right) - (left < right);

@@ -55,8 +55,8 @@ _NUMBERS: dict[Any, Any] = {
 
 
 def _after_fork() -> None:
-    # A forked child has no threads of its parent, and perhaps a lock that is never released. OpenMP does not restart
-    # its threads, so torch would wait for them forever. The child therefore uses one thread, like torch's data loading.
+    # A forked child lacks its parent's threads, and may hold a lock that is never released. OpenMP does not restart its
+    # threads, so torch would wait for them forever. The child therefore uses one thread, like torch's data loading.
     global _pool, _lock
     _pool, _lock = None, threading.Lock()
     if _ready:
@@ -69,8 +69,8 @@ if hasattr(os, "register_at_fork"):
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    # Without a CUDA driver Warp writes a warning to the file descriptor in every process. It only says that CUDA is not
-    # available, which users of the CPU know.
+    # Without a CUDA driver, Warp writes a warning to the file descriptor in every process. It says only that CUDA is
+    # not available; users of the CPU know this.
     if torch.cuda.is_available():
         yield
         return
@@ -106,7 +106,7 @@ def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device) 
 def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
     with _lock:
         level = wp.config.log_level
-        wp.config.log_level = max(level, wp.LOG_WARNING)  # the banner and build lines belong to nobody's output
+        wp.config.log_level = max(level, wp.LOG_WARNING)  # no banner and no build lines in a program's output
         try:
             with _quiet():
                 wp.init()

@@ -107,9 +107,7 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
         found = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
         network.load_state_dict(found)
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError) as error:
-        raise ValueError(
-            f"{path}: expected weights that match its header, got others ({reason(error)})"
-        ) from None
+        raise ValueError(f"{path}: expected weights that match its header, got others ({reason(error)})") from None
     if not all(bool(value.isfinite().all()) for value in found.values()):
         raise ValueError(f"{path}: expected finite weights, got NaN or infinity")
     return network.to(device).eval().requires_grad_(False)
