@@ -15,6 +15,17 @@ PIECES = 4
 # Pixels to look at, or to draw and shade, before another CPU thread is worth waking.
 MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
 
+_ROWS = 16  # of a task on the CPU, where neighbouring rows share faces
+_MOST_TASKS = 2**31 - 1  # of one launch
+
+# C++ statements that find the pixels of a ``task`` of ``each`` rows (see `pixel_tasks`) in maps of ``all`` rows of
+# ``width`` pixels: the pixels [left, right) of the rows [first, last).
+PIXELS_OF_TASK = """
+    const int first = each ? task * each : task / width;
+    const int last = each == 0 ? first + 1 : first + each < all ? first + each : all;
+    const int left = each ? 0 : task % width, right = each ? width : left + 1;
+"""
+
 # Tests set it, to run the layout of CUDA, and its code, on a processor; see `emulator` in `launch`.
 as_on_cuda = False
 
@@ -50,9 +61,16 @@ def face_tasks(faces: Tensor, pixels: int) -> int:
     return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
 
 
-def row_tasks(rows: int, device: torch.device) -> tuple[int, int]:
-    """Compute the number of tasks for ``rows`` rows of pixels, and the rows of each task: one on CUDA."""
-    each = 1 if concurrent(device) else 16
+def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
+    """Divide ``rows`` rows of pixels among tasks, which find theirs by `PIXELS_OF_TASK`.
+
+    Returns:
+        The number of tasks, and the rows of each. 0 stands for a single pixel, as on CUDA, where the threads of a warp
+        then read and write side by side.
+    """
+    if concurrent(device) and rows * width <= _MOST_TASKS:
+        return rows * width, 0
+    each = 1 if concurrent(device) else _ROWS
     return -(-rows // each), each
 
 
