@@ -17,6 +17,7 @@ ROOMS = [
     "version",
     "deprecated",
     "validate",
+    "constants",
     "metrics",
     "io",
     "raster",

@@ -47,6 +47,7 @@ class Fragments(VisibleFaces):
 
     triangles: Tensor
 
+    @validate.checked_together
     def interpolate(self, attributes: Tensor, triangles: Tensor | None = None) -> Tensor:
         """Interpolate attributes of vertices at every pixel, perspective-correct.
 
@@ -87,6 +88,7 @@ class Fragments(VisibleFaces):
         own = gather_corners(attributes.float().expand(max(len(attributes), len(triangles)), -1, -1), triangles.int())
         return interpolate(own, self.corners, self.face_index, self.settings.perspective)
 
+    @validate.checked_together
     def composite(self, colors: Tensor, background: Any = 0.0, *, seams: bool = False) -> Tensor:
         """Composite colours over a background and add the gradient through visibility.
 
@@ -121,6 +123,7 @@ class Fragments(VisibleFaces):
         return self.image(image, seams=validate.flag("seams", seams)).contiguous()
 
 
+@validate.checked_together
 def fragments(
     mesh: Mesh | UVMesh | tuple[Tensor, Tensor],
     camera: Camera,

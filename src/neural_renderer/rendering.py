@@ -29,6 +29,7 @@ from .shading.spherical_harmonics import SphericalHarmonicLight
 AnyLight: TypeAlias = Light | SphericalHarmonicLight
 
 
+@validate.checked_together
 def render(
     mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
     camera: Camera,

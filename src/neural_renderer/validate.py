@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import reprlib
 import sys
-from collections.abc import Sequence
-from typing import Any
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 FLOATING = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 """Floating dtypes that torch can compute in; 8-bit floats are for storage only."""
 _SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torch.uint64)
 
 _check_values = True
+_calls = threading.local()  # with the checks that wait in a call of `checked_together`
 
 
 def check_values(enabled: bool) -> None:
     """Turn checks of tensor values on (default) or off.
 
-    These checks find NaN, infinity and face indices out of range. On CUDA each of them synchronises with the device, so
-    turn them off in hot loops. Types, shapes, dtypes and devices are always checked, and so are values that are written
-    to files. With the checks off, a face with a bad vertex or index is not drawn; gradients may then be NaN.
+    These checks find NaN, infinity and face indices out of range. On CUDA a call reads them all at once, when it has
+    drawn; that waits for the device, so turn them off in hot loops. Types, shapes, dtypes and devices are always
+    checked, and so are values that are written to files. With the checks off, a face with a bad vertex or index is not
+    drawn; gradients may then be NaN.
 
     Args:
         enabled: Whether to check values.
@@ -54,6 +61,47 @@ def values_are_checked(value: Tensor) -> bool:
         or torch._C._are_functorch_transforms_active()
         or torch._C._get_dispatch_mode(torch._C._TorchDispatchModeKey.PROXY) is not None
     )
+
+
+def checked_together(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorate a public function so that all checks of values on a GPU are read at once, when it has done its work.
+
+    The first that fails raises its own error. Checks on the CPU raise where they stand.
+    """
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        if torch.compiler.is_compiling() or getattr(_calls, "checks", None) is not None:
+            return function(*args, **kwargs)
+        checks = _calls.checks = []
+        try:
+            result = function(*args, **kwargs)
+        finally:
+            _calls.checks = None
+        if checks and bool(torch.stack([flag for flag, _ in checks]).any()):
+            for _, check in checks:
+                check()
+        return result
+
+    return call
+
+
+def postponed(value: Tensor, flag: Callable[[], Tensor], check: Callable[[], None]) -> bool:
+    """Postpone a check to the end of the call, if it is one `checked_together` and reading the tensor would wait.
+
+    Args:
+        value: Tensor to check.
+        flag: Computes a bool [] on its device, which may not be False if the check fails.
+        check: Raises the error, if there is one.
+
+    Returns:
+        Whether it is postponed; if not, the caller has to check now.
+    """
+    checks = getattr(_calls, "checks", None)
+    if checks is None or value.device.type == "cpu":
+        return False
+    checks.append((flag(), check))
+    return True
 
 
 class called:
@@ -111,9 +159,14 @@ def indices(name: str, value: Any, shape: Sequence[int | str], always: bool = Fa
     if value.dtype in (torch.int32, torch.int64):
         return value
     result = value.detach().to(torch.int64)
-    checked = value.dtype in FLOATING and (always or values_are_checked(value))
-    if checked and not bool((result == value).all()):
-        raise ValueError(f"{name}: expected whole numbers, got {shape_of(value)} with fractions or NaN")
+    if value.dtype in FLOATING and (always or values_are_checked(value)):
+
+        def check() -> None:
+            if not bool((result == value).all()):
+                raise ValueError(f"{name}: expected whole numbers, got {shape_of(value)} with fractions or NaN")
+
+        if always or not postponed(value, lambda: (result != value).any(), check):
+            check()
     return result
 
 
@@ -183,6 +236,8 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
     if not (always or values_are_checked(value)) or not value.numel():
         return
     value = value.detach().resolve_neg()  # NumPy does not support the negative bit
+    if not always and postponed(value, lambda: ~torch.isfinite(value.sum()), lambda: finite(name, value, True)):
+        return
     # A sum is NaN or infinite if any term is: one pass without a mask. The second check excludes that finite numbers
     # overflowed. On the CPU NumPy sums, because torch's idle threads would spin on cores that the kernels need.
     plain = value.device.type == "cpu" and value.dtype in (torch.float32, torch.float64)
@@ -200,11 +255,20 @@ def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: 
     With ``padded``, rows of -1 alone are allowed unless ``size`` is 0.
     """
     if (always or values_are_checked(value)) and value.numel():
+        if not always and postponed(
+            value, lambda: _out_of_range(value, size, padded), lambda: in_range(name, value, size, True, padded)
+        ):
+            return
         low, high = (int(v) for v in torch.aminmax(value))
         if padded and low == -1 and size:
             low = int(torch.where((value == -1).all(-1, keepdim=True), 0, value).min())
         if low < 0 or high >= size:
             raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
+
+
+def _out_of_range(value: Tensor, size: int, padded: bool) -> Tensor:
+    wrong = (value < 0) | (value >= size)
+    return (wrong & ~(value == -1).all(-1, keepdim=True)).any() if padded and size else wrong.any()
 
 
 def number(name: str, value: Any, dtype: torch.dtype = torch.float64) -> float:

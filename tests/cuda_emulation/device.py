@@ -22,6 +22,7 @@ import warp as wp
 from warp._src.types import launch_bounds_t
 
 from neural_renderer.raster.warp import launch as launching
+from neural_renderer.raster.warp import layout
 
 from .ptx import Kernel, parse
 from .translate import translate
@@ -62,11 +63,11 @@ class EmulatedDevice:
         self._libraries: dict[str, tuple[ctypes.CDLL, dict[str, Kernel]]] = {}
 
     def __enter__(self) -> EmulatedDevice:
-        launching.emulator = self._launch
+        launching.emulator, layout.as_on_cuda = self._launch, True
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        launching.emulator = None
+        launching.emulator, layout.as_on_cuda = None, False
 
     def _launch(self, kernel: wp.Kernel, tasks: int, arguments: Sequence[Any]) -> bool:
         """Run a launch; False for a kernel that has to run on the CPU."""
@@ -84,13 +85,13 @@ class EmulatedDevice:
             )
         ]
         pointers = (ctypes.c_void_p * len(buffers))(*map(ctypes.addressof, buffers))
-        result = (ctypes.c_int64 * 5)()
+        result = (ctypes.c_int64 * 7)()
         stride = ctypes.c_uint64(_stride(tasks) if self._shuffled else 1)
         if library.run(entry.name.encode(), pointers, ctypes.c_uint64(tasks), stride, result):
             raise RuntimeError(f"{entry.name}: expected a kernel of the module {name}, found none")
         where = f"{name.removeprefix('neural_renderer.raster.')}.{kernel.key}"
         self.launches[where] += 1
-        sums = self.measured.setdefault(where, [0] * 5)
+        sums = self.measured.setdefault(where, [0] * 7)
         for place, value in enumerate(result):
             sums[place] = max(sums[place], value) if place == 1 else sums[place] + value
         return True

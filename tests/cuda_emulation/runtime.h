@@ -49,38 +49,47 @@ ATOMIC_TYPE(u64, uint64_t)
 static inline uint32_t atomic_or_u32(char* at, uint32_t value) { uint32_t old = *(uint32_t*)at; *(uint32_t*)at = old | value; return old; }
 static inline uint32_t atomic_and_u32(char* at, uint32_t value) { uint32_t old = *(uint32_t*)at; *(uint32_t*)at = old & value; return old; }
 
-#if defined(RACES)
-/* A hash table from addresses to the threads (numbered from 1) that accessed them. */
-enum { MANY = -1 };
-typedef struct { uint64_t address; int64_t writer, reader, adder; } Cell;
+#if defined(RACES) || defined(COUNTS)
+/* A hash table from places in memory to what the launch has done there. It outlives the launch: cells of earlier ones
+ * are known by their number, and used again. */
+typedef struct { uint64_t place, launch; int64_t writer, reader, adder; } Cell;
 static Cell* cells;
-static uint64_t capacity, used;
-static int64_t self, races, stale;
+static uint64_t capacity, used, launch;
+static int64_t self;
 static char *stack_low, *stack_high;
 
-static Cell* cell_of(uint64_t address) {
+static Cell* cell_of(uint64_t place) {
     if (2 * (used + 1) > capacity) {
         Cell* old = cells;
         const uint64_t count = capacity;
         capacity = count ? 2 * count : 1 << 16;
         cells = calloc(capacity, sizeof(Cell));
         used = 0;
-        for (uint64_t i = 0; i < count; ++i) if (old[i].address) *cell_of(old[i].address) = old[i];
+        for (uint64_t i = 0; i < count; ++i) if (old[i].launch == launch) *cell_of(old[i].place) = old[i];
         free(old);
     }
-    uint64_t slot = (address * 0x9E3779B97F4A7C15ull >> 20) & (capacity - 1);
-    while (cells[slot].address && cells[slot].address != address) slot = (slot + 1) & (capacity - 1);
-    if (!cells[slot].address) { cells[slot].address = address; ++used; }
+    uint64_t slot = (place * 0x9E3779B97F4A7C15ull >> 20) & (capacity - 1);
+    while (cells[slot].launch == launch && cells[slot].place != place) slot = (slot + 1) & (capacity - 1);
+    if (cells[slot].launch != launch) { cells[slot] = (Cell){.place = place, .launch = launch}; ++used; }
     return cells + slot;
 }
 
 static int on_stack(const char* at) { return at >= stack_low && at < stack_high; }
+#endif
+
+#if defined(RACES)
+/* Threads are numbered from 1. What holds single bytes holds nothing else, so a place is a byte or four of them. */
+enum { MANY = -1 };
+static int64_t races, stale;
 static int other(int64_t thread) { return thread && thread != self; }
+static uint64_t place_of(const char* at, int size) { return size < 4 ? (uint64_t)at << 1 | 1 : (uint64_t)at >> 2 << 1; }
+#define EACH_PLACE(at, size) \
+    if (on_stack(at)) return; \
+    for (int i = 0, step = (size) < 4 ? 1 : 4; i < (size); i += step)
 
 static void note_read(char* at, int size) {
-    if (on_stack(at)) return;
-    for (int i = 0; i < size; ++i) {
-        Cell* cell = cell_of((uint64_t)(at + i));
+    EACH_PLACE(at, size) {
+        Cell* cell = cell_of(place_of(at + i, size));
         races += i == 0 && other(cell->writer);
         stale += i == 0 && other(cell->adder);
         cell->reader = other(cell->reader) ? MANY : self;
@@ -89,18 +98,17 @@ static void note_read(char* at, int size) {
 
 /* Several threads may store one value at one place: the result does not depend on their order. */
 static void note_write(char* at, int size, const void* value) {
-    if (on_stack(at)) return;
     const int same = !memcmp(at, value, size);
-    for (int i = 0; i < size; ++i) {
-        Cell* cell = cell_of((uint64_t)(at + i));
+    EACH_PLACE(at, size) {
+        Cell* cell = cell_of(place_of(at + i, size));
         races += i == 0 && ((other(cell->writer) && !same) || other(cell->reader) || other(cell->adder));
         cell->writer = self;
     }
 }
 
 static void note_atomic(char* at, int size) {
-    for (int i = 0; i < size; ++i) {
-        Cell* cell = cell_of((uint64_t)(at + i));
+    EACH_PLACE(at, size) {
+        Cell* cell = cell_of(place_of(at + i, size));
         races += i == 0 && other(cell->writer);
         stale += i == 0 && other(cell->reader);
         cell->adder = self;
@@ -110,10 +118,24 @@ static void note_atomic(char* at, int size) {
 #define WRITE(at, size, value) note_write(at, size, value)
 #define ATOMIC(at, size) note_atomic(at, size)
 #elif defined(COUNTS)
-static int64_t operations;
-#define READ(at, size) ++operations
-#define WRITE(at, size, value) ++operations
-#define ATOMIC(at, size) ++operations
+/* Memory is read and written in sectors. `self` numbers warps from 1: a warp moves a sector once, and so does the
+ * launch between its cache and the memory. */
+enum { SECTOR = 32 };
+static int64_t operations, moved, touched;
+
+static void note(char* at, int size) {
+    ++operations;
+    if (on_stack(at)) return;
+    for (uint64_t place = (uint64_t)at / SECTOR; place <= ((uint64_t)at + size - 1) / SECTOR; ++place) {
+        Cell* cell = cell_of(place);
+        touched += cell->reader == 0;
+        moved += cell->reader != self;
+        cell->reader = self;
+    }
+}
+#define READ(at, size) note(at, size)
+#define WRITE(at, size, value) note(at, size)
+#define ATOMIC(at, size) note(at, size)
 #else
 #define READ(at, size)
 #define WRITE(at, size, value)
@@ -125,21 +147,25 @@ enum { BLOCK = 256, WARP = 32 };
 /* Run one launch of `count` threads, rounded up to whole blocks, in steps of `stride` through their numbers.
  *
  * result: -DRACES: [0] plain accesses of which one is a write and which are not ordered, [1] plain reads beside atomics:
- * they see an old value, which is right where it only saves an atomic minimum. -DCOUNTS: [0] memory operations, [1] those of the longest thread, [2] the sum
- * over warps of their longest thread, [3] threads with any, [4] all threads. Returns 0, or 1 for an unknown kernel. */
+ * they see an old value, which is right where it only saves an atomic minimum. -DCOUNTS: [0] memory operations, [1] those
+ * of the longest thread, [2] the sum over warps of their longest thread, [3] threads with any, [4] all threads, [5] bytes
+ * of all sectors that warps move, each counted once a warp, [6] bytes of all sectors, each counted once.
+ * Returns 0, or 1 for an unknown kernel. */
 int run(const char* name, char** parameters, uint64_t count, uint64_t stride, int64_t* result) {
     const Function kernel = find(name);
     if (!kernel) return 1;
     const uint64_t padded = (count + BLOCK - 1) / BLOCK * BLOCK;
-#if defined(RACES)
+#if defined(RACES) || defined(COUNTS)
     char here;
     stack_high = &here + 4096;
     stack_low = &here - (1 << 20);
-    free(cells);
-    cells = 0;
-    capacity = used = 0;
+    used = 0;
+    ++launch;
+#endif
+#if defined(RACES)
     races = stale = 0;
 #elif defined(COUNTS)
+    moved = touched = 0;
     int64_t longest = 0;
     stride = 1; /* whole warps, one after another */
 #endif
@@ -150,6 +176,7 @@ int run(const char* name, char** parameters, uint64_t count, uint64_t stride, in
         self = (int64_t)number + 1;
 #elif defined(COUNTS)
         operations = 0;
+        self = (int64_t)(number / WARP) + 1;
 #endif
         kernel(parameters, thread);
 #if defined(COUNTS)
@@ -158,9 +185,13 @@ int run(const char* name, char** parameters, uint64_t count, uint64_t stride, in
         longest = number % WARP == 0 || operations > longest ? operations : longest;
         if (number % WARP == WARP - 1) result[2] += longest;
         result[3] += operations > 0;
-        result[4] = count;
 #endif
     }
+#if defined(COUNTS)
+    result[4] = count;
+    result[5] = SECTOR * moved;
+    result[6] = SECTOR * touched;
+#endif
 #if defined(RACES)
     result[0] = races;
     result[1] = stale;

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..constants import on_device
 from .lens import (
     calibration,
     check_intrinsics,
@@ -275,9 +276,9 @@ class Camera:
         aspect = validate.positive("aspect", aspect)
         points = transform(vertices, self.rotation, self.origin)
         if self.K is not None and self.orig_size is not None:
-            points = points + self.translation.to(points)[..., None, :]
-            dist_coeffs = None if self.dist_coeffs is None else self.dist_coeffs.to(points)
-            return pixels_to_screen(points, self.K.to(points), dist_coeffs, self.orig_size)
+            points = points + on_device(self.translation, points)[..., None, :]
+            dist_coeffs = None if self.dist_coeffs is None else on_device(self.dist_coeffs, points)
+            return pixels_to_screen(points, on_device(self.K, points), dist_coeffs, self.orig_size)
         if self.viewing_angle is not None:
             screen = in_perspective(points, self.viewing_angle)
         else:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..constants import constant
 
 Scalar: TypeAlias = float | Tensor
 """A number, or a tensor [] or [B]: one number for each view."""
@@ -18,7 +19,12 @@ Array: TypeAlias = Tensor | np.ndarray | Sequence[Any]
 
 
 def parameter(
-    name: str, value: Any, size: tuple[int, ...], dtype: torch.dtype, device: torch.device | None = None
+    name: str,
+    value: Any,
+    size: tuple[int, ...],
+    dtype: torch.dtype,
+    device: torch.device | None = None,
+    shared: bool = False,
 ) -> Tensor:
     """Convert ``value`` to a tensor of shape ``size`` or ``[B, *size]``; gradients flow through.
 
@@ -28,11 +34,16 @@ def parameter(
         size: Shape without the batch.
         dtype: Dtype of the result.
         device: Device of the result; None keeps the device.
+        shared: The result is only read, so that calls may share it if ``value`` holds Python numbers.
 
     Raises:
         TypeError: ``value`` does not hold numbers.
         ValueError: The shape does not fit; while values are checked, also a number that is not finite.
     """
+    if shared and device is not None and not isinstance(value, Tensor):
+        known = constant(value, dtype, device)
+        if known is not None and tuple(known.shape) == size:
+            return known
     tensor = as_tensor(name, value, dtype)
     dims = tensor.ndim - len(size)
     if dims not in (0, 1) or tuple(tensor.shape[dims:]) != size:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..constants import on_device
 from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter
 
 _FLOOR = 1e-5  # a shorter vector counts as zero, as in the published code
@@ -93,7 +94,7 @@ def transform(vertices: Tensor, rotation: Tensor, origin: Tensor) -> Tensor:
     """Compute rotation · (X − origin) for all vertices X, [V, 3] or [B, V, 3]; moves the others to their device."""
     if not vertices.is_meta:
         validate.has_numbers("camera", rotation)
-    rotation, origin = rotation.to(vertices), origin.to(vertices)
+    rotation, origin = on_device(rotation, vertices), on_device(origin, vertices)
     batch_size(vertices=batch_of(vertices, 2), camera=max(batch_of(rotation, 2), batch_of(origin, 1)))
     return rotate(rotation, vertices - origin[..., None, :])
 
@@ -147,7 +148,8 @@ def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees:
 def _vectors(dtype: torch.dtype, **values: Any) -> list[Tensor]:
     """Convert vectors, given by argument name, to tensors [3] or [B, 3] with batches that fit."""
     device = common_device(*values.values())
-    vectors = [parameter(name, v, (3,), dtype, device) for name, v in values.items()]
+    # The camera hands out its eye; the others are only read.
+    vectors = [parameter(name, v, (3,), dtype, device, shared=name != "eye") for name, v in values.items()]
     batch_size(**{name: batch_of(v, 1) for name, v in zip(values, vectors, strict=True)})
     return vectors
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from .. import validate
+from ..constants import read_once
 from ..deprecated import old_argument
 from ..io.formats import read_mesh
 from ..io.mesh_writer import save_uv_mesh
@@ -134,6 +135,7 @@ class UVMesh:
         save_uv_mesh(path, self.vertices, self.faces, surface, overwrite=overwrite)
 
     @old_argument("seen", "fragments")
+    @validate.checked_together
     def shade(self, fragments: Fragments) -> Tensor:
         """Sample the albedo of each pixel, with mipmaps.
 
@@ -161,14 +163,14 @@ class UVMesh:
         corners = torch.arange(3 * count, device=self.uv.device).view(count, 3)
         plain = self.image_index < 0
         parts = []  # images to add up; each is 0 where another one is visible
-        if not self.images or bool(plain.any()):
+        if not self.images or read_once(self.image_index, _has_negative):
             parts.append(fragments.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
         if self.images:
             uv = fragments.interpolate(self.uv.reshape(-1, 2), corners)
             shown = None
             if len(self.images) > 1 or parts:
                 # Face −1 (background) reads the extra entry at the end.
-                shown = torch.cat((self.image_index, self.image_index.new_tensor([-1])))[fragments.face_index.long()]
+                shown = torch.cat((self.image_index, self.image_index.new_full((1,), -1)))[fragments.face_index.long()]
             for number, (image, wrap) in enumerate(zip(self.images, self.wraps, strict=True)):
                 own = fragments.face_index if shown is None else torch.where(shown == number, fragments.face_index, -1)
                 parts.append(sampled(image[None].float(), uv, own, wrap))
@@ -192,10 +194,12 @@ class UVMesh:
         for wrap in self.wraps:
             checked_wrap(wrap)
         if count and (always or validate.values_are_checked(self.image_index)):
-            low, high = (int(value) for value in torch.aminmax(self.image_index))
-            if low < -1 or high >= len(self.images):
-                wrong = low if low < -1 else high
-                raise ValueError(f"image_index: expected one of {len(self.images)} images or -1, got {wrong}")
+            index, images = self.image_index, len(self.images)
+            if not always and validate.postponed(
+                index, lambda: ((index < -1) | (index >= images)).any(), lambda: _check_range(index, images)
+            ):
+                return
+            _check_range(index, images)
 
     def normalize(self) -> UVMesh:
         """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
@@ -255,3 +259,13 @@ class UVMesh:
             return value.to(device) if isinstance(value, Tensor) else value
 
         return replace(self, **{part.name: moved(getattr(self, part.name)) for part in fields(self)})
+
+
+def _has_negative(index: Tensor) -> bool:
+    return bool((index < 0).any())
+
+
+def _check_range(image_index: Tensor, images: int) -> None:
+    low, high = (int(value) for value in torch.aminmax(image_index))
+    if low < -1 or high >= images:
+        raise ValueError(f"image_index: expected one of {images} images or -1, got {low if low < -1 else high}")

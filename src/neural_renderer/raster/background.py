@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..constants import constant
 from .settings import Settings
 
 
@@ -33,7 +34,8 @@ def background_image(background: Any, batch: int, channels: int, settings: Setti
     height, width = settings.height, settings.width
     if not isinstance(background, Tensor):
         try:
-            background = torch.as_tensor(background, dtype=torch.float32, device=device)
+            known = constant(background, torch.float32, device)
+            background = torch.as_tensor(background, dtype=torch.float32, device=device) if known is None else known
         except (TypeError, ValueError, RuntimeError, OverflowError):
             raise TypeError(
                 f"background: expected a number, a colour [{channels}] or [B, {channels}], or an image, "

@@ -7,6 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
+from .. import validate
 from .ahead import CUBES, load_kernels
 from .cubes import cube_colors
 from .faces import checked_triangles
@@ -15,6 +16,7 @@ from .settings import Settings
 from .visible import VisibleFaces
 
 
+@validate.checked_together
 def rasterize_images(
     faces: Tensor,
     size: int | tuple[int, int],

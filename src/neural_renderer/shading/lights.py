@@ -65,7 +65,7 @@ class Light:
         validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
         if isinstance(self.directional, (int, float)) and self.directional == 0:
             return corners.new_zeros(corners.shape[:2])
-        direction = parameter("direction", self.direction, (3,), corners.dtype, corners.device)
+        direction = parameter("direction", self.direction, (3,), corners.dtype, corners.device, shared=True)
         batch_size(corners=corners.shape[0], direction=batch_of(direction, 1))
         return (face_normals(corners) * direction[..., None, :]).sum(-1)
 
@@ -74,7 +74,7 @@ class Light:
 
         def glow(intensity: str, color: str) -> Tensor:
             strength = scalar(intensity, getattr(self, intensity), facing.dtype, facing.device)
-            rgb = parameter(color, getattr(self, color), (3,), facing.dtype, facing.device)
+            rgb = parameter(color, getattr(self, color), (3,), facing.dtype, facing.device, shared=True)
             rgb = rgb * (strength[:, None] if isinstance(strength, Tensor) and strength.ndim else strength)
             batch_size(corners=facing.shape[0], **{color: batch_of(rgb, 1)})
             return rgb.reshape(-1, *(1,) * (facing.ndim - 1), 3)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from .. import validate
 from ..camera.parameters import Array, batch_of, batch_size, parameter
+from ..constants import on_device
 from ..meshes.normals import face_normals
 
 _PI = math.pi
@@ -64,7 +65,7 @@ class SphericalHarmonicLight:
         validate.finite("normals", normals)
         values = parameter("coefficients", self.coefficients, (9, 3), normals.dtype, normals.device)
         batch_size(normals=normals.shape[0], coefficients=batch_of(values, 2))
-        kept = values.reshape(-1, 9, 3) * _BANDS.to(values)[:, None]
+        kept = values.reshape(-1, 9, 3) * on_device(_BANDS, values)[:, None]
         kept = kept.reshape(-1, *(1,) * (normals.ndim - 2), 9, 3)
         # Not matmul: it rounds under autocast, and adds in an order that depends on the batch.
         bands = zip(_harmonics(normals), kept.unbind(-2), strict=True)

@@ -11,6 +11,7 @@ from ..raster.ops.mipmaps import pyramid, sample_mipmaps
 WRAPS = ("repeat", "clamp")
 
 
+@validate.checked_together
 def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None, *, wrap: str = "repeat") -> Tensor:
     """Sample a texture image at texture coordinates.
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import neural_renderer as nr
 from neural_renderer.raster.reference.neighbors import neighbors_reference
 from neural_renderer.raster.visibility.neighbors import neighbors
-from neural_renderer.raster.warp.launch import concurrent
+from neural_renderer.raster.warp.layout import concurrent
 from tests.raster.scenes import Scene, examples, scenes
 
 # No faces with collinear corners: rounding decides which side of them is visible.
@@ -106,6 +106,16 @@ def test_a_pile_of_equal_faces(device):
     else:
         found = compare(faces, device, True)
         assert (found[0, 1:, 0] == 0).all() and found[0, 0].tolist() == [1, -1, -1]
+
+
+def test_a_pile_is_the_same_in_deterministic_mode(device, monkeypatch):
+    """More faces at an edge than are looked at: the first ones count, in whatever order threads run."""
+    corners = torch.tensor([[-0.5, 0, 2.0], [0.5, 0, 2], [0, 0.5, 2], [0, -0.5, 2]])
+    pile = corners[torch.tensor([0, 1, 2])].expand(50, 3, 3)
+    faces = torch.cat((corners[torch.tensor([[1, 0, 3]])], pile))[None].to(device)
+    monkeypatch.setattr(torch, "are_deterministic_algorithms_enabled", lambda: True)
+    found = neighbors(faces, True, True)[0].cpu()
+    assert (found[1:, 0] == 0).all() and found[0].tolist() == [1, -1, -1]
 
 
 def test_the_lowest_index_of_several_faces(device):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from neural_renderer.raster.ops.coverage import coverage, silhouette
 from neural_renderer.raster.reference.operators import nmr_edges_reference
 from neural_renderer.raster.visibility.nmr import nmr_edges
-from neural_renderer.raster.warp.launch import concurrent
+from neural_renderer.raster.warp.layout import concurrent
 from tests.raster.scenes import FAR, NEAR, Scene, examples, scenes
 from tests.rounding import rounding
 

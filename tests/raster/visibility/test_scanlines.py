@@ -6,8 +6,9 @@ import pytest
 import torch
 import warp as wp
 
-from neural_renderer.raster.visibility.scanlines import WIDE, copy_lines, empty_lines
-from neural_renderer.raster.warp.launch import array, concurrent, launch
+from neural_renderer.raster.visibility.scanlines import WIDE, copy_lines, copy_pixels, empty_lines
+from neural_renderer.raster.warp.launch import array, launch
+from neural_renderer.raster.warp.layout import concurrent, pixel_tasks
 
 HEIGHT, WIDTH = 5, 37  # columns come in groups of WIDE, of which the last is not full
 
@@ -16,18 +17,22 @@ def stored(image: torch.Tensor, grad: torch.Tensor, planes: int) -> tuple[torch.
     batch, device = len(image), image.device
     rows = empty_lines(batch, HEIGHT, WIDTH, planes, device)
     columns = empty_lines(batch, WIDTH, HEIGHT, planes, device)
-    spans = torch.empty((batch, HEIGHT + WIDTH, 2), dtype=torch.int32, device=device)
-    abreast = 1 if concurrent(device) else WIDE
-    tasks = batch * (-(-HEIGHT // abreast) - (-WIDTH // abreast))
+    spans = torch.zeros((batch, HEIGHT + WIDTH, 2), dtype=torch.int32, device=device)
     lines = [array(rows), array(columns), array(spans, wp.vec2i)]
-    launch(copy_lines, tasks, [array(image), array(grad), *lines, abreast], device)
+    if concurrent(device):
+        tasks, each = pixel_tasks(batch * HEIGHT, WIDTH, device)
+        launch(copy_pixels, tasks, [array(image), array(grad), *lines, each], device)
+    else:
+        tasks = batch * (-(-HEIGHT // WIDE) - (-WIDTH // WIDE))
+        launch(copy_lines, tasks, [array(image), array(grad), *lines, WIDE], device)
+        assert not rows[..., :WIDE].any() and not columns[..., :WIDE].any()
     return rows, columns, spans
 
 
 def expected_spans(pulls: torch.Tensor) -> list[list[int]]:
-    """First and last pixel of each line [L, length] that is True; an empty span runs backwards."""
+    """Count pixels from the first True of each line [L, length] to its end, and from its start to the last True."""
     found = [line.nonzero().flatten().tolist() for line in pulls]
-    return [[line[0], line[-1]] if line else [pulls.shape[1], -1] for line in found]
+    return [[pulls.shape[1] - line[0], line[-1] + 1] if line else [0, 0] for line in found]
 
 
 def scene(device: str, channels: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -46,7 +51,6 @@ def test_colors(device: str, channels: int) -> None:
     planes = torch.cat(((image * grad).sum(1, keepdim=True), grad), 1).flip(2)
     assert torch.equal(rows[..., WIDE:], planes.transpose(1, 2))
     assert torch.equal(columns[..., WIDE:], planes.permute(0, 3, 1, 2))
-    assert not rows[..., :WIDE].any() and not columns[..., :WIDE].any()
     pulls = (grad != 0).any(1).flip(1).cpu()
     for b in range(2):
         assert spans[b].tolist() == expected_spans(pulls[b]) + expected_spans(pulls[b].T)

@@ -6,7 +6,8 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
-from ..warp.launch import array, face_lanes, face_tasks, launch, row_tasks, worth_a_thread, zeros
+from ..warp.launch import array, launch, zeros
+from ..warp.layout import face_lanes, face_tasks, pixel_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
@@ -41,7 +42,7 @@ def barycentrics(
     batch, height, width = face_index.shape
     weights = torch.empty((batch, height, width, 3), dtype=torch.float32, device=faces.device)
     depth = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
-    tasks, each = row_tasks(batch * height, faces.device)
+    tasks, each = pixel_tasks(batch * height, width, faces.device)
     arguments = [array(faces, wp.vec3), array(face_index), near, far, int(perspective), each]
     launch(
         _forward, tasks, [*arguments, array(weights, wp.vec3), array(depth)], faces.device, worth_a_thread(each * width)
@@ -130,10 +131,10 @@ def weigh_rows(
     perspective: int,
     weights_at: wp.array3d(dtype=wp.vec3),
     depth: wp.array3d(dtype=float),
-    first: int,
-    last: int,
+    task: int,
+    each: int,
 ):
-    """Compute weights and depth in the rows [first, last), counted over all images."""
+    """Compute the pixels of a task."""
     ...
 
 
@@ -149,9 +150,7 @@ def _forward(
     weights: wp.array3d(dtype=wp.vec3),
     depth: wp.array3d(dtype=float),
 ):
-    row = (first + wp.tid()) * each
-    last = wp.min(row + each, face_index.shape[0] * face_index.shape[1])
-    weigh_rows(faces, face_index, near, far, perspective, weights, depth, row, last)
+    weigh_rows(faces, face_index, near, far, perspective, weights, depth, first + wp.tid(), each)
 
 
 _PULL = over_face(

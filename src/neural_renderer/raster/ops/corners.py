@@ -5,7 +5,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, concurrent, launch, zeros
+from ..warp.launch import array, launch, zeros
+from ..warp.layout import concurrent
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})

@@ -6,7 +6,8 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import facing, homogeneous_weights, in_front, pixel_box, pixel_centre
-from ..warp.launch import MANY_PIXELS, array, concurrent, cpu_bands, launch, worth_a_thread
+from ..warp.launch import array, launch
+from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, concurrent, cpu_bands, pixel_tasks, worth_a_thread
 from ..warp.registration import operator
 from .draw_face import clear_rows, draw_into_keys, draw_into_rows, turn_rows
 
@@ -46,7 +47,8 @@ def coverage(
         pixels = 8 * height * width // max(count, 1)
         lanes = max(1, min(height, 1 << (max(1, pixels) // width).bit_length()))
         launch(_draw, batch * count * lanes, [array(faces, wp.vec3), array(key), lanes, *options], faces.device)
-        launch(_decode, batch * height, [array(key), array(face_index), count], faces.device)
+        tasks, each = pixel_tasks(batch * height, width, faces.device)
+        launch(_decode, tasks, [array(key), array(face_index), count, each], faces.device)
         return face_index
     # One task per image, or per band of its rows, draws all faces in order.
     bands = min(height, cpu_bands(batch, height * width + 32 * count))
@@ -61,9 +63,10 @@ def coverage(
 def silhouette(face_index: Tensor) -> Tensor:
     """Convert ``face_index`` [B, H, W] int32 to a mask, [B, 1, H, W] float32: 1 where a face is visible, else 0."""
     batch, height, width = face_index.shape
-    many_rows = MANY_PIXELS // max(width, 1)
     alpha = torch.empty((batch, 1, height, width), dtype=torch.float32, device=face_index.device)
-    launch(_cover, batch * height, [array(face_index), array(alpha)], face_index.device, many_rows)
+    tasks, each = pixel_tasks(batch * height, width, face_index.device)
+    many = MANY_PIXELS // max(each * width, 1)
+    launch(_cover, tasks, [array(face_index), array(alpha), each], face_index.device, many)
     return alpha
 
 
@@ -78,27 +81,28 @@ def _(faces, height, width, near, far, two_sided, perspective):  # type: ignore[
     return faces.new_empty((faces.shape[0], height, width), dtype=torch.int32)
 
 
-_DECODE_ROW = """
-    const wp::int64 first = ((wp::int64)b * key.shape[1] + row) * key.shape[2];
-    const wp::int64* keys = key.data + first;
-    int* shown = face_index.data + first;
-    for (int i = 0; i < key.shape[2]; ++i) {
-        const unsigned index = (unsigned)keys[i];
-        shown[i] = keys[i] == empty ? -1 : (int)(index < (unsigned)count ? index : index - count);
-    }
+_EACH_PIXEL = f"""
+    const int width = face_index.shape[2], all = face_index.shape[0] * face_index.shape[1];
+    {PIXELS_OF_TASK}
+    const wp::int64 start = (wp::int64)first * width + left, stop = (wp::int64)(last - 1) * width + right;
+    for (wp::int64 i = start; i < stop; ++i) {{ DO }}
+"""
+_DECODE = """
+    const unsigned index = (unsigned)key.data[i];
+    face_index.data[i] = key.data[i] == empty ? -1 : (int)(index < (unsigned)count ? index : index - count);
 """
 
 
-@wp.func_native(_DECODE_ROW)
-def decode_row(
+@wp.func_native(_EACH_PIXEL.replace("DO", _DECODE))
+def decode(
     key: wp.array3d(dtype=wp.int64),
     face_index: wp.array3d(dtype=wp.int32),
-    b: int,
-    row: int,
+    task: int,
+    each: int,
     count: int,
     empty: wp.int64,
 ):
-    """Convert the nearest keys of a row of pixels to face indices."""
+    """Convert the nearest keys of the pixels of a task to face indices."""
     ...
 
 
@@ -300,24 +304,16 @@ def _draw_band(
 
 
 @wp.kernel
-def _decode(first: int, key: wp.array3d(dtype=wp.int64), face_index: wp.array3d(dtype=wp.int32), count: int):
-    task = first + wp.tid()
-    decode_row(key, face_index, task // key.shape[1], task % key.shape[1], count, wp.int64(EMPTY))
+def _decode(first: int, key: wp.array3d(dtype=wp.int64), face_index: wp.array3d(dtype=wp.int32), count: int, each: int):
+    decode(key, face_index, first + wp.tid(), each, count, wp.int64(EMPTY))
 
 
-_COVER_ROW = """
-    const int* shown = face_index.data + row * width;
-    float* covered = alpha.data + row * width;
-    for (int i = 0; i < width; ++i) covered[i] = shown[i] >= 0 ? 1.0f : 0.0f;
-"""
-
-
-@wp.func_native(_COVER_ROW)
-def cover_row(face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float), row: wp.int64, width: int):
-    """Fill one row of the mask, counted over all images."""
+@wp.func_native(_EACH_PIXEL.replace("DO", "alpha.data[i] = face_index.data[i] >= 0 ? 1.0f : 0.0f;"))
+def cover(face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float), task: int, each: int):
+    """Fill the pixels of a task of the mask."""
     ...
 
 
 @wp.kernel
-def _cover(first: int, face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float)):
-    cover_row(face_index, alpha, wp.int64(first + wp.tid()), face_index.shape[2])
+def _cover(first: int, face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float), each: int):
+    cover(face_index, alpha, first + wp.tid(), each)

@@ -6,7 +6,8 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
-from ..warp.launch import array, face_lanes, face_tasks, launch, row_tasks, worth_a_thread, zeros
+from ..warp.launch import array, launch, zeros
+from ..warp.layout import face_lanes, face_tasks, pixel_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import seen_faces
@@ -32,7 +33,7 @@ def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspecti
     """
     batch, height, width = face_index.shape
     result = torch.empty((batch, height, width, attributes.shape[3]), dtype=torch.float32, device=faces.device)
-    tasks, each = row_tasks(batch * height, faces.device)
+    tasks, each = pixel_tasks(batch * height, width, faces.device)
     arguments = [array(attributes), array(faces, wp.vec3), array(face_index), int(perspective), each, array(result)]
     launch(_forward, tasks, arguments, faces.device, worth_a_thread(each * width))
     return result
@@ -122,10 +123,10 @@ def mix_rows(
     face_index: wp.array3d(dtype=int),
     perspective: int,
     result: wp.array4d(dtype=float),
-    first: int,
-    last: int,
+    task: int,
+    each: int,
 ):
-    """Interpolate in the rows [first, last), counted over all images."""
+    """Interpolate at the pixels of a task."""
     ...
 
 
@@ -139,9 +140,7 @@ def _forward(
     each: int,
     result: wp.array4d(dtype=float),
 ):
-    row = (first + wp.tid()) * each
-    last = wp.min(row + each, face_index.shape[0] * face_index.shape[1])
-    mix_rows(attributes, faces, face_index, perspective, result, row, last)
+    mix_rows(attributes, faces, face_index, perspective, result, first + wp.tid(), each)
 
 
 _UNMIX = over_face(

@@ -6,7 +6,8 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
-from ..warp.launch import array, face_lanes, face_tasks, launch, row_tasks, worth_a_thread, zeros
+from ..warp.launch import array, launch, zeros
+from ..warp.layout import face_lanes, face_tasks, pixel_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .cube import CUBE
@@ -47,7 +48,7 @@ def sample_textures(
     batch, height, width = face_index.shape
     color = torch.empty((batch, 3, height, width), dtype=torch.float32, device=faces.device)
     arguments = _arguments(textures, light, faces, face_index, eps, perspective)
-    tasks, each = row_tasks(batch * height, faces.device)
+    tasks, each = pixel_tasks(batch * height, width, faces.device)
     arguments += [array(background, strided=True), each, array(color)]
     launch(_forward, tasks, arguments, faces.device, worth_a_thread(each * width))
     return color
@@ -187,10 +188,10 @@ def color_rows(
     perspective: int,
     background: wp.array4d(dtype=float),
     color: wp.array4d(dtype=float),
-    first: int,
-    last: int,
+    task: int,
+    each: int,
 ):
-    """Color the rows [first, last), counted over all images."""
+    """Color the pixels of a task."""
     ...
 
 
@@ -208,9 +209,7 @@ def _forward(
     each: int,
     color: wp.array4d(dtype=float),
 ):
-    row = (first + wp.tid()) * each
-    last = wp.min(row + each, face_index.shape[0] * face_index.shape[1])
-    color_rows(textures, light, faces, face_index, size, eps, perspective, background, color, row, last)
+    color_rows(textures, light, faces, face_index, size, eps, perspective, background, color, first + wp.tid(), each)
 
 
 @wp.func_native("""

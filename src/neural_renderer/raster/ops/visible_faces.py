@@ -4,14 +4,20 @@
 import torch
 import warp as wp
 from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
 
-from ..warp.launch import MANY_PIXELS, array, launch, zeros
+from ..warp.launch import array, launch, stream_of, zeros
+from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, pixel_tasks
 
 wp.set_module_options({"enable_backward": False})
 
 
+# `face_index` → (version, number of faces and stream; mask). Several operators of one backward pass share a mask.
+_kept = WeakTensorKeyDictionary()
+
+
 def seen_faces(face_index: Tensor, count: int) -> Tensor:
-    """Mark the visible faces.
+    """Mark the visible faces. The mask of a tensor is kept as long as the tensor lives unchanged.
 
     Args:
         face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
@@ -20,41 +26,48 @@ def seen_faces(face_index: Tensor, count: int) -> Tensor:
     Returns:
         [B, F + 1] int32: 1 for each visible face, else 0. The last entry stands for pixels without a face.
     """
+    stream = stream_of(face_index.device)
+    if stream is None or face_index.is_inference():
+        return _seen_faces(face_index, count)
+    key = (face_index._version, count, stream)
+    kept = _kept.get(face_index)
+    if kept is None or kept[0] != key:
+        kept = _kept[face_index] = (key, _seen_faces(face_index, count))
+    return kept[1]
+
+
+def _seen_faces(face_index: Tensor, count: int) -> Tensor:
     seen = zeros((len(face_index), count + 1), face_index.device, torch.int32)
     batch, height, width = face_index.shape
-    many_rows = MANY_PIXELS // max(width, 1)
-    launch(_mark, batch * height, [array(face_index), array(seen)], face_index.device, many_rows)
+    tasks, each = pixel_tasks(batch * height, width, face_index.device)
+    many = MANY_PIXELS // max(each * width, 1)
+    launch(_mark, tasks, [array(face_index), array(seen), each], face_index.device, many)
     return seen
 
 
-_MARK_ROW = """
-    const int* shown = face_index.data + row * width;
-    // Written without a test: faces of neighbouring pixels differ too often for a predictable branch.
-    for (int i = 0; i < width; ++i) seen.data[first + (shown[i] < 0 ? none : shown[i])] = 1;
+_MARK = f"""
+    const int height = face_index.shape[1], width = face_index.shape[2], all = face_index.shape[0] * height;
+    const int entries = seen.shape[1], none = entries - 1;
+    {PIXELS_OF_TASK}
+    for (int row = first; row < last; ++row) {{
+        const int* shown = face_index.data + (wp::int64)row * width;
+        int* own = seen.data + (wp::int64)(row / height) * entries;
+        // Written without a test: faces of neighbouring pixels differ too often for a predictable branch.
+        for (int i = left; i < right; ++i) own[shown[i] < 0 ? none : shown[i]] = 1;
+    }}
 """
 
 
-@wp.func_native(_MARK_ROW)
-def mark_row(
-    face_index: wp.array3d(dtype=int),
-    row: wp.int64,
-    width: int,
-    seen: wp.array2d(dtype=int),
-    first: wp.int64,
-    none: int,
-):
-    """Mark the faces in a row of pixels; ``first`` is the offset of its image's entries. In plain C++ for speed."""
+@wp.func_native(_MARK)
+def mark(face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int), task: int, each: int):
+    """Mark the faces of the pixels of a task. In plain C++ for its speed."""
     ...
 
 
 @wp.kernel
-def _mark(first: int, face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int)):
-    """Mark the faces of one row. Several tasks may write to one place, but all write 1."""
-    task = first + wp.tid()
-    b = task // int(face_index.shape[1])
-    entries = int(seen.shape[1])
-    first_entry = wp.int64(b) * wp.int64(entries)
-    mark_row(face_index, wp.int64(task), face_index.shape[2], seen, first_entry, entries - 1)
+def _mark(first: int, face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int), each: int):
+    """Mark the faces of the pixels of a task. Several tasks may write to one place, but all write 1."""
+    mark(face_index, seen, first + wp.tid(), each)
 
 
 _NEXT_SHOWN = """

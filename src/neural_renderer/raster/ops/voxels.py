@@ -7,7 +7,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, concurrent, launch, load_kernel
+from ..warp.launch import array, launch, load_kernel
+from ..warp.layout import concurrent
 
 # Without fused multiply-adds adjacent faces agree on lines through their common edge.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -106,10 +107,14 @@ def turn(p: wp.vec3, axis: int) -> wp.vec3:
 
 
 @wp.func
-def mark(state: wp.array4d(dtype=wp.uint8), b: int, axis: int, p: int, q: int, along: int):
-    """Mark the voxel at (p, q) across ``axis`` and at ``along`` on it, if it is in the grid."""
-    size = int(state.shape[1])
-    if p >= 0 and p < size and q >= 0 and q < size and along >= 0 and along < size:
+def mark(state: wp.array4d(dtype=wp.uint8), b: int, axis: int, x: float, y: float, z: float):
+    """Mark the voxel of a point, at (x, y) across ``axis`` and z along it, if it is in the grid."""
+    size = float(state.shape[1])
+    # Tested before the conversion, which makes different integers of NaN on different devices.
+    if x >= 0.0 and x < size and y >= 0.0 and y < size and z >= 0.0 and z < size:
+        p = int(x)
+        q = int(y)
+        along = int(z)
         if axis == 0:
             state[b, along, p, q] = _SURFACE
         elif axis == 1:
@@ -135,9 +140,9 @@ def mark_lines(state: wp.array4d(dtype=wp.uint8), b: int, axis: int, v0: wp.vec3
             e2 = (v0[0] - x) * (v1[1] - y) - (v0[1] - y) * (v1[0] - x)
             area = e0 + e1 + e2
             if area != 0.0 and e0 * area >= 0.0 and e1 * area >= 0.0 and e2 * area >= 0.0:
-                along = int(wp.floor((e0 * v0[2] + e1 * v1[2] + e2 * v2[2]) / area))
+                along = (e0 * v0[2] + e1 * v1[2] + e2 * v2[2]) / area
                 for i in range(4):
-                    mark(state, b, axis, p - i % 2, q - i // 2, along)
+                    mark(state, b, axis, float(p - i % 2), float(q - i // 2), along)
 
 
 @wp.func
@@ -148,7 +153,7 @@ def mark_points(state: wp.array4d(dtype=wp.uint8), b: int, v0: wp.vec3, v1: wp.v
     for i in range(steps + 1):
         for j in range(steps + 1 - i):
             p = v0 + (float(i) * (v1 - v0) + float(j) * (v2 - v0)) / float(steps)
-            mark(state, b, 2, int(wp.floor(p[0])), int(wp.floor(p[1])), int(wp.floor(p[2])))
+            mark(state, b, 2, p[0], p[1], p[2])
 
 
 @wp.kernel

@@ -36,7 +36,8 @@ from torch import Tensor
 
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import facing
-from ..warp.launch import array, copy, face_lanes, launch, zeros
+from ..warp.launch import array, copy, launch, zeros
+from ..warp.layout import face_lanes
 from ..warp.registration import differentiable, differentiable_once, operator
 from .continuity import colors_continue
 from .crossings import (

@@ -22,8 +22,9 @@ from torch import Tensor
 
 from ..ops.visible_faces import next_shown
 from ..warp.geometry import degenerate, in_front, pixel_box, pixel_centre
-from ..warp.launch import array, face_lanes, launch, zeros
-from .candidates import find_in_row
+from ..warp.launch import array, launch, zeros
+from ..warp.layout import face_lanes, pixel_tasks
+from .candidates import find_candidates
 from .crossings import border_weight
 from .nearness import covers, nearness_slope, nearness_terms, total
 from .neighbors import same
@@ -50,7 +51,8 @@ def add_intersections(
     # Most faces have no neighbour that they may intersect. A cheap first pass excludes them.
     candidates = zeros((batch, count), faces.device, torch.int32)
     scene = [array(faces, wp.vec3), array(face_index), array(image), array(adjacent)]
-    launch(_find_candidates, batch * height, [*scene, int(perspective), array(candidates)], faces.device)
+    tasks, each = pixel_tasks(batch * height, width, faces.device)
+    launch(_find_candidates, tasks, [*scene, int(perspective), array(candidates), each], faces.device)
     lanes = face_lanes(faces, height * width)
     maps = [array(image), array(grad), array(face_index), array(candidates)]
     arguments = [array(faces, wp.vec3), *maps, int(perspective), lanes, array(result, wp.vec3)]
@@ -66,11 +68,10 @@ def _find_candidates(
     adjacent: wp.array3d(dtype=int),
     perspective: int,
     candidates: wp.array2d(dtype=int),
+    each: int,
 ):
-    """Mark the candidates in one row of one image. Several tasks may write to one place, but all write 1."""
-    task = first + wp.tid()
-    height = int(face_index.shape[1])
-    find_in_row(faces, face_index, image, adjacent, perspective, task // height, task % height, candidates)
+    """Mark the candidates of the pixels of a task. Several tasks may write to one place, but all write 1."""
+    find_candidates(faces, face_index, image, adjacent, perspective, candidates, first + wp.tid(), each)
 
 
 @wp.func

@@ -13,7 +13,8 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import FACING, IN_FRONT
-from ..warp.launch import array, concurrent, launch, zeros
+from ..warp.launch import array, launch, zeros
+from ..warp.layout import in_any_order, readable
 
 wp.set_module_options({"enable_backward": False})
 
@@ -46,7 +47,7 @@ def neighbors(
         launch(
             _search_rings, batch * count, [corners, array(visible), array(rings), *options, array(result)], faces.device
         )
-        if faces.device.type == "cpu":  # on CUDA, reading the number would wait for the device
+        if readable(faces.device):
             most = int(rings[0, -1, 0])
     else:
         rings = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
@@ -54,8 +55,9 @@ def neighbors(
         return result
     size = 1 << (2 * most - 1).bit_length()
     table = zeros((batch, size), faces.device, torch.int32)
-    # Warp's CPU atomics are not atomic, so on the CPU one task fills an image's table.
-    lanes = max(count, 1) if concurrent(faces.device) else 1
+    # Warp's CPU atomics are not atomic, so on the CPU one task fills an image's table. Several tasks fill it in any
+    # order, which decides what faces of an edge beyond MOST_EQUALS are ignored.
+    lanes = max(count, 1) if in_any_order(faces.device) else 1
     alone = array(rings)
     launch(_insert_edges, batch * lanes, [corners, array(table), alone, *options, lanes], faces.device)
     launch(_search_table, batch * count, [corners, array(table), alone, *options, array(result)], faces.device)

@@ -15,9 +15,11 @@ from torch import Tensor
 
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import SHORTEST, facing
-from ..warp.launch import array, concurrent, copy, face_lanes, face_tasks, launch, worth_a_thread, zeros
+from ..warp.launch import array, copy, launch, zeros
+from ..warp.layout import concurrent, face_lanes, face_tasks, pixel_tasks, worth_a_thread
 from ..warp.registration import differentiable, differentiable_once, operator
-from .scanlines import SCAN_LINE, WIDE, copy_lines, empty_lines
+from .line_sums import SCAN_LINE
+from .scanlines import WIDE, copy_lines, copy_pixels, empty_lines
 
 wp.set_module_options({"enable_backward": False})
 
@@ -69,7 +71,6 @@ def nmr_edges_backward(
     while not (binary or concurrent(device) or channels == 1 or bool(grad[:, channels - 1].any())):
         channels -= 1
     planes = 1 if binary else 1 + channels
-    abreast = 1 if concurrent(device) else WIDE
     lanes = face_lanes(faces, height * width)
     # With eps = 0, a pixel that touches the edge would divide by zero.
     options = [int(binary), max(eps, 1e-12), int(two_sided), lanes]
@@ -78,14 +79,20 @@ def nmr_edges_backward(
     at_once = max(1, min(batch, room // (8 * planes * height * width)))
     rows = empty_lines(at_once, height, width, planes, device)
     columns = empty_lines(at_once, width, height, planes, device)
-    spans = torch.empty((at_once, height + width, 2), dtype=torch.int32, device=device)
+    spans = zeros((at_once, height + width, 2), device, torch.int32)
     lines = [array(rows), array(columns), array(spans, wp.vec2i)]
     for first in range(0, batch, at_once):
         here = slice(first, first + at_once)
         images = min(at_once, batch - first)
         shown = array(image[here])
-        tasks = images * (-(-height // abreast) - (-width // abreast))
-        launch(copy_lines, tasks, [shown, array(grad[here]), *lines, abreast], device, worth_a_thread(abreast * width))
+        if concurrent(device):
+            if first > 0:
+                spans.zero_()
+            tasks, each = pixel_tasks(images * height, width, device)
+            launch(copy_pixels, tasks, [shown, array(grad[here]), *lines, each], device)
+        else:
+            tasks = images * (-(-height // WIDE) - (-width // WIDE))
+            launch(copy_lines, tasks, [shown, array(grad[here]), *lines, WIDE], device, worth_a_thread(WIDE * width))
         arguments = [array(faces[here], wp.vec3), shown, array(face_index[here]), *lines, array(seen[here]), *options]
         arguments.append(array(result[here], wp.vec3))
         launch(_pull, images * faces.shape[1] * lanes, arguments, device, face_tasks(faces, height * width))
@@ -182,7 +189,10 @@ _PULL = (
     line.plane = plane, line.area = area, line.channels = (int)planes - 1;
     line.reach = fabsf(edge.qu - edge.pu) * 2.0f / (float)edge.length;
     line.to_p = line.to_q = 0.0f, line.also_to_p = line.also_to_q = 0.0f;
-    for (int u = edge.first_line() + lane, last = edge.last_line(); u <= last; u += lanes) {
+    #if defined(__CUDA_ARCH__)
+    line.lane = lane, line.lanes = lanes;
+    #endif
+    for (int u = edge.first_line(), last = edge.last_line(); u <= last; ++u) {
         const float c = edge.crossing(u);
         const int inner = edge.inside_of(c), outer = inner + way;
         if ((inner < outer ? inner : outer) < 0 || (inner < outer ? outer : inner) >= edge.length) continue;
@@ -199,8 +209,9 @@ _PULL = (
         line.stored = lines.data + ((wp::int64)b * edge.count + u) * planes * plane + WIDE;
         if (seen) {  // outward, to the end of the line's span
             const wp::vec_t<2, int> span = spans.data[(wp::int64)b * (height + width) + (axis == 0 ? u : height + u)];
-            const int begin = way > 0 ? (span[0] > outer ? span[0] : outer) : (span[1] < outer ? span[1] : outer);
-            const int pixels = way > 0 ? span[1] - begin + 1 : begin - span[0] + 1;
+            const int low = edge.length - span[0], high = span[1] - 1;
+            const int begin = way > 0 ? (low > outer ? low : outer) : (high < outer ? high : outer);
+            const int pixels = way > 0 ? high - begin + 1 : begin - low + 1;
             if (pixels > 0) {
                 line.color = colors + inside;
                 line.outward(begin, way, pixels, fabsf((float)begin - c));
@@ -241,7 +252,7 @@ def pull_edge(
     eps: float,
     binary: int,
 ) -> wp.vec2:
-    """Compute the gradient to p and q from every ``lanes``-th line that the edge p -> q crosses."""
+    """Compute the gradient of the edge p -> q to p and q, with several lanes from every n-th pixel of its lines."""
     ...
 
 
@@ -261,7 +272,7 @@ def _pull(
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
-    """Pull the edges of one face of one image; with several lanes, each takes every n-th scan line."""
+    """Pull the edges of one face of one image; with several lanes, each takes every n-th pixel of its scan lines."""
     task = first + wp.tid()
     lane = task % lanes
     b = (task // lanes) // faces.shape[1]

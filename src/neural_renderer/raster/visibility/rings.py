@@ -14,13 +14,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ..warp.layout import readable
 from ..warp.registration import is_plain, operator
 
 
 class _Kept(NamedTuple):
     """The rings of a mesh seen before."""
 
-    faces: Tensor  # a copy, on the CPU
+    faces: Tensor  # a copy, where values can be compared
     source: weakref.ref[Tensor]
     version: int
     rings: Tensor
@@ -61,19 +62,19 @@ def _known_rings(faces: Tensor) -> Tensor:
     """Return the kept rings of a known mesh; otherwise find and keep them."""
     with _lock:
         kept = list(_kept)
-    on_cpu = faces.device.type == "cpu"
+    known_by_values = readable(faces.device)
     version = -1 if faces.is_inference() else faces._version
     for one in reversed(kept):
         if one.rings.device != faces.device:
             continue
-        if on_cpu:
+        if known_by_values:
             same = one.faces.shape == faces.shape and one.faces.dtype == faces.dtype and torch.equal(one.faces, faces)
         else:
             same = one.source() is faces and one.version == version >= 0
         if same:
             return one.rings
     rings = _find_rings(faces if faces.dim() == 3 else faces[None])
-    copy = faces.clone() if on_cpu else faces[:0]
+    copy = faces.clone() if known_by_values else faces[:0]
     with _lock:
         _kept.append(_Kept(copy, weakref.ref(faces), version, rings))
     return rings
@@ -86,17 +87,14 @@ def _find_rings(faces: Tensor) -> Tensor:
     start = faces.long()
     end = start.roll(-1, 2)
     low, high = torch.minimum(start, end), torch.maximum(start, end)
-    vertices = int(high.max()) + 2 if high.numel() else 1
-    image = torch.arange(batch, device=faces.device)[:, None, None]
-    own = torch.arange(batch * count * 3, device=faces.device)
-    # An edge from a vertex to itself gets a unique name, and so do the edges of padding, (-1, -1, -1).
-    name = torch.where(low == high, -1 - own.view(batch, count, 3), (image * vertices + low + 1) * vertices + high)
-    name, order = name.flatten().sort(stable=True)
-    last = torch.cat((name[1:] != name[:-1], name.new_ones(min(1, len(name)), dtype=torch.bool)))
-    first = torch.where(torch.cat((last[-1:], last[:-1])), torch.arange(len(name), device=faces.device), 0)
-    following = torch.where(last, order[first.cummax(0).values], order.roll(-1))
-    rings = torch.empty_like(order)
-    rings[order] = following
+    own = torch.arange(3 * count, device=faces.device).expand(batch, -1)
+    # An edge from a vertex to itself has a name of its own; so have the edges of (-1, -1, -1), which is padding. Both
+    # vertices have 31 bits, whatever their number, which to read could be to wait for the device.
+    name = torch.where(low == high, -1 - own.view(batch, count, 3), (low << 31) + high)
+    name, order = name.flatten(1).sort(dim=1, stable=True)
+    last = torch.cat((name[:, 1:] != name[:, :-1], torch.ones_like(name[:, :1], dtype=torch.bool)), 1)
+    first = torch.where(last.roll(1, 1), own, 0)
+    following = torch.where(last, order.gather(1, first.cummax(1).values), order.roll(-1, 1))
+    rings = torch.empty_like(order).scatter_(1, order, following)
     alone = (rings == own).sum()
-    rings = (rings.view(batch, count * 3) - image[:, 0] * count * 3).view(batch, count, 3)
-    return torch.cat((rings, alone.expand(batch, 1, 3)), 1).int()
+    return torch.cat((rings.view(batch, count, 3), alone.expand(batch, 1, 3)), 1).int()

@@ -22,19 +22,17 @@ import warp as wp
 from torch import Tensor
 
 from .kernel_cache import load_module
+from .layout import PIECES
 
 # Number of compiling threads (each spends two seconds on Warp's headers), and a flag that saves a third of this time.
 _COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
 
-# Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
-_PIECES = 4
-
-# Numbers of pixels, to scan or to draw and shade, for which it is worth waking another CPU thread.
-MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
-
 # Set by tests. It is called with the kernel, the number of tasks and the arguments of each launch. It runs the kernel's
 # CUDA code on a processor and returns True; if it returns False, the launch runs as usual.
 emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
+
+# Warp keeps strides in 32 bits.
+MOST_BYTES = 2**31 - 1
 
 _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
@@ -137,45 +135,11 @@ def _threads(count: int) -> ThreadPoolExecutor:
         return _pool
 
 
-def concurrent(device: torch.device) -> bool:
-    """Test whether the tasks of a launch run concurrently and share sums by atomics, as on CUDA.
-
-    Only this function selects the layout of a kernel's work; tests select CUDA's layout on the CPU.
-    """
-    return device.type == "cuda" or emulator is not None
-
-
-def cpu_bands(batch: int, pixels: int) -> int:
-    """Choose a number of row bands per image that keeps all threads busy; ``pixels`` counts its pixels and faces."""
-    threads = min(torch.get_num_threads(), max(1, batch * pixels // _ENOUGH_PIXELS))
-    return 1 if batch % threads == 0 or batch >= _PIECES * threads else 2 * threads
-
-
-def worth_a_thread(pixels: float) -> int:
-    """Compute how many tasks are worth another CPU thread; each draws or shades ``pixels`` pixels."""
-    return max(1, int(_ENOUGH_PIXELS / max(pixels, 1.0)))
-
-
-def face_tasks(faces: Tensor, pixels: int) -> int:
-    """Compute how many tasks are worth another CPU thread; each draws one of ``faces`` [B, F, ...]."""
-    return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
-
-
-def row_tasks(rows: int, device: torch.device) -> tuple[int, int]:
-    """Compute the number of tasks for ``rows`` rows of pixels, and the rows of each task: one on CUDA."""
-    each = 1 if concurrent(device) else 16
-    return -(-rows // each), each
-
-
-def face_lanes(faces: Tensor, pixels: int) -> int:
-    """Compute the number of CUDA threads per face of ``faces`` [B, F, ...] in an image of ``pixels`` pixels.
-
-    It is larger where faces are few and large. It is one on the CPU, and one if torch asks for deterministic results:
-    several threads add their sums in any order.
-    """
-    if not concurrent(faces.device) or torch.are_deterministic_algorithms_enabled():
-        return 1
-    return min(32, 1 << (8 * pixels // max(faces.shape[1], 1)).bit_length() // 2)
+def stream_of(device: torch.device) -> int | None:
+    """Return the stream on which kernels run now; None while they are captured for a graph and do not run."""
+    if device.type != "cuda" or emulator is not None:
+        return 0
+    return None if torch.cuda.is_current_stream_capturing() else torch.cuda.current_stream(device).cuda_stream
 
 
 def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -206,12 +170,23 @@ def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
         tensor: Copied first if it is not contiguous, unless ``strided``.
         dtype: Warp vector or matrix type of the trailing dimensions; None for scalars.
         strided: Whether the kernel respects strides.
+
+    Raises:
+        ValueError: From one image to the next, or one channel, it is further than a stride in 32 bits can tell.
     """
     if not strided or tensor.numel() == 0:  # the strides of an empty tensor are arbitrary
         tensor = tensor.contiguous()
     bytes_each = tensor.element_size()
     dims = tensor.dim() - (0 if dtype is None else len(dtype._shape_))
-    argument = _Array(tensor.data_ptr(), 0, dims, tensor.shape, [bytes_each * step for step in tensor.stride()])
+    strides = [bytes_each * step for step in tensor.stride()]
+    if tensor.numel() * bytes_each > MOST_BYTES:  # a stride along an axis of length 1 is never used
+        strides = [0 if size == 1 else stride for size, stride in zip(tensor.shape, strides, strict=True)]
+        if max(strides, default=0) > MOST_BYTES:
+            raise ValueError(
+                f"image_size: expected images and channels of at most {MOST_BYTES} bytes, "
+                f"got tensors {list(tensor.shape)} with {max(strides)} bytes from one to the next"
+            )
+    argument = _Array(tensor.data_ptr(), 0, dims, tensor.shape, strides)
     argument.tensor = tensor  # the descriptor alone would not keep a copy alive
     return argument
 
@@ -268,7 +243,7 @@ def _direct(kernel: wp.Kernel) -> Callable[..., None]:
 def _share(run: Callable[[int, int], object], tasks: int, least: int) -> None:
     """Call run(first, last) for pieces of the tasks on as many CPU threads as torch uses."""
     threads = min(torch.get_num_threads(), max(1, tasks // least))
-    pieces = min(tasks, _PIECES * threads) if threads > 1 else 1
+    pieces = min(tasks, PIECES * threads) if threads > 1 else 1
     numbers = itertools.count()
 
     def work() -> None:

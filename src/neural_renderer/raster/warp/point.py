@@ -11,6 +11,7 @@ The code that Warp generates from the same formulas in Python takes about twice 
 import re
 
 from .geometry import HOMOGENEOUS, NARROWEST
+from .layout import PIXELS_OF_TASK
 
 # Least area, relative to c^2, of a face with reliable weights from the inverse matrix; c is its largest coordinate in
 # pixels. The weights are sums of products up to 2 c^2, whose rounding errors add up to about 82 * 2^-24 c^2.
@@ -218,21 +219,23 @@ _ROWS = """
     wp::int64 held[KEPT];
     for (int k = 0; k < KEPT; ++k) held[k] = -1;
     BEGIN
+    const int all = face_index.shape[0] * height;
+    PIXELS_OF_TASK
     for (int row = first; row < last; ++row) {
         const int b = row / height, j = height - 1 - row % height;
         const int* shown = face_index.data + (wp::int64)row * width;
-        for (int i = 0; i < width; ++i) {
+        for (int i = left; i < right; ++i) {
             const wp::int64 pixel = (wp::int64)row * width + i;
             const int f = shown[i];
             if (f < 0) {  // most pixels of most images, so several are skipped at once
                 int empty = 1;
                 #if !defined(__CUDA_ARCH__)
-                for (int four[4]; i + empty + 4 <= width; empty += 4) {
+                for (int four[4]; i + empty + 4 <= right; empty += 4) {
                     memcpy(four, shown + i + empty, sizeof(four));
                     if ((four[0] & four[1] & four[2] & four[3]) >= 0) break;
                 }
                 #endif
-                while (i + empty < width && shown[i + empty] < 0) ++empty;
+                while (i + empty < right && shown[i + empty] < 0) ++empty;
                 EMPTY
                 i += empty - 1;
                 continue;
@@ -248,7 +251,7 @@ _ROWS = """
             #if !defined(__CUDA_ARCH__)
             if (Eight::can(face)) {  // the pixels up to the next face, at most eight
                 int run = 1;
-                while (run < 8 && i + run < width && shown[i + run] == f) ++run;
+                while (run < 8 && i + run < right && shown[i + run] == f) ++run;
                 Eight eight;
                 if (__builtin_reduce_or(eight.at(face, i, j) & (Eight::ahead() < run)) == 0) {
                     RUN
@@ -314,7 +317,7 @@ _BOX = """
 
 
 def over_rows(shown: str, run: str, empty: str, begin: str = "", fresh: str = "", structs: str = "") -> str:
-    """Build the body of a native function over the rows [first, last), counted over all images.
+    """Build the body of a native function over the pixels of a ``task`` of ``each`` rows; see `pixel_tasks`.
 
     Args:
         shown: Statements for a pixel that shows a face, with row, pixel, i, b, f, own (f counted over all images),
@@ -329,7 +332,11 @@ def over_rows(shown: str, run: str, empty: str, begin: str = "", fresh: str = ""
     Returns:
         C++ statements.
     """
-    return FACE + structs + fill(_ROWS, BEGIN=begin, EMPTY=empty, FRESH=fresh, SHOWN=shown, RUN=run)
+    return (
+        FACE
+        + structs
+        + fill(_ROWS, PIXELS_OF_TASK=PIXELS_OF_TASK, BEGIN=begin, EMPTY=empty, FRESH=fresh, SHOWN=shown, RUN=run)
+    )
 
 
 def over_face(

@@ -81,6 +81,15 @@ def test_a_batch_is_its_parts(device: str) -> None:
     assert torch.equal(together, torch.cat([voxelize(one[None], faces) for one in batch]))
 
 
+def test_a_corner_without_a_place_marks_nothing(device: str) -> None:
+    """The conversion of NaN to an integer differs between devices: 0 on CUDA."""
+    vertices = torch.tensor([[5.0, 5, 5], [6, 5, 5], [5, 6, 5], [math.nan] * 3, [math.inf] * 3])
+    faces = torch.tensor([[0, 1, 2], [0, 1, 3], [0, 2, 4]], dtype=torch.int32)
+    filled = fill(vertices[None].to(device), faces.to(device), 8)
+    alone = fill(vertices[None, :3].to(device), faces[:1].to(device), 8)
+    assert torch.equal(filled, alone)
+
+
 def test_sphere_has_its_volume() -> None:
     vertices, faces = nr.icosphere(4)
     radius = 0.4 * 31

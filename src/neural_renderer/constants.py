@@ -1,0 +1,78 @@
+"""Numbers that are copied to a GPU, or read from it, once: each time, the program would wait for the GPU."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
+
+_LARGEST = torch.finfo(torch.float16).max
+_copies = WeakTensorKeyDictionary()
+_numbers = WeakTensorKeyDictionary()
+
+
+def constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor | None:
+    """Return a tensor of numbers that others share, so it must not be changed or handed out.
+
+    Args:
+        value: A number, or lists or tuples of them, nested.
+        dtype: Dtype of the result.
+        device: Device of the result.
+
+    Returns:
+        The tensor, of finite numbers; None if ``value`` is something else or larger than all dtypes hold, and in
+        torch.compile, torch.func and modes that see each operation, where tensors have other types.
+    """
+    if (
+        torch.compiler.is_compiling()
+        or torch._C._len_torch_dispatch_stack()
+        or torch._C._are_functorch_transforms_active()
+    ):
+        return None
+    numbers = _hashable(value)
+    try:
+        return None if numbers is None else _constant(numbers, dtype, device)
+    except ValueError:  # lists of different lengths
+        return None
+
+
+def on_device(tensor: Tensor, like: Tensor) -> Tensor:
+    """Convert a tensor to the device and dtype of another; a copy on another device is kept as long as the tensor."""
+    if tensor.device == like.device or tensor.requires_grad or tensor.is_inference() or like.is_meta:
+        return tensor.to(like)
+    key = (tensor._version, like.device, like.dtype)
+    kept = _copies.get(tensor)
+    if kept is None or kept[0] != key:
+        with torch.inference_mode(False):
+            kept = _copies[tensor] = (key, tensor.to(like))
+    return kept[1]
+
+
+def read_once(tensor: Tensor, read: Callable[[Tensor], Any]) -> Any:
+    """Return ``read(tensor)``; on a GPU, where to read is to wait, once for as long as the tensor stays unchanged."""
+    if tensor.device.type == "cpu" or tensor.is_inference():
+        return read(tensor)
+    kept = _numbers.get(tensor)
+    if kept is None or kept[:2] != (tensor._version, read):
+        kept = _numbers[tensor] = (tensor._version, read, read(tensor))
+    return kept[2]
+
+
+@functools.lru_cache(maxsize=256)
+def _constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor:
+    with torch.inference_mode(False):  # or no later gradient could save it
+        return torch.tensor(value, dtype=dtype, device=device)
+
+
+def _hashable(value: Any) -> Hashable | None:
+    """Convert nested lists of numbers to tuples; None for anything else."""
+    if type(value) in (int, float):
+        return value if abs(value) <= _LARGEST else None
+    if not isinstance(value, (tuple, list)) or len(value) > 16:
+        return None
+    parts = tuple(map(_hashable, value))
+    return None if None in parts else parts

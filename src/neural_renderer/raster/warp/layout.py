@@ -1,0 +1,85 @@
+"""Layout: how the work of a launch is divided into tasks. This module alone decides what differs between devices.
+
+On the CPU a task is long, and no two tasks write to one place. On CUDA a task is a short thread of many thousands;
+threads share sums by atomics, and reading a number would wait for the device.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+# Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
+PIECES = 4
+
+# Numbers of pixels, to scan or to draw and shade, for which it is worth waking another CPU thread.
+MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
+
+_ROWS = 16  # of a task on the CPU, where neighbouring rows share faces
+_MOST_TASKS = 2**31 - 1  # of one launch
+
+# C++ statements that find the pixels of a ``task`` of ``each`` rows (see `pixel_tasks`) in maps of ``all`` rows of
+# ``width`` pixels: the pixels [left, right) of the rows [first, last).
+PIXELS_OF_TASK = """
+    const int first = each ? task * each : task / width;
+    const int last = each == 0 ? first + 1 : first + each < all ? first + each : all;
+    const int left = each ? 0 : task % width, right = each ? width : left + 1;
+"""
+
+# Tests set it, to run the layout of CUDA, and its code, on a processor; see `emulator` in `launch`.
+as_on_cuda = False
+
+
+def concurrent(device: torch.device) -> bool:
+    """Test whether the tasks of a launch run concurrently and share sums by atomics, as on CUDA."""
+    return device.type == "cuda" or as_on_cuda
+
+
+def readable(device: torch.device) -> bool:
+    """Test whether numbers of a tensor can be read without waiting for the device."""
+    return device.type == "cpu"
+
+
+def in_any_order(device: torch.device) -> bool:
+    """Test whether tasks may share sums and places in any order: they are concurrent, and torch allows it."""
+    return concurrent(device) and not torch.are_deterministic_algorithms_enabled()
+
+
+def cpu_bands(batch: int, pixels: int) -> int:
+    """Choose a number of row bands per image that keeps all threads busy; ``pixels`` counts its pixels and faces."""
+    threads = min(torch.get_num_threads(), max(1, batch * pixels // _ENOUGH_PIXELS))
+    return 1 if batch % threads == 0 or batch >= PIECES * threads else 2 * threads
+
+
+def worth_a_thread(pixels: float) -> int:
+    """Compute how many tasks are worth another CPU thread; each draws or shades ``pixels`` pixels."""
+    return max(1, int(_ENOUGH_PIXELS / max(pixels, 1.0)))
+
+
+def face_tasks(faces: Tensor, pixels: int) -> int:
+    """Compute how many tasks are worth another CPU thread; each draws one of ``faces`` [B, F, ...]."""
+    return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
+
+
+def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
+    """Divide ``rows`` rows of pixels among tasks, which find theirs by `PIXELS_OF_TASK`.
+
+    Returns:
+        The number of tasks, and the rows of each. 0 stands for a single pixel, as on CUDA, where the threads of a warp
+        then read and write side by side.
+    """
+    if concurrent(device) and rows * width <= _MOST_TASKS:
+        return rows * width, 0
+    each = 1 if concurrent(device) else _ROWS
+    return -(-rows // each), each
+
+
+def face_lanes(faces: Tensor, pixels: int) -> int:
+    """Compute the number of CUDA threads per face of ``faces`` [B, F, ...] in an image of ``pixels`` pixels.
+
+    It is larger where faces are few and large. It is one on the CPU, and one if torch asks for deterministic results:
+    several threads add their sums in any order.
+    """
+    if not in_any_order(faces.device):
+        return 1
+    return min(32, 1 << (8 * pixels // max(faces.shape[1], 1)).bit_length() // 2)
