@@ -94,6 +94,7 @@ def public() -> dict[str, tuple[Any, Any]]:
     return found
 
 
+# Docstrings of lights lack some sections.
 PUBLIC = {name: found for name, found in public().items() if not name.startswith(("Light", "SphericalHarmonicLight"))}
 
 
