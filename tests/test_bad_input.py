@@ -1,4 +1,4 @@
-"""What does not fit gets a sentence that names the argument; and with the checks off, nothing crashes."""
+"""Wrong arguments give an error that names them; with the checks off, nothing crashes."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def test_renderers(device, what):
     arguments = good(device)
     if batch:
         arguments = {key: t.expand(*batch, *t.shape[1:]) for key, t in arguments.items()}
-    # What the parts call it may be the end of the attribute's name.
+    # Messages may use the last part of the attribute's name.
     parts = {
         "eye": "eye|camera",
         "rasterizer_eps": "eps",
@@ -185,7 +185,7 @@ def test_devices_that_differ(name):
 
 
 def test_a_device_without_numbers():
-    """Tensors of torch's device "meta" stand for those of any device."""
+    """Tensors of torch's device "meta" represent tensors of any device."""
     with pytest.raises(ValueError, match=r"^faces: expected device .*got"):
         nr.vertices_to_faces(VERTICES[None], FACES.to("meta"))
 
@@ -277,7 +277,7 @@ def test_no_vertices_and_no_faces(device):
 
 
 def test_large_but_finite_vertices_are_no_error(device):
-    """Their sum overflows; they are finite all the same."""
+    """Numbers are finite although their sum overflows."""
     vertices = torch.full((1, 12, 3), 3e38, device=device)
     assert nr.Renderer(8, camera_mode="look_at")(vertices, FACES.to(device), mode="silhouettes").isfinite().all()
 

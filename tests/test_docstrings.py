@@ -1,4 +1,4 @@
-"""Docstrings of public names are complete, and their examples run and give what they say."""
+"""Docstrings of public names are complete, and their examples run and print the stated results."""
 
 from __future__ import annotations
 
@@ -94,11 +94,12 @@ def public() -> dict[str, tuple[Any, Any]]:
     return found
 
 
+# Docstrings of lights lack some sections.
 PUBLIC = {name: found for name, found in public().items() if not name.startswith(("Light", "SphericalHarmonicLight"))}
 
 
 def sections(docstring: str) -> dict[str, str]:
-    """The sections of a docstring by heading; what comes before them is "Summary"."""
+    """Split a docstring into sections by heading; the part before them is "Summary"."""
     heading = r"^(Args|Attributes|Returns|Raises|Warns|Example):\n"
     parts = ["Summary", *re.split(heading, docstring, flags=re.MULTILINE)]
     return dict(zip(parts[::2], parts[1::2], strict=True))

@@ -1,4 +1,4 @@
-"""What pixels show, anything interpolated there, and images made of it."""
+"""Fragments: visible faces, interpolated attributes, and composited images."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_positions_lie_on_the_rays(device):
     x = (2 * torch.arange(56, device=device) + 1 - 56) / 56
     y = -(2 * torch.arange(40, device=device) + 1 - 40) / 40
     expected = torch.stack((x.expand(40, 56), y[:, None].expand(40, 56)), -1).expand(2, -1, -1, -1)
-    # Weights of faces a few pixels wide are sums of products of some (56 / 3)² the size of what is left of them.
+    # Weights of faces a few pixels wide are sums of products about (56 / 3)² times as large as the result.
     torch.testing.assert_close(
         screen[..., :2][fragments.mask], expected[fragments.mask], **rounding(4 * (56 // 3) ** 2)
     )
@@ -105,6 +105,6 @@ def test_seams_between_faces_of_different_colour(device):
         leaf = vertices.clone().requires_grad_()
         found += torch.autograd.grad((draw(leaf) * weight).sum(), leaf)
     with_seams, without, expected = found
-    # A vertex gathers at most some 48² pulls; what the same colours differ by in their last bits, cubes interpolate.
+    # A vertex gathers at most about 48² terms; cubes interpolate colours that differ in their last bits.
     torch.testing.assert_close(with_seams, expected, rtol=0, atol=48**2 * EPS * float(expected.abs().max()))
     assert (without - expected).norm() > 0.3 * expected.norm()

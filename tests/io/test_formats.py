@@ -1,4 +1,4 @@
-"""Meshes in other formats: what is read, what is refused, and what comes back after writing."""
+"""Meshes in other formats: reading, refused files, and round trips."""
 
 from __future__ import annotations
 

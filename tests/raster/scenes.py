@@ -17,7 +17,7 @@ NEAR, FAR = 0.1, 10.0
 
 
 def examples(count: int) -> settings:
-    """Always the same examples, as many as the suite has time for."""
+    """Run the same examples each time, as many as the suite has time for."""
     phases = (Phase.explicit, Phase.generate, Phase.shrink)
     checks = list(HealthCheck)
     return settings(max_examples=count, deadline=None, derandomize=True, phases=phases, suppress_health_check=checks)
@@ -108,7 +108,7 @@ def crosses(faces: Tensor, perspective: bool) -> Tensor:
 
 @dataclass(frozen=True)
 class Doubt:
-    """What float32 leaves open for each face of one image at each pixel, [F, H, W]."""
+    """Bounds of float32 on each face of one image at each pixel, [F, H, W]."""
 
     possible: Tensor  # the face may be drawn here
     certain: Tensor  # the face must be drawn here, nearer things aside

@@ -38,7 +38,7 @@ def test_case(device, case):
     weights, depth = barycentrics(faces, index, near, far, True)
     z = faces.detach()[torch.arange(len(index))[:, None, None], index.clamp(min=0), :, 2]
     on_screen = weights * z / depth[..., None]
-    # What the vectors promise: another implementation in float32 comes as close, and the gradients to 1e-3.
+    # Accuracy of the vectors: that of another implementation in float32; gradients 1e-3.
     torch.testing.assert_close(on_screen[visible], get("weights")[visible], rtol=0, atol=1e-4)
     torch.testing.assert_close(depth[visible], get("zmap")[visible], rtol=1e-4, atol=1e-4)
 

@@ -1,4 +1,4 @@
-"""OBJ files: what is read, what is refused, and what comes back after writing."""
+"""OBJ files: reading, refused files, and round trips."""
 
 from __future__ import annotations
 
@@ -316,7 +316,7 @@ def test_an_image_of_many_materials_is_loaded_and_kept_once(tmp_path, monkeypatc
     faces = "".join(f"usemtl {n}\nf 1/1 2/2 3/3\n" for n in range(10))
     path = write(tmp_path, f"mtllib m.mtl\n{TRIANGLE}{UV}{faces}")
     mesh = UVMesh.load(path)
-    assert mesh.wraps == ("repeat", "repeat", "clamp")  # what is beyond the image's borders is another image
+    assert mesh.wraps == ("repeat", "repeat", "clamp")  # beyond the borders the image repeats
     assert mesh.image_index.tolist() == [0, 1, 0, 1, 2, 1, 0, 1, 0, 1]
     assert [image.shape for image in mesh.images] == [(8, 8, 3)] * 3
     load_obj(path, load_texture=True)

@@ -133,7 +133,7 @@ def test_two_sided_is_appending_reversed_faces(device, scene):
 
 
 def test_faces_that_exist_twice(device):
-    """Many models hold each face a second time in reversed order: the copy that faces the camera is visible.
+    """Many models contain each face twice, once reversed: the copy that faces the camera is visible everywhere.
 
     Its depth is that of the other copy's back to the last bit, and at equal depth fronts come before backs.
     """
@@ -171,7 +171,7 @@ def test_floor_through_the_camera(device):
 
 @pytest.mark.parametrize("z", [(-1.0, 3.0, 3.0), (-1.0, 3.0, -1.0)])
 def test_orthographic_face_through_the_camera_plane(device, z):
-    """Without perspective a corner behind the camera turns nothing over: the near cut alone decides."""
+    """Without perspective a corner behind the camera does not reverse a face; only ``near`` matters."""
     faces = torch.tensor([[[[-1.0, -1, z[0]], [3, -1, z[1]], [-1, 3, z[2]]]]])
     for two_sided in (False, True):
         found = coverage(faces.to(device), 8, 8, 0.0, 100.0, two_sided, False).cpu()

@@ -1,4 +1,4 @@
-"""Compiled kernels in files: damaged ones are compiled again, a full disk is a sentence, what was left is removed."""
+"""Cached kernels: damaged files are compiled again, a full disk gives an error message, leftovers are removed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import warp as wp
 
 from neural_renderer.raster.warp import kernel_cache, launch
 
-# In a process of its own, with a cache of its own: a kernel that compiles in a second, damaged in every way.
+# In a separate process with its own cache: a kernel that compiles in a second, damaged in several ways.
 SCRIPT = """
 import sys, warnings
 from pathlib import Path

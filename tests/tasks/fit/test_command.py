@@ -58,7 +58,7 @@ def test_cameras_in_files(folder: Path, name: str) -> None:
     views = load_views(folder / name)
     mesh = thing()
     quality = views.quality((mesh.vertices.detach(), mesh.faces, mesh.textures.detach()))
-    # Cameras are rounded on their way through the file: a pixel whose samples are within that of an edge may differ.
+    # The file rounds cameras, so pixels with samples very near to an edge may differ.
     assert len(views) == 6 and quality["iou"].min() > 0.995 and quality["psnr"].min() > 40
     smaller = load_views(folder / name, size=24)
     assert smaller.size == (24, 24) and smaller.quality((mesh.vertices.detach(), mesh.faces))["iou"].min() > 0.93

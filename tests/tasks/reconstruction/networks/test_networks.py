@@ -79,7 +79,7 @@ def test_blurring() -> None:
 
 
 def test_blurred_meshes_are_smooth() -> None:
-    """Smoothing changes the prediction, but has no weights of its own."""
+    """Smoothing changes the prediction, but has no weights."""
     meshes = []
     for blur in (0.0, 3.0):
         torch.manual_seed(0)

@@ -54,7 +54,7 @@ def test_it_learns(tmp_path: Path, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["mesh", "voxel"])
 def test_features_of_another_network(tmp_path: Path, kind: str) -> None:
-    """Pretrained features are used, stay as they are, and are part of the checkpoint."""
+    """Pretrained features are used, do not change, and are part of the checkpoint."""
     features = googlenet(torchvision_googlenet())
     before = {name: value.clone() for name, value in features.state_dict().items()}
     options: dict[str, Any] = {"config": replace(SMALL, encoder="features"), "features": features}
