@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 _ROWS = """
     const float x0 = v0[0], x1 = v1[0], x2 = v2[0], w = (float)width, h = (float)height;
     const float slope[3] = {v1[1] - v2[1], v2[1] - v0[1], v0[1] - v1[1]};
-    for (int j = bottom; j <= top; j += STEP) {
+    for (int j = bottom; j <= top; ++j) {
         const float y = (float)(2 * j + 1 - height) / h;
         const float y0 = v0[1] - y, y1 = v1[1] - y, y2 = v2[1] - y;
         int first = left, last = right;
@@ -49,7 +49,7 @@ _TEST = """
 """
 # The nearest face is visible; at equal depth, the one of lowest index.
 _SINGLE = """
-        for (int i = first; i <= last; ++i) {
+        for (int i = first + LANE; i <= last; i += LANES) {
             const float x = (float)(2 * i + 1 - width) / w;
             TEST
             SEE
@@ -89,14 +89,15 @@ _EIGHT = """
 """
 
 
-def _loop(pixels: str, floats: str, at_once: int, see: str = "", step: str = "1") -> str:
+def _loop(pixels: str, floats: str, at_once: int, see: str = "", lane: str = "0", lanes: str = "1") -> str:
     pixels = pixels.replace("TEST", _TEST.replace("FLOATS", floats)).replace("SEE", see)
-    return _ROWS.replace("PIXELS", pixels).replace("AT_ONCE", str(at_once)).replace("STEP", step)
+    pixels = pixels.replace("LANES", lanes).replace("LANE", lane)
+    return _ROWS.replace("PIXELS", pixels).replace("AT_ONCE", str(at_once))
 
 
 @wp.func_native(f"""
 #if defined(__CUDA_ARCH__)
-    {_loop(_SINGLE, "float", 0, _KEY, "step")}
+    {_loop(_SINGLE, "float", 0, _KEY, "lane", "lanes")}
 #endif
 """)
 def draw_into_keys(
@@ -116,9 +117,10 @@ def draw_into_keys(
     right: int,
     bottom: int,
     top: int,
-    step: int,
+    lane: int,
+    lanes: int,
 ):
-    """Draw a face in front of the camera into every ``step``-th row of its box, on CUDA, concurrently with others."""
+    """Draw a face in front of the camera into every n-th pixel of the rows of its box, on CUDA, amid others."""
     ...
 
 
