@@ -7,10 +7,10 @@ from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import face_lanes, face_tasks, pixel_tasks, worth_a_thread
+from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
-from .visible_faces import seen_faces
+from .visible_faces import end_of_run, seen_faces
 
 # Without fused multiply-adds, weights by edge functions are the values that `coverage` computes.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -67,19 +67,14 @@ def barycentrics_backward(
     """Compute the gradient of `barycentrics` to the corners, [B, F, 3, 3] float32."""
     batch, height, width = face_index.shape
     result = zeros(faces.shape, faces.device)
-    lanes = face_lanes(faces, height * width)
-    grads = [array(grad_weights, wp.vec3), array(grad_depth)]
-    seen = array(seen_faces(face_index, faces.shape[1]))
-    arguments = [
-        array(faces, wp.vec3),
-        array(face_index),
-        *grads,
-        seen,
-        int(perspective),
-        lanes,
-        array(result, wp.vec3),
-    ]
-    launch(_backward, batch * faces.shape[1] * lanes, arguments, faces.device, face_tasks(faces, height * width))
+    maps = [array(face_index), array(grad_weights, wp.vec3), array(grad_depth)]
+    arguments = [array(faces, wp.vec3), *maps, int(perspective), array(result, wp.vec3)]
+    if in_any_order(faces.device):
+        tasks, run = run_tasks(batch * height, width)
+        launch(_backward_runs, tasks, [*arguments, run], faces.device)
+    else:
+        arguments.append(array(seen_faces(face_index, faces.shape[1])))
+        launch(_backward, batch * faces.shape[1], arguments, faces.device, face_tasks(faces, height * width))
     return result
 
 
@@ -182,12 +177,11 @@ def pull_face(
     right: int,
     bottom: int,
     top: int,
-    lane: int,
-    lanes: int,
+    alone: int,
     faces_too: int,
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """Sum the gradients of a face's pixels in its box, over every ``lanes``-th row."""
+    """Sum the gradients of a face's pixels in a box; ``alone`` if no other task writes to the same places."""
     ...
 
 
@@ -198,16 +192,14 @@ def _backward(
     face_index: wp.array3d(dtype=int),
     grad_weights: wp.array3d(dtype=wp.vec3),
     grad_depth: wp.array3d(dtype=float),
-    seen: wp.array2d(dtype=int),
     perspective: int,
-    lanes: int,
     result: wp.array3d(dtype=wp.vec3),
+    seen: wp.array2d(dtype=int),
 ):
-    """Visit the pixels that show one face of one image; with several lanes, each takes every n-th row."""
+    """Visit the pixels that show one face of one image."""
     task = first + wp.tid()
-    lane = task % lanes
-    b = (task // lanes) // faces.shape[1]
-    f = (task // lanes) % faces.shape[1]
+    b = task // faces.shape[1]
+    f = task % faces.shape[1]
     if seen[b, f] == 0:
         return
     v0 = faces[b, f, 0]
@@ -217,6 +209,34 @@ def _backward(
     if front >= 0:
         box = pixel_box(v0, v1, v2, front, face_index.shape[1], face_index.shape[2])
         pull_face(
-            faces, face_index, grad_weights, grad_depth, perspective, b, f, box[0], box[1], box[2], box[3], lane, lanes,
-            1, result,
-        )  # fmt: skip
+            faces, face_index, grad_weights, grad_depth, perspective, b, f, box[0], box[1], box[2], box[3], 1, 1, result
+        )
+
+
+@wp.kernel
+def _backward_runs(
+    first: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    grad_weights: wp.array3d(dtype=wp.vec3),
+    grad_depth: wp.array3d(dtype=float),
+    perspective: int,
+    result: wp.array3d(dtype=wp.vec3),
+    run: int,
+):
+    """Add the gradients of a few neighbouring pixels, face by face, on CUDA."""
+    task = first + wp.tid()
+    height = int(face_index.shape[1])
+    width = int(face_index.shape[2])
+    runs = (width + run - 1) // run
+    row = task // runs
+    b = row // height
+    j = height - 1 - row % height
+    i = (task % runs) * run
+    end = wp.min(i + run, width)
+    while i < end:
+        f = face_index[b, row % height, i]
+        stop = end_of_run(face_index, wp.int64(row), i, end)
+        if f >= 0:
+            pull_face(faces, face_index, grad_weights, grad_depth, perspective, b, f, i, stop - 1, j, j, 0, 1, result)
+        i = stop

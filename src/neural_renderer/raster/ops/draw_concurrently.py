@@ -55,7 +55,7 @@ def draw_concurrently(faces: Tensor, face_index: Tensor, options: Sequence[float
 def lanes_of(box: Int4) -> int:
     """Compute the number of threads that share a row of a box: enough that each has a few pixels at most."""
     lanes = int(_LANES)
-    while lanes > 1 and lanes >= 2 * (box[1] - box[0] + 1):
+    while lanes > 1 and 4 * lanes > box[1] - box[0] + 1:
         lanes = lanes // 2
     return lanes
 

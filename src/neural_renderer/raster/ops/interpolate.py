@@ -7,10 +7,10 @@ from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import face_lanes, face_tasks, pixel_tasks, worth_a_thread
+from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
-from .visible_faces import seen_faces
+from .visible_faces import end_of_run, seen_faces
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -53,14 +53,16 @@ def interpolate_backward(
     count = faces.shape[1]
     to_attributes = zeros(attributes.shape, faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
-    lanes = face_lanes(faces, height * width)
-    # One task sums the gradient to attributes that images share, image by image.
-    images = 1 if attributes.shape[0] < batch else batch
-    maps = [array(face_index), array(seen_faces(face_index, count)), array(grad)]
-    options = [int(perspective), int(faces_too), images, lanes]
-    results = [array(to_attributes), array(to_faces, wp.vec3)]
-    arguments = [array(attributes), array(faces, wp.vec3), *maps, *options, *results]
-    launch(_backward, images * count * lanes, arguments, faces.device, face_tasks(faces, height * width))
+    arguments = [array(attributes), array(faces, wp.vec3), array(face_index), array(grad), int(perspective)]
+    arguments += [int(faces_too), array(to_attributes), array(to_faces, wp.vec3)]
+    if in_any_order(faces.device):
+        tasks, run = run_tasks(batch * height, width)
+        launch(_backward_runs, tasks, [*arguments, run], faces.device)
+    else:
+        # One task sums the gradient to attributes that images share, image by image.
+        images = 1 if attributes.shape[0] < batch else batch
+        arguments += [array(seen_faces(face_index, count)), images]
+        launch(_backward, images * count, arguments, faces.device, face_tasks(faces, height * width))
     return to_attributes, to_faces
 
 
@@ -155,7 +157,7 @@ _UNMIX = over_face(
             for (int k = 0; k < 3; ++k)
                 for (int c = 0; c < channels; ++c) {
                     to_weights[k] += from[k * channels + c] * pull[c];
-                    if (lanes == 1) to_own[k * channels + c] += weights[k] * pull[c];
+                    if (alone) to_own[k * channels + c] += weights[k] * pull[c];
                     else wp::atomic_add(&to_own[k * channels + c], weights[k] * pull[c]);
                 }
             if (faces_too) face.pull(to_weights, 0.0f, weights, on_screen, whole, z);
@@ -201,12 +203,14 @@ def unmix_face(
     right: int,
     bottom: int,
     top: int,
-    lane: int,
-    lanes: int,
+    alone: int,
     to_attributes: wp.array4d(dtype=float),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """Sum the gradients of a face's pixels in its box, over every n-th row; its attributes belong to image ``own``."""
+    """Sum the gradients of a face's pixels in a box; its attributes belong to image ``own``.
+
+    ``alone`` means that no other task writes to the same places.
+    """
     ...
 
 
@@ -216,20 +220,18 @@ def _backward(
     attributes: wp.array4d(dtype=float),
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
-    seen: wp.array2d(dtype=int),
     grad: wp.array4d(dtype=float),
     perspective: int,
     faces_too: int,
-    images: int,
-    lanes: int,
     to_attributes: wp.array4d(dtype=float),
     to_faces: wp.array3d(dtype=wp.vec3),
+    seen: wp.array2d(dtype=int),
+    images: int,
 ):
-    """Visit the pixels that show one face, in one image or in all; with several lanes, each takes every n-th row."""
+    """Visit the pixels that show one face, in one image or in all."""
     task = first + wp.tid()
-    lane = task % lanes
-    f = (task // lanes) % faces.shape[1]
-    own = (task // lanes) // faces.shape[1]
+    f = task % faces.shape[1]
+    own = task // faces.shape[1]
     from_image = own
     to_image = own + 1
     if images == 1:
@@ -246,5 +248,40 @@ def _backward(
             box = pixel_box(v0, v1, v2, front, face_index.shape[1], face_index.shape[2])
             unmix_face(
                 attributes, own, faces, face_index, grad, perspective, faces_too, b, f, box[0], box[1], box[2], box[3],
-                lane, lanes, to_attributes, to_faces,
+                1, to_attributes, to_faces,
             )  # fmt: skip
+
+
+@wp.kernel
+def _backward_runs(
+    first: int,
+    attributes: wp.array4d(dtype=float),
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    grad: wp.array4d(dtype=float),
+    perspective: int,
+    faces_too: int,
+    to_attributes: wp.array4d(dtype=float),
+    to_faces: wp.array3d(dtype=wp.vec3),
+    run: int,
+):
+    """Add the gradients of a few neighbouring pixels, face by face, on CUDA."""
+    task = first + wp.tid()
+    height = int(face_index.shape[1])
+    width = int(face_index.shape[2])
+    runs = (width + run - 1) // run
+    row = task // runs
+    b = row // height
+    j = height - 1 - row % height
+    i = (task % runs) * run
+    end = wp.min(i + run, width)
+    while i < end:
+        f = face_index[b, row % height, i]
+        stop = end_of_run(face_index, wp.int64(row), i, end)
+        if f >= 0:
+            own = wp.min(b, attributes.shape[0] - 1)
+            unmix_face(
+                attributes, own, faces, face_index, grad, perspective, faces_too, b, f, i, stop - 1, j, j, 0,
+                to_attributes, to_faces,
+            )  # fmt: skip
+        i = stop

@@ -70,6 +70,20 @@ def _mark(first: int, face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=
     mark(face_index, seen, first + wp.tid(), each)
 
 
+_END_OF_RUN = """
+    const int* shown = face_index.data + row * face_index.shape[2];
+    const int f = shown[i];
+    while (i < end && shown[i] == f) ++i;
+    return i;
+"""
+
+
+@wp.func_native(_END_OF_RUN)
+def end_of_run(face_index: wp.array3d(dtype=int), row: wp.int64, i: int, end: int) -> int:
+    """Find the first pixel after i in [i, end) of a row, counted over all images, that shows another face, or end."""
+    ...
+
+
 _NEXT_SHOWN = """
     const int* shown = face_index.data + row * width;
     while (i < end && shown[i] != f) ++i;

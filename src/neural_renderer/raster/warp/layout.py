@@ -77,6 +77,15 @@ def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
     return -(-rows // each), each
 
 
+def run_tasks(rows: int, width: int) -> tuple[int, int]:
+    """Divide rows of pixels into runs of neighbours, one for each CUDA thread: the gradient of a run is added at once.
+
+    Returns:
+        The number of tasks, and the pixels of each run: a sector of memory of 4 bytes for each.
+    """
+    return rows * -(-width // 8), 8
+
+
 def face_lanes(faces: Tensor, pixels: int) -> int:
     """Compute the number of CUDA threads per face of ``faces`` [B, F, ...] in an image of ``pixels`` pixels.
 

@@ -301,7 +301,7 @@ _BOX = """
         }
     }
     #endif
-    for (int j = bottom + lane; j <= top && !done; j += lanes) {
+    for (int j = bottom; j <= top && !done; ++j) {
         const wp::int64 row = ((wp::int64)b * height + height - 1 - j) * width;
         for (int i = left; i <= right; ++i) {
             if (face_index.data[row + i] != f) continue;
@@ -311,7 +311,7 @@ _BOX = """
             ONE
         }
     }
-    if (faces_too) face.give(to_faces.data + (b * count + f) * 3, lanes == 1);
+    if (faces_too) face.give(to_faces.data + (b * count + f) * 3, alone);
     END
 """
 
@@ -349,10 +349,10 @@ def over_face(
     fits: str = "true",
     structs: str = "",
 ) -> str:
-    """Build the body of a native function that sums over the pixels of a face f of image b in its box.
+    """Build the body of a native function that sums over the pixels of a face f of image b in a box.
 
-    The function has the arguments faces, face_index, perspective, b, f, the box (left, right, bottom, top), ``lane``
-    and ``lanes`` (every n-th row), ``faces_too`` and ``to_faces``.
+    The function has the arguments faces, face_index, perspective, b, f, the box (left, right, bottom, top), ``alone``
+    (no other task writes what this one does), ``faces_too`` and ``to_faces``.
 
     Args:
         one: Statements for a pixel i, row + i in memory, with face, weights, on_screen, whole and z.
