@@ -58,9 +58,9 @@ def render(
             textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
         camera: One camera or B of them.
         size: Side of the images, or (height, width), in pixels. Pixels are square.
-        light: `Light`, `SphericalHarmonicLight`, or a list of them, which add up. None draws textures as they are.
+        light: `Light`, `SphericalHarmonicLight`, or a list of them to add up. None draws textures unchanged.
         background: Number, colour [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.
-        outputs: Some of "rgb", "alpha", "depth". Outputs that are not asked for cost nothing.
+        outputs: Some of "rgb", "alpha", "depth". Other outputs are not computed.
         near, far: Depth range in world units, 0 <= near < far; a point is visible if near < depth < far.
         anti_aliasing: Draw at twice the size and average 2 x 2 pixels.
         two_sided: Draw also faces seen from behind.
@@ -115,7 +115,7 @@ def render(
 def _image_colors(
     visible: Fragments, mesh: UVMesh, light: Tensor | None, background: Any
 ) -> tuple[Tensor, Callable[[], Tensor]]:
-    """Colour an image by a mesh's texture images; arguments and results as those of `cube_colors`."""
+    """Colour an image by a mesh's texture images; arguments and results as in `cube_colors`."""
     still = replace(visible, corners=visible.corners.detach())
     # Only "edge" differentiates shading inside faces.
     color = mesh.shade(visible if visible.settings.gradient == "edge" else still)

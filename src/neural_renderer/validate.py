@@ -38,13 +38,16 @@ def check_values(enabled: bool) -> None:
     Args:
         enabled: Whether to check values.
 
+    Raises:
+        TypeError: ``enabled`` is not True or False.
+
     Example:
         >>> nr.check_values(False)
         >>> images = nr.render(mesh, camera)
         >>> nr.check_values(True)
     """
     global _check_values
-    _check_values = bool(enabled)
+    _check_values = flag("enabled", enabled)
 
 
 def values_are_checked(value: Tensor) -> bool:
@@ -162,7 +165,7 @@ def indices(name: str, value: Any, shape: Sequence[int | str], always: bool = Fa
 
         def check() -> None:
             if not bool((result == value).all()):
-                raise ValueError(f"{name}: expected whole numbers, got {shape_of(value)} with others")
+                raise ValueError(f"{name}: expected whole numbers, got {shape_of(value)} with fractions or NaN")
 
         if always or not postponed(value, lambda: (result != value).any(), check):
             check()

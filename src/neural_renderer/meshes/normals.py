@@ -31,8 +31,8 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
     Example:
         >>> mesh = nr.Mesh.icosphere()
-        >>> seen = nr.fragments(mesh, nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30), 64)
-        >>> normals = seen.interpolate(nr.vertex_normals(mesh.vertices, mesh.faces))
+        >>> fragments = nr.fragments(mesh, nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30), 64)
+        >>> normals = fragments.interpolate(nr.vertex_normals(mesh.vertices, mesh.faces))
         >>> normals = torch.nn.functional.normalize(normals, dim=-1)
     """
     points = validate.vertices(vertices)

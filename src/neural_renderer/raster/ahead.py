@@ -42,9 +42,9 @@ _VISIBILITY: dict[str, Functions] = {
 
 
 def load_kernels(settings: Settings, outputs: Collection[str], colors: Functions, corners: Tensor) -> None:
-    """Compile what is not yet in the cache of the kernels that images of these corners or vertices need.
+    """Compile the kernels that images of these corners or vertices need, unless they are in the cache.
 
-    A kernel that is missing here is compiled when it is first run.
+    Any other kernel is compiled when it first runs.
 
     Args:
         settings: How faces are drawn.

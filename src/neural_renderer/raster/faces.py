@@ -17,7 +17,7 @@ def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     Args:
         vertices: [B, V, 3] floating.
         faces: Vertex indices in [0, V), [F, 3] for all meshes or [B or 1, F, 3]; whole numbers of any real dtype. A
-            face of (-1, -1, -1) is padding: meshes of different size fill up one batch with it.
+            face of (-1, -1, -1) is padding, in a batch of meshes of different sizes.
 
     Returns:
         [B, F, 3, 3] float32; zeros for padding.

@@ -1,4 +1,4 @@
-"""The one road from visible faces to images: every way of colouring them meets here."""
+"""From visible faces to images: all shading meets here."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .settings import Settings
 
 @dataclass(frozen=True, eq=False)
 class VisibleFaces:
-    """The face that each pixel of B images shows, at twice the size that is returned under anti-aliasing.
+    """The visible face of each pixel of B images. Under anti-aliasing, H and W are twice the returned size.
 
     Attributes:
         corners: Screen-space corners of the faces, [B, F, 3, 3] float32.
@@ -86,7 +86,7 @@ class VisibleFaces:
     def images(
         self, outputs: Collection[str], rgb: Tensor | None = None, edge_hashes: Callable[[], Tensor] | None = None
     ) -> Images:
-        """Make the images that were asked for.
+        """Make the requested images.
 
         Args:
             outputs: Some of "rgb", "alpha", "depth".

@@ -7,10 +7,10 @@ from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import face_lanes, face_tasks, row_tasks, worth_a_thread
+from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
-from .visible_faces import seen_faces
+from .visible_faces import end_of_run, seen_faces
 
 # Without fused multiply-adds, weights by edge functions are the values that `coverage` computes.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -22,10 +22,10 @@ def barycentrics(
 ) -> tuple[Tensor, Tensor]:
     """Compute barycentric weights and depth at each pixel; differentiable in the corners.
 
-    With screen-space weights w_k, depth is ``z = 1 / sum(w_k / z_k)`` and the weights in space are ``w_k z / z_k``; in
-    orthographic projection, ``z = sum(w_k z_k)`` and w_k. Backward is the analytic derivative inside the face: at a
-    fixed pixel, moving corner m by v on the screen changes w_k by ``-w_m grad(w_k) . v``. A `degenerate` face has no
-    gradient to x and y.
+    With screen-space weights w_k, depth is ``z = 1 / sum(w_k / z_k)`` and the weights in space are ``w_k z / z_k``. In
+    orthographic projection, depth is ``sum(w_k z_k)`` and the weights are w_k. The backward pass is the analytic
+    derivative inside the face: at a fixed pixel, moving corner m by v on the screen changes w_k by
+    ``-w_m grad(w_k) . v``. A `degenerate` face has no gradient to x and y.
 
     Args:
         faces: Screen-space corners, [B, F, 3, 3] float32.
@@ -35,14 +35,14 @@ def barycentrics(
         perspective: Whether the projection is perspective; else orthographic.
 
     Returns:
-        Weights in space, [B, H, W, 3] float32 in [0, 1], which interpolate values at the corners: their sum is 1, or 0
+        Weights in space, [B, H, W, 3] float32 in [0, 1], which interpolate values at the corners. Their sum is 1, or 0
         where no face is visible. Depth, [B, H, W] float32 in [near, far]; ``far`` where no face is visible. Both are
         finite for every face that `coverage` draws.
     """
     batch, height, width = face_index.shape
     weights = torch.empty((batch, height, width, 3), dtype=torch.float32, device=faces.device)
     depth = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
-    tasks, each = row_tasks(batch * height, faces.device)
+    tasks, each = pixel_tasks(batch * height, width, faces.device)
     arguments = [array(faces, wp.vec3), array(face_index), near, far, int(perspective), each]
     launch(
         _forward, tasks, [*arguments, array(weights, wp.vec3), array(depth)], faces.device, worth_a_thread(each * width)
@@ -67,19 +67,14 @@ def barycentrics_backward(
     """Compute the gradient of `barycentrics` to the corners, [B, F, 3, 3] float32."""
     batch, height, width = face_index.shape
     result = zeros(faces.shape, faces.device)
-    lanes = face_lanes(faces, height * width)
-    grads = [array(grad_weights, wp.vec3), array(grad_depth)]
-    seen = array(seen_faces(face_index, faces.shape[1]))
-    arguments = [
-        array(faces, wp.vec3),
-        array(face_index),
-        *grads,
-        seen,
-        int(perspective),
-        lanes,
-        array(result, wp.vec3),
-    ]
-    launch(_backward, batch * faces.shape[1] * lanes, arguments, faces.device, face_tasks(faces, height * width))
+    maps = [array(face_index), array(grad_weights, wp.vec3), array(grad_depth)]
+    arguments = [array(faces, wp.vec3), *maps, int(perspective), array(result, wp.vec3)]
+    if in_any_order(faces.device):
+        tasks, run = run_tasks(batch * height, width)
+        launch(_backward_runs, tasks, [*arguments, run], faces.device)
+    else:
+        arguments.append(array(seen_faces(face_index, faces.shape[1])))
+        launch(_backward, batch * faces.shape[1], arguments, faces.device, face_tasks(faces, height * width))
     return result
 
 
@@ -133,10 +128,10 @@ def weigh_rows(
     perspective: int,
     weights_at: wp.array3d(dtype=wp.vec3),
     depth: wp.array3d(dtype=float),
-    first: int,
-    last: int,
+    task: int,
+    each: int,
 ):
-    """Compute the rows [first, last), counted over all images."""
+    """Compute the pixels of a task."""
     ...
 
 
@@ -152,9 +147,7 @@ def _forward(
     weights: wp.array3d(dtype=wp.vec3),
     depth: wp.array3d(dtype=float),
 ):
-    row = (first + wp.tid()) * each
-    last = wp.min(row + each, face_index.shape[0] * face_index.shape[1])
-    weigh_rows(faces, face_index, near, far, perspective, weights, depth, row, last)
+    weigh_rows(faces, face_index, near, far, perspective, weights, depth, first + wp.tid(), each)
 
 
 _PULL = over_face(
@@ -183,12 +176,11 @@ def pull_face(
     right: int,
     bottom: int,
     top: int,
-    lane: int,
-    lanes: int,
+    alone: int,
     faces_too: int,
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """Sum the gradients of a face's pixels in its box, every n-th row."""
+    """Sum the gradients of a face's pixels in a box; ``alone`` if no other task writes to the same places."""
     ...
 
 
@@ -199,16 +191,14 @@ def _backward(
     face_index: wp.array3d(dtype=int),
     grad_weights: wp.array3d(dtype=wp.vec3),
     grad_depth: wp.array3d(dtype=float),
-    seen: wp.array2d(dtype=int),
     perspective: int,
-    lanes: int,
     result: wp.array3d(dtype=wp.vec3),
+    seen: wp.array2d(dtype=int),
 ):
-    """Visit the pixels that show one face of one image; with several lanes, each takes every n-th row."""
+    """Visit the pixels that show one face of one image."""
     task = first + wp.tid()
-    lane = task % lanes
-    b = (task // lanes) // faces.shape[1]
-    f = (task // lanes) % faces.shape[1]
+    b = task // faces.shape[1]
+    f = task % faces.shape[1]
     if seen[b, f] == 0:
         return
     v0 = faces[b, f, 0]
@@ -218,6 +208,34 @@ def _backward(
     if front >= 0:
         box = pixel_box(v0, v1, v2, front, face_index.shape[1], face_index.shape[2])
         pull_face(
-            faces, face_index, grad_weights, grad_depth, perspective, b, f, box[0], box[1], box[2], box[3], lane, lanes,
-            1, result,
-        )  # fmt: skip
+            faces, face_index, grad_weights, grad_depth, perspective, b, f, box[0], box[1], box[2], box[3], 1, 1, result
+        )
+
+
+@wp.kernel
+def _backward_runs(
+    first: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    grad_weights: wp.array3d(dtype=wp.vec3),
+    grad_depth: wp.array3d(dtype=float),
+    perspective: int,
+    result: wp.array3d(dtype=wp.vec3),
+    run: int,
+):
+    """Add the gradients of a few neighbouring pixels, face by face, on CUDA."""
+    task = first + wp.tid()
+    height = int(face_index.shape[1])
+    width = int(face_index.shape[2])
+    runs = (width + run - 1) // run
+    row = task // runs
+    b = row // height
+    j = height - 1 - row % height
+    i = (task % runs) * run
+    end = wp.min(i + run, width)
+    while i < end:
+        f = face_index[b, row % height, i]
+        stop = end_of_run(face_index, wp.int64(row), i, end)
+        if f >= 0:
+            pull_face(faces, face_index, grad_weights, grad_depth, perspective, b, f, i, stop - 1, j, j, 0, 1, result)
+        i = stop

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.launch import array, launch
-from ..warp.layout import worth_a_thread
+from ..warp.layout import PIXELS_OF_TASK, pixel_tasks, worth_a_thread
 from ..warp.point import VECTORS, fill
 from ..warp.registration import differentiable, differentiable_once, operator
 
@@ -28,8 +28,9 @@ def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
     batch, height, width = face_index.shape
     image = torch.empty((batch, colors.shape[3], height, width), dtype=torch.float32, device=colors.device)
     behind = array(background.expand(image.shape), strided=True)
-    arguments = [array(colors), behind, array(face_index), array(image)]
-    launch(_forward, batch * height, arguments, colors.device, worth_a_thread(width))
+    tasks, each = pixel_tasks(batch * height, width, colors.device)
+    arguments = [array(colors), behind, array(face_index), array(image), each]
+    launch(_forward, tasks, arguments, colors.device, worth_a_thread(each * width))
     return image
 
 
@@ -44,8 +45,9 @@ def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
     """Compute the gradient of `composite` to the colours, [B, H, W, C] float32."""
     batch, channels, height, width = grad.shape
     to_colors = torch.empty((batch, height, width, channels), dtype=torch.float32, device=grad.device)
-    arguments = [array(grad), array(face_index), array(to_colors)]
-    launch(_backward, batch * height, arguments, grad.device, worth_a_thread(width))
+    tasks, each = pixel_tasks(batch * height, width, grad.device)
+    arguments = [array(grad), array(face_index), array(to_colors), each]
+    launch(_backward, tasks, arguments, grad.device, worth_a_thread(each * width))
     return to_colors
 
 
@@ -73,21 +75,24 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(composite, _to_inputs, _save)
 
 
-# Three channels, the usual number, have a loop of their own, which compilers turn into vector instructions.
-_ROW = """
-    const int channels = image.shape[1], height = image.shape[2], width = image.shape[3];
-    const wp::int64 area = (wp::int64)height * width, first = (wp::int64)row * width;
-    const int b = row / height, j = row % height;
-    const int* __restrict__ shown = face_index.data + first;
-    float* __restrict__ plane = image.data + b * channels * area + (wp::int64)j * width;
-    auto* __restrict__ color = colors.data + first * channels;
-    if (channels == 3) {
-        float *__restrict__ red = plane, *__restrict__ green = plane + area, *__restrict__ blue = plane + 2 * area;
-        THREE
-        return;
-    }
-    for (int c = 0; c < channels; ++c, plane += area) {
-        EACH
+# Three channels, the usual number, have a separate loop, because compilers turn it into vector instructions.
+_PIXELS = """
+    const int channels = image.shape[1], height = image.shape[2], width = image.shape[3], all = image.shape[0] * height;
+    const wp::int64 area = (wp::int64)height * width;
+    PIXELS_OF_TASK
+    for (int row = first; row < last; ++row) {
+        const int b = row / height, j = row % height;
+        const int* __restrict__ shown = face_index.data + (wp::int64)row * width;
+        float* __restrict__ plane = image.data + b * channels * area + (wp::int64)j * width;
+        auto* __restrict__ color = colors.data + (wp::int64)row * width * channels;
+        if (channels == 3) {
+            float *__restrict__ red = plane, *__restrict__ green = plane + area, *__restrict__ blue = plane + 2 * area;
+            THREE
+            continue;
+        }
+        for (int c = 0; c < channels; ++c, plane += area) {
+            EACH
+        }
     }
 """
 # Strides of the background are in bytes, and 0 along expanded axes.
@@ -99,9 +104,9 @@ _FORWARD = {
         const auto at = [&](int c, int i) { return *(const float*)(behind + c * next + i * step); };
         if (step == 0) {
             const float r = at(0, 0), g = at(1, 0), b = at(2, 0);
-            int i = 0;
+            int i = left;
             #if !defined(__CUDA_ARCH__)
-            for (; i + 8 <= width; i += 8) {
+            for (; i + 8 <= right; i += 8) {
                 Vectors::floats own[3];
                 Vectors::ints here;
                 Vectors::load(color + 3 * i, own), memcpy(&here, shown + i, sizeof(here));
@@ -109,13 +114,13 @@ _FORWARD = {
                 memcpy(red + i, &own[0], 32), memcpy(green + i, &own[1], 32), memcpy(blue + i, &own[2], 32);
             }
             #endif
-            for (; i < width; ++i) {
+            for (; i < right; ++i) {
                 red[i] = shown[i] < 0 ? r : color[3 * i];
                 green[i] = shown[i] < 0 ? g : color[3 * i + 1];
                 blue[i] = shown[i] < 0 ? b : color[3 * i + 2];
             }
         } else {
-            for (int i = 0; i < width; ++i) {
+            for (int i = left; i < right; ++i) {
                 red[i] = shown[i] < 0 ? at(0, i) : color[3 * i];
                 green[i] = shown[i] < 0 ? at(1, i) : color[3 * i + 1];
                 blue[i] = shown[i] < 0 ? at(2, i) : color[3 * i + 2];
@@ -125,16 +130,16 @@ _FORWARD = {
     "EACH": """
         const char* behind = (const char*)background.data + b * (wp::int64)background.strides[0]
             + c * (wp::int64)background.strides[1] + j * (wp::int64)background.strides[2];
-        for (int i = 0; i < width; ++i)
+        for (int i = left; i < right; ++i)
             plane[i] = shown[i] < 0 ? *(const float*)(behind + i * (wp::int64)background.strides[3])
                                     : color[(wp::int64)i * channels + c];
     """,
 }
 _BACKWARD = {
     "THREE": """
-        int i = 0;
+        int i = left;
         #if !defined(__CUDA_ARCH__)
-        for (; i + 8 <= width; i += 8) {
+        for (; i + 8 <= right; i += 8) {
             Vectors::floats own[3];
             Vectors::ints here;
             memcpy(&own[0], red + i, 32), memcpy(&own[1], green + i, 32), memcpy(&own[2], blue + i, 32);
@@ -143,37 +148,38 @@ _BACKWARD = {
             Vectors::store(color + 3 * i, own[0], own[1], own[2]);
         }
         #endif
-        for (; i < width; ++i) {
+        for (; i < right; ++i) {
             color[3 * i] = shown[i] < 0 ? 0.0f : red[i];
             color[3 * i + 1] = shown[i] < 0 ? 0.0f : green[i];
             color[3 * i + 2] = shown[i] < 0 ? 0.0f : blue[i];
         }
     """,
-    "EACH": "for (int i = 0; i < width; ++i) color[(wp::int64)i * channels + c] = shown[i] < 0 ? 0.0f : plane[i];",
+    "EACH": "for (int i = left; i < right; ++i) color[(wp::int64)i * channels + c] = shown[i] < 0 ? 0.0f : plane[i];",
 }
 
 
-def _row(parts: dict[str, str]) -> str:
-    return VECTORS + fill(_ROW, **parts)
-
-
-@wp.func_native(_row(_FORWARD))
-def compose_row(
+@wp.func_native(VECTORS + fill(_PIXELS, PIXELS_OF_TASK=PIXELS_OF_TASK, **_FORWARD))
+def compose(
     colors: wp.array4d(dtype=float),
     background: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
     image: wp.array4d(dtype=float),
-    row: int,
+    task: int,
+    each: int,
 ):
-    """Composite one row, counted over all images."""
+    """Composite the pixels of a task."""
     ...
 
 
-@wp.func_native(_row(_BACKWARD))
-def part_row(
-    image: wp.array4d(dtype=float), face_index: wp.array3d(dtype=int), colors: wp.array4d(dtype=float), row: int
+@wp.func_native(VECTORS + fill(_PIXELS, PIXELS_OF_TASK=PIXELS_OF_TASK, **_BACKWARD))
+def part(
+    image: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    colors: wp.array4d(dtype=float),
+    task: int,
+    each: int,
 ):
-    """Compute one row of the gradient to the colours: the transpose of `compose_row`."""
+    """Compute the pixels of a task of the gradient to the colours: the transpose of `compose`."""
     ...
 
 
@@ -184,12 +190,17 @@ def _forward(
     background: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
     image: wp.array4d(dtype=float),
+    each: int,
 ):
-    compose_row(colors, background, face_index, image, first + wp.tid())
+    compose(colors, background, face_index, image, first + wp.tid(), each)
 
 
 @wp.kernel
 def _backward(
-    first: int, grad: wp.array4d(dtype=float), face_index: wp.array3d(dtype=int), to_colors: wp.array4d(dtype=float)
+    first: int,
+    grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    to_colors: wp.array4d(dtype=float),
+    each: int,
 ):
-    part_row(grad, face_index, to_colors, first + wp.tid())
+    part(grad, face_index, to_colors, first + wp.tid(), each)

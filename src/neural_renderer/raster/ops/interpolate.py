@@ -7,10 +7,10 @@ from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import face_lanes, face_tasks, row_tasks, worth_a_thread
+from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
-from .visible_faces import seen_faces
+from .visible_faces import end_of_run, seen_faces
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -20,7 +20,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
     """Interpolate attributes by the barycentric weights of each pixel; differentiable in attributes and faces.
 
-    Weights are those of `barycentrics`. They are computed anew, here and in backward: faster than storing them.
+    The weights of `barycentrics` are computed again, here and in the backward pass; storing them would be slower.
 
     Args:
         attributes: Values at the corners, [B or 1, F, 3, C] float32.
@@ -33,7 +33,7 @@ def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspecti
     """
     batch, height, width = face_index.shape
     result = torch.empty((batch, height, width, attributes.shape[3]), dtype=torch.float32, device=faces.device)
-    tasks, each = row_tasks(batch * height, faces.device)
+    tasks, each = pixel_tasks(batch * height, width, faces.device)
     arguments = [array(attributes), array(faces, wp.vec3), array(face_index), int(perspective), each, array(result)]
     launch(_forward, tasks, arguments, faces.device, worth_a_thread(each * width))
     return result
@@ -53,14 +53,16 @@ def interpolate_backward(
     count = faces.shape[1]
     to_attributes = zeros(attributes.shape, faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
-    lanes = face_lanes(faces, height * width)
-    # One task sums the gradient to attributes that images share, image by image.
-    images = 1 if attributes.shape[0] < batch else batch
-    maps = [array(face_index), array(seen_faces(face_index, count)), array(grad)]
-    options = [int(perspective), int(faces_too), images, lanes]
-    results = [array(to_attributes), array(to_faces, wp.vec3)]
-    arguments = [array(attributes), array(faces, wp.vec3), *maps, *options, *results]
-    launch(_backward, images * count * lanes, arguments, faces.device, face_tasks(faces, height * width))
+    arguments = [array(attributes), array(faces, wp.vec3), array(face_index), array(grad), int(perspective)]
+    arguments += [int(faces_too), array(to_attributes), array(to_faces, wp.vec3)]
+    if in_any_order(faces.device):
+        tasks, run = run_tasks(batch * height, width)
+        launch(_backward_runs, tasks, [*arguments, run], faces.device)
+    else:
+        # One task sums the gradient to attributes that images share, image by image.
+        images = 1 if attributes.shape[0] < batch else batch
+        arguments += [array(seen_faces(face_index, count)), images]
+        launch(_backward, images * count, arguments, faces.device, face_tasks(faces, height * width))
     return to_attributes, to_faces
 
 
@@ -125,10 +127,10 @@ def mix_rows(
     face_index: wp.array3d(dtype=int),
     perspective: int,
     result: wp.array4d(dtype=float),
-    first: int,
-    last: int,
+    task: int,
+    each: int,
 ):
-    """Interpolate in the rows [first, last), counted over all images."""
+    """Interpolate at the pixels of a task."""
     ...
 
 
@@ -142,9 +144,7 @@ def _forward(
     each: int,
     result: wp.array4d(dtype=float),
 ):
-    row = (first + wp.tid()) * each
-    last = wp.min(row + each, face_index.shape[0] * face_index.shape[1])
-    mix_rows(attributes, faces, face_index, perspective, result, row, last)
+    mix_rows(attributes, faces, face_index, perspective, result, first + wp.tid(), each)
 
 
 _UNMIX = over_face(
@@ -159,7 +159,7 @@ _UNMIX = over_face(
             for (int k = 0; k < 3; ++k)
                 for (int c = 0; c < channels; ++c) {
                     to_weights[k] += from[k * channels + c] * pull[c];
-                    if (lanes == 1) to_own[k * channels + c] += weights[k] * pull[c];
+                    if (alone) to_own[k * channels + c] += weights[k] * pull[c];
                     else wp::atomic_add(&to_own[k * channels + c], weights[k] * pull[c]);
                 }
             if (faces_too) face.pull(to_weights, 0.0f, weights, on_screen, whole, z);
@@ -210,12 +210,14 @@ def unmix_face(
     right: int,
     bottom: int,
     top: int,
-    lane: int,
-    lanes: int,
+    alone: int,
     to_attributes: wp.array4d(dtype=float),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """Sum the gradients of a face's pixels in its box, every n-th row; ``own``: the image of its attributes."""
+    """Sum the gradients of a face's pixels in a box; its attributes belong to image ``own``.
+
+    ``alone`` means that no other task writes to the same places.
+    """
     ...
 
 
@@ -225,20 +227,18 @@ def _backward(
     attributes: wp.array4d(dtype=float),
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
-    seen: wp.array2d(dtype=int),
     grad: wp.array4d(dtype=float),
     perspective: int,
     faces_too: int,
-    images: int,
-    lanes: int,
     to_attributes: wp.array4d(dtype=float),
     to_faces: wp.array3d(dtype=wp.vec3),
+    seen: wp.array2d(dtype=int),
+    images: int,
 ):
-    """Visit the pixels that show one face, in one image or in all; with several lanes, each takes some rows."""
+    """Visit the pixels that show one face, in one image or in all."""
     task = first + wp.tid()
-    lane = task % lanes
-    f = (task // lanes) % faces.shape[1]
-    own = (task // lanes) // faces.shape[1]
+    f = task % faces.shape[1]
+    own = task // faces.shape[1]
     from_image = own
     to_image = own + 1
     if images == 1:
@@ -255,5 +255,40 @@ def _backward(
             box = pixel_box(v0, v1, v2, front, face_index.shape[1], face_index.shape[2])
             unmix_face(
                 attributes, own, faces, face_index, grad, perspective, faces_too, b, f, box[0], box[1], box[2], box[3],
-                lane, lanes, to_attributes, to_faces,
+                1, to_attributes, to_faces,
             )  # fmt: skip
+
+
+@wp.kernel
+def _backward_runs(
+    first: int,
+    attributes: wp.array4d(dtype=float),
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    grad: wp.array4d(dtype=float),
+    perspective: int,
+    faces_too: int,
+    to_attributes: wp.array4d(dtype=float),
+    to_faces: wp.array3d(dtype=wp.vec3),
+    run: int,
+):
+    """Add the gradients of a few neighbouring pixels, face by face, on CUDA."""
+    task = first + wp.tid()
+    height = int(face_index.shape[1])
+    width = int(face_index.shape[2])
+    runs = (width + run - 1) // run
+    row = task // runs
+    b = row // height
+    j = height - 1 - row % height
+    i = (task % runs) * run
+    end = wp.min(i + run, width)
+    while i < end:
+        f = face_index[b, row % height, i]
+        stop = end_of_run(face_index, wp.int64(row), i, end)
+        if f >= 0:
+            own = wp.min(b, attributes.shape[0] - 1)
+            unmix_face(
+                attributes, own, faces, face_index, grad, perspective, faces_too, b, f, i, stop - 1, j, j, 0,
+                to_attributes, to_faces,
+            )  # fmt: skip
+        i = stop

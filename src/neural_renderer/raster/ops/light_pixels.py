@@ -5,9 +5,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.geometry import facing
+from ..warp.geometry import FACING
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import concurrent, in_any_order, worth_a_thread
+from ..warp.layout import PIXELS_OF_TASK, in_any_order, pixel_tasks, run_tasks, worth_a_thread
+from ..warp.point import fill
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -31,7 +32,8 @@ def light_pixels(image: Tensor, light: Tensor, faces: Tensor, face_index: Tensor
     batch, height, width = face_index.shape
     lit = torch.empty_like(image, memory_format=torch.contiguous_format)
     arguments = [array(image), array(light, wp.vec3), array(faces, wp.vec3), array(face_index), int(perspective)]
-    launch(_forward, batch * height, [*arguments, array(lit)], image.device, worth_a_thread(width))
+    tasks, each = pixel_tasks(batch * height, width, image.device)
+    launch(_forward, tasks, [*arguments, each, array(lit)], image.device, worth_a_thread(each * width))
     return lit
 
 
@@ -49,11 +51,11 @@ def light_pixels_backward(
     count = light.shape[2]
     to_image = torch.empty_like(grad, memory_format=torch.contiguous_format)
     to_light = zeros((batch, 2, count, 3), grad.device)
-    # On the CPU, and where the order of sums must not vary, one task takes all rows of an image.
-    rows = 1 if in_any_order(grad.device) else max(height, 1)
     arguments = [array(image), array(light, wp.vec3), array(faces, wp.vec3), array(face_index), int(perspective)]
-    arguments += [array(grad), rows, int(concurrent(grad.device)), array(to_image), array(to_light, wp.vec3)]
-    launch(_backward, batch * height // rows, arguments, grad.device, worth_a_thread(rows * width))
+    # On the CPU, and where the order of sums must not vary, one task takes all rows of an image: a run of 0.
+    tasks, run = run_tasks(batch * height, width) if in_any_order(grad.device) else (batch, 0)
+    arguments += [array(grad), run, array(to_image), array(to_light, wp.vec3)]
+    launch(_backward, tasks, arguments, grad.device, worth_a_thread(height * width))
     return to_image, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light
 
 
@@ -75,10 +77,88 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(light_pixels, _to_inputs, _save)
 
 
-@wp.func
-def side_of(faces: wp.array3d(dtype=wp.vec3), b: int, f: int, perspective: int) -> int:
-    """Tell which side of a face is visible: 1 if it is the back, else 0."""
-    return int(facing(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], perspective) < 0)
+# Over the pixels [left, right) of the rows [first, last), with the factor on the pixel's face; the background has 1.
+_PIXELS = """
+    const auto visible_side = [](wp::vec_t<3, float> v0, wp::vec_t<3, float> v1, wp::vec_t<3, float> v2,
+                                 int perspective) -> int { FACING };
+    const int height = face_index.shape[1], width = face_index.shape[2], all = face_index.shape[0] * height;
+    const wp::int64 area = (wp::int64)height * width, count = faces.shape[1];
+    RANGE
+    for (int row = first; row < last; ++row) {
+        const int b = row / height;
+        const wp::int64 lamp = b < light.shape[0] ? b : light.shape[0] - 1;
+        const wp::int64 start = 2 * b * area + (wp::int64)row * width;  // of the row's first channel
+        const int* shown = face_index.data + (wp::int64)row * width;
+        for (int i = left; i < right;) {
+            const int f = shown[i];
+            int end = i + 1;
+            while (end < right && shown[end] == f) ++end;
+            int side = 0;
+            wp::vec_t<3, float> factor(1.0f, 1.0f, 1.0f);
+            if (f >= 0) {
+                const wp::vec_t<3, float>* v = faces.data + (b * count + f) * 3;
+                side = visible_side(v[0], v[1], v[2], perspective) < 0;
+                factor = light.data[(2 * lamp + side) * count + f];
+            }
+            RUN
+            i = end;
+        }
+    }
+"""
+_PIXELS = _PIXELS.replace("FACING", FACING)
+_LIGHT = """
+            for (int c = 0; c < 3; ++c)
+                for (wp::int64 n = start + c * area + i; n < start + c * area + end; ++n)
+                    lit.data[n] = image.data[n] * factor[c];
+"""
+_UNLIGHT = """
+            wp::vec_t<3, float> part(0.0f);
+            for (int c = 0; c < 3; ++c)
+                for (wp::int64 n = start + c * area + i; n < start + c * area + end; ++n) {
+                    to_image.data[n] = grad.data[n] * factor[c];
+                    part[c] += grad.data[n] * image.data[n];
+                }
+            auto* to = to_light.data + (2 * (wp::int64)b + side) * count + f;
+            if (f >= 0 && run) wp::atomic_add(to, part);
+            else if (f >= 0) *to += part;
+"""
+_RUNS = """
+    const int per_row = run ? (width + run - 1) / run : 1;
+    const int first = run ? task / per_row : task * height, last = run ? first + 1 : first + height;
+    const int left = run ? task % per_row * run : 0, right = run && left + run < width ? left + run : width;
+"""
+
+
+@wp.func_native(fill(_PIXELS, RANGE=PIXELS_OF_TASK, RUN=_LIGHT))
+def light_runs(
+    image: wp.array4d(dtype=float),
+    light: wp.array3d(dtype=wp.vec3),
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    perspective: int,
+    task: int,
+    each: int,
+    lit: wp.array4d(dtype=float),
+):
+    """Light the pixels of a task, a run of neighbours that show one face after the other."""
+    ...
+
+
+@wp.func_native(fill(_PIXELS, RANGE=_RUNS, RUN=_UNLIGHT))
+def unlight_runs(
+    image: wp.array4d(dtype=float),
+    light: wp.array3d(dtype=wp.vec3),
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    perspective: int,
+    task: int,
+    grad: wp.array4d(dtype=float),
+    run: int,
+    to_image: wp.array4d(dtype=float),
+    to_light: wp.array3d(dtype=wp.vec3),
+):
+    """Send the gradients of a task: ``run`` neighbouring pixels, or a whole image if it is 0."""
+    ...
 
 
 @wp.kernel
@@ -89,34 +169,10 @@ def _forward(
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
     perspective: int,
+    each: int,
     lit: wp.array4d(dtype=float),
 ):
-    """One row, counted over all images."""
-    task = first + wp.tid()
-    b = task // face_index.shape[1]
-    j = task % face_index.shape[1]
-    lamp = wp.min(b, light.shape[0] - 1)
-    last = int(-1)
-    factor = wp.vec3(1.0, 1.0, 1.0)
-    for i in range(face_index.shape[2]):
-        f = face_index[b, j, i]
-        if f != last:
-            factor = wp.vec3(1.0, 1.0, 1.0)
-            if f >= 0:
-                factor = light[lamp, side_of(faces, b, f, perspective), f]
-            last = f
-        lit[b, 0, j, i] = image[b, 0, j, i] * factor[0]
-        lit[b, 1, j, i] = image[b, 1, j, i] * factor[1]
-        lit[b, 2, j, i] = image[b, 2, j, i] * factor[2]
-
-
-@wp.func
-def add(to_light: wp.array3d(dtype=wp.vec3), b: int, side: int, f: int, part: wp.vec3, shared: int):
-    """Add to the gradient of a face; ``shared``: other tasks may add to it, too."""
-    if shared == 1:
-        wp.atomic_add(to_light, b, side, f, part)
-    else:
-        to_light[b, side, f] = to_light[b, side, f] + part
+    light_runs(image, light, faces, face_index, perspective, first + wp.tid(), each, lit)
 
 
 @wp.kernel
@@ -128,36 +184,8 @@ def _backward(
     face_index: wp.array3d(dtype=int),
     perspective: int,
     grad: wp.array4d(dtype=float),
-    rows: int,
-    shared: int,
+    run: int,
     to_image: wp.array4d(dtype=float),
     to_light: wp.array3d(dtype=wp.vec3),
 ):
-    """``rows`` rows of one image. Neighbouring pixels of one face are added up first."""
-    task = first + wp.tid()
-    tasks = face_index.shape[1] // rows
-    b = task // tasks
-    lamp = wp.min(b, light.shape[0] - 1)
-    for j in range((task % tasks) * rows, (task % tasks + 1) * rows):
-        last = int(-1)
-        side = int(0)
-        factor = wp.vec3(1.0, 1.0, 1.0)
-        part = wp.vec3(0.0, 0.0, 0.0)
-        for i in range(face_index.shape[2]):
-            f = face_index[b, j, i]
-            if f != last:
-                if last >= 0:
-                    add(to_light, b, side, last, part, shared)
-                factor = wp.vec3(1.0, 1.0, 1.0)
-                part = wp.vec3(0.0, 0.0, 0.0)
-                if f >= 0:
-                    side = side_of(faces, b, f, perspective)
-                    factor = light[lamp, side, f]
-                last = f
-            g = wp.vec3(grad[b, 0, j, i], grad[b, 1, j, i], grad[b, 2, j, i])
-            part += wp.cw_mul(g, wp.vec3(image[b, 0, j, i], image[b, 1, j, i], image[b, 2, j, i]))
-            to_image[b, 0, j, i] = g[0] * factor[0]
-            to_image[b, 1, j, i] = g[1] * factor[1]
-            to_image[b, 2, j, i] = g[2] * factor[2]
-        if last >= 0:
-            add(to_light, b, side, last, part, shared)
+    unlight_runs(image, light, faces, face_index, perspective, first + wp.tid(), grad, run, to_image, to_light)

@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import concurrent, row_tasks, worth_a_thread
+from ..warp.layout import PIXELS_OF_TASK, concurrent, pixel_tasks, worth_a_thread
 from ..warp.point import fill
 from ..warp.registration import differentiable, differentiable_once, operator
 
@@ -58,7 +58,7 @@ def sample_mipmaps(
     """
     batch, rows, columns = face_index.shape
     result = torch.empty((batch, rows, columns, texels.shape[2]), dtype=torch.float32, device=texels.device)
-    tasks, each = row_tasks(batch * rows, texels.device)
+    tasks, each = pixel_tasks(batch * rows, columns, texels.device)
     arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat), each, array(result)]
     launch(_forward, tasks, arguments, texels.device, worth_a_thread(each * columns))
     return result
@@ -94,8 +94,10 @@ def sample_mipmaps_backward(
     to_uv = zeros(uv.shape, uv.device)
     if texels_too and concurrent(texels.device) and torch.are_deterministic_algorithms_enabled():
         raise RuntimeError("sample_texture: no deterministic gradient to a texture on CUDA, got a request for one")
-    tasks = len(texels) if texels_too and not concurrent(texels.device) else batch * rows
-    each = batch * rows // tasks if tasks else 0
+    tasks, each = pixel_tasks(batch * rows, columns, texels.device)
+    if texels_too and not concurrent(texels.device):
+        each = batch * rows // max(len(texels), 1)
+        tasks = len(texels) if each else 0
     arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat), each, array(grad)]
     arguments += [int(texels_too), array(to_texels), array(to_uv, wp.vec2)]
     launch(_backward, tasks, arguments, texels.device, worth_a_thread(each * columns))
@@ -193,18 +195,20 @@ struct Texture {
 };
 """
 
-# Over the rows [first, last), counted over all images; PIXEL is done for the pixels that show a face, LEVEL for each
+# Over the pixels of a task, see `pixel_tasks`; PIXEL is done for the pixels that show a face, LEVEL for each
 # of their levels, with its share.
 _ROWS = (
     _TEXTURE
     + """
     const int rows = face_index.shape[1], columns = face_index.shape[2], channels = texels.shape[2];
     const Texture texture = {height, width, levels, repeat};
+    const int all = face_index.shape[0] * rows;
+    PIXELS_OF_TASK
     for (int line = first; line < last; ++line) {
         const int b = line / rows, j = line % rows;
         const wp::int64 own = b < texels.shape[0] ? b : texels.shape[0] - 1;
         const float* image = texels.data + own * texels.shape[1] * channels;
-        for (int i = 0; i < columns; ++i) {
+        for (int i = left; i < right; ++i) {
             const wp::int64 pixel = (wp::int64)line * columns + i;
             BEGIN
             if (face_index.data[pixel] < 0) continue;
@@ -242,6 +246,7 @@ _BLEND = (
 )
 _BLEND_ROWS = fill(
     _ROWS,
+    PIXELS_OF_TASK=PIXELS_OF_TASK.replace("width", "columns"),
     BEGIN="""
             float* __restrict__ color = result.data + pixel * channels;
             for (int c = 0; c < channels; ++c) color[c] = 0.0f;
@@ -261,10 +266,10 @@ def blend_rows(
     face_index: wp.array3d(dtype=int),
     repeat: int,
     result: wp.array4d(dtype=float),
-    first: int,
-    last: int,
+    task: int,
+    each: int,
 ):
-    """Sample the rows [first, last), counted over all images."""
+    """Sample the pixels of a task."""
     ...
 
 
@@ -281,9 +286,7 @@ def _forward(
     each: int,
     result: wp.array4d(dtype=float),
 ):
-    row = (first + wp.tid()) * each
-    last = wp.min(row + each, face_index.shape[0] * face_index.shape[1])
-    blend_rows(texels, height, width, levels, uv, face_index, repeat, result, row, last)
+    blend_rows(texels, height, width, levels, uv, face_index, repeat, result, first + wp.tid(), each)
 
 
 _SCATTER = (
@@ -313,6 +316,7 @@ _SCATTER_ROWS = """
     #endif
 """ + fill(
     _ROWS,
+    PIXELS_OF_TASK=PIXELS_OF_TASK.replace("width", "columns"),
     BEGIN="""
             const float* pull = grad.data + pixel * channels;
             float* to_image = to_texels.data + own * texels.shape[1] * channels;
@@ -336,10 +340,10 @@ def scatter_rows(
     texels_too: int,
     to_texels: wp.array3d(dtype=float),
     to_uv: wp.array3d(dtype=wp.vec2),
-    first: int,
-    last: int,
+    task: int,
+    each: int,
 ):
-    """Send the gradients of the rows [first, last), counted over all images."""
+    """Send the gradients of the pixels of a task."""
     ...
 
 
@@ -359,7 +363,5 @@ def _backward(
     to_texels: wp.array3d(dtype=float),
     to_uv: wp.array3d(dtype=wp.vec2),
 ):
-    row = (first + wp.tid()) * each
-    scatter_rows(
-        texels, height, width, levels, uv, face_index, repeat, grad, texels_too, to_texels, to_uv, row, row + each
-    )
+    task = first + wp.tid()
+    scatter_rows(texels, height, width, levels, uv, face_index, repeat, grad, texels_too, to_texels, to_uv, task, each)

@@ -7,11 +7,11 @@ from torch import Tensor
 
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import face_lanes, face_tasks, row_tasks, worth_a_thread
+from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .cube import CUBE
-from .visible_faces import seen_faces
+from .visible_faces import end_of_run, seen_faces
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -48,7 +48,7 @@ def sample_textures(
     batch, height, width = face_index.shape
     color = torch.empty((batch, 3, height, width), dtype=torch.float32, device=faces.device)
     arguments = _arguments(textures, light, faces, face_index, eps, perspective)
-    tasks, each = row_tasks(batch * height, faces.device)
+    tasks, each = pixel_tasks(batch * height, width, faces.device)
     arguments += [array(background, strided=True), each, array(color)]
     launch(_forward, tasks, arguments, faces.device, worth_a_thread(each * width))
     return color
@@ -77,10 +77,10 @@ def sample_textures_backward(
     The gradient to faces is empty if not ``faces_too``.
     """
     batch, height, width = face_index.shape
-    lanes = face_lanes(faces, height * width)
-    # With one lane the task of a face clears its own cubes, which saves a pass over the memory.
+    concurrently = in_any_order(faces.device)
+    # The task of a face clears its own cubes, which saves a pass over the memory.
     to_textures = torch.empty(textures.shape, dtype=torch.float32, device=faces.device)
-    if lanes > 1 or batch == 0:
+    if concurrently or batch == 0:
         to_textures.zero_()
     to_light = zeros((batch, *light.shape[1:]), faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
@@ -90,13 +90,15 @@ def sample_textures_backward(
         array(to_light, wp.vec3),
         array(to_faces, wp.vec3),
     ]
-    # One task sums the gradient to textures that images share, image by image.
-    images = 1 if textures.shape[0] < batch else batch
-    tasks = images * faces.shape[1] * lanes
-    seen = array(seen_faces(face_index, faces.shape[1]))
-    options = [int(light_too), int(faces_too), images, lanes]
-    arguments += [array(grad), seen, *options, *results]
-    launch(_backward, tasks, arguments, faces.device, face_tasks(faces, height * width))
+    arguments += [array(grad), int(light_too), int(faces_too), *results]
+    if concurrently:
+        tasks, run = run_tasks(batch * height, width)
+        launch(_backward_runs, tasks, [*arguments, run], faces.device)
+    else:
+        # One task sums the gradient to textures that images share, image by image.
+        images = 1 if textures.shape[0] < batch else batch
+        arguments += [array(seen_faces(face_index, faces.shape[1])), images]
+        launch(_backward, images * faces.shape[1], arguments, faces.device, face_tasks(faces, height * width))
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_faces
 
 
@@ -188,10 +190,10 @@ def color_rows(
     perspective: int,
     background: wp.array4d(dtype=float),
     color: wp.array4d(dtype=float),
-    first: int,
-    last: int,
+    task: int,
+    each: int,
 ):
-    """Color the rows [first, last), counted over all images."""
+    """Color the pixels of a task."""
     ...
 
 
@@ -209,9 +211,7 @@ def _forward(
     each: int,
     color: wp.array4d(dtype=float),
 ):
-    row = (first + wp.tid()) * each
-    last = wp.min(row + each, face_index.shape[0] * face_index.shape[1])
-    color_rows(textures, light, faces, face_index, size, eps, perspective, background, color, row, last)
+    color_rows(textures, light, faces, face_index, size, eps, perspective, background, color, first + wp.tid(), each)
 
 
 @wp.func_native("""
@@ -240,7 +240,7 @@ _SUM = over_face(
             for (int c = 0; c < 3; ++c) g[c] = grads[c * area + row + i];
             if (light_too) lit += wp::cw_mul(at.blend(cube), g);
             g = wp::cw_mul(g, factor);
-            at.scatter(to_cube, g, lanes == 1);
+            at.scatter(to_cube, g, alone);
             if (faces_too) face.pull(at.slope(cube, g), 0.0f, weights, on_screen, whole, z);
     """,
     fits="size <= 2",
@@ -292,13 +292,15 @@ def uncolor_face(
     right: int,
     bottom: int,
     top: int,
-    lane: int,
-    lanes: int,
+    alone: int,
     to_textures: wp.array3d(dtype=wp.vec3),
     to_light: wp.array3d(dtype=wp.vec3),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """Sum the gradients of a face's pixels in its box, every n-th row; ``own``: the image of its cubes."""
+    """Sum the gradients of a face's pixels in a box; ``own``: the image of its cubes.
+
+    ``alone``: no other task writes what this one does.
+    """
     ...
 
 
@@ -313,24 +315,21 @@ def _backward(
     eps: float,
     perspective: int,
     grad: wp.array4d(dtype=float),
-    seen: wp.array2d(dtype=int),
     light_too: int,
     faces_too: int,
-    images: int,
-    lanes: int,
     to_textures: wp.array3d(dtype=wp.vec3),
     to_light: wp.array3d(dtype=wp.vec3),
     to_faces: wp.array3d(dtype=wp.vec3),
+    seen: wp.array2d(dtype=int),
+    images: int,
 ):
-    """Visit the pixels that show one face, in one image or in all; with several lanes, each takes some rows."""
+    """Visit the pixels that show one face, in one image or in all."""
     task = first + wp.tid()
-    lane = task % lanes
-    f = (task // lanes) % faces.shape[1]
-    own = (task // lanes) // faces.shape[1]
+    f = task % faces.shape[1]
+    own = task // faces.shape[1]
     from_image = own
     to_image = own + 1
-    if lanes == 1:
-        clear(to_textures, wp.int64(own) * wp.int64(faces.shape[1]) + wp.int64(f), size)
+    clear(to_textures, wp.int64(own) * wp.int64(faces.shape[1]) + wp.int64(f), size)
     if images == 1:
         from_image = 0
         to_image = faces.shape[0]
@@ -345,5 +344,45 @@ def _backward(
             box = pixel_box(v0, v1, v2, front, face_index.shape[1], face_index.shape[2])
             uncolor_face(
                 textures, own, light, faces, face_index, size, eps, perspective, grad, light_too, faces_too, b, f,
-                box[0], box[1], box[2], box[3], lane, lanes, to_textures, to_light, to_faces,
+                box[0], box[1], box[2], box[3], 1, to_textures, to_light, to_faces,
             )  # fmt: skip
+
+
+@wp.kernel
+def _backward_runs(
+    first: int,
+    textures: wp.array3d(dtype=wp.vec3),
+    light: wp.array3d(dtype=wp.vec3),
+    faces: wp.array3d(dtype=wp.vec3),
+    face_index: wp.array3d(dtype=int),
+    size: int,
+    eps: float,
+    perspective: int,
+    grad: wp.array4d(dtype=float),
+    light_too: int,
+    faces_too: int,
+    to_textures: wp.array3d(dtype=wp.vec3),
+    to_light: wp.array3d(dtype=wp.vec3),
+    to_faces: wp.array3d(dtype=wp.vec3),
+    run: int,
+):
+    """Add the gradients of a few neighbouring pixels, face by face, on CUDA."""
+    task = first + wp.tid()
+    height = int(face_index.shape[1])
+    width = int(face_index.shape[2])
+    runs = (width + run - 1) // run
+    row = task // runs
+    b = row // height
+    j = height - 1 - row % height
+    i = (task % runs) * run
+    end = wp.min(i + run, width)
+    while i < end:
+        f = face_index[b, row % height, i]
+        stop = end_of_run(face_index, wp.int64(row), i, end)
+        if f >= 0:
+            own = wp.min(b, textures.shape[0] - 1)
+            uncolor_face(
+                textures, own, light, faces, face_index, size, eps, perspective, grad, light_too, faces_too, b, f, i,
+                stop - 1, j, j, 0, to_textures, to_light, to_faces,
+            )  # fmt: skip
+        i = stop

@@ -1,4 +1,4 @@
-"""Masks of visible faces: all others, often more than half, have no gradient and are skipped."""
+"""Masks of visible faces. All other faces, often more than half, have no gradient and are skipped."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -7,12 +7,12 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from ..warp.launch import array, launch, stream_of, zeros
-from ..warp.layout import MANY_PIXELS
+from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, pixel_tasks
 
 wp.set_module_options({"enable_backward": False})
 
 
-# Masks by their `face_index`, which several operators of one backward pass have in common; and for what they hold.
+# `face_index` → (version, number of faces and stream; mask). Several operators of one backward pass share a mask.
 _kept = WeakTensorKeyDictionary()
 
 
@@ -39,39 +39,49 @@ def seen_faces(face_index: Tensor, count: int) -> Tensor:
 def _seen_faces(face_index: Tensor, count: int) -> Tensor:
     seen = zeros((len(face_index), count + 1), face_index.device, torch.int32)
     batch, height, width = face_index.shape
-    many_rows = MANY_PIXELS // max(width, 1)
-    launch(_mark, batch * height, [array(face_index), array(seen)], face_index.device, many_rows)
+    tasks, each = pixel_tasks(batch * height, width, face_index.device)
+    many = MANY_PIXELS // max(each * width, 1)
+    launch(_mark, tasks, [array(face_index), array(seen), each], face_index.device, many)
     return seen
 
 
-_MARK_ROW = """
-    const int* shown = face_index.data + row * width;
-    // Always written, never tested: faces of neighbouring pixels differ too often for a predictable branch.
-    for (int i = 0; i < width; ++i) seen.data[first + (shown[i] < 0 ? none : shown[i])] = 1;
+_MARK = f"""
+    const int height = face_index.shape[1], width = face_index.shape[2], all = face_index.shape[0] * height;
+    const int entries = seen.shape[1], none = entries - 1;
+    {PIXELS_OF_TASK}
+    for (int row = first; row < last; ++row) {{
+        const int* shown = face_index.data + (wp::int64)row * width;
+        int* own = seen.data + (wp::int64)(row / height) * entries;
+        // Written without a test: faces of neighbouring pixels differ too often for a predictable branch.
+        for (int i = left; i < right; ++i) own[shown[i] < 0 ? none : shown[i]] = 1;
+    }}
 """
 
 
-@wp.func_native(_MARK_ROW)
-def mark_row(
-    face_index: wp.array3d(dtype=int),
-    row: wp.int64,
-    width: int,
-    seen: wp.array2d(dtype=int),
-    first: wp.int64,
-    none: int,
-):
-    """Mark the faces in a row of pixels; ``first``: offset of its image's entries. In plain C++ for its speed."""
+@wp.func_native(_MARK)
+def mark(face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int), task: int, each: int):
+    """Mark the faces of the pixels of a task. In plain C++ for its speed."""
     ...
 
 
 @wp.kernel
-def _mark(first: int, face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int)):
-    """Mark the faces of one row. Tasks may write to one place, but never different values."""
-    task = first + wp.tid()
-    b = task // int(face_index.shape[1])
-    entries = int(seen.shape[1])
-    first_entry = wp.int64(b) * wp.int64(entries)
-    mark_row(face_index, wp.int64(task), face_index.shape[2], seen, first_entry, entries - 1)
+def _mark(first: int, face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int), each: int):
+    """Mark the faces of the pixels of a task. Several tasks may write to one place, but all write 1."""
+    mark(face_index, seen, first + wp.tid(), each)
+
+
+_END_OF_RUN = """
+    const int* shown = face_index.data + row * face_index.shape[2];
+    const int f = shown[i];
+    while (i < end && shown[i] == f) ++i;
+    return i;
+"""
+
+
+@wp.func_native(_END_OF_RUN)
+def end_of_run(face_index: wp.array3d(dtype=int), row: wp.int64, i: int, end: int) -> int:
+    """Find the first pixel after i in [i, end) of a row, counted over all images, that shows another face, or end."""
+    ...
 
 
 _NEXT_SHOWN = """

@@ -1,30 +1,30 @@
 """The derivative of an image through visibility: the estimator `gradient="edge"`.
 
-Maths. Average an image I over sub-pixel shifts of the pixel grid, and the average is a smooth function of the corners,
-although each image jumps. Its derivative has two parts (Li, Aittala, Durand and Lehtinen, "Differentiable Monte Carlo
-ray tracing through edge sampling", 2018; Reynolds' transport theorem). The operators of colour and depth have the
-derivative of the colours inside faces. The other part, an integral along the visible boundaries, is here: a boundary
-that moves sweeps over area whose colour changes from the outer to the inner one,
+Maths. An image I jumps when corners move, but its average over sub-pixel shifts of the pixel grid is a smooth function
+of the corners. The derivative of the average has two parts (Li, Aittala, Durand and Lehtinen, "Differentiable Monte
+Carlo ray tracing through edge sampling", 2018; Reynolds' transport theorem). The operators of colour and depth compute
+the first part, the derivative of the colours inside faces. This module computes the second part, an integral along the
+visible boundaries. A moving boundary sweeps over area, and the colour there changes from the outer to the inner one:
 
     dL = integral along the boundary of (outward motion) * sum over channels of (I_inner - I_outer) * dL/dI.
 
-Rows and columns of pixel centres sample the integral: a row that crosses an edge p -> q at the share s from p to q
-measures the motion (1 - s) dp_x + s dq_x along x, and a column the motion along y. For each crossing between the
-centres of two pixels, where the inner pixel shows the face and the outer one a farther face or the background:
+Rows and columns of pixel centres sample the integral. A row that crosses an edge p -> q at the share s from p to q
+measures the motion (1 - s) dp_x + s dq_x along x; a column measures the motion along y. A crossing counts if the pixel
+on its inner side shows the face and the pixel on its outer side shows a farther face or the background:
 
-- The two colours are extrapolated linearly to the crossing, where the next pixel shows the same face.
+- Each of the two colours is extrapolated linearly to the crossing if the next pixel shows the same face.
 - dL/dI is the gradient of the pixel that contains the crossing.
-- A face with a chord c < 1 pixel on the line is hit by a centre with probability c only, so the crossing has the weight
-  1 / c. Where the surface continues, the adjacent face stands in for the missed one.
-- At seams, where two faces of a surface meet in different colours, see `seams`.
+- A pixel centre hits a face whose chord c on the line is shorter than a pixel with probability c only, so the crossing
+  has the weight 1 / c. If the surface continues, the adjacent face stands in for a missed one.
+- Seams, where two faces of a surface meet in different colours, are in `seams`.
 
 Where two faces intersect, the visible boundary is the line of equal depth; see `intersections`.
 
-Pitfalls. The estimate is exact in the mean over sub-pixel shifts, but for: colours that curve within a pixel; gaps
-narrower than a pixel between two boundaries; boundaries less than a pixel from, and along, the border of the image; the
-last pixel at each end of an intersection; edges with an end behind the camera, which get no gradient; seams of faces
-that centres miss. Of random colours, seams lose a twentieth of their gradient where triangles are 2 pixels wide, a
-fifth at 1.5 and a third at 1.
+Pitfalls. The mean of the estimate over sub-pixel shifts is exact, with these exceptions: colours that curve within a
+pixel; gaps narrower than a pixel between two boundaries; boundaries along the border of the image, closer than a pixel;
+the last pixel at each end of an intersection; edges with an end behind the camera, which get no gradient; seams of
+faces that pixel centres miss. Seams between random colours lose a twentieth of their gradient if triangles are 2 pixels
+wide, a fifth at 1.5 pixels and a third at 1.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -77,12 +77,13 @@ def boundaries(
         face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
         two_sided: As in `coverage`.
         perspective: As in `coverage`.
-        seams: Whether colours may jump between adjacent faces of a surface, as with texture cubes and flat shading.
-            Without seams such edges have no gradient; that is right, and less noisy, for interpolated colours.
-        edge_hashes: [1 or B, F, 3, 2] int64 from `texture_edge_hashes` or `image_edge_hashes`. Edges across which the
-            hashes match are no seams. None: every edge may be a seam.
-        rings: [1 or B, F + 1, 3] int32 from `edge_rings`, of the triangles that the faces were gathered by. They save
-            the search for adjacent faces; None searches.
+        seams: Whether colours may jump between adjacent faces of a surface, as with texture cubes and flat shading. If
+            False, edges between adjacent faces have no gradient, which is right, and less noisy, for interpolated
+            colours.
+        edge_hashes: [1 or B, F, 3, 2] int64 from `texture_edge_hashes` or `image_edge_hashes`. An edge whose hashes
+            match is not a seam. None: every edge may be a seam.
+        rings: [1 or B, F + 1, 3] int32 from `edge_rings` for the vertex indices of the faces. They replace the search
+            for adjacent faces; None searches.
 
     Returns:
         A copy of the image, [B, C, H, W] float32. Backward sends the gradient unchanged to the image, and gradients to
@@ -192,7 +193,7 @@ def edge_of_face(
     height: int,
     width: int,
 ) -> Edge:
-    """Set up edge k of face f in image b for the scan lines of one axis; from its end if the corners run clockwise."""
+    """Set up edge k of face f in image b for the scan lines of one axis; reversed if the corners run clockwise."""
     m = (k + 1) % 3
     n = (k + 2) % 3
     p = faces[b, f, k]
@@ -215,7 +216,7 @@ _HAS_MOVING_EDGE = """
     const int* next = adjacent.data + ((wp::int64)b * adjacent.shape[1] + f) * 3;
     // Most faces end here: the surface continues across all three edges.
     if (!seams && next[0] >= 0 && next[1] >= 0 && next[2] >= 0) return false;
-    // A face that all centres miss still has visible edges where an adjacent face stands in for it.
+    // A face that all pixel centres miss still has visible edges if an adjacent face stands in for it.
     const int* shown = visible.data + (wp::int64)b * visible.shape[1];
     return shown[f] || (next[0] >= 0 && shown[next[0]]) || (next[1] >= 0 && shown[next[1]])
         || (next[2] >= 0 && shown[next[2]]);
@@ -240,7 +241,7 @@ def may_move(
     k: int,
     seams: int,
 ) -> bool:
-    """Test whether edge k of a face is an outline, or a seam to a face of higher index, so that each counts once."""
+    """Test whether edge k of a face is an outline, or a seam to a face of higher index (each seam counts once)."""
     other = adjacent[b, f, k]
     if other < 0:
         return True

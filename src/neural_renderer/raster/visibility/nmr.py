@@ -1,8 +1,8 @@
 """The paper's approximate gradient through visibility, as an operation on an image (paper, section 3.2).
 
-Forward it is the identity. Backward, each edge of a visible face is moved, in thought, along each row and column that
-it crosses, until it reaches a pixel. The pixel then changes its colour. If that lowers the loss (to first order, by the
-pixel's gradient), the edge's corners get a gradient: the decrease of the loss divided by the distance that the corner
+The forward pass is the identity. The backward pass imagines that an edge of a visible face moves along a row or column
+until it reaches a pixel, which then changes its colour. If this lowers the loss (to first order, by the pixel's
+gradient), each corner of the edge gets a gradient: the decrease of the loss, divided by the distance that the corner
 travels, summed over all pixels of the line. The gradient depends on the image alone, not on how it was shaded.
 
 Source: Kato, Ushiku and Harada, "Neural 3D Mesh Renderer", CVPR 2018, section 3.2.
@@ -16,15 +16,16 @@ from torch import Tensor
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import SHORTEST, facing
 from ..warp.launch import array, copy, launch, zeros
-from ..warp.layout import concurrent, face_lanes, face_tasks, worth_a_thread
+from ..warp.layout import concurrent, face_lanes, face_tasks, pixel_tasks, worth_a_thread
 from ..warp.registration import differentiable, differentiable_once, operator
-from .scanlines import SCAN_LINE, WIDE, copy_lines, empty_lines
+from .line_sums import SCAN_LINE
+from .scanlines import WIDE, copy_lines, copy_pixels, empty_lines
 
 wp.set_module_options({"enable_backward": False})
 
-# Keeps a quotient finite where a pixel lies on the edge and the corner has no share in it.
+# Keeps the quotient finite if a pixel lies on the edge and the corner's share is 0.
 TINY = 1.0e-15
-# Bytes of scan lines that are stored at once: on the CPU no more than its caches hold, or so.
+# Most bytes of scan lines that are stored at once: on the CPU about the size of its caches.
 _ROOM, _ROOM_CONCURRENT = 2**23, 2**28
 
 
@@ -58,7 +59,7 @@ def _(image, faces, face_index, eps, two_sided, binary):  # type: ignore[no-unty
 def nmr_edges_backward(
     grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool
 ) -> Tensor:
-    """Compute the gradient of `nmr_edges` to faces, [B, F, 3, 3]; that of z is 0."""
+    """Compute the gradient of `nmr_edges` to faces, [B, F, 3, 3]; the gradient to z is 0."""
     grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
     batch, channels, height, width = image.shape
     result = zeros(faces.shape, faces.device)
@@ -66,27 +67,32 @@ def nmr_edges_backward(
         return result
     device = faces.device
 
-    # The last channels, such as an alpha that no loss looks at, may have no gradient. (To ask on a GPU is to wait.)
+    # The last channels, such as an unused alpha, may have no gradient. On a GPU this test would wait for the device.
     while not (binary or concurrent(device) or channels == 1 or bool(grad[:, channels - 1].any())):
         channels -= 1
     planes = 1 if binary else 1 + channels
-    abreast = 1 if concurrent(device) else WIDE
     lanes = face_lanes(faces, height * width)
-    # Zero would divide by zero where a pixel touches the edge.
+    # With eps = 0, a pixel that touches the edge would divide by zero.
     options = [int(binary), max(eps, 1e-12), int(two_sided), lanes]
     seen = seen_faces(face_index, faces.shape[1])
     room = _ROOM_CONCURRENT if concurrent(device) else _ROOM
     at_once = max(1, min(batch, room // (8 * planes * height * width)))
     rows = empty_lines(at_once, height, width, planes, device)
     columns = empty_lines(at_once, width, height, planes, device)
-    spans = torch.empty((at_once, height + width, 2), dtype=torch.int32, device=device)
+    spans = zeros((at_once, height + width, 2), device, torch.int32)
     lines = [array(rows), array(columns), array(spans, wp.vec2i)]
     for first in range(0, batch, at_once):
         here = slice(first, first + at_once)
         images = min(at_once, batch - first)
         shown = array(image[here])
-        tasks = images * (-(-height // abreast) - (-width // abreast))
-        launch(copy_lines, tasks, [shown, array(grad[here]), *lines, abreast], device, worth_a_thread(abreast * width))
+        if concurrent(device):
+            if first > 0:
+                spans.zero_()
+            tasks, each = pixel_tasks(images * height, width, device)
+            launch(copy_pixels, tasks, [shown, array(grad[here]), *lines, each], device)
+        else:
+            tasks = images * (-(-height // WIDE) - (-width // WIDE))
+            launch(copy_lines, tasks, [shown, array(grad[here]), *lines, WIDE], device, worth_a_thread(WIDE * width))
         arguments = [array(faces[here], wp.vec3), shown, array(face_index[here]), *lines, array(seen[here]), *options]
         arguments.append(array(result[here], wp.vec3))
         launch(_pull, images * faces.shape[1] * lanes, arguments, device, face_tasks(faces, height * width))
@@ -105,7 +111,7 @@ def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
     image, faces, face_index = ctx.saved_tensors
-    grad = grad.contiguous()  # once, for what comes before the image as well
+    grad = grad.contiguous()  # once, also for the operators that made the image
     to_faces = None
     if ctx.needs_input_grad[1]:
         to_faces = nmr_edges_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary)
@@ -120,8 +126,8 @@ differentiable(nmr_edges, _backward, _save)
 _EDGE = """
 struct Edge {
     typedef wp::vec_t<3, float> vec3;
-    int count, length;  // of the lines
-    int outward;  // the way along v that leads out of the face
+    int count, length;  // number and length of the lines
+    int outward;  // direction along v out of the face: 1 or -1
     float pu, qu, ru, pv, qv, rv, slope;
     bool placed, bounded;
 
@@ -134,7 +140,7 @@ struct Edge {
         pv = to_pixels(p[axis], length), qv = to_pixels(q[axis], length), rv = to_pixels(r[axis], length);
         outward = (pu < qu) == (axis == 1) ? -1 : 1;
         slope = (qv - pv) / (qu - pu);
-        // An edge that ends behind the camera has no place on the screen for its end: it gets no gradient.
+        // An edge with an end behind the camera gets no gradient, because this end has no projection.
         placed = !(fabsf(pu - qu) < SHORTEST || p[2] <= 0.0f || q[2] <= 0.0f);
         bounded = !(r[2] <= 0.0f);
     }
@@ -144,7 +150,7 @@ struct Edge {
     CUDA_CALLABLE int last_line() const {
         return (int)floorf(between(-1.0f, pu < qu ? qu : pu, (float)(count - 1)));
     }
-    // From the nearer end, so that it is exact at both ends.
+    // Computed from the nearer end, so that it is exact at both ends.
     CUDA_CALLABLE float crossing(int u) const {
         const float from_p = (float)u - pu, from_q = (float)u - qu;
         const float c = fabsf(from_p) < fabsf(from_q) ? pv + slope * from_p : qv + slope * from_q;
@@ -153,7 +159,7 @@ struct Edge {
     CUDA_CALLABLE int inside_of(float crossing) const {
         return (int)(outward > 0 ? floorf(crossing) : ceilf(crossing));
     }
-    // The last pixel before the line leaves the face through p-r or q-r; the image's if r is behind the camera.
+    // The last pixel before the line leaves the face through p-r or q-r; the image's last if r is behind the camera.
     CUDA_CALLABLE int far_side(int line) const {
         const float u = (float)line;
         float limit = rv;
@@ -177,13 +183,16 @@ _PULL = (
     const wp::int64 area = (wp::int64)height * width, planes = lines.shape[2], plane = lines.shape[3];
     const int* shown = face_index.data + b * area;
     const float* colors = image.data + b * image.shape[1] * area;
-    // From one pixel of a line to the next in memory, where row 0 is at the top, and from one line to the next.
+    // Strides in memory from one pixel of a line to the next, and from one line to the next. Row 0 is at the top.
     const int along = axis == 0 ? 1 : -width, across = axis == 0 ? -width : 1;
     ScanLine line;
     line.plane = plane, line.area = area, line.channels = (int)planes - 1;
     line.reach = fabsf(edge.qu - edge.pu) * 2.0f / (float)edge.length;
     line.to_p = line.to_q = 0.0f, line.also_to_p = line.also_to_q = 0.0f;
-    for (int u = edge.first_line() + lane, last = edge.last_line(); u <= last; u += lanes) {
+    #if defined(__CUDA_ARCH__)
+    line.lane = lane, line.lanes = lanes;
+    #endif
+    for (int u = edge.first_line(), last = edge.last_line(); u <= last; ++u) {
         const float c = edge.crossing(u);
         const int inner = edge.inside_of(c), outer = inner + way;
         if ((inner < outer ? inner : outer) < 0 || (inner < outer ? outer : inner) >= edge.length) continue;
@@ -191,17 +200,18 @@ _PULL = (
         const wp::int64 outside = inside + way * along;
         const bool seen = shown[inside] == f, facing = !(binary && shown[outside] >= 0);
         if (!seen && !facing) continue;
-        // For the edge to reach a pixel at the distance x on this line, p travels reach x / share_p, and q likewise (in
-        // screen units): their shares of the gradient, times what the pixels gain, over that and eps. The line through
-        // one corner is moved by that corner alone.
+        // The edge reaches a pixel at the distance x on this line if p travels reach * x / share_p, or q likewise, in
+        // screen units. The gradient of p is gain / (travel + eps), here expanded by share_p, which may be 0: a line
+        // through one corner is moved by that corner alone.
         const float share_p = fabsf(edge.qu - (float)u), share_q = fabsf((float)u - edge.pu);
         line.slack_p = eps * share_p + TINY, line.slack_q = eps * share_q + TINY;
         line.share_p = -(float)way * share_p, line.share_q = -(float)way * share_q;
         line.stored = lines.data + ((wp::int64)b * edge.count + u) * planes * plane + WIDE;
-        if (seen) {  // outward, to the end of what the line holds
+        if (seen) {  // outward, to the end of the line's span
             const wp::vec_t<2, int> span = spans.data[(wp::int64)b * (height + width) + (axis == 0 ? u : height + u)];
-            const int begin = way > 0 ? (span[0] > outer ? span[0] : outer) : (span[1] < outer ? span[1] : outer);
-            const int pixels = way > 0 ? span[1] - begin + 1 : begin - span[0] + 1;
+            const int low = edge.length - span[0], high = span[1] - 1;
+            const int begin = way > 0 ? (low > outer ? low : outer) : (high < outer ? high : outer);
+            const int pixels = way > 0 ? high - begin + 1 : begin - low + 1;
             if (pixels > 0) {
                 line.color = colors + inside;
                 line.outward(begin, way, pixels, fabsf((float)begin - c));
@@ -242,7 +252,7 @@ def pull_edge(
     eps: float,
     binary: int,
 ) -> wp.vec2:
-    """Compute the gradient of the edge p -> q to p and q, over every n-th of the lines that it crosses."""
+    """Compute the gradient of the edge p -> q to p and q, with several lanes from every n-th pixel of its lines."""
     ...
 
 
@@ -262,7 +272,7 @@ def _pull(
     lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
-    """One face of one image; with several lanes, each takes every n-th scan line."""
+    """Pull the edges of one face of one image; with several lanes, each takes every n-th pixel of its scan lines."""
     task = first + wp.tid()
     lane = task % lanes
     b = (task // lanes) // faces.shape[1]

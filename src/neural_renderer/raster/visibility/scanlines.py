@@ -1,7 +1,6 @@
-"""Scan lines of an image for the edge estimators: pixels stored side by side, and sums along them.
+"""Scan lines of an image for the edge estimators: pixels stored side by side.
 
-The loops are plain C++ over memory, because that is what compilers turn into vector instructions; Warp's own vectors
-come out scalar.
+The loops are plain C++ over memory, because compilers turn those into vector instructions.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -11,22 +10,26 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from ..warp.layout import PIXELS_OF_TASK, concurrent
+
 wp.set_module_options({"enable_backward": False})
 
-# Pixels of a scan line that are handled at once; before each stored line, and behind the last, there are as many zeros.
+# Pixels of a scan line that the CPU handles at once; there, as many zeros are before each stored line and behind the
+# last.
 WIDE = 16
 
 
 def empty_lines(batch: int, lines: int, length: int, planes: int, device: torch.device) -> Tensor:
     """Allocate scan lines, [batch, lines, planes, WIDE + length] float32.
 
-    Plane 0 holds the sum over channels of value times gradient; the other planes hold the gradient of each channel, of
-    which the image may have more. A silhouette has one plane: the decrease of the loss if the pixel is covered, or
-    with a negative sign, if it is uncovered.
+    Plane 0 holds the sum over channels of value times gradient. The other planes hold the gradients of the first
+    channels. A silhouette has one plane, the gains: if covering the pixel lowers the loss, the decrease; if uncovering
+    it does, minus the decrease.
     """
     shape = (batch, lines, planes, WIDE + length)
     room = torch.empty(math.prod(shape) + WIDE, dtype=torch.float32, device=device)
-    room[-WIDE:] = 0
+    if not concurrent(device):
+        room[-WIDE:] = 0
     return room[:-WIDE].view(shape)
 
 
@@ -46,7 +49,7 @@ _COPY = """
     } else {
         EACH stored[to] = 0.0f;
         for (int c = 0; c < planes - 1; ++c, value += area, pull += area) {
-            // Summed as `_SUM` does it: a pixel of the very colour it would change to must gain nothing at all.
+            // The same sum as in `ScanLine::loss`: a pixel that has the new colour already gains exactly 0.
             float* pulls = stored + (c + 1) * plane;
             EACH {
                 stored[to] += value[from] * pull[from];
@@ -61,7 +64,7 @@ _COPY = """
             for (int v = 0; v < low; ++v) if (planes == 1 ? line_of[v] > 0.0f : line_of[v] != 0.0f) low = v;
             for (int v = length - 1; v > high; --v) if (planes == 1 ? line_of[v] > 0.0f : line_of[v] != 0.0f) high = v;
         }
-        spans.data[span + k] = wp::vec_t<2, int>(low, high);
+        spans.data[span + k] = wp::vec_t<2, int>(length - low, high + 1);
     }
 """
 
@@ -120,9 +123,10 @@ def copy_lines(
     spans: wp.array2d(dtype=wp.vec2i),
     abreast: int,
 ):
-    """Neighbouring rows, or columns, as many as are read ``abreast``; all are counted from the bottom left.
+    """Copy ``abreast`` neighbouring rows or columns of an image. Lines and pixels count from the bottom left.
 
-    A line's span is from the first to the last pixel that can pull an edge outward.
+    A line's span is from the first to the last pixel that can pull an edge outward: stored as the number of pixels from
+    the first one to the end of the line, and from its start to the last one.
     """
     task = first + wp.tid()
     height = image.shape[2]
@@ -150,124 +154,73 @@ def copy_lines(
         copy_columns(image, grad, b, pixel, count, height, columns, to, plane, planes, spans, span)
 
 
-# Sums along stored scan lines of what pixels gain by the colour that they would get if an edge were moved to them, over
-# the travel of each of the edge's two corners, which is reach * distance + slack, times the corner's share.
-# Operands may be fused as in `_COPY`: an exact zero stays one.
-SCAN_LINE = """
-struct ScanLine {
-    #if defined(__CUDA_ARCH__)
-    typedef float floats;
-    enum { AT_ONCE = 1 };
-    static CUDA_CALLABLE floats load(const float* from) { return *from; }
-    static CUDA_CALLABLE floats ahead() { return 0.0f; }
-    static CUDA_CALLABLE float total(floats v) { return v; }
-    #else
-    typedef float floats __attribute__((ext_vector_type(16)));
-    typedef int ints __attribute__((ext_vector_type(16)));
-    enum { AT_ONCE = 16, FEW = 8 };
-    static floats load(const float* from) {
-        floats all;
-        memcpy(&all, from, sizeof(all));
-        return all;
-    }
-    static floats ahead() {
-        return floats{0.f, 1.f, 2.f, 3.f, 4.f, 5.f, 6.f, 7.f, 8.f, 9.f, 10.f, 11.f, 12.f, 13.f, 14.f, 15.f};
-    }
-    static float total(floats v) {
-        const auto eight = v.lo + v.hi;
-        const auto four = eight.lo + eight.hi;
-        return four[0] + four[2] + (four[1] + four[3]);
-    }
-    #endif
-    const float* stored;  // of the line's first pixel; a plane further is the gradient of the first channel
-    wp::int64 plane, area;
-    int channels;  // 0 where what is stored are the gains themselves
-    const float* color;  // the first channel's; the next is an area further
-    float reach, share_p, share_q, slack_p, slack_q;
-    floats to_p, to_q;  // what came together
-    float also_to_p, also_to_q;
+# On CUDA. Nothing is stored beside the lines: there, pixels are read one by one.
+_COPY_PIXELS = f"""
+#if defined(__CUDA_ARCH__)
+    const int channels = image.shape[1], height = image.shape[2], width = image.shape[3], planes = rows.shape[2];
+    const int all = rows.shape[0] * height;
+    const wp::int64 area = (wp::int64)height * width, row_plane = rows.shape[3], column_plane = columns.shape[3];
+    {PIXELS_OF_TASK}
+    for (int row = first; row < last; ++row) {{
+        const wp::int64 b = row / height;
+        const int j = height - 1 - row % height;
+        wp::vec_t<2, int>* span = spans.data + b * (height + width);
+        for (int i = left; i < right; ++i) {{
+            const float* value = image.data + b * channels * area + (row % height) * (wp::int64)width + i;
+            const float* pull = grad.data + (value - image.data);
+            float* in_row = rows.data + (b * height + j) * planes * row_plane + {WIDE} + i;
+            float* in_column = columns.data + (b * width + i) * planes * column_plane + {WIDE} + j;
+            float sum = 0.0f;
+            bool pulls = false;
+            if (planes == 1) {{
+                const float gain = -pull[0];
+                sum = gain > 0.0f ? gain * (1.0f - value[0]) : gain * value[0];
+                pulls = sum > 0.0f;
+            }}
+            for (int c = 0; c < planes - 1; ++c, value += area, pull += area) {{
+                const float by = pull[0];
+                sum += value[0] * by;  // as in `_COPY`
+                in_row[(c + 1) * row_plane] = in_column[(c + 1) * column_plane] = by;
+                pulls |= by != 0.0f;
+            }}
+            in_row[0] = in_column[0] = sum;
+            if (!pulls) continue;
+            const int ends[4] = {{width - i, i + 1, height - j, j + 1}};
+            int* const known[4] = {{&span[j][0], &span[j][1], &span[height + i][0], &span[height + i][1]}};
+            for (int k = 0; k < 4; ++k)  // most pixels lie between others that pull
+                if (*(volatile int*)known[k] < ends[k]) wp::atomic_max(known[k], ends[k]);
+        }}
+    }}
+#endif
+"""
 
-    // The usual three channels are spelled out, so that their colours stay in registers.
-    CUDA_CALLABLE floats loss(const float* pull, float red, float green, float blue) const {
-        #pragma clang fp contract(fast)
-        floats lost = red * load(pull);
-        if (channels >= 3) {
-            lost += green * load(pull + plane);
-            lost += blue * load(pull + 2 * plane);
-        }
-        for (int c = channels < 3 ? 1 : 3; c < channels; ++c) lost += color[c * area] * load(pull + c * plane);
-        return lost;
-    }
 
-    // Over ``count`` pixels from ``begin`` on in the direction ``way``, of which the first is at that distance from the
-    // edge. Beyond them only zeros may be stored.
-    CUDA_CALLABLE void outward(int begin, int way, int count, float distance) {
-        #pragma clang fp contract(fast)
-        const float red = color[0], green = channels < 3 ? 0.0f : color[area];
-        const float blue = channels < 3 ? 0.0f : color[2 * area];
-        const floats none = 0.0f, start = distance + (way > 0 ? ahead() : (float)(AT_ONCE - 1) - ahead());
-        const float* at = stored + begin - (way > 0 ? 0 : AT_ONCE - 1);
-        floats sum_p = none, sum_q = none;
-        for (int n = 0; n < count; n += AT_ONCE, at += way * AT_ONCE) {
-            floats gain = load(at);
-            if (channels > 0) gain -= loss(at + plane, red, green, blue);
-            ADD
-        }
-        to_p += share_p * sum_p, to_q += share_q * sum_q;
-    }
+@wp.func_native(_COPY_PIXELS)
+def store_pixels(
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    rows: wp.array4d(dtype=float),
+    columns: wp.array4d(dtype=float),
+    spans: wp.array2d(dtype=wp.vec2i),
+    task: int,
+    each: int,
+):
+    """Store the pixels of a task in their rows and columns, and extend the spans of these."""
+    ...
 
-    // Inward: only over pixels that show the face f, by the face numbers from ``shown`` on, ``step`` apart.
-    CUDA_CALLABLE void inward(int begin, int way, int count, float distance, int f, const int* shown, int step) {
-        #pragma clang fp contract(fast)
-        #if !defined(__CUDA_ARCH__)
-        if (count > FEW) return inward_by_many(begin, way, count, distance, f, shown, step);
-        #endif
-        float sum_p = 0.0f, sum_q = 0.0f;
-        const float* at = stored + begin;
-        for (int n = 0; n < count; ++n, at += way, shown += step) {
-            if (*shown != f) continue;
-            float gain = channels > 0 ? at[0] : -at[0];
-            if (channels > 0) {
-                float lost = color[0] * at[plane];
-                for (int c = 1; c < channels; ++c) lost += color[c * area] * at[(c + 1) * plane];
-                gain -= lost;
-            }
-            typedef float floats;
-            const float start = distance, none = 0.0f;
-            ADD
-        }
-        also_to_p += share_p * sum_p, also_to_q += share_q * sum_q;
-    }
 
-    #if !defined(__CUDA_ARCH__)
-    void inward_by_many(int begin, int way, int count, float distance, int f, const int* shown, int step) {
-        #pragma clang fp contract(fast)
-        const float red = color[0], green = channels < 3 ? 0.0f : color[area];
-        const float blue = channels < 3 ? 0.0f : color[2 * area];
-        const floats none = 0.0f, start = distance + (way > 0 ? ahead() : (float)(AT_ONCE - 1) - ahead());
-        const float* at = stored + begin - (way > 0 ? 0 : AT_ONCE - 1);
-        floats sum_p = none, sum_q = none;
-        for (int n = 0; n < count; n += AT_ONCE, at += way * AT_ONCE) {
-            ints here;
-            for (int k = 0; k < AT_ONCE; ++k) {
-                const int away = way > 0 ? n + k : n + AT_ONCE - 1 - k;
-                here[k] = away < count && shown[away < count ? away * step : 0] == f ? -1 : 0;
-            }
-            floats gain = channels > 0 ? load(at) - loss(at + plane, red, green, blue) : -load(at);
-            gain = here ? gain : none;
-            ADD
-        }
-        to_p += share_p * sum_p, to_q += share_q * sum_q;
-    }
-    #endif
-};
-""".replace(
-    "ADD",
-    """const floats away = start + (float)n;
-            const floats travel_p = reach * away + slack_p, travel_q = reach * away + slack_q;
-            const floats part = (gain > 0.0f ? gain : none) / (travel_p * travel_q);
-            sum_p += part * travel_q, sum_q += part * travel_p;""",
-)
+@wp.kernel
+def copy_pixels(
+    first: int,
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    rows: wp.array4d(dtype=float),
+    columns: wp.array4d(dtype=float),
+    spans: wp.array2d(dtype=wp.vec2i),
+    each: int,
+):
+    """Do the same as `copy_lines` on CUDA, where spans are 0 before."""
+    store_pixels(image, grad, rows, columns, spans, first + wp.tid(), each)
 
 
 @wp.func

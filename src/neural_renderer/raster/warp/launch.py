@@ -1,8 +1,8 @@
 """Running Warp kernels on torch tensors: devices, streams and CPU threads.
 
 Warp runs a CPU kernel as a plain loop on the calling thread, without the GIL. Every kernel here therefore takes the
-number of its first task as its first argument, and `launch` hands pieces of the task range to several threads. A task
-writes only what no other task writes, so the result does not depend on how many threads there are.
+number of its first task as its first argument, and `launch` gives pieces of the task range to several threads. No two
+tasks write to the same place, so the result does not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from torch import Tensor
 from .kernel_cache import load_module
 from .layout import PIECES
 
-# Threads that compile, each of which begins with two seconds for Warp's headers; and what spares them a third of it.
+# Number of compiling threads (each spends two seconds on Warp's headers), and a flag that saves a third of this time.
 _COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
 
-# Tests set it: called with a kernel, the number of tasks and the arguments of each launch, it runs CUDA's code of the
-# kernel on a processor and returns True, or False to have the launch run as usual.
+# Set by tests. It is called with the kernel, the number of tasks and the arguments of each launch. It runs the kernel's
+# CUDA code on a processor and returns True; if it returns False, the launch runs as usual.
 emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
 
 # Warp keeps strides in 32 bits.
@@ -38,7 +38,7 @@ MOST_BYTES = 2**31 - 1
 
 _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
-_asked: set[tuple[Any, torch.device]] = set()  # what `load_ahead` was asked for before
+_asked: set[tuple[Any, torch.device]] = set()  # earlier arguments of `load_ahead`
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
@@ -58,8 +58,8 @@ _NUMBERS: dict[Any, Any] = {
 
 
 def _after_fork() -> None:
-    # A forked child has no threads of its parent, and perhaps a lock that is never released. OpenMP does not restart
-    # its threads, so torch would wait for them forever. The child therefore uses one thread, like torch's data loading.
+    # A forked child lacks its parent's threads, and may hold a lock that is never released. OpenMP does not restart its
+    # threads, so torch would wait for them forever. The child therefore uses one thread, like torch's data loading.
     global _pool, _lock
     _pool, _lock = None, threading.Lock()
     if _ready:
@@ -72,8 +72,8 @@ if hasattr(os, "register_at_fork"):
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    # Without a CUDA driver Warp writes a warning to the file descriptor in every process. It only says that CUDA is not
-    # available, which users of the CPU know.
+    # Without a CUDA driver, Warp writes a warning to the file descriptor in every process. It says only that CUDA is
+    # not available; users of the CPU know this.
     if torch.cuda.is_available():
         yield
         return
@@ -94,9 +94,9 @@ def load_kernel(kernel: wp.Kernel, device: str) -> None:
 
 
 def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device) -> None:
-    """Compile and load the kernels of the modules in which these functions are, several modules at once.
+    """Compile and load the modules of these functions, several at once.
 
-    Without it, each module is compiled when a kernel of it first runs, one after the other.
+    Otherwise modules are compiled one after the other, each when one of its kernels first runs.
     """
     if (functions, device) in _asked or emulator is not None or device.type not in ("cpu", "cuda"):
         return
@@ -109,7 +109,7 @@ def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device) 
 def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
     with _lock:
         level = wp.config.log_level
-        wp.config.log_level = max(level, wp.LOG_WARNING)  # the banner and build lines belong to nobody's output
+        wp.config.log_level = max(level, wp.LOG_WARNING)  # no banner and no build lines in a program's output
         try:
             with _quiet():
                 wp.init()
@@ -125,7 +125,7 @@ def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
         except OSError as error:
             raise OSError(
                 f"{wp.config.kernel_cache_dir}: expected a folder to keep compiled kernels in, got: {error}; "
-                "WARP_CACHE_PATH can name another"
+                "set WARP_CACHE_PATH to another one"
             ) from error
         finally:
             wp.config.log_level = level
@@ -141,7 +141,7 @@ def _threads(count: int) -> ThreadPoolExecutor:
 
 
 def stream_of(device: torch.device) -> int | None:
-    """Number of the stream on which kernels run now; None while they are captured for a graph, and do not run."""
+    """Return the stream on which kernels run now; None while they are captured for a graph and do not run."""
     if device.type != "cuda" or emulator is not None:
         return 0
     return None if torch.cuda.is_current_stream_capturing() else torch.cuda.current_stream(device).cuda_stream
@@ -179,7 +179,7 @@ def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
     Raises:
         ValueError: From one image to the next, or one channel, it is further than a stride in 32 bits can tell.
     """
-    if not strided or tensor.numel() == 0:  # strides of nothing can be anything
+    if not strided or tensor.numel() == 0:  # the strides of an empty tensor are arbitrary
         tensor = tensor.contiguous()
     bytes_each = tensor.element_size()
     dims = tensor.dim() - (0 if dtype is None else _inner_dims(dtype))
@@ -215,7 +215,7 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
         tasks: Number of tasks.
         arguments: Tensors as from `array`, and numbers.
         device: Device of the tensors.
-        least: Tasks that are worth another CPU thread.
+        least: Number of tasks that are worth another CPU thread.
     """
     if tasks == 0 or (emulator is not None and emulator(kernel, tasks, [0, *arguments])):
         return
@@ -245,7 +245,7 @@ def _enter(kernel: wp.Kernel) -> Callable[..., None]:
 
 
 def _direct(kernel: wp.Kernel) -> Callable[..., None]:
-    """Do the same by calling the compiled code: Warp's launch checks arguments for longer than small scenes take."""
+    """Do the same by calling the compiled code. Warp's launch checks arguments for longer than a small scene takes."""
     from warp._src.types import launch_bounds_t
 
     fields = [(arg.label, _NUMBERS.get(arg.type, _Array)) for arg in kernel.adj.args]

@@ -12,8 +12,22 @@ from torch import Tensor
 # Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
 PIECES = 4
 
-# Pixels to look at, or to draw and shade, before another CPU thread is worth waking.
+# Numbers of pixels, to scan or to draw and shade, for which it is worth waking another CPU thread.
 MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
+
+_ROWS = 16  # of a task on the CPU, where neighbouring rows share faces
+_MOST_TASKS = 2**31 - 1  # of one launch
+
+# Threads of a launch whose work is known on the device only: about as many as a large GPU runs at once.
+MOST_THREADS = 1 << 18
+
+# C++ statements that find the pixels of a ``task`` of ``each`` rows (see `pixel_tasks`) in maps of ``all`` rows of
+# ``width`` pixels: the pixels [left, right) of the rows [first, last).
+PIXELS_OF_TASK = """
+    const int first = each ? task * each : task / width;
+    const int last = each == 0 ? first + 1 : first + each < all ? first + each : all;
+    const int left = each ? 0 : task % width, right = each ? width : left + 1;
+"""
 
 # Tests set it, to run the layout of CUDA, and its code, on a processor; see `emulator` in `launch`.
 as_on_cuda = False
@@ -35,18 +49,18 @@ def in_any_order(device: torch.device) -> bool:
 
 
 def cpu_bands(batch: int, pixels: int) -> int:
-    """Number of bands of rows per image, so that all threads have work; ``pixels`` counts its pixels and faces."""
+    """Choose a number of row bands per image that keeps all threads busy; ``pixels`` counts its pixels and faces."""
     threads = min(torch.get_num_threads(), max(1, batch * pixels // _ENOUGH_PIXELS))
     return 1 if batch % threads == 0 or batch >= PIECES * threads else 2 * threads
 
 
 def worth_a_thread(pixels: float) -> int:
-    """Number of tasks, each of so many pixels to draw or to shade, that are worth another CPU thread."""
+    """Compute how many tasks are worth another CPU thread; each draws or shades ``pixels`` pixels."""
     return max(1, int(_ENOUGH_PIXELS / max(pixels, 1.0)))
 
 
 def face_tasks(faces: Tensor, pixels: int) -> int:
-    """Number of tasks of one face each of ``faces`` [B, F, ...] that are worth another CPU thread."""
+    """Compute how many tasks are worth another CPU thread; each draws one of ``faces`` [B, F, ...]."""
     return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
 
 
@@ -56,10 +70,26 @@ def group_tasks(count: int, device: torch.device, on_cpu: int, on_cuda: int = 1)
     return -(-count // each), each
 
 
-def row_tasks(rows: int, device: torch.device) -> tuple[int, int]:
-    """Compute the number of tasks for ``rows`` rows of pixels, and the rows of each task: one on CUDA."""
-    each = 1 if concurrent(device) else 16
+def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
+    """Divide ``rows`` rows of pixels among tasks, which find theirs by `PIXELS_OF_TASK`.
+
+    Returns:
+        The number of tasks, and the rows of each. 0 stands for a single pixel, as on CUDA, where the threads of a warp
+        then read and write side by side.
+    """
+    if concurrent(device) and rows * width <= _MOST_TASKS:
+        return rows * width, 0
+    each = 1 if concurrent(device) else _ROWS
     return -(-rows // each), each
+
+
+def run_tasks(rows: int, width: int) -> tuple[int, int]:
+    """Divide rows of pixels into runs of neighbours, one for each CUDA thread: the gradient of a run is added at once.
+
+    Returns:
+        The number of tasks, and the pixels of each run: a sector of memory of 4 bytes for each.
+    """
+    return rows * -(-width // 8), 8
 
 
 def face_lanes(faces: Tensor, pixels: int) -> int:

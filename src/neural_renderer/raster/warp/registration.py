@@ -25,7 +25,7 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
     function itself into torch's graph.
 
     Raises:
-        RuntimeError: In a call, for derivatives in forward mode. torch would silently take them for zero.
+        RuntimeError: In a call, for derivatives in forward mode. torch would silently treat them as zero.
     """
     name = f"neural_renderer::{function.__name__}"
     torch.library.define(name, torch.library.infer_schema(function, mutates_args=()))
@@ -33,7 +33,7 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
     registered = getattr(torch.ops.neural_renderer, function.__name__).default
 
     plain: Callable[..., Any] = function
-    graph: list[Any] = []  # the `torch.autograd.Function`, once there is one
+    graph: list[Any] = []  # the `torch.autograd.Function`, set by `differentiable`
     defaults = tuple(parameter.default for parameter in inspect.signature(function).parameters.values())
 
     @functools.wraps(function)

@@ -1,0 +1,133 @@
+"""What a GPU would have to do for one step, counted without one: ``python -m benchmarks.cuda_counts``.
+
+The kernels' CUDA code runs on a processor (`tests/cuda_emulation`), which counts memory operations. Printed for each
+scene and kernel: launches; threads; memory operations; the longest thread against the mean of those that do anything
+(a launch ends with its longest thread); busy lanes (the others of a warp wait for its longest); bytes moved between
+warps and the cache, in sectors of 32 bytes, once for each warp; these against the sectors of the launch, once each,
+which is the least possible; and an estimate of the time on an H200. Operations of torch itself are not counted.
+
+The estimate is made of data sheets, not of runs: for each launch `OVERHEAD`, plus the longest of four times: the
+launch's sectors at the memory's bandwidth, the warps' sectors at the cache's, one memory operation of a warp a clock on
+each multiprocessor, and the operations of the longest thread one after another, four of them on the way at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+import neural_renderer as nr
+from tests.cuda_emulation.device import EmulatedDevice
+
+OVERHEAD = 3e-6  # seconds from launch to launch
+MEMORY, CACHE = 4.8e12, 7e12  # bytes a second
+OPERATIONS = 132 * 1.7e9  # of warps a second: multiprocessors times clock
+LATENCY = 160e-9 / 4  # seconds from operation to operation of a thread
+
+
+def sphere(batch: int, level: int) -> tuple[tuple[torch.Tensor, ...], nr.Camera]:
+    vertices, faces = nr.icosphere(level)
+    textures = torch.rand(len(faces), 2, 2, 2, 3, generator=torch.Generator().manual_seed(0))
+    eyes = nr.get_points_from_angles(2.7, 30.0, torch.linspace(0, 300, batch))
+    return (vertices, faces, textures), nr.Camera.look_at(eyes, viewing_angle=30.0)
+
+
+def backdrop(level: int) -> tuple[tuple[torch.Tensor, ...], nr.Camera]:
+    """A fine mesh before four large triangles, whose size says nothing of that of the others."""
+    (vertices, faces, textures), camera = sphere(1, level)
+    wall = camera.rotation[0].T @ torch.tensor([[-4.0, -4, 2], [4, -4, 2], [4, 4, 2], [-4, 4, 2], [0, 0, 2]]).T
+    fan = torch.tensor([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]) + len(vertices)
+    return (
+        torch.cat((vertices, wall.T)),
+        torch.cat((faces, fan)),
+        torch.cat((textures, textures[:4])),
+    ), camera
+
+
+SCENES: dict[str, tuple[Callable[[], tuple[tuple[torch.Tensor, ...], nr.Camera]], int]] = {
+    "4 x 128², 1280 faces": (lambda: sphere(4, 3), 128),
+    "1 x 256², 20480 faces": (lambda: sphere(1, 5), 256),
+    "1 x 256², 20480 faces before 4": (lambda: backdrop(5), 256),
+}
+STEPS = [("alpha", "nmr"), ("alpha", "edge"), ("rgb", "nmr"), ("rgb", "edge")]
+
+
+def counted(device: EmulatedDevice, scene: str, output: str, gradient: str) -> dict[str, tuple[int, list[int]]]:
+    """Run one step; returns launches and counts by kernel (see `run` in runtime.h)."""
+    make, size = SCENES[scene]
+    (vertices, faces, textures), camera = make()
+    vertices.requires_grad_()
+    textures.requires_grad_()
+    device.launches.clear()
+    device.measured.clear()
+    with device:
+        images = nr.render((vertices, faces, textures), camera, size, outputs=(output,), gradient=gradient)
+        image = getattr(images, output)
+        image.backward(torch.rand(image.shape, generator=torch.Generator().manual_seed(1)) - 0.5)
+    return {kernel: (device.launches[kernel], counts) for kernel, counts in device.measured.items()}
+
+
+def milliseconds(launches: int, counts: list[int]) -> float:
+    """Estimate the time on an H200."""
+    _, longest, by_warps, _, _, moved, touched = counts
+    return 1e3 * (OVERHEAD * launches + max(touched / MEMORY, moved / CACHE, by_warps / OPERATIONS, longest * LATENCY))
+
+
+def longest_to_mean(counts: list[int]) -> float:
+    return counts[1] * counts[3] / counts[0] if counts[0] else math.nan
+
+
+def busy(counts: list[int]) -> float:
+    return counts[0] / (32 * counts[2]) if counts[2] else math.nan
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", choices=SCENES, action="append", help="one of the scenes; by default all")
+    arguments = parser.parse_args()
+    console = Console(width=132)
+    with tempfile.TemporaryDirectory() as folder:
+        device = EmulatedDevice(Path(folder), "counts")
+        for scene in arguments.scene or SCENES:
+            for output, gradient in STEPS:
+                console.print(table(f"{scene}: {output}, {gradient}", counted(device, scene, output, gradient)))
+
+
+def table(title: str, kernels: dict[str, tuple[int, list[int]]]) -> Table:
+    result = Table(title=title, title_justify="left")
+    for name in ("kernel", "launches", "threads", "operations", "longest", "busy", "MB moved", "to least", "H200 ms"):
+        result.add_column(name, justify="left" if name == "kernel" else "right")
+    total = [0] * 7
+    launches, time = 0, 0.0
+    for kernel, (count, counts) in kernels.items():
+        result.add_row(kernel, *_cells(count, counts, milliseconds(count, counts)))
+        launches, time = launches + count, time + milliseconds(count, counts)
+        total = [a + b for a, b in zip(total, counts, strict=True)]
+    result.add_section()
+    cells = _cells(launches, total, time)
+    cells[3] = f"{max(longest_to_mean(counts) for _, counts in kernels.values() if counts[0]):.0f}"
+    result.add_row("all (the worst for the longest thread)", *cells)
+    return result
+
+
+def _cells(launches: int, counts: list[int], time: float) -> list[str]:
+    operations, _, _, _, threads, moved, touched = counts
+    numbers = [
+        f"{launches}",
+        f"{threads:,}",
+        f"{operations:,}",
+        f"{longest_to_mean(counts):.1f}",
+        f"{busy(counts):.2f}",
+    ]
+    return [*numbers, f"{moved / 1e6:.1f}", f"{moved / max(touched, 1):.1f}", f"{time:.3f}"]
+
+
+if __name__ == "__main__":
+    main()
