@@ -14,6 +14,7 @@ from torch import Tensor
 
 from .. import validate
 from .ops.coverage import coverage
+from .ops.downsample import halve
 from .visibility.edge import boundaries
 from .visibility.nmr import nmr_edges
 from .visibility.rings import edge_rings
@@ -135,7 +136,7 @@ class Settings:
         edge_hashes: Callable[[], Tensor] | None = None,
         rings: Tensor | None = None,
     ) -> Tensor:
-        """Attach the gradient through visibility to an image: `nmr_edges` or `boundaries`.
+        """Average an image for anti-aliasing, and attach the gradient through visibility: `nmr_edges` or `boundaries`.
 
         Args:
             image: Image with its background, before anti-aliasing, [B, C, H, W] float32.
@@ -147,16 +148,19 @@ class Settings:
             rings: As from `rings`.
 
         Returns:
-            The values of the image, [B, C, H, W] float32.
+            [B, C, height, width] float32.
         """
+        halved = self.anti_aliasing
         if not (corners.requires_grad and torch.is_grad_enabled()):
-            return image
+            return halve(image) if halved else image
         if self.gradient == "edge":
             hashes = edge_hashes() if edge_hashes is not None and seams else None
-            return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams, hashes, rings)
+            return boundaries(
+                image, corners, face_index, self.two_sided, self.perspective, seams, hashes, rings, halved
+            )
         if not self.perspective:  # an orthographic camera has no plane that corners can lie behind
             corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
-        return nmr_edges(image, corners, face_index, self.eps, self.two_sided, binary)
+        return nmr_edges(image, corners, face_index, self.eps, self.two_sided, binary, halved)
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:

@@ -77,11 +77,9 @@ class VisibleFaces:
         Returns:
             [B, C, height, width] float32.
         """
-        settings = self.settings
-        layers = settings.through_visibility(
+        return self.settings.through_visibility(
             layers, self.corners, self.face_index, seams, binary, edge_hashes, self.rings
         )
-        return halve(layers) if settings.anti_aliasing else layers
 
     def images(
         self, outputs: Collection[str], rgb: Tensor | None = None, edge_hashes: Callable[[], Tensor] | None = None

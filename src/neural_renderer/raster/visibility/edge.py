@@ -34,10 +34,11 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from ..ops.downsample import halve, halve_backward
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import facing
 from ..warp.launch import array, copy, launch, zeros
-from ..warp.layout import face_lanes
+from ..warp.layout import face_lanes, face_tasks
 from ..warp.registration import differentiable, differentiable_once, operator
 from .continuity import colors_continue
 from .crossings import (
@@ -68,8 +69,9 @@ def boundaries(
     seams: bool,
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045 (schemas are inferred from it)
     rings: Optional[Tensor] = None,  # noqa: UP045
+    halved: bool = False,
 ) -> Tensor:
-    """Return the image unchanged, and in backward send a gradient through visibility to the faces.
+    """Return the image, and in backward send a gradient through visibility to the faces.
 
     Args:
         image: Any number of channels with their background, before anti-aliasing, [B, C, H, W] float32.
@@ -84,17 +86,20 @@ def boundaries(
             match is not a seam. None: every edge may be a seam.
         rings: [1 or B, F + 1, 3] int32 from `edge_rings` for the vertex indices of the faces. They replace the search
             for adjacent faces; None searches.
+        halved: Whether to average blocks of 2 x 2 pixels (anti-aliasing), which saves a copy of the image.
 
     Returns:
-        A copy of the image, [B, C, H, W] float32. Backward sends the gradient unchanged to the image, and gradients to
-        x and y of faces; where faces intersect, also to z. There is no second derivative (RuntimeError).
+        A copy of the image, [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``. Backward sends its gradient to
+        the image, and gradients to x and y of faces; where faces intersect, also to z. There is no second derivative
+        (RuntimeError).
     """
-    return copy(image)
+    return halve(image) if halved else copy(image)
 
 
 @torch.library.register_fake("neural_renderer::boundaries")
-def _(image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None):  # type: ignore[no-untyped-def]
-    return torch.empty_like(image, memory_format=torch.contiguous_format)
+def _(image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None, halved=False):  # type: ignore[no-untyped-def]
+    scale = 2 if halved else 1
+    return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
 
 
 @differentiable_once
@@ -124,7 +129,7 @@ def boundaries_backward(
         edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=faces.device)  # 0 matches nothing
     arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), int(perspective), int(seams)]
     arguments += [array(edge_hashes), lanes, array(result, wp.vec3)]
-    launch(_move, batch * count * lanes, arguments, faces.device)
+    launch(_move, batch * count * lanes, arguments, faces.device, face_tasks(faces, height * width))
     add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
     return result
 
@@ -135,16 +140,17 @@ def _(grad, image, faces, face_index, two_sided, perspective, seams, edge_hashes
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, edge_hashes, rings = inputs
+    image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, edge_hashes, rings, ctx.halved = inputs
     ctx.save_for_backward(image, faces, face_index, edge_hashes, rings)  # callers may change the output in place
 
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
     image, faces, face_index, *rest = ctx.saved_tensors
+    grad = halve_backward(grad) if ctx.halved else grad
     to_faces = None
     if ctx.needs_input_grad[1]:
         to_faces = boundaries_backward(grad, image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, *rest)
-    return grad, to_faces, *[None] * 6
+    return grad, to_faces, *[None] * 7
 
 
 differentiable(boundaries, _backward, _save)

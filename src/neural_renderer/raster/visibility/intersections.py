@@ -23,7 +23,7 @@ from torch import Tensor
 from ..ops.visible_faces import next_shown
 from ..warp.geometry import degenerate, in_front, pixel_box, pixel_centre
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import face_lanes, pixel_tasks
+from ..warp.layout import face_lanes, face_tasks, pixel_tasks, worth_a_thread
 from .candidates import find_candidates
 from .crossings import border_weight
 from .nearness import covers, nearness_slope, nearness_terms, total
@@ -52,11 +52,17 @@ def add_intersections(
     candidates = zeros((batch, count), faces.device, torch.int32)
     scene = [array(faces, wp.vec3), array(face_index), array(image), array(adjacent)]
     tasks, each = pixel_tasks(batch * height, width, faces.device)
-    launch(_find_candidates, tasks, [*scene, int(perspective), array(candidates), each], faces.device)
+    launch(
+        _find_candidates,
+        tasks,
+        [*scene, int(perspective), array(candidates), each],
+        faces.device,
+        worth_a_thread(each * width),
+    )
     lanes = face_lanes(faces, height * width)
     maps = [array(image), array(grad), array(face_index), array(candidates)]
     arguments = [array(faces, wp.vec3), *maps, int(perspective), lanes, array(result, wp.vec3)]
-    launch(_intersect, batch * count * lanes, arguments, faces.device)
+    launch(_intersect, batch * count * lanes, arguments, faces.device, face_tasks(faces, height * width))
 
 
 @wp.kernel

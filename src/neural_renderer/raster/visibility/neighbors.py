@@ -22,6 +22,9 @@ wp.set_module_options({"enable_backward": False})
 MOST_EQUALS = wp.constant(8)
 
 
+_LEAST = 512  # faces that are worth another CPU thread
+
+
 def neighbors(
     faces: Tensor, two_sided: bool, perspective: bool, visible: Tensor | None = None, rings: Tensor | None = None
 ) -> Tensor:
@@ -44,9 +47,8 @@ def neighbors(
     options = [int(two_sided), int(perspective)]
     most = 3 * count
     if rings is not None and visible is not None:
-        launch(
-            _search_rings, batch * count, [corners, array(visible), array(rings), *options, array(result)], faces.device
-        )
+        arguments = [corners, array(visible), array(rings), *options, array(result)]
+        launch(_search_rings, batch * count, arguments, faces.device, _LEAST)
         if readable(faces.device):
             most = int(rings[0, -1, 0])
     else:
@@ -60,7 +62,7 @@ def neighbors(
     lanes = max(count, 1) if in_any_order(faces.device) else 1
     alone = array(rings)
     launch(_insert_edges, batch * lanes, [corners, array(table), alone, *options, lanes], faces.device)
-    launch(_search_table, batch * count, [corners, array(table), alone, *options, array(result)], faces.device)
+    launch(_search_table, batch * count, [corners, array(table), alone, *options, array(result)], faces.device, _LEAST)
     return result
 
 

@@ -13,6 +13,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from ..ops.downsample import halve, halve_backward
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import SHORTEST, facing
 from ..warp.launch import array, copy, launch, zeros
@@ -30,8 +31,16 @@ _ROOM, _ROOM_CONCURRENT = 2**23, 2**28
 
 
 @operator
-def nmr_edges(image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool) -> Tensor:
-    """Return the image unchanged and send a gradient to the x and y of faces, by the estimator "nmr".
+def nmr_edges(
+    image: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    eps: float,
+    two_sided: bool,
+    binary: bool,
+    halved: bool = False,
+) -> Tensor:
+    """Return the image and send a gradient to the x and y of faces, by the estimator "nmr".
 
     Contrasts below about 1e-5 of the values are lost to float32 rounding, because the loss's decrease is computed as a
     difference of sums.
@@ -43,16 +52,18 @@ def nmr_edges(image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_
         eps: Added to every distance, in screen units. It bounds the gradient of pixels that touch the edge.
         two_sided: Whether faces whose corners run clockwise are drawn.
         binary: Whether the image is a silhouette of 0 and 1. The result is the same with False, but slower.
+        halved: Whether to average blocks of 2 x 2 pixels (anti-aliasing), which saves a copy of the image.
 
     Returns:
-        [B, C, H, W] float32.
+        [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``.
     """
-    return copy(image)
+    return halve(image) if halved else copy(image)
 
 
 @torch.library.register_fake("neural_renderer::nmr_edges")
-def _(image, faces, face_index, eps, two_sided, binary):  # type: ignore[no-untyped-def]
-    return torch.empty_like(image, memory_format=torch.contiguous_format)
+def _(image, faces, face_index, eps, two_sided, binary, halved=False):  # type: ignore[no-untyped-def]
+    scale = 2 if halved else 1
+    return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
 
 
 @differentiable_once
@@ -105,17 +116,18 @@ def _(grad, image, faces, face_index, eps, two_sided, binary):  # type: ignore[n
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary = inputs
+    image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary, ctx.halved = inputs
     ctx.save_for_backward(image, faces, face_index)  # not the output, which callers may change in place
 
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
     image, faces, face_index = ctx.saved_tensors
-    grad = grad.contiguous()  # once, also for the operators that made the image
+    # Contiguous, once, also for what comes before the image.
+    grad = halve_backward(grad) if ctx.halved else grad.contiguous()
     to_faces = None
     if ctx.needs_input_grad[1]:
         to_faces = nmr_edges_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary)
-    return grad, to_faces, None, None, None, None
+    return grad, to_faces, *[None] * 5
 
 
 differentiable(nmr_edges, _backward, _save)
