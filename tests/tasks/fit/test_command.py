@@ -184,7 +184,7 @@ def test_bad_input(folder: Path, spoil: Any, sentence: str, capsys: pytest.Captu
     [
         ("transforms.json", "[" * 100_000, "expected JSON, got "),
         ("transforms.json", '{"frames": ' + "1" * 5000, "expected JSON, got "),
-        ("cameras.csv", "file,azimuth\n" + "x" * 200_000 + ",1", "expected CSV, got a file that cannot be read"),
+        ("cameras.csv", "file,azimuth\n" + "x" * 200_000 + ",1", "expected CSV, got a file that cannot be parsed"),
         ("cameras.csv", "file,azimuth\n" + "x" * 5000 + ",1", "expected a file 'xxx"),
     ],
 )
