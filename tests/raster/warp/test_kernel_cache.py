@@ -98,7 +98,9 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_full_disk_is_told_before_the_compiler_ends_the_process(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=70_000))
     monkeypatch.setattr(wp, "init", lambda: None)
-    with pytest.raises(OSError, match=rf"{cache.name}: expected a folder .* No space left on device; set WARP_CACHE_PATH"):
+    with pytest.raises(
+        OSError, match=rf"{cache.name}: expected a folder .* No space left on device; set WARP_CACHE_PATH"
+    ):
         launch.load_kernel(Unknown(), "cpu")
 
 
