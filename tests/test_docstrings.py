@@ -94,8 +94,7 @@ def public() -> dict[str, tuple[Any, Any]]:
     return found
 
 
-# Docstrings of lights lack some sections.
-PUBLIC = {name: found for name, found in public().items() if not name.startswith(("Light", "SphericalHarmonicLight"))}
+PUBLIC = public()
 
 
 def sections(docstring: str) -> dict[str, str]:
@@ -114,7 +113,7 @@ def entries(section: str) -> set[str]:
 
 def test_the_reference_lists_every_public_name() -> None:
     modules = {"losses", "metrics"}  # their functions have pages
-    assert set(nr.__all__) - modules - {"__version__"} <= set(public())
+    assert set(nr.__all__) - modules - {"__version__"} <= set(PUBLIC)
 
 
 @pytest.mark.parametrize("name", PUBLIC)

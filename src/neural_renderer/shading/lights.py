@@ -34,6 +34,9 @@ class Light:
         directional_color: RGB [3] or [B, 3].
         direction: [3] or [B, 3], world vector **towards** the light. It is not normalised: its length scales the light.
 
+    Raises:
+        TypeError, ValueError: In drawing or `two_sided`, a parameter that does not fit or is not finite.
+
     Example:
         >>> light = nr.Light(ambient=0.3, directional=0.7, direction=(1.0, 1.0, 0.0))
         >>> images = nr.render(mesh, camera, light=light)
@@ -59,6 +62,11 @@ class Light:
         Raises:
             TypeError, ValueError: A type or shape does not fit; while values are checked, also a parameter that is not
                 finite.
+
+        Example:
+            >>> corners = nr.vertices_to_faces(mesh.vertices[None], mesh.faces)
+            >>> nr.Light(ambient=1.0, directional=0.0).two_sided(corners).shape
+            torch.Size([1, 2, 320, 3])
         """
         facing = self._facing(corners)
         if not mirrored:

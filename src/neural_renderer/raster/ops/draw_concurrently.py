@@ -1,7 +1,6 @@
 """Drawing faces on CUDA, for `coverage`: all at once, into keys of depth and index of which the least one is visible.
 
-A thread draws a small face. Large faces go to a queue, and a second launch shares their pixels among all threads:
-otherwise a few triangles behind a fine mesh would keep the GPU waiting for a few threads.
+A thread draws a small face, and many share a large one; see `raster/warp/queue.py`.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -12,8 +11,9 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import Int4, pixel_box
-from ..warp.launch import array, launch, zeros
-from ..warp.layout import MOST_THREADS, PIXELS_OF_TASK, pixel_tasks
+from ..warp.launch import array, launch
+from ..warp.layout import PIXELS_OF_TASK, pixel_tasks
+from ..warp.queue import MOST_THREADS, empty_queue, enqueue, queued_face, queued_threads
 from .draw_face import draw_into_keys
 from .drawn_faces import crossing_depth, depth_terms, drawn_face
 
@@ -25,8 +25,6 @@ EMPTY = wp.constant(0x7FFFFFFF_FFFFFFFF)
 _SMALL = wp.constant(64)
 # Threads that share a row of a large face's box, unless it is narrower.
 _LANES = wp.constant(32)
-# The number of large faces counts in this, the number of their threads in 1.
-_ONE_FACE = wp.constant(1 << 36)
 
 
 def draw_concurrently(faces: Tensor, face_index: Tensor, options: Sequence[float]) -> None:
@@ -41,9 +39,8 @@ def draw_concurrently(faces: Tensor, face_index: Tensor, options: Sequence[float
     batch, height, width = face_index.shape
     count = faces.shape[1]
     key = torch.full((batch, height, width), EMPTY, dtype=torch.int64, device=device)
-    large = torch.empty((batch * count, 2), dtype=torch.int64, device=device)
-    total = zeros((2,), device, torch.int32).view(torch.int64)
-    arguments = [array(faces, wp.vec3), array(key), array(large), array(total), *options]
+    queue, total = empty_queue(batch * count, device)
+    arguments = [array(faces, wp.vec3), array(key), array(queue), array(total), *options]
     launch(_draw_small, batch * count, arguments, device)
     threads = min(MOST_THREADS, batch * count * height * min(width, _LANES))
     launch(_draw_large, threads, [*arguments, threads], device)
@@ -98,14 +95,14 @@ def _draw_small(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
     key: wp.array3d(dtype=wp.int64),
-    large: wp.array2d(dtype=wp.int64),
+    queue: wp.array2d(dtype=wp.int64),
     total: wp.array1d(dtype=wp.int64),
     near: float,
     far: float,
     two_sided: int,
     perspective: int,
 ):
-    """Draw one face, or put it into the queue: its number, and the number of its first thread among those of all."""
+    """Draw one face, or put it into the queue."""
     task = first + wp.tid()
     b = task // faces.shape[1]
     f = task % faces.shape[1]
@@ -117,12 +114,8 @@ def _draw_small(
         return
     if (box[1] - box[0] + 1) * (box[3] - box[2] + 1) <= _SMALL:
         draw_part(key, b, index, v0, v1, v2, front, near, far, perspective, box, 0, 1)
-        return
-    threads = wp.int64((box[3] - box[2] + 1) * lanes_of(box))
-    before = wp.atomic_add(total, 0, wp.int64(_ONE_FACE) + threads)  # both at once: the queue is in order of threads
-    place = int(before / wp.int64(_ONE_FACE))
-    large[place, 0] = wp.int64(task)
-    large[place, 1] = before % wp.int64(_ONE_FACE)
+    else:
+        enqueue(queue, total, task, (box[3] - box[2] + 1) * lanes_of(box))
 
 
 @wp.kernel
@@ -130,7 +123,7 @@ def _draw_large(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
     key: wp.array3d(dtype=wp.int64),
-    large: wp.array2d(dtype=wp.int64),
+    queue: wp.array2d(dtype=wp.int64),
     total: wp.array1d(dtype=wp.int64),
     near: float,
     far: float,
@@ -139,20 +132,10 @@ def _draw_large(
     threads: int,
 ):
     """Draw some pixels of a row of a large face; then of another, as long as there are any."""
-    count = int(total[0] / wp.int64(_ONE_FACE))
-    end = total[0] % wp.int64(_ONE_FACE)
-    unit = wp.int64(first + wp.tid())
-    while unit < end:
-        low = int(0)
-        high = int(count)
-        while high - low > 1:  # the last face that begins before
-            middle = (low + high) // 2
-            if large[middle, 1] <= unit:
-                low = middle
-            else:
-                high = middle
-        task = int(large[low, 0])
-        own = int(unit - large[low, 1])
+    end = queued_threads(total)
+    thread = wp.int64(first + wp.tid())
+    while thread < end:
+        task, own = queued_face(queue, total, thread)
         b = task // faces.shape[1]
         front, index, v0, v1, v2 = drawn_face(
             faces, b, task % faces.shape[1], -1.0, 1.0, near, far, two_sided, perspective
@@ -162,7 +145,7 @@ def _draw_large(
         row = box[2] + own // lanes
         part = Int4(box[0], box[1], row, row)
         draw_part(key, b, index, v0, v1, v2, front, near, far, perspective, part, own % lanes, lanes)
-        unit += wp.int64(threads)
+        thread += wp.int64(threads)
 
 
 _DECODE = f"""

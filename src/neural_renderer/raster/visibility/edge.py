@@ -37,8 +37,9 @@ from torch import Tensor
 from ..ops.downsample import halve, halve_backward
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import facing
-from ..warp.launch import array, copy, launch, zeros
-from ..warp.layout import face_lanes, face_tasks
+from ..warp.launch import array, copy, zeros
+from ..warp.layout import face_tasks
+from ..warp.queue import launch_lines, line_task, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
 from .continuity import colors_continue
 from .crossings import (
@@ -119,17 +120,15 @@ def boundaries_backward(
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or image.numel() == 0:
         return result
-    batch, _, height, width = image.shape
-    count = faces.shape[1]
+    batch, count = faces.shape[:2]
     visible = seen_faces(face_index, count)
     adjacent = neighbors(faces, two_sided, perspective, visible, rings)
-    lanes = face_lanes(faces, height * width)
     maps = [array(image), array(grad), array(face_index)]
     if edge_hashes is None:
         edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=faces.device)  # 0 matches nothing
     arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), int(perspective), int(seams)]
-    arguments += [array(edge_hashes), lanes, array(result, wp.vec3)]
-    launch(_move, batch * count * lanes, arguments, faces.device, face_tasks(faces, height * width))
+    arguments += [array(edge_hashes), array(result, wp.vec3)]
+    launch_lines(_move, arguments, batch * count, 1, faces.device, face_tasks(faces, height * width))
     add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
     return result
 
@@ -256,6 +255,49 @@ def may_move(
     return not colors_continue(edge_hashes, faces, adjacent, b, f, k)
 
 
+@wp.func
+def move_face(
+    faces: wp.array3d(dtype=wp.vec3),
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    adjacent: wp.array3d(dtype=int),
+    perspective: int,
+    seams: int,
+    edge_hashes: wp.array4d(dtype=wp.int64),
+    result: wp.array3d(dtype=wp.vec3),
+    b: int,
+    f: int,
+    part: int,
+    parts: int,
+    alone: int,
+):
+    """Move the edges of one face, over every n-th scan line."""
+    clockwise = facing(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], perspective) < 0
+    x = wp.vec3(0.0, 0.0, 0.0)
+    y = wp.vec3(0.0, 0.0, 0.0)
+    corners = int(3)  # a variable, or Warp would unroll the loop sixfold
+    for k in range(corners):
+        if may_move(adjacent, faces, edge_hashes, b, f, k, seams):
+            edge_x = edge_of_face(faces, adjacent, b, f, k, 0, clockwise, image.shape[2], image.shape[3])
+            edge_y = edge_of_face(faces, adjacent, b, f, k, 1, clockwise, image.shape[2], image.shape[3])
+            to_x = move_edge(edge_x, part, parts, faces, image, grad, face_index, perspective)
+            to_y = move_edge(edge_y, part, parts, faces, image, grad, face_index, perspective)
+            if clockwise:
+                to_x = wp.vec2(to_x[1], to_x[0])
+                to_y = wp.vec2(to_y[1], to_y[0])
+            x[k] += to_x[0]
+            x[(k + 1) % 3] += to_x[1]
+            y[k] += to_y[0]
+            y[(k + 1) % 3] += to_y[1]
+    for k in range(3):
+        to = wp.vec3(x[k], y[k], 0.0)
+        if alone == 1:
+            result[b, f, k] = to
+        else:
+            wp.atomic_add(result, b, f, k, to)
+
+
 @wp.kernel
 def _move(
     first: int,
@@ -268,36 +310,29 @@ def _move(
     perspective: int,
     seams: int,
     edge_hashes: wp.array4d(dtype=wp.int64),
-    lanes: int,
     result: wp.array3d(dtype=wp.vec3),
+    queue: wp.array2d(dtype=wp.int64),
+    total: wp.array1d(dtype=wp.int64),
+    lanes: int,
+    threads: int,
 ):
-    """Move the edges of one face of one image; with several lanes, each takes every n-th scan line."""
-    task = first + wp.tid()
-    lane = task % lanes
-    b = (task // lanes) // faces.shape[1]
-    f = (task // lanes) % faces.shape[1]
-    if not has_moving_edge(visible, adjacent, b, f, seams):
-        return
-    clockwise = facing(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], perspective) < 0
-    x = wp.vec3(0.0, 0.0, 0.0)
-    y = wp.vec3(0.0, 0.0, 0.0)
-    corners = int(3)  # a variable, or Warp would unroll the loop sixfold
-    for k in range(corners):
-        if may_move(adjacent, faces, edge_hashes, b, f, k, seams):
-            edge_x = edge_of_face(faces, adjacent, b, f, k, 0, clockwise, image.shape[2], image.shape[3])
-            edge_y = edge_of_face(faces, adjacent, b, f, k, 1, clockwise, image.shape[2], image.shape[3])
-            to_x = move_edge(edge_x, lane, lanes, faces, image, grad, face_index, perspective)
-            to_y = move_edge(edge_y, lane, lanes, faces, image, grad, face_index, perspective)
-            if clockwise:
-                to_x = wp.vec2(to_x[1], to_x[0])
-                to_y = wp.vec2(to_y[1], to_y[0])
-            x[k] += to_x[0]
-            x[(k + 1) % 3] += to_x[1]
-            y[k] += to_y[0]
-            y[(k + 1) % 3] += to_y[1]
-    for k in range(3):
-        part = wp.vec3(x[k], y[k], 0.0)
-        if lanes == 1:
-            result[b, f, k] = part
-        else:
-            wp.atomic_add(result, b, f, k, part)
+    """Move the edges of one face of one image, or some lines of them; see `launch_lines`."""
+    thread = wp.int64(first + wp.tid())
+    end = thread + wp.int64(1)
+    if threads > 0:
+        end = queued_threads(total)
+    alone = int(queue.shape[0] == 0)
+    while thread < end:
+        face = int(thread)
+        if threads > 0 or has_moving_edge(visible, adjacent, face // faces.shape[1], face % faces.shape[1], seams):
+            face, _lane, part, parts = line_task(
+                faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 4
+            )
+            if face >= 0:
+                b = face // faces.shape[1]
+                f = face % faces.shape[1]
+                move_face(
+                    faces, image, grad, face_index, adjacent, perspective, seams, edge_hashes, result, b, f, part,
+                    parts, alone,
+                )  # fmt: skip
+        thread += wp.int64(wp.max(threads, 1))

@@ -17,13 +17,16 @@ from ..ops.downsample import halve, halve_backward
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import SHORTEST, facing
 from ..warp.launch import array, copy, launch, zeros
-from ..warp.layout import concurrent, face_lanes, face_tasks, pixel_tasks, worth_a_thread
+from ..warp.layout import concurrent, face_tasks, pixel_tasks, worth_a_thread
+from ..warp.queue import launch_lines, line_task, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
 from .line_sums import SCAN_LINE
 from .scanlines import WIDE, copy_lines, copy_pixels, empty_lines
 
 wp.set_module_options({"enable_backward": False})
 
+# CUDA threads that share a scan line: neighbours, whose pixels lie in one sector of memory.
+_LANES = 8
 # Keeps the quotient finite if a pixel lies on the edge and the corner's share is 0.
 TINY = 1.0e-15
 # Most bytes of scan lines that are stored at once: on the CPU about the size of its caches.
@@ -82,9 +85,8 @@ def nmr_edges_backward(
     while not (binary or concurrent(device) or channels == 1 or bool(grad[:, channels - 1].any())):
         channels -= 1
     planes = 1 if binary else 1 + channels
-    lanes = face_lanes(faces, height * width)
     # With eps = 0, a pixel that touches the edge would divide by zero.
-    options = [int(binary), max(eps, 1e-12), int(two_sided), lanes]
+    options = [int(binary), max(eps, 1e-12)]
     seen = seen_faces(face_index, faces.shape[1])
     room = _ROOM_CONCURRENT if concurrent(device) else _ROOM
     at_once = max(1, min(batch, room // (8 * planes * height * width)))
@@ -106,7 +108,7 @@ def nmr_edges_backward(
             launch(copy_lines, tasks, [shown, array(grad[here]), *lines, WIDE], device, worth_a_thread(WIDE * width))
         arguments = [array(faces[here], wp.vec3), shown, array(face_index[here]), *lines, array(seen[here]), *options]
         arguments.append(array(result[here], wp.vec3))
-        launch(_pull, images * faces.shape[1] * lanes, arguments, device, face_tasks(faces, height * width))
+        launch_lines(_pull, arguments, images * faces.shape[1], _LANES, device, face_tasks(faces, height * width))
     return result
 
 
@@ -204,7 +206,7 @@ _PULL = (
     #if defined(__CUDA_ARCH__)
     line.lane = lane, line.lanes = lanes;
     #endif
-    for (int u = edge.first_line(), last = edge.last_line(); u <= last; ++u) {
+    for (int u = edge.first_line() + part, last = edge.last_line(); u <= last; u += parts) {
         const float c = edge.crossing(u);
         const int inner = edge.inside_of(c), outer = inner + way;
         if ((inner < outer ? inner : outer) < 0 || (inner < outer ? outer : inner) >= edge.length) continue;
@@ -254,6 +256,8 @@ def pull_edge(
     axis: int,
     lane: int,
     lanes: int,
+    part: int,
+    parts: int,
     p: wp.vec3,
     q: wp.vec3,
     r: wp.vec3,
@@ -264,33 +268,33 @@ def pull_edge(
     eps: float,
     binary: int,
 ) -> wp.vec2:
-    """Compute the gradient of the edge p -> q to p and q, with several lanes from every n-th pixel of its lines."""
+    """Compute the gradient of the edge p -> q to p and q.
+
+    With several parts only from every n-th of its lines, and with several lanes from every n-th pixel of them.
+    """
     ...
 
 
-@wp.kernel
-def _pull(
-    first: int,
+@wp.func
+def pull_face(
     faces: wp.array3d(dtype=wp.vec3),
     image: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
     rows: wp.array4d(dtype=float),
     columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
-    seen: wp.array2d(dtype=int),
     binary: int,
     eps: float,
-    two_sided: int,
-    lanes: int,
     result: wp.array3d(dtype=wp.vec3),
+    b: int,
+    f: int,
+    lane: int,
+    lanes: int,
+    part: int,
+    parts: int,
+    alone: int,
 ):
-    """Pull the edges of one face of one image; with several lanes, each takes every n-th pixel of its scan lines."""
-    task = first + wp.tid()
-    lane = task % lanes
-    b = (task // lanes) // faces.shape[1]
-    f = (task // lanes) % faces.shape[1]
-    if seen[b, f] == 0:
-        return
+    """Pull the edges of one face, along every n-th pixel of every n-th scan line; see `pull_edge`."""
     v0 = faces[b, f, 0]
     v1 = faces[b, f, 1]
     v2 = faces[b, f, 2]
@@ -307,8 +311,8 @@ def _pull(
             p, q, r = v1, v2, v0
         if k == 2:
             p, q, r = v2, v0, v1
-        to_x = pull_edge(b, f, 0, lane, lanes, p, q, r, image, face_index, rows, spans, eps, binary)
-        to_y = pull_edge(b, f, 1, lane, lanes, p, q, r, image, face_index, columns, spans, eps, binary)
+        to_x = pull_edge(b, f, 0, lane, lanes, part, parts, p, q, r, image, face_index, rows, spans, eps, binary)
+        to_y = pull_edge(b, f, 1, lane, lanes, part, parts, p, q, r, image, face_index, columns, spans, eps, binary)
         x[k] += to_x[0]
         y[k] += to_y[0]
         x[(k + 1) % 3] += to_x[1]
@@ -317,8 +321,48 @@ def _pull(
         corner = k
         if turned:
             corner = 2 - k
-        part = wp.vec3(x[k], y[k], 0.0)
-        if lanes == 1:
-            result[b, f, corner] = part
+        to = wp.vec3(x[k], y[k], 0.0)
+        if alone == 1:
+            result[b, f, corner] = to
         else:
-            wp.atomic_add(result, b, f, corner, part)
+            wp.atomic_add(result, b, f, corner, to)
+
+
+@wp.kernel
+def _pull(
+    first: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    image: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    rows: wp.array4d(dtype=float),
+    columns: wp.array4d(dtype=float),
+    spans: wp.array2d(dtype=wp.vec2i),
+    seen: wp.array2d(dtype=int),
+    binary: int,
+    eps: float,
+    result: wp.array3d(dtype=wp.vec3),
+    queue: wp.array2d(dtype=wp.int64),
+    total: wp.array1d(dtype=wp.int64),
+    lanes: int,
+    threads: int,
+):
+    """Move the edges of one face of one image, or some pixels of some lines of them; see `launch_lines`."""
+    thread = wp.int64(first + wp.tid())
+    end = thread + wp.int64(1)
+    if threads > 0:
+        end = queued_threads(total)
+    alone = int(queue.shape[0] == 0)
+    while thread < end:
+        face = int(thread) // lanes
+        if threads > 0 or seen[face // faces.shape[1], face % faces.shape[1]] != 0:
+            face, lane, part, parts = line_task(
+                faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 16
+            )
+            if face >= 0:
+                b = face // faces.shape[1]
+                f = face % faces.shape[1]
+                pull_face(
+                    faces, image, face_index, rows, columns, spans, binary, eps, result, b, f, lane, lanes, part, parts,
+                    alone,
+                )  # fmt: skip
+        thread += wp.int64(wp.max(threads, 1))

@@ -18,9 +18,6 @@ MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
 _ROWS = 16  # of a task on the CPU, where neighbouring rows share faces
 _MOST_TASKS = 2**31 - 1  # of one launch
 
-# Threads of a launch whose work is known on the device only: about as many as a large GPU runs at once.
-MOST_THREADS = 1 << 18
-
 # C++ statements that find the pixels of a ``task`` of ``each`` rows (see `pixel_tasks`) in maps of ``all`` rows of
 # ``width`` pixels: the pixels [left, right) of the rows [first, last).
 PIXELS_OF_TASK = """
