@@ -120,7 +120,8 @@ def boundaries_backward(
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or image.numel() == 0:
         return result
-    batch, count = faces.shape[:2]
+    batch, _, height, width = image.shape
+    count = faces.shape[1]
     visible = seen_faces(face_index, count)
     adjacent = neighbors(faces, two_sided, perspective, visible, rings)
     maps = [array(image), array(grad), array(face_index)]
