@@ -238,12 +238,15 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
     if not (always or values_are_checked(value)) or not value.numel():
         return
     value = value.detach()
-    if not always and postponed(value, lambda: ~torch.isfinite(value.sum()), lambda: finite(name, value, True)):
+    on_cpu = value.device.type == "cpu"
+    if not (always or on_cpu) and postponed(
+        value, lambda: ~torch.isfinite(value.sum()), lambda: finite(name, value, True)
+    ):
         return
     # A sum is NaN or infinite if any term is: one pass without a mask. The second check excludes that finite numbers
     # overflowed. Many numbers on the CPU are summed by NumPy, because torch's idle threads would spin on cores that the
     # kernels need.
-    if value.numel() > _FEW and value.device.type == "cpu" and value.dtype in (torch.float32, torch.float64):
+    if value.numel() > _FEW and on_cpu and value.dtype in (torch.float32, torch.float64):
         with np.errstate(all="ignore"):
             total = float(value.resolve_neg().numpy().sum())  # NumPy does not support the negative bit
     else:
@@ -260,7 +263,7 @@ def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: 
     With ``padded``, rows of -1 alone are allowed unless ``size`` is 0.
     """
     if (always or values_are_checked(value)) and value.numel():
-        if not always and postponed(
+        if not (always or value.device.type == "cpu") and postponed(
             value, lambda: _out_of_range(value, size, padded), lambda: in_range(name, value, size, True, padded)
         ):
             return

@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import PIXELS_OF_TASK, concurrent, pixel_tasks, worth_a_thread
+from ..warp.layout import PIXELS_OF_TASK, in_any_order, pixel_tasks, worth_a_thread
 from ..warp.point import fill
 from ..warp.registration import differentiable, differentiable_once, operator
 
@@ -83,19 +83,14 @@ def sample_mipmaps_backward(
 ) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `sample_mipmaps` to texels (empty if not ``texels_too``) and to uv.
 
-    On the CPU one task sums the gradient to each image's texels, without atomics; a batch that shares one image is one
-    task. On CUDA the order of sums varies.
-
-    Raises:
-        RuntimeError: On CUDA, if torch asks for deterministic results.
+    On the CPU, and if torch asks for deterministic results, one task sums the gradient to each image's texels; a batch
+    that shares one image is one task. Otherwise the order of sums varies on CUDA.
     """
     batch, rows, columns = face_index.shape
     to_texels = zeros(texels.shape if texels_too else (0, 0, 0), texels.device)
     to_uv = zeros(uv.shape, uv.device)
-    if texels_too and concurrent(texels.device) and torch.are_deterministic_algorithms_enabled():
-        raise RuntimeError("sample_texture: no deterministic gradient to a texture on CUDA, got a request for one")
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
-    if texels_too and not concurrent(texels.device):
+    if texels_too and not in_any_order(texels.device):
         each = batch * rows // max(len(texels), 1)
         tasks = len(texels) if each else 0
     arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat), each, array(grad)]

@@ -4,7 +4,6 @@
 import torch
 import warp as wp
 from torch import Tensor
-from torch.utils.weak import WeakTensorKeyDictionary
 
 from ..warp.launch import array, launch, stream_of, zeros
 from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, pixel_tasks
@@ -12,12 +11,8 @@ from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, pixel_tasks
 wp.set_module_options({"enable_backward": False})
 
 
-# `face_index` → (version, number of faces and stream; mask). Several operators of one backward pass share a mask.
-_kept = WeakTensorKeyDictionary()
-
-
 def seen_faces(face_index: Tensor, count: int) -> Tensor:
-    """Mark the visible faces. The mask of a tensor is kept as long as the tensor lives unchanged.
+    """Mark the visible faces. The tensor keeps its mask, which several operators of a backward pass need.
 
     Args:
         face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
@@ -30,10 +25,11 @@ def seen_faces(face_index: Tensor, count: int) -> Tensor:
     if stream is None or face_index.is_inference():
         return _seen_faces(face_index, count)
     key = (face_index._version, count, stream)
-    kept = _kept.get(face_index)
+    kept = face_index.__dict__.get("_seen")
     if kept is None or kept[0] != key:
-        kept = _kept[face_index] = (key, _seen_faces(face_index, count))
-    return kept[1]
+        kept = face_index.__dict__["_seen"] = (key, _seen_faces(face_index, count))
+    mask: Tensor = kept[1]
+    return mask
 
 
 def _seen_faces(face_index: Tensor, count: int) -> Tensor:

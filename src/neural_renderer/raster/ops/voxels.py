@@ -7,7 +7,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch, load_kernel
+from ..warp.launch import array, launch, load_kernel, zeros
 from ..warp.layout import concurrent
 
 # Without fused multiply-adds adjacent faces agree on lines through their common edge.
@@ -44,8 +44,23 @@ def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) 
     groups = max(len(faces), 1) if concurrent(device) else 1
     points, corners = array(vertices, wp.vec3), array(faces)
     launch(_mark, batch * groups, [points, corners, groups, float(spacing), array(state)], device)
-    launch(_flood, batch, [array(state)], device)
+    if concurrent(device):
+        _flood_lines(state)
+    else:
+        launch(_flood, batch, [array(state)], device)
     return state != 2
+
+
+def _flood_lines(state: Tensor) -> None:
+    """Do the same as `_flood`, one line of voxels for each task, until no new voxel is outside."""
+    batch, size = state.shape[:2]
+    changed = zeros((1,), state.device, torch.int32)
+    while True:
+        changed.zero_()
+        for axis in range(3):
+            launch(_flood_line, batch * size * size, [array(state), axis, array(changed)], state.device)
+        if not bool(changed):
+            return
 
 
 def inside(vertices: Tensor, faces: Tensor, points: Tensor, least: float = 0.5) -> Tensor:
@@ -208,6 +223,41 @@ def _flood(first: int, state: wp.array4d(dtype=wp.uint8)):
                 state[b, i, j, k] = _OUTSIDE
                 changed += 1
         backward = 1 - backward
+
+
+@wp.func
+def voxel_of(axis: int, p: int, q: int, along: int) -> wp.vec3i:
+    """Find the voxel at (p, q) across ``axis`` and ``along`` it."""
+    if axis == 0:
+        return wp.vec3i(along, p, q)
+    if axis == 1:
+        return wp.vec3i(q, along, p)
+    return wp.vec3i(p, q, along)
+
+
+@wp.kernel
+def _flood_line(first: int, state: wp.array4d(dtype=wp.uint8), axis: int, changed: wp.array1d(dtype=int)):
+    """Sweep along one line of voxels, forward and backward. It reads and writes no other voxels."""
+    task = first + wp.tid()
+    size = int(state.shape[1])
+    b = task // (size * size)
+    p = (task // size) % size
+    q = task % size
+    beside = p == 0 or q == 0 or p == size - 1 or q == size - 1
+    outside = bool(True)  # before the first voxel
+    for step in range(2 * size):
+        along = step
+        if step >= size:
+            along = 2 * size - 1 - step
+        if step == size:
+            outside = True
+        at = voxel_of(axis, p, q, along)
+        found = state[b, at[0], at[1], at[2]]
+        if found == _EMPTY and (outside or beside):
+            found = _OUTSIDE
+            state[b, at[0], at[1], at[2]] = found
+            changed[0] = 1
+        outside = found == _OUTSIDE
 
 
 @wp.kernel

@@ -12,7 +12,9 @@ import torch
 from torch import Tensor
 
 import neural_renderer as nr
+from neural_renderer.raster.ops import voxels
 from neural_renderer.raster.ops.voxels import fill, inside
+from neural_renderer.raster.warp.launch import array, launch
 from neural_renderer.tasks.reconstruction.data.framing import mirror, scale_to_unit, view_camera
 from neural_renderer.tasks.reconstruction.data.voxels import voxel_iou, voxel_surface, voxelize, voxelize_model
 from tests.rounding import rounding
@@ -88,6 +90,16 @@ def test_a_corner_without_a_place_marks_nothing(device: str) -> None:
     filled = fill(vertices[None].to(device), faces.to(device), 8)
     alone = fill(vertices[None, :3].to(device), faces[:1].to(device), 8)
     assert torch.equal(filled, alone)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.55, 0.7])
+def test_lines_flood_the_same_as_sweeps(share: float) -> None:
+    """CUDA floods line by line. Where half of the voxels are full at random, the empty ones make mazes."""
+    full = torch.rand(3, 14, 14, 14, generator=torch.Generator().manual_seed(0)) < share
+    by_sweeps, by_lines = full.to(torch.uint8), full.to(torch.uint8)
+    launch(voxels._flood, 3, [array(by_sweeps)], by_sweeps.device)
+    voxels._flood_lines(by_lines)
+    assert torch.equal(by_sweeps, by_lines) and {0, 1, 2} >= set(by_lines.unique().tolist()) >= {1, 2}
 
 
 def test_sphere_has_its_volume() -> None:
