@@ -40,6 +40,7 @@ ROOMS = [
 RASTER = [
     "warp",
     "ops",
+    "colors",
     "visibility",
     "reference",
     "settings",

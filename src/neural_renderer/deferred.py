@@ -15,10 +15,10 @@ from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ahead import ATTRIBUTES, load_kernels
 from .raster.background import background_image
+from .raster.colors.composite import composite
+from .raster.colors.interpolate import interpolate
 from .raster.faces import checked_faces, corners_of
-from .raster.ops.composite import composite
 from .raster.ops.corners import gather_corners
-from .raster.ops.interpolate import interpolate
 from .raster.settings import Settings
 from .raster.visible import VisibleFaces
 

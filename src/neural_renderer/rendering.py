@@ -18,11 +18,11 @@ from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ahead import CUBES, IMAGES, load_kernels
 from .raster.background import background_image
+from .raster.colors.composite import composite
+from .raster.colors.light_pixels import light_pixels
 from .raster.cubes import cube_colors
 from .raster.faces import checked_faces, world_corners
 from .raster.images import OUTPUTS, Images, checked_outputs
-from .raster.ops.composite import composite
-from .raster.ops.light_pixels import light_pixels
 from .raster.settings import Settings
 from .raster.visibility.continuity import image_edge_hashes
 from .shading.lights import Light, light_factors

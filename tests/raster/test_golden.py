@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from neural_renderer.raster.colors.texture_cubes import sample_textures
 from neural_renderer.raster.ops.barycentrics import barycentrics
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.ops.texture_cubes import sample_textures
 from neural_renderer.raster.visibility.nmr import nmr_edges
 from tests.paths import GOLDEN
 

@@ -8,16 +8,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from .colors.composite import composite
+from .colors.interpolate import interpolate
+from .colors.light_pixels import light_pixels
+from .colors.mipmaps import sample_mipmaps
+from .colors.texture_cubes import sample_textures
 from .ops.barycentrics import barycentrics
-from .ops.composite import composite
 from .ops.corners import gather_corners
 from .ops.coverage import coverage
 from .ops.flat_light import flat_light
-from .ops.interpolate import interpolate
-from .ops.light_pixels import light_pixels
-from .ops.mipmaps import sample_mipmaps
 from .ops.pinhole import pinhole
-from .ops.texture_cubes import sample_textures
 from .ops.visible_faces import seen_faces
 from .settings import Settings
 from .visibility.continuity import texture_edge_hashes

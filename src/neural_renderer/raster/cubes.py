@@ -10,7 +10,7 @@ from torch import Tensor
 
 from .. import validate
 from .background import background_image
-from .ops.texture_cubes import sample_textures
+from .colors.texture_cubes import sample_textures
 from .visibility.continuity import texture_edge_hashes
 from .visible import VisibleFaces
 

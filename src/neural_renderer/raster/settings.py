@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from .colors.downsample import halve
 from .ops.coverage import coverage
-from .ops.downsample import halve
 from .visibility.edge import boundaries
 from .visibility.nmr import nmr_edges
 from .visibility.rings import edge_rings

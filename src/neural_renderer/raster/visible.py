@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from .colors.downsample import halve
 from .images import Images
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette
-from .ops.downsample import halve
 from .settings import Settings
 
 

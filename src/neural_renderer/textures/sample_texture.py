@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from ..raster.ops.mipmaps import pyramid, sample_mipmaps
+from ..raster.colors.mipmaps import pyramid, sample_mipmaps
 
 WRAPS = ("repeat", "clamp")
 

@@ -34,7 +34,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..ops.downsample import halve, halve_backward
+from ..colors.downsample import halve, halve_backward
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import facing
 from ..warp.launch import array, copy, zeros

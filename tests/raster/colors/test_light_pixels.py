@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
+from neural_renderer.raster.colors.light_pixels import light_pixels
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.ops.light_pixels import light_pixels
 from neural_renderer.raster.reference.operators import sides
 
 

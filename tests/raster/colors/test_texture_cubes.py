@@ -7,9 +7,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from neural_renderer.raster.colors.texture_cubes import sample_textures
 from neural_renderer.raster.ops.barycentrics import barycentrics
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.ops.texture_cubes import sample_textures
 from neural_renderer.raster.reference.operators import sample_textures_reference
 from tests.raster.scenes import FAR, NEAR, examples, scenes
 from tests.rounding import relative, rounding

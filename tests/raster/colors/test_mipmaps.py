@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.nn import functional
 
-from neural_renderer.raster.ops.mipmaps import level_sizes, pyramid, sample_mipmaps
+from neural_renderer.raster.colors.mipmaps import level_sizes, pyramid, sample_mipmaps
 from tests.raster.scenes import examples
 from tests.rounding import rounding
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from neural_renderer.raster.ops.composite import composite
+from neural_renderer.raster.colors.composite import composite
 
 
 def scene(device, channels, shape):
