@@ -9,11 +9,11 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .camera.screen import screen_positions
+from .camera.screen import causes, screen_positions
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
-from .raster.ahead import ATTRIBUTES, load_kernels
+from .raster.ahead import ATTRIBUTES, SCENE, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.interpolate import interpolate
@@ -163,8 +163,8 @@ def fragments(
     settings = Settings.checked(
         size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
     )
+    load_kernels(settings, ("rgb",), ATTRIBUTES, *causes(vertices, camera), scene=SCENE[:1])
     screen = screen_positions(camera, vertices, settings.width / settings.height)
-    load_kernels(settings, ("rgb",), ATTRIBUTES, screen)
     return visible_fragments(screen, checked_faces(faces), settings, 8)
 
 

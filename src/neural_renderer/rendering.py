@@ -11,12 +11,12 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .camera.screen import screen_positions
+from .camera.screen import causes, screen_positions
 from .deferred import Fragments, visible_fragments
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
-from .raster.ahead import CUBES, IMAGES, load_kernels
+from .raster.ahead import CUBES, IMAGES, SCENE, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.light_pixels import light_pixels
@@ -91,9 +91,11 @@ def render(
         size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
     )
     aspect = settings.width / settings.height
+    load_kernels(
+        settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, *causes(vertices, camera), scene=SCENE
+    )
     screen = validate.in_float32("vertices on the screen", screen_positions(camera, vertices, aspect))
     faces = checked_faces(faces)
-    load_kernels(settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, screen)
     visible = visible_fragments(screen, faces, settings, 1 + 3 * ("rgb" in outputs))
     if "rgb" not in outputs:
         return visible.images(outputs)

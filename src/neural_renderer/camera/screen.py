@@ -16,6 +16,12 @@ from .lens import viewing_angle
 from .parameters import batch_of, batch_size, scalar
 
 
+def causes(vertices: Tensor, camera: Camera) -> tuple[Tensor, ...]:
+    """Return the tensors that positions on the screen follow from, vertices first."""
+    lens = (camera.rotation, camera.origin, camera.translation, camera.viewing_angle, camera.scale, camera.K)
+    return vertices, *(part for part in lens if isinstance(part, Tensor))
+
+
 def screen_positions(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
     """Project vertices as ``camera(vertices, aspect)``, with the same values; for callers with first derivatives only.
 

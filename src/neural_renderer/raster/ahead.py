@@ -31,18 +31,21 @@ from .warp.registration import is_plain
 
 Functions = tuple[Callable[..., Any], ...]
 
-CUBES: Functions = (sample_textures, flat_light)
+CUBES: Functions = (sample_textures,)
 ATTRIBUTES: Functions = (interpolate, composite)
-IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels, flat_light)
-_ALWAYS: Functions = (coverage, gather_corners, pinhole)
+IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels)
+SCENE: Functions = (pinhole, flat_light)
+_ALWAYS: Functions = (coverage, gather_corners)
 _VISIBILITY: dict[str, Functions] = {
     "nmr": (nmr_edges, empty_lines, seen_faces),
     "edge": (boundaries, add_intersections, neighbors, seen_faces),
 }
 
 
-def load_kernels(settings: Settings, outputs: Collection[str], colors: Functions, corners: Tensor) -> None:
-    """Compile the kernels that images of these corners or vertices need, unless they are in the cache.
+def load_kernels(
+    settings: Settings, outputs: Collection[str], colors: Functions, *positions: Tensor, scene: Functions = ()
+) -> None:
+    """Compile the kernels that images need, unless they are in the cache.
 
     Any other kernel is compiled when it first runs.
 
@@ -50,17 +53,19 @@ def load_kernels(settings: Settings, outputs: Collection[str], colors: Functions
         settings: How faces are drawn.
         outputs: Some of "rgb", "alpha", "depth".
         colors: Operators that colour the faces if "rgb" is among the outputs: CUBES, ATTRIBUTES or IMAGES.
-        corners: Positions on the device where images are drawn.
+        positions: Corners, or vertices and what else moves them on the screen; the first on the device of the images.
+        scene: SCENE, if vertices are projected and lit.
     """
-    if not is_plain((corners,)):
+    if not isinstance(positions[0], Tensor) or not is_plain(positions):
         return
-    moving = corners.requires_grad and torch.is_grad_enabled()
+    moving = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in positions)
     # The modules that take longest to compile come first.
     needed: Functions = _VISIBILITY[settings.gradient] if moving else ()
+    needed += scene if "rgb" in outputs else scene[:1]
     if "rgb" in outputs:
         needed += colors
         if moving and settings.gradient == "edge" and colors == CUBES:
             needed += (texture_edge_hashes,)
     if "depth" in outputs:
         needed += (barycentrics,)
-    load_ahead(needed + _ALWAYS, corners.device)
+    load_ahead(needed + _ALWAYS, positions[0].device)
