@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
+
 import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.deprecated import old_argument
+from neural_renderer.deprecated import old_argument, old_method
 from neural_renderer.tasks import editing, fit
 
 
@@ -31,6 +33,36 @@ def test_old_arguments_warn(tmp_path) -> None:
     with pytest.warns(DeprecationWarning, match="UVMesh.shade: seen is now fragments"):
         colors = mesh.shade(seen=fragments)  # type: ignore[call-arg]
     assert torch.equal(colors, mesh.shade(fragments)) and torch.equal(colors, mesh.shade(fragments=fragments))
+
+
+@pytest.mark.parametrize(
+    ("path", "old", "new"),
+    [
+        ("checkpoint", "load_model", "networks.checkpoint.load_model"),
+        ("refine", "refined", "evaluation.refine.refine_meshes"),
+    ],
+)
+def test_old_modules_warn(path: str, old: str, new: str) -> None:
+    base = "neural_renderer.tasks.reconstruction"
+    module = importlib.import_module(f"{base}.{path}")
+    with pytest.warns(DeprecationWarning, match=f"{base}.{path}.{old} is now {base}.{new}"):
+        found = getattr(module, old)
+    where, _, name = new.rpartition(".")
+    assert found is getattr(importlib.import_module(f"{base}.{where}"), name)
+
+
+def test_old_methods_warn() -> None:
+    class Thing:
+        old = old_method("old", "new")
+
+        def new(self, number: int) -> int:
+            return number + 1
+
+    with pytest.warns(DeprecationWarning, match="Thing.old is now new"):
+        assert Thing().old(1) == 2
+    for kind, name, now in ((fit.MeshFit, "placed", "normalize"), (fit.Views, "moved", "normalized")):
+        assert callable(getattr(kind, name)) and hasattr(kind, now)
+    assert callable(editing.MeshEdit.moved) and hasattr(editing.MeshEdit, "displacement")
 
 
 def test_an_argument_is_given_once() -> None:

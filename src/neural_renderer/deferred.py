@@ -160,9 +160,7 @@ def fragments(
     vertices, faces, _ = mesh_parts(mesh)
     if not isinstance(camera, Camera):
         raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
-    settings = Settings.checked(
-        size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
-    )
+    settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     load_kernels(settings, ("rgb",), ATTRIBUTES, *causes(vertices, camera), scene=SCENE[:1])
     screen = screen_positions(camera, vertices, settings.width / settings.height)
     return visible_fragments(screen, checked_faces(faces), settings, 8)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import sys
 import warnings
 from collections.abc import Callable
@@ -53,3 +54,40 @@ def old_argument(old: str, new: str) -> Callable[[_Function], _Function]:
         return cast(_Function, call)
 
     return decorate
+
+
+def old_method(old: str, new: str) -> Callable[..., Any]:
+    """Make a method that calls another one of its object, with a DeprecationWarning.
+
+    Args:
+        old: Old name of the method.
+        new: New name.
+    """
+
+    def call(self: Any, *arguments: Any, **named: Any) -> Any:
+        kind = type(self).__qualname__
+        warnings.warn(f"{kind}.{old} is now {new}; the old name goes in 2.1", DeprecationWarning, stacklevel=2)
+        return getattr(self, new)(*arguments, **named)
+
+    call.__name__, call.__doc__ = old, f"Call `{new}`, the new name of this method."
+    return call
+
+
+def old_module(module: str, new: str, **names: str) -> Callable[[str], Any]:
+    """Make the function ``__getattr__`` of a module whose objects are elsewhere now, with a DeprecationWarning.
+
+    Args:
+        module: Old name of the module.
+        new: New name.
+        names: Old name to new name of objects that have another name there.
+    """
+
+    def find(name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        found = getattr(importlib.import_module(new), names.get(name, name))
+        now = f"{new}.{names.get(name, name)}"
+        warnings.warn(f"{module}.{name} is now {now}; the old name goes in 2.1", DeprecationWarning, stacklevel=2)
+        return found
+
+    return find

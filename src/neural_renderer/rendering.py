@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -25,10 +25,7 @@ from .raster.faces import checked_faces, world_corners
 from .raster.images import OUTPUTS, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.continuity import image_edge_hashes
-from .shading.lights import Light, light_factors
-from .shading.spherical_harmonics import SphericalHarmonicLight
-
-AnyLight: TypeAlias = Light | SphericalHarmonicLight
+from .shading.lights import AnyLight, Light, light_factors
 
 
 @validate.checked_together
@@ -58,7 +55,8 @@ def render(
             textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
         camera: One camera or B of them.
         size: Side of the images, or (height, width), in pixels. Pixels are square.
-        light: `Light`, `SphericalHarmonicLight`, or a list of them to add up. None draws textures unchanged.
+        light: `Light`, `SphericalHarmonicLight`, another object with their method `two_sided`, or a list of lights,
+            which add up. None draws textures without lighting.
         background: Number, colour [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.
         outputs: Some of "rgb", "alpha", "depth". Other outputs are not computed.
         near, far: Depth range in world units, 0 <= near < far; a point is visible if near < depth < far.
@@ -87,9 +85,7 @@ def render(
         raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
     lights = _checked_lights(light)
     outputs = checked_outputs(outputs)
-    settings = Settings.checked(
-        size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
-    )
+    settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     aspect = settings.width / settings.height
     load_kernels(
         settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, *causes(vertices, camera), scene=SCENE
@@ -131,7 +127,7 @@ def _image_colors(
 def _checked_lights(light: Any) -> list[AnyLight]:
     lights = list(light) if isinstance(light, (list, tuple)) else [] if light is None else [light]
     for one in lights:
-        if not isinstance(one, (Light, SphericalHarmonicLight)):
+        if not isinstance(one, AnyLight) or isinstance(one, type):
             raise TypeError(f"light: expected a Light, a SphericalHarmonicLight or None, got {type(one).__name__}")
     if light is not None and not lights:
         raise ValueError("light: expected at least one, got an empty list; None draws the textures as they are")

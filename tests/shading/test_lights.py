@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
+import neural_renderer as nr
 from neural_renderer.compat.lighting import face_light, lighting
 from neural_renderer.meshes.normals import face_normals
 from neural_renderer.shading.lights import Light
@@ -115,3 +116,18 @@ def test_it_compiles_in_one_graph():
 
     compiled = torch.compile(shade, fullgraph=True, backend="aot_eager")
     torch.testing.assert_close(compiled(corners(2, 3)), shade(corners(2, 3)))
+
+
+def test_an_object_with_the_method_is_a_light(device):
+    class Twice:
+        def two_sided(self, corners, mirrored=False):
+            return 2 * nr.Light().two_sided(corners, mirrored)
+
+    vertices, faces = (part.to(device) for part in nr.icosphere(1))
+    textures = torch.rand(len(faces), 1, 1, 1, 3, generator=torch.Generator().manual_seed(0)).to(device)
+    camera = nr.Camera.look_at((0.0, 0.0, -2.7))
+    once = nr.render((vertices, faces, textures), camera, 16, outputs="rgb").rgb
+    twice = nr.render((vertices, faces, textures), camera, 16, outputs="rgb", light=Twice()).rgb
+    torch.testing.assert_close(twice, 2 * once)
+    with pytest.raises(TypeError, match="light: expected a Light, a SphericalHarmonicLight or None, got type"):
+        nr.render((vertices, faces, textures), camera, 16, light=Twice)

@@ -66,7 +66,7 @@ def rasterize_rgbad(
     asked = {"rgb": return_rgb, "alpha": return_alpha, "depth": return_depth}
     if not any(asked.values()):
         raise ValueError("return_rgb, return_alpha, return_depth: expected at least one, got none")
-    with validate.called(background="background_color"):
+    with validate.called(background="background_color", size="image_size"):
         images = rasterize_images(
             faces,
             image_size,

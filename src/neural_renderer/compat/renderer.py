@@ -29,6 +29,13 @@ _LIGHT = {
     "directional_color": "light_color_directional",
     "direction": "light_direction",
 }
+# Argument of `rasterize_images` → attribute of `Renderer`.
+_RASTERIZER = {
+    "size": "image_size",
+    "background": "background_color",
+    "eps": "rasterizer_eps",
+    "light": "light_*",
+}
 _COLOR_EPS = 1e-3  # as in the first packages
 
 
@@ -327,7 +334,7 @@ class Renderer(nn.Module):
             # Light is computed in world space, on the side that the first packages lit (see the class).
             with validate.called(**_LIGHT):
                 light = light_factors(lamp, world_corners(vertices, faces, len(screen)), mirrored=True)
-        with validate.called(background="background_color", eps="rasterizer_eps", light="light_*"):
+        with validate.called(**_RASTERIZER):
             return rasterize_images(
                 vertices_to_faces(screen, faces),
                 self.image_size,

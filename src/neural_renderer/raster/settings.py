@@ -66,20 +66,18 @@ class Settings:
         two_sided: bool,
         perspective: bool,
         gradient: str,
-        name: str = "image_size",
     ) -> Settings:
         """Validate settings.
 
         Args:
             size: Side, or (height, width), of the returned image in pixels, 1 to 32768 each.
             near, far, eps, anti_aliasing, two_sided, perspective, gradient: As the attributes.
-            name: Name of ``size`` in errors.
 
         Raises:
             TypeError: A flag, number or size of another type.
             ValueError: A number out of its range, or an unknown estimator.
         """
-        height, width = image_size(name, size)
+        height, width = image_size("size", size)
         two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
         if not isinstance(gradient, str) or gradient not in GRADIENTS:
             raise ValueError(f"gradient: expected one of {', '.join(GRADIENTS)}, got {gradient!r}")
@@ -199,7 +197,7 @@ def _check_memory(batch: int, height: int, width: int, channels: int, device: to
     have = torch.cuda.get_device_properties(device).total_memory if device.type == "cuda" else _machine_memory()
     if have is not None and need > have:
         raise ValueError(
-            f"image_size: expected images that fit into the {have / 2**30:.1f} GiB of {device}, got {batch} of "
+            f"size: expected images that fit into the {have / 2**30:.1f} GiB of {device}, got {batch} of "
             f"{height} x {width} drawn pixels, which take {need / 2**30:.1f} GiB; {have // each // 10**6} million "
             "drawn pixels fit in one call"
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -14,7 +14,15 @@ from ..camera.parameters import Array, Scalar, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
 from ..raster.ops.flat_light import flat_light
 from ..raster.warp.registration import is_plain
-from .spherical_harmonics import SphericalHarmonicLight
+
+
+@runtime_checkable
+class AnyLight(Protocol):
+    """A light: `Light`, `SphericalHarmonicLight`, or any object with this method."""
+
+    def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
+        """Compute the light on both sides of each face, [B, 2, F, 3]; see `Light.two_sided`."""
+
 
 _WHITE = (1.0, 1.0, 1.0)
 _UP = (0.0, 1.0, 0.0)
@@ -136,11 +144,11 @@ class Light:
             yield from value if isinstance(value, tuple) else (value,)
 
 
-def light_factors(light: Light | SphericalHarmonicLight, corners: Tensor, mirrored: bool) -> Tensor:
+def light_factors(light: AnyLight, corners: Tensor, mirrored: bool) -> Tensor:
     """Compute the light on both sides of faces as ``light.two_sided``; for callers with first derivatives only.
 
     Args:
-        light: Ambient and directional light, or spherical harmonics.
+        light: Any light.
         corners: [B, F, 3 corners, 3] floating, finite, in world space.
         mirrored: Whether the camera mirrors.
 

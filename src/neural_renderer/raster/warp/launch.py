@@ -189,7 +189,7 @@ def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
         strides = [0 if size == 1 else stride for size, stride in zip(shape, strides, strict=True)]
         if max(strides, default=0) > MOST_BYTES:
             raise ValueError(
-                f"image_size: expected images and channels of at most {MOST_BYTES} bytes, "
+                f"size: expected images and channels of at most {MOST_BYTES} bytes, "
                 f"got tensors {list(tensor.shape)} with {max(strides)} bytes from one to the next"
             )
     if _IS_KNOWN:  # in half the time that the constructor takes

@@ -11,6 +11,7 @@ from torch import Tensor
 from ... import validate
 from ...camera import Camera
 from ...compat.adam import Adam
+from ...deprecated import old_method
 from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
 from ...meshes.topology import Topology
@@ -181,6 +182,8 @@ class MeshEdit:
             return mesh if isinstance(mesh, UVMesh) else Mesh(*mesh)
         known = self._visible_steps > _RARELY * self.step
         return self._paint.finish(vertices, torch.sigmoid(self._colors.detach()), known)
+
+    moved = old_method("moved", "displacement")
 
     def displacement(self) -> dict[str, float]:
         """Measure the displacement of vertices, relative to the mesh's longest side.

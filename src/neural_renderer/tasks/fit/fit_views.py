@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ... import metrics, validate
 from ...camera import Camera
+from ...deprecated import old_method
 from ...meshes.mesh import Mesh
 from ...raster import Images
 from ...rendering import render
@@ -111,6 +112,8 @@ class Views:
         """
         photos = None if self.photos is None else self.photos.to(device)
         return Views(self.camera.to(device), self.masks.to(device), photos)
+
+    moved = old_method("moved", "normalized")
 
     def normalized(self, center: Tensor, scale: float) -> Views:
         """Change the world of the cameras: ``center`` becomes the origin and ``scale`` the unit of length.

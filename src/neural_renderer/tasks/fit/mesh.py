@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from ... import validate
+from ...deprecated import old_argument, old_method
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
 from ...pictures.clay import plain_texture
@@ -59,6 +60,7 @@ class MeshFit:
         >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
 
+    @old_argument("colour_from", "color_from")
     def __init__(
         self,
         views: Views,
@@ -122,6 +124,8 @@ class MeshFit:
             The same views, with other cameras.
         """
         return views.normalized(self._center, self._scale)
+
+    placed = old_method("placed", "normalize")
 
     def mesh(self) -> Mesh:
         """Make the current mesh.

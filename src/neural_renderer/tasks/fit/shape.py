@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from ... import losses, validate
+from ...deprecated import old_argument
 from ...io.cubes import bake_corners
 from ...meshes.subdivision import split_faces
 from ...meshes.topology import Topology
@@ -67,6 +68,7 @@ class ShapeFit:
     _descent: SmoothDescent
     _color_descent: SmoothDescent
 
+    @old_argument("colour_from", "color_from")
     def __init__(
         self,
         views: Views,
