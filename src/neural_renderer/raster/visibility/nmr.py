@@ -81,15 +81,14 @@ def nmr_edges_backward(
     at_once = max(1, min(batch, room // (8 * planes * height * width)))
     rows = empty_lines(at_once, height, width, planes, device)
     columns = empty_lines(at_once, width, height, planes, device)
-    spans = zeros((at_once, height + width, 2), device, torch.int32)
+    spans = torch.empty((at_once, height + width, 2), dtype=torch.int32, device=device)
     lines = [array(rows), array(columns), array(spans, wp.vec2i)]
     for first in range(0, batch, at_once):
         here = slice(first, first + at_once)
         images = min(at_once, batch - first)
         shown = array(image[here])
         if concurrent(device):
-            if first > 0:
-                spans.zero_()
+            spans.zero_()
             tasks, each = pixel_tasks(images * height, width, device)
             launch(copy_pixels, tasks, [shown, array(grad[here]), *lines, each], device)
         else:

@@ -179,7 +179,7 @@ def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
     bytes_each = tensor.element_size()
     dims = tensor.dim() - (0 if dtype is None else len(dtype._shape_))
     strides = [bytes_each * step for step in tensor.stride()]
-    if tensor.numel() > MOST_BYTES // 16:  # a stride along an axis of length 1 is never used
+    if strided or (strides and strides[0] > MOST_BYTES):  # a stride along an axis of length 1 is never used
         strides = [0 if size == 1 else stride for size, stride in zip(tensor.shape, strides, strict=True)]
         if max(strides, default=0) > MOST_BYTES:
             raise ValueError(

@@ -68,10 +68,9 @@ def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
         The number of tasks, and the rows of each. 0 stands for a single pixel, as on CUDA, where the threads of a warp
         then read and write side by side.
     """
-    if concurrent(device) and rows * width <= _MOST_TASKS:
-        return rows * width, 0
-    each = 1 if concurrent(device) else _ROWS
-    return -(-rows // each), each
+    if not concurrent(device):
+        return -(-rows // _ROWS), _ROWS
+    return (rows * width, 0) if rows * width <= _MOST_TASKS else (rows, 1)
 
 
 def run_tasks(rows: int, width: int) -> tuple[int, int]:
