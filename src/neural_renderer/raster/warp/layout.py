@@ -21,9 +21,13 @@ _MOST_TASKS = 2**31 - 1  # of one launch
 # C++ statements that find the pixels of a ``task`` of ``each`` rows (see `pixel_tasks`) in maps of ``all`` rows of
 # ``width`` pixels: the pixels [left, right) of the rows [first, last).
 PIXELS_OF_TASK = """
+    #if defined(__CUDA_ARCH__)
     const int first = each ? task * each : task / width;
-    const int last = each == 0 ? first + 1 : first + each < all ? first + each : all;
     const int left = each ? 0 : task % width, right = each ? width : left + 1;
+    #else  // whole rows alone: compilers make better loops of them
+    const int first = task * each, left = 0, right = width;
+    #endif
+    const int last = each == 0 ? first + 1 : first + each < all ? first + each : all;
 """
 
 # Tests set it, to run the layout of CUDA, and its code, on a processor; see `emulator` in `launch`.
