@@ -21,7 +21,7 @@ test-all: $(VENV)/installed
 # The kernels' CUDA code on a processor, with unordered memory accesses counted; needs a C compiler, no GPU.
 # Without the statistics over hundreds of images, which see no more of it and take long.
 test-cuda-emulated: $(VENV)/installed
-	$(BIN)/python -m pytest --emulated-cuda races tests/raster/ops tests/raster/visibility tests/raster/test_rasterize.py \
+	$(BIN)/python -m pytest --emulated-cuda races tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
 		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/tasks/reconstruction/data/test_voxels.py \
 		--ignore tests/raster/visibility/test_gradient_quality.py \
 		--deselect tests/raster/visibility/test_intersections.py::test_mean_gradient_is_a_central_difference

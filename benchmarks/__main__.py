@@ -1,8 +1,8 @@
-"""Time of the renderer, forward and backward, over batch, size, faces and threads: ``python -m benchmarks``.
+"""Times of the renderer, forward and backward, for several batches, sizes, faces and threads: ``python -m benchmarks``.
 
-Prints two tables, with the hardware named; ``--json`` writes the same numbers to a file. Each number of the first is
-the median over ``--repeats`` runs in turn with all the others, after one to warm up, through the public function,
-without anti-aliasing, with "nmr". The second has the ratios of `benchmarks.ratios`, as Markdown.
+Prints two tables with the name of the hardware; ``--json`` writes the numbers to a file. The first table shows times of
+the public function without anti-aliasing, with "nmr": medians over ``--repeats`` runs after a warm-up. The cases take
+turns. The second table has the ratios of `benchmarks.ratios`, as Markdown.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .ratios import all_ratios
 from .scenes import noisy_icospheres
 
 GRADIENT = "nmr"  # the estimator of all cases
-# (what is drawn, images, side, icosphere level, both sides)
+# (output, images, side, icosphere level, both sides)
 CASES = [
     ("silhouettes", 64, 128, 3, False),
     ("silhouettes", 8, 256, 3, False),
@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def time_cases(report: dict[str, Any], device: str, threads: list[int] | None, repeats: int) -> None:
-    """Measure CASES into the report and print their table."""
+    """Measure CASES, add them to the report, and print their table."""
     all_threads = torch.get_num_threads()
     threads = threads or ([all_threads] if device != "cpu" else sorted({1, all_threads}))
     console = Console()
@@ -106,7 +106,7 @@ Work = Callable[[], object]
 
 
 def work(drawn: str, batch: int, size: int, level: int, two_sided: bool, device: str) -> tuple[Work, Work]:
-    """The forward pass, without gradients, and forward and backward."""
+    """Make two functions: the forward pass without gradients, and forward and backward."""
     faces = noisy_icospheres(batch, level, device=device).requires_grad_()
     options = {
         "outputs": (OUTPUT[drawn],),
@@ -142,9 +142,9 @@ OUTPUT = {"silhouettes": "alpha", "rgb": "rgb", "depth": "depth"}
 
 
 def measure(works: list[tuple[Work, Work]], threads: list[int], device: str, repeats: int) -> list[tuple[float, float]]:
-    """Median milliseconds of each work with each number of threads.
+    """Measure the median milliseconds of each work with each number of threads.
 
-    Every round does everything once, so that what else the machine does meets all alike, and ratios hold.
+    Every round runs all works once, so that other programs on the machine slow all of them alike, and ratios hold.
     """
     times: list[list[list[float]]] = [[[], []] for _ in works for _ in threads]
     for turn in range(repeats + 1):

@@ -1,11 +1,11 @@
-"""Coloured images beside DEODR, a differentiable rasteriser in C++: ``python -m benchmarks.deodr``.
+"""Comparison with DEODR, a differentiable rasteriser in C++: ``python -m benchmarks.deodr``.
 
-Both draw the same spheres with colours at the vertices, one side, from an orthographic camera (DEODR's backward has no
-perspective), and send a gradient to vertices and colours. DEODR is given vertices on the screen and the edges of the
-silhouette; ours starts from vertices in space and finds visibility's edges itself. The images are compared first.
+Both draw the same one-sided spheres with colours at the vertices from an orthographic camera (DEODR's backward has no
+perspective), and compute gradients to vertices and colours. DEODR gets vertices on the screen and the edges of the
+silhouette; ours starts from vertices in space and finds the visible edges itself. The images are compared first.
 
-Needs ``pip install deodr``; says so and ends without it. Times are of the processor, the least of the rounds, in which
-both take turns; DEODR has one thread.
+Needs ``pip install deodr``; otherwise it ends with a message. Times are processor times, the least of several rounds in
+which both take turns. DEODR has one thread.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def is_installed() -> bool:
 
 
 def compare(rounds: int) -> Table | None:
-    """The table of all scenes; None without DEODR."""
+    """Measure all scenes; return the table, or None without DEODR."""
     if not is_installed():
         return None
     table = Table(title="colour at vertices, processor time in ms: forward | forward + backward")
@@ -68,7 +68,7 @@ def compare(rounds: int) -> Table | None:
 
 
 def least(jobs: list[tuple[int, Callable[[], object]]], rounds: int) -> list[tuple[float, float]]:
-    """Milliseconds (of the processor, passed) of each job with so many threads; all of them once a round."""
+    """Measure milliseconds (processor, wall clock) of each job; every round runs all jobs once."""
     best = [(math.inf, math.inf)] * len(jobs)
     before = torch.get_num_threads()
     for turn in range(rounds + 1):
@@ -84,7 +84,7 @@ def least(jobs: list[tuple[int, Callable[[], object]]], rounds: int) -> list[tup
 
 
 class Scene:
-    """Noisy spheres, one for each image, with random colours at the vertices."""
+    """Scene of noisy spheres, one per image, with random colours at the vertices."""
 
     def __init__(self, images: int, side: int, level: int) -> None:
         from deodr.triangulated_mesh import TriMeshAdjacencies
@@ -120,7 +120,7 @@ class Scene:
         )  # fmt: skip
 
     def theirs(self, backward: bool) -> None:
-        """Into one image again and again, which spares it memory that ours has to touch."""
+        """Draw into one image repeatedly; ours has to touch new memory."""
         from deodr.differentiable_renderer import renderScene, renderSceneB
 
         image, depth = self.buffers
@@ -134,14 +134,16 @@ class Scene:
         self.vertices.grad = self.colors.grad = None
         with torch.set_grad_enabled(backward):
             mesh = (self.vertices, self.faces)
-            seen = nr.fragments(mesh, self.camera, self.side, anti_aliasing=False, two_sided=False, gradient="edge")
-            images = seen.composite(seen.interpolate(self.colors))
+            fragments = nr.fragments(
+                mesh, self.camera, self.side, anti_aliasing=False, two_sided=False, gradient="edge"
+            )
+            images = fragments.composite(fragments.interpolate(self.colors))
         if backward:
             images.backward(self.grad)
         return images
 
     def different_pixels(self) -> int:
-        """Number of pixels that differ, except at edges, which DEODR smooths over a pixel."""
+        """Count the pixels that differ, except at edges, because DEODR smooths them over a pixel."""
         theirs = []
         for scene in self.scenes:
             flags, scene.edgeflags = scene.edgeflags, np.zeros_like(scene.edgeflags)

@@ -1,9 +1,9 @@
-"""The gallery of docs/tools/editing.md: two meshes in the style of five paintings, and what a network dreams of them.
+"""Gallery of docs/tools/editing.md: two meshes in the style of five paintings, and after DeepDream.
 
     python -m benchmarks.editing_gallery MESHES PAINTINGS --vgg VGG --googlenet GOOGLENET --uv MESH MESH MESH -o gallery
 
-runs `neural-renderer style` and `dream` one after the other; what is finished in the folder is not run again. Then it
-puts the pictures together, and prints what was measured.
+runs `neural-renderer style` and `dream` one after the other; runs that are finished in the folder are skipped. Then it
+combines the pictures, and prints the measures.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.tasks.editing.edit_pictures import normalized_like, photographs
 
-MESHES = {"bunny_kato": "4", "teapot_kato": "6"}  # and texels along an edge: the teapot has half as many faces
+MESHES = {"bunny_kato": "4", "teapot_kato": "6"}  # texels along an edge; the teapot has half as many faces
 PAINTINGS = {
     "elder1": "Bruegel, The Tower of Babel",
     "munch1": "Munch, The Scream",
@@ -60,7 +60,7 @@ def main() -> int:
 
 
 def together(folder: Path, meshes: Path, paintings: Path, uv: list[Path]) -> None:
-    """The pictures ``styles.jpg``, ``dreams.jpg`` and ``uv.jpg`` in the folder, and the numbers on the screen."""
+    """Write ``styles.jpg``, ``dreams.jpg`` and ``uv.jpg`` to the folder, and print the numbers."""
     print("| mesh | | steps | before | after | change | vertices, mean | most | s | share of time")
     columns, dreams = [_column([_painting(paintings / f"{name}.jpg") for name in PAINTINGS])], []
     for mesh in MESHES:
@@ -117,7 +117,7 @@ def _painting(path: Path) -> torch.Tensor:
 
 
 def _tensor(image: Image.Image) -> torch.Tensor:
-    """[3, H, W] in [0, 1]."""
+    """Load a picture, [3, H, W] in [0, 1]."""
     pixels = torch.frombuffer(bytearray(image.tobytes()), dtype=torch.uint8)
     return pixels.reshape(image.height, image.width, 3).permute(2, 0, 1) / 255
 

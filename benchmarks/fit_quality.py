@@ -1,10 +1,10 @@
-"""How good fits are: ``python -m benchmarks.fit_quality MESHES --gradient nmr edge``.
+"""Quality of fits: ``python -m benchmarks.fit_quality MESHES --gradient nmr edge``.
 
 For each mesh in a folder, 24 views of 256² are drawn with a fixed light and fitted; 12 other views are held out.
-Prints a table and JSON: silhouette IoU (fitted and held-out, mean), PSNR of whole held-out images on black in decibels,
-the mean distance between the surfaces in hundredths of half the longest side, seconds, and those of all cores together.
-With ``--poses N`` instead: how many of N random cameras find that of one image within 5°, and whether the one of least
-loss is right.
+Prints a table and JSON: mean silhouette IoU (fitted and held-out views), PSNR of whole held-out images on black in
+decibels, the mean distance between the surfaces in hundredths of half the longest side, seconds, and processor seconds
+of all cores. With ``--poses N`` instead: the number of N random cameras that end within 5° of the true camera of one
+image, and whether the camera with the least loss is right.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def around(count: int, turn: float = 0.0) -> nr.Camera:
-    """Cameras spread evenly over the heights from 40° below to 60° above, in steps of the golden angle."""
+    """Make cameras at evenly spaced heights from 40° below to 60° above, in steps of the golden angle."""
     place = (torch.arange(count) + 0.5) / count
     low, high = math.sin(math.radians(-40)), math.sin(math.radians(60))
     elevation = torch.rad2deg(torch.asin(low + (high - low) * place))
@@ -71,14 +71,14 @@ def around(count: int, turn: float = 0.0) -> nr.Camera:
 
 def shape(name: str, mesh: nr.Mesh, gradient: str, start: str, options: argparse.Namespace) -> dict[str, object]:
     light = nr.Light(ambient=0.6, directional=0.4, direction=(0.4, 0.8, -0.45))
-    seen = Views.of(mesh, around(24), options.size, light=light)
-    unseen = Views.of(mesh, around(12, 61.0), options.size, light=light)
+    fitted = Views.of(mesh, around(24), options.size, light=light)
+    held_out = Views.of(mesh, around(12, 61.0), options.size, light=light)
     begun = time.perf_counter(), time.process_time()
-    fit = MeshFit(seen, start, gradient=gradient, steps=options.steps)
+    fit = MeshFit(fitted, start, gradient=gradient, steps=options.steps)
     while not fit.done:
         fit.advance()
     seconds, work = time.perf_counter() - begun[0], time.process_time() - begun[1]
-    seen_quality, quality = fit.views.quality(fit.shape), fit.normalize(unseen).quality(fit.shape)
+    fitted_quality, quality = fit.views.quality(fit.shape), fit.normalize(held_out).quality(fit.shape)
     if options.save:
         fit.mesh().save(options.save / f"{Path(name).stem}_{start}_{gradient}.glb")
     return {
@@ -86,7 +86,7 @@ def shape(name: str, mesh: nr.Mesh, gradient: str, start: str, options: argparse
         "start": start,
         "gradient": gradient,
         "faces": len(fit.shape[1]),
-        "fitted IoU": seen_quality["iou"].mean().item(),
+        "fitted IoU": fitted_quality["iou"].mean().item(),
         "held-out IoU": quality["iou"].mean().item(),
         "least": quality["iou"].min().item(),
         "held-out PSNR": quality["psnr"].mean().item(),
@@ -127,19 +127,19 @@ def pose(name: str, mesh: nr.Mesh, gradient: str, starts: int, steps: int, photo
 
 
 def turned(cameras: nr.Camera, camera: nr.Camera) -> Tensor:
-    """The angles [S] in degrees between the rotations of cameras and of another."""
+    """Compute the angles [S] in degrees between the rotations of S cameras and of another camera."""
     trace = torch.einsum("bij,ij->b", cameras.rotation, camera.rotation[0])
     return torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1)))
 
 
 def distance(mesh: nr.Mesh, other: nr.Mesh, count: int = 8000) -> float:
-    """The mean distance from points on one surface to the nearest ones on the other, both ways."""
+    """Compute the mean distance from points on one surface to the nearest points on the other, in both directions."""
     between = torch.cdist(points(mesh, count), points(other, count))
     return float(between.amin(0).mean() + between.amin(1).mean()) / 2
 
 
 def points(mesh: nr.Mesh, count: int) -> Tensor:
-    """Points [count, 3] spread evenly over a surface, the same ones each time."""
+    """Sample points [count, 3] evenly on a surface, always the same points."""
     generator = torch.Generator().manual_seed(0)
     corners = mesh.vertices.detach()[mesh.faces.long()]
     area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1)

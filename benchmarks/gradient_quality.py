@@ -1,10 +1,10 @@
-"""How good the gradients through visibility are, measured: ``python -m benchmarks.gradient_quality``.
+"""Quality of the gradients through visibility: ``python -m benchmarks.gradient_quality``.
 
-1. A lone triangle of 4, 16 and 64 pixels, over sub-pixel offsets and orientations, against closed forms.
+1. A single triangle of 4, 16 and 64 pixels, at sub-pixel offsets and orientations, against closed forms.
 2. Scenes against central finite differences of a heavily supersampled image, averaged over sub-pixel shifts.
 
 Each estimator's mean gradient g is compared with the truth t: size = g . t / t . t (1 is right), and the cosine between
-them. Noise is how far the gradients of single offsets lie from their mean, relative to the truth.
+them. Noise is the deviation of the gradients of single offsets from their mean, relative to the truth.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from neural_renderer.raster.faces import world_corners
 from neural_renderer.raster.rasterize import rasterize_images
 
 SIDES = (4, 16, 64)
-# What the loss asks of the triangle, as a weight on the area at (x, y): sides from its centre, x towards a corner.
+# Losses on the triangle as weights on the area at (x, y), in sides from its centre, with x towards a corner.
 WISHES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
     "shrink": lambda x, y: torch.ones_like(x),
     "grow": lambda x, y: -torch.ones_like(x),
@@ -37,7 +37,7 @@ WISHES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
 
 @dataclass(frozen=True)
 class Quality:
-    """One estimator's mean gradient against the truth, both flattened."""
+    """Comparison of an estimator's mean gradient with the truth, both flattened."""
 
     size: float
     cosine: float
@@ -45,7 +45,7 @@ class Quality:
 
     @classmethod
     def of(cls, samples: Tensor, truth: Tensor) -> Quality:
-        """samples, truth: [N, D], one row an offset; the truth may differ from row to row."""
+        """Compare samples with the truth, [N, D] each, one row per offset; the truth may differ between rows."""
         samples, truth = samples.double(), truth.double()
         mean, target = samples.mean(0), truth.mean(0)
         noise = (samples - truth - (mean - target)).norm(dim=1).mean() / truth.norm(dim=1).mean()
@@ -54,8 +54,11 @@ class Quality:
 
 
 def triangles(side: float, count: int, size: int, seed: int = 0) -> tuple[Tensor, Tensor]:
-    """Corners [N, 3, 2] in pixels from the bottom left of equilateral triangles, and their centres [N, 2], at
-    sub-pixel offsets and orientations spread evenly, around the middle of the image."""
+    """Make N equilateral triangles near the middle of the image, at evenly spread sub-pixel offsets and orientations.
+
+    Returns:
+        Corners [N, 3, 2] and centres [N, 2], in pixels from the bottom left.
+    """
     # An additive recurrence by powers of the root of x⁴ = x + 1, which fills the cube evenly.
     step = 1.2207440846057596 ** -torch.arange(1.0, 4, dtype=torch.float64)
     even = (torch.arange(1.0, count + 1, dtype=torch.float64)[:, None] * step + 0.5 + 0.1 * seed) % 1
@@ -66,8 +69,8 @@ def triangles(side: float, count: int, size: int, seed: int = 0) -> tuple[Tensor
 
 
 def area_integral(corners: Tensor, centre: Tensor, axes: Tensor, wish: str) -> Tensor:
-    """The integral of a wish's weight over triangles [N, 3, 2], exact for its polynomials, differentiable."""
-    # Three points of equal weight integrate what is quadratic over a triangle.
+    """Integrate a polynomial weight exactly over triangles [N, 3, 2]; differentiable."""
+    # Three points of equal weight integrate quadratic functions over a triangle exactly.
     shares = corners.new_tensor([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6
     x, y = ((shares @ corners - centre[:, None]) @ axes).unbind(-1)
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -76,7 +79,7 @@ def area_integral(corners: Tensor, centre: Tensor, axes: Tensor, wish: str) -> T
 
 
 def triangle_quality(side: float, wish: str, gradient: str, count: int = 256) -> Quality:
-    """Gradients to the corners, in the triangle's own frame so that they can be averaged."""
+    """Rotate gradients to the corners into each triangle's frame, so that they can be averaged."""
     size = 32 * math.ceil((2 * side + 16) / 32)
     corners, centre = triangles(side, count, size)
     first = torch.nn.functional.normalize(corners[:, 0] - centre, dim=1)
@@ -96,7 +99,7 @@ def triangle_quality(side: float, wish: str, gradient: str, count: int = 256) ->
 
 @dataclass(frozen=True)
 class Scene:
-    """What is drawn from parameters at ``size`` pixels; ``steps``: how far each is moved for its difference."""
+    """Scene with parameters, drawn at ``size`` pixels; ``steps`` are the steps of the finite differences."""
 
     parameters: dict[str, Tensor]
     steps: dict[str, float]
@@ -122,14 +125,14 @@ def _box(half: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _colors(faces: Tensor, size: int, seed: int, smooth: float = 0.3) -> Tensor:
-    """Cubes [F, T, T, T, 3]: a random colour for each face, and some change within it."""
+    """Make cubes [F, T, T, T, 3]: a random colour for each face, with some variation within it."""
     generator = torch.Generator().manual_seed(seed)
     flat = 0.2 + 0.8 * torch.rand(len(faces), 1, 1, 1, 3, generator=generator)
     return flat * (1 - smooth * torch.rand(len(faces), size, size, size, 3, generator=generator))
 
 
 def scenes() -> dict[str, Scene]:
-    """The scenes of the table, by name."""
+    """Make the scenes of the table, by name."""
     eye = torch.tensor([0.7, 0.9, -2.6])
     ball, ball_faces = nr.icosphere(1)
     ball = ball * 0.6
@@ -175,7 +178,7 @@ def scenes() -> dict[str, Scene]:
 
 
 def draw(scene: dict, size: int, shift: Tensor, gradient: str) -> Tensor:
-    """The colours [B, 3, size, size], not anti-aliased, shifted by ``shift`` [B, 2] pixels on the screen."""
+    """Draw colours [B, 3, size, size] without anti-aliasing, shifted by ``shift`` [B, 2] pixels on the screen."""
     camera = nr.Camera.look_at(scene["eye"], viewing_angle=25)
     screen = camera(scene["vertices"])
     offset = torch.cat((2 * shift / size, torch.zeros(len(shift), 1)), 1)[:, None]
@@ -197,13 +200,13 @@ def draw(scene: dict, size: int, shift: Tensor, gradient: str) -> Tensor:
 
 
 def loss_weight(size: int, seed: int = 0) -> Tensor:
-    """[3, size, size]: the loss is the sum of the image times this, smooth over some pixels and of either sign."""
+    """Make weights [3, size, size] of the loss Σ weight · image: smooth over some pixels, of both signs."""
     coarse = torch.randn(1, 3, size // 8, size // 8, generator=torch.Generator().manual_seed(seed))
     return torch.nn.functional.interpolate(coarse, (size, size), mode="bicubic", align_corners=False)[0]
 
 
 def difference(scene: Scene, name: str, supersampling: int, most: int | None = None) -> tuple[Tensor, Tensor]:
-    """Which elements of a parameter were moved [N], and the loss's central difference to each [N] float64."""
+    """Compute central differences of the loss: the chosen elements of a parameter [N], and the slopes [N] float64."""
     weight = loss_weight(scene.size).double()
     value = scene.parameters[name]
     order = torch.randperm(value.numel(), generator=torch.Generator().manual_seed(0))[: most or value.numel()]
@@ -222,7 +225,7 @@ def difference(scene: Scene, name: str, supersampling: int, most: int | None = N
 
 
 def estimates(scene: Scene, gradient: str, shifts: int, seed: int = 1) -> dict[str, Tensor]:
-    """Each parameter's gradient [shifts, numel] by an estimator, at so many random sub-pixel shifts."""
+    """Compute each parameter's gradient [shifts, numel] by an estimator, at random sub-pixel shifts."""
     generator = torch.Generator().manual_seed(seed)
     weight = loss_weight(scene.size)
     rows: dict[str, list[Tensor]] = {name: [] for name in scene.parameters}
@@ -238,7 +241,7 @@ def estimates(scene: Scene, gradient: str, shifts: int, seed: int = 1) -> dict[s
 
 
 def plot(rows: list[dict], path: Path) -> None:
-    """Size and cosine of both estimators, one line for each row of the table, beside the truth."""
+    """Plot size and cosine of both estimators, one line for each row of the table, beside the truth."""
     import matplotlib.pyplot as plt
 
     names = list(dict.fromkeys(f"{row['scene']}: {row['of']}" for row in rows))

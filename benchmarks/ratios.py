@@ -1,8 +1,8 @@
-"""Ratios that say how fast colour, texture images and both estimators are: a part of ``python -m benchmarks``.
+"""Speed ratios of colour, texture images and both estimators: a part of ``python -m benchmarks``.
 
-Each ratio is of processor time on one thread, forward and backward, both sides taking turns; of each the least time
-counts, so that what else the machine does matters little. Estimators are named in every row. First use and peak memory
-are those of processes of their own.
+A ratio compares processor times on one thread, forward and backward. Both sides take turns, and the least time of each
+side is used, so that other programs on the machine matter little. Every row names its estimator. First use and peak
+memory are measured in separate processes.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ import neural_renderer as nr
 from .deodr import SCENES as DEODR_SCENES
 from .deodr import Scene, is_installed, least
 
-Row = tuple[str, str, str]  # what, measured, asked for
+Row = tuple[str, str, str]  # subject, measured, goal
 
 
 def all_ratios(rounds: int, large: bool) -> Iterator[Row]:
-    """Measure everything, row by row. ``large``: also meshes of 1.3 million faces with both estimators."""
+    """Measure all rows; ``large`` adds meshes of 1.3 million faces with both estimators."""
     for what, one_mesh, images, side, level in (
         ("64 cameras, 128²", True, 64, 128, 3),
         ("64 meshes, 128²", False, 64, 128, 3),
@@ -50,7 +50,7 @@ def all_ratios(rounds: int, large: bool) -> Iterator[Row]:
 
 
 class _Scene:
-    """One noisy sphere from several cameras, or several spheres from one each, with cubes of 2³ texels and a light."""
+    """Scene of one noisy sphere and several cameras, or one sphere per camera, with cubes of 2³ texels and a light."""
 
     def __init__(self, images: int, side: int, level: int, one_mesh: bool, gradient: str) -> None:
         generator = torch.Generator().manual_seed(0)
@@ -66,7 +66,7 @@ class _Scene:
         self.options = {"size": side, "anti_aliasing": False, "gradient": gradient}
 
     def step(self, output: str, images: bool = False, backward: bool = True) -> Callable[[], None]:
-        """Forward and backward of one output; ``images``: colours from a texture image instead of cubes."""
+        """Run forward and backward for one output; ``images`` takes colours from a texture image instead of cubes."""
         mesh: object = (self.vertices, self.faces, self.cubes) if output == "rgb" else (self.vertices, self.faces)
         if images:
             count = len(self.faces)
@@ -105,7 +105,7 @@ def _against_deodr(rounds: int) -> Iterator[Row]:
 
 
 def _small(rounds: int) -> Iterator[Row]:
-    """Milliseconds that pass, with as many threads as torch has."""
+    """Measure milliseconds of the wall clock, with all of torch's threads."""
     threads = torch.get_num_threads()
     for gradient in ("nmr", "edge"):
         scene = _Scene(1, 32, 1, True, gradient)
@@ -137,7 +137,7 @@ def _median(step: Callable[[], None], threads: int) -> float:
     return sorted(least([(threads, step)], 1)[0][1] for _ in range(15))[7]
 
 
-# A process that takes one step, and prints its seconds and its peak of memory.
+# Program that takes one step, and prints its seconds and its peak memory.
 _STEP = """
 import resource, sys, time, torch
 import neural_renderer as nr

@@ -1,8 +1,8 @@
-"""Where the time of a training step goes: data, network, renderer, losses, optimiser.
+"""Time of each part of a training step: data, network, renderer, losses, optimiser.
 
 python -m benchmarks.reconstruction_step DATA --config paper --model mesh
 
-On a machine that others use too: OMP_NUM_THREADS=1 python -m benchmarks.reconstruction_step DATA --processor
+On a shared machine: OMP_NUM_THREADS=1 python -m benchmarks.reconstruction_step DATA --processor
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ def main(
     processor: bool = False,
     features: Path | None = None,
 ) -> None:
-    """Print the median time of each part over some steps, as they are in training, and its share.
+    """Print the median time of each part over some training steps, and its share.
 
-    ``processor``: the processor's time, of all threads, and not the clock's, which counts what other programs do.
-    ``features``: as of `reconstruct train`.
+    ``processor`` measures the processor time of all threads; wall-clock time would include other programs.
+    ``features`` is the option of `reconstruct train`.
     """
     now_is = time.process_time if processor else time.perf_counter
     split = open_split(data, "train")

@@ -1,4 +1,4 @@
-"""The scenes of the benchmarks: noisy icospheres as the rasteriser takes them."""
+"""Scenes of the benchmarks: noisy icospheres in screen space."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import neural_renderer as nr
 
 
 def noisy_icospheres(batch: int, level: int, noise: float = 0.1, seed: int = 0, device: str = "cpu") -> Tensor:
-    """Corners [B, 20 * 4^level, 3, 3] in screen space of spheres whose vertices are pushed out at random.
+    """Make spheres with randomly displaced vertices: corners [B, 20 * 4^level, 3, 3] in screen space.
 
     A sphere covers about half of the image. Half of the faces look away, as on any closed surface.
     """

@@ -1,6 +1,7 @@
 """Sphinx's settings for the site: `make docs` builds it."""
 
 import sys
+from importlib.metadata import metadata
 from pathlib import Path
 
 import neural_renderer
@@ -17,9 +18,9 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
-    "argument_lists",
     "module_map",
     "public_names",
+    "short_names",
 ]
 exclude_patterns = ["_*", "README.md"]
 
@@ -44,6 +45,11 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 python_maximum_signature_line_length = 90
 add_module_names = False
+nitpicky = True
+nitpick_ignore_regex = [("py:class", ".*")]  # types of arguments, most of them of torch
+
+# The repository's public address stands in pyproject.toml alone; without it pages have no links to their source.
+urls = dict(url.split(", ", 1) for url in metadata("neural-renderer").get_all("Project-URL", []))
 
 html_theme = "furo"
 html_title = f"neural_renderer {release}"
@@ -55,4 +61,7 @@ html_copy_source = False
 html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#2f5f9e", "color-brand-content": "#2f5f9e"},
     "dark_css_variables": {"color-brand-primary": "#8db8ec", "color-brand-content": "#8db8ec"},
+    "source_repository": urls.get("Repository", ""),
+    "source_branch": "main",
+    "source_directory": "docs/",
 }

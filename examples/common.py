@@ -1,4 +1,4 @@
-"""What the four examples share: options that they all have, and files that must be there."""
+"""Options and input files of the four examples."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DATA = Path(__file__).resolve().parent / "data"
 def options(
     description: str, output: str, iterations: int | None = None, reference: str | None = None
 ) -> argparse.Namespace:
-    """The command line's options; with ``iterations`` and ``reference`` for the examples that optimise."""
+    """Parse the command line; ``iterations`` and ``reference`` are for the examples that optimise."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.add_argument("-i", "--input", type=Path, default=DATA / "teapot.obj", help="mesh in an OBJ file")
     if reference is not None:
@@ -34,17 +34,17 @@ def options(
 
 
 def load(path: Path, device: str) -> tuple[torch.Tensor, torch.Tensor]:
-    """A mesh as a batch of one: vertices [1, V, 3] and faces [1, F, 3]."""
+    """Load a mesh as a batch of one: vertices [1, V, 3] and faces [1, F, 3]."""
     vertices, faces = nr.load_obj(path)
     return vertices[None].to(device), faces[None].to(device)
 
 
 def picture(path: Path, device: str) -> torch.Tensor:
-    """A picture [H, W, 3] in [0, 1]."""
+    """Load a picture [H, W, 3] in [0, 1]."""
     return nr.load_image(path)[..., :3].to(device)
 
 
 def report(step: int, loss: torch.Tensor, every: int = 20) -> None:
-    """Print the loss now and then."""
+    """Print the loss at some of the steps."""
     if step % every == 0:
         print(f"step {step:4d}  loss {loss.item():.1f}", flush=True)

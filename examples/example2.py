@@ -1,4 +1,4 @@
-"""Example 2: move a mesh's vertices until its silhouette is that of a picture."""
+"""Example 2: move a mesh's vertices until its silhouette matches a picture."""
 
 import torch
 from common import load, options, picture, report
@@ -7,7 +7,7 @@ import neural_renderer as nr
 
 
 def main() -> None:
-    """Optimise the vertices; write an animation of the way there, then of the result from all sides."""
+    """Optimise the vertices; write an animation of the steps, then of the result from all sides."""
     arguments = options("Fit vertices to a silhouette.", "example2.gif", 300, "example2_ref.png")
     vertices, faces = load(arguments.input, arguments.device)
     vertices = torch.nn.Parameter(vertices)

@@ -7,7 +7,7 @@ import neural_renderer as nr
 
 
 def main() -> None:
-    """Optimise the texture, seen from a random side at each step; write an animation of the result."""
+    """Optimise the texture from a random side in each step; write an animation of the result."""
     arguments = options("Fit a texture to a picture.", "example3.gif", 300, "example3_ref.png")
     torch.manual_seed(0)
     vertices, faces = load(arguments.input, arguments.device)

@@ -1,4 +1,4 @@
-"""Example 4: find out from where a picture of a mesh was taken."""
+"""Example 4: recover the camera position of a picture of a mesh."""
 
 import torch
 from common import load, options, picture, report
@@ -7,7 +7,7 @@ import neural_renderer as nr
 
 
 def main() -> None:
-    """Optimise the camera's position until the silhouettes agree; write an animation of the way there."""
+    """Optimise the camera's position until the silhouettes agree; write an animation of the steps."""
     arguments = options("Fit a camera to a silhouette.", "example4.gif", 1000, "example4_ref.png")
     vertices, faces = load(arguments.input, arguments.device)
     target = (picture(arguments.reference, arguments.device).max(-1).values != 0).float()[None]

@@ -1,4 +1,4 @@
-"""Photographs of a mesh from all around with their cameras, as `neural-renderer fit` reads them."""
+"""Pictures of a mesh from all sides, with their cameras, in the format of `neural-renderer fit`."""
 
 import argparse
 import json
@@ -25,7 +25,7 @@ def main() -> None:
         azimuth, elevation = 360 * number / arguments.number, (-25.0, 10.0, 40.0)[number % 3]
         eye = torch.tensor(nr.get_points_from_angles(distance, elevation, azimuth))
         images = nr.render(mesh, nr.Camera.look_at(eye, viewing_angle=30), arguments.size, light=None)
-        # On black, colours at the outline are multiplied by alpha already; PNG wants them without.
+        # On black, colours at the outline are multiplied by alpha; PNG stores them without.
         picture = torch.cat((images.rgb[0] / images.alpha.clamp(min=1e-6), images.alpha))
         views.append({"file": f"{number:03d}.png", "azimuth": azimuth, "elevation": elevation, "distance": distance})
         nr.save_image(arguments.output / views[-1]["file"], picture)

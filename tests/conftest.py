@@ -1,4 +1,4 @@
-"""What the tests share."""
+"""Fixtures of all tests."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def nasty(request: pytest.FixtureRequest) -> Path:
 
 
 def pytest_runtest_setup() -> None:
-    """Numbers without a seed of their own are the same in any order of the tests."""
+    """Seed random numbers, so that tests do not depend on their order."""
     torch.manual_seed(0)
 
 

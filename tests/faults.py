@@ -22,5 +22,5 @@ def full_disk(room: int) -> Iterator[None]:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file below a folder, hidden ones too, and what is in it."""
+    """Read all files below a folder, also hidden ones, by name."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

@@ -12,7 +12,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-# What breaks readers: numbers at the ends of their ranges, names that lead elsewhere, what opens and never closes.
+# Values that break readers: numbers at the ends of their ranges, names that lead elsewhere, unclosed brackets.
 TOKENS = [
     *(b"nan", b"inf", b"-inf", b"1e39", b"-1e308", b"1e999", b"0", b"-1", b"1", b"3", b"255", b"65536", b"2147483648"),
     *(b"99999999999999999999", b"-99999999999999999999", b"9" * 400, b"1e-45", b"0.1.2", b"+-1", b"0x10", b"1_000"),
@@ -107,7 +107,7 @@ def plain(data: bytes, part: float, change: Callable[[bytes], bytes]) -> bytes:
 
 
 def png(data: bytes, part: float, change: Callable[[bytes], bytes]) -> bytes:
-    """Inside one chunk, whose length and checksum are right then; of pixels, what is packed."""
+    """Change the inside of one chunk, with the right length and checksum; for pixels, the packed data."""
     chunks, at = [], 8
     while at + 12 <= len(data):
         size = int.from_bytes(data[at : at + 4], "big")
@@ -148,7 +148,7 @@ def archive(data: bytes, part: float, change: Callable[[bytes], bytes]) -> bytes
 
 
 def damage(containers: Sequence[Any]) -> st.SearchStrategy[Callable[[bytes], bytes]]:
-    """What changes a file: one of `plain`, `png`, `glb`, `archive` with edits."""
+    """A change of a file: one of `plain`, `png`, `glb`, `archive` with edits."""
 
     def made(container: Any, part: float, edits: list[Edit]) -> Callable[[bytes], bytes]:
         return lambda data: container(data, part, lambda content: mutated(content, edits))

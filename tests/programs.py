@@ -1,4 +1,4 @@
-"""Programs that tests start in a process of their own."""
+"""Programs that tests start in separate processes."""
 
 from __future__ import annotations
 

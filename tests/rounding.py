@@ -17,10 +17,10 @@ STEP = 1 / 255
 
 
 def rounding(operations: int, size: float = 1.0) -> dict[str, float]:
-    """Arguments of `assert_close` for so many roundings of numbers up to ``size``."""
+    """Make arguments of `assert_close` for a number of roundings of numbers up to ``size``."""
     return {"rtol": 0.0, "atol": operations * EPS * size}
 
 
 def relative(operations: int) -> dict[str, float]:
-    """Arguments of `assert_close` for so many roundings of positive numbers, none of which cancel."""
+    """Make arguments of `assert_close` for a number of roundings of positive numbers, without cancellation."""
     return {"rtol": operations * EPS, "atol": 0.0}

@@ -1,4 +1,4 @@
-"""What does not fit gets a sentence that names the argument; and with the checks off, nothing crashes."""
+"""Wrong arguments give an error that names them; with the checks off, nothing crashes."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def test_renderers(device, what):
     arguments = good(device)
     if batch:
         arguments = {key: t.expand(*batch, *t.shape[1:]) for key, t in arguments.items()}
-    # What the parts call it may be the end of the attribute's name.
+    # Messages may use the last part of the attribute's name.
     parts = {
         "eye": "eye|camera",
         "rasterizer_eps": "eps",
@@ -185,7 +185,7 @@ def test_devices_that_differ(name):
 
 
 def test_a_device_without_numbers():
-    """Tensors of torch's device "meta" stand for those of any device."""
+    """Tensors of torch's device "meta" represent tensors of any device."""
     with pytest.raises(ValueError, match=r"^faces: expected device .*got"):
         nr.vertices_to_faces(VERTICES[None], FACES.to("meta"))
 
@@ -219,16 +219,16 @@ def test_images_without_faces(device):
 
 def test_what_is_interpolated_or_sampled_has_to_be_finite(device):
     """But where no face is seen, nothing is looked at."""
-    seen = nr.fragments((VERTICES.to(device), FACES.to(device)), nr.Camera.look_at((0, 0, 3)), 8)
+    fragments = nr.fragments((VERTICES.to(device), FACES.to(device)), nr.Camera.look_at((0, 0, 3)), 8)
     colors, texture, uv = torch.rand(1, 16, 16, 3), torch.rand(4, 4, 3), torch.rand(1, 16, 16, 2)
     colors, texture, uv = (t.to(device) for t in (colors, texture, uv))
     calls = {
-        "attributes": lambda value: seen.interpolate(torch.full((12, 3), value, device=device)),
-        "colors": lambda value: seen.composite(torch.full_like(colors, value)),
+        "attributes": lambda value: fragments.interpolate(torch.full((12, 3), value, device=device)),
+        "colors": lambda value: fragments.composite(torch.full_like(colors, value)),
         "texture": lambda value: nr.sample_texture(torch.full_like(texture, value), uv),
-        "uv": lambda value: nr.sample_texture(texture, torch.full_like(uv, value), seen.face_index),
+        "uv": lambda value: nr.sample_texture(texture, torch.full_like(uv, value), fragments.face_index),
         "light": lambda value: nr.rasterize_images(
-            seen.corners, 8, textures=torch.rand(1, 20, 2, 2, 2, 3, device=device),
+            fragments.corners, 8, textures=torch.rand(1, 20, 2, 2, 2, 3, device=device),
             light=torch.full((1, 2, 20, 3), value, device=device),
         ),
         "corners": lambda value: nr.Light().two_sided(torch.full((1, 4, 3, 3), value)),
@@ -239,11 +239,11 @@ def test_what_is_interpolated_or_sampled_has_to_be_finite(device):
         for value in (NAN, INF, -INF):
             with pytest.raises(ValueError, match=f"^{name}: expected finite numbers, got"):
                 call(value)
-    empty = ~seen.mask
-    expected = seen.composite(colors), nr.sample_texture(texture, uv, seen.face_index)
+    empty = ~fragments.mask
+    expected = fragments.composite(colors), nr.sample_texture(texture, uv, fragments.face_index)
     colors[empty], uv[empty] = NAN, NAN
-    assert torch.equal(seen.composite(colors), expected[0])
-    assert torch.equal(nr.sample_texture(texture, uv, seen.face_index), expected[1])
+    assert torch.equal(fragments.composite(colors), expected[0])
+    assert torch.equal(nr.sample_texture(texture, uv, fragments.face_index), expected[1])
 
 
 def test_the_faces_that_uv_belongs_to(device):
@@ -277,7 +277,7 @@ def test_no_vertices_and_no_faces(device):
 
 
 def test_large_but_finite_vertices_are_no_error(device):
-    """Their sum overflows; they are finite all the same."""
+    """Numbers are finite although their sum overflows."""
     vertices = torch.full((1, 12, 3), 3e38, device=device)
     assert nr.Renderer(8, camera_mode="look_at")(vertices, FACES.to(device), mode="silhouettes").isfinite().all()
 

@@ -138,6 +138,11 @@ def test_files_never_hold_fractions(tmp_path, scene):
         nr.check_values(True)
 
 
+def test_checks_are_not_switched_off_by_accident():
+    with pytest.raises(TypeError, match="enabled: expected True or False"):
+        nr.check_values(None)
+
+
 def test_one_mesh_for_faces_of_a_batch(device, scene):
     (vertices, faces, textures), _ = scene
     renderer = nr.Renderer(16, camera_mode="look_at")

@@ -28,7 +28,7 @@ def test_files_exist(page: Path) -> None:
     files = [
         path.as_posix() for folder in ("src", "tests", "benchmarks", "docs") for path in (ROOT / folder).rglob("*.py")
     ]
-    if page.name != "CHANGELOG.md":  # it tells of files that were
+    if page.name != "CHANGELOG.md":  # it names former files
         missing = [name for name in NAMED.findall(text) if not any(file.endswith("/" + name) for file in files)]
         assert not missing, f"{page.name}: expected names of files, got {', '.join(missing)}"
     broken = [link for link in LINKED.findall(text) if not (page.parent / link).exists()]

@@ -19,7 +19,7 @@ Run = Callable[..., str]
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run an example on the CPU; returns what it prints."""
+    """Run an example on the CPU; return its output."""
 
     def run(number: int, iterations: int | None = None) -> str:
         output = tmp_path / "out.gif"

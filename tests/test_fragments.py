@@ -1,4 +1,4 @@
-"""What pixels show, anything interpolated there, and images made of it."""
+"""Fragments: visible faces, interpolated attributes, and composited images."""
 
 from __future__ import annotations
 
@@ -17,21 +17,25 @@ def scene(device, gradient="edge", **options):
 
 def test_positions_lie_on_the_rays(device):
     """Interpolated positions, seen through the camera, fall on the centres of their pixels, at their depth."""
-    mesh, camera, seen = scene(device, anti_aliasing=False)
-    points = seen.interpolate(mesh.vertices)
-    assert points.shape == (2, 40, 56, 3) and not points[~seen.mask].any()
+    mesh, camera, fragments = scene(device, anti_aliasing=False)
+    points = fragments.interpolate(mesh.vertices)
+    assert points.shape == (2, 40, 56, 3) and not points[~fragments.mask].any()
     screen = camera(points.flatten(1, 2), aspect=56 / 40).view(2, 40, 56, 3)
     x = (2 * torch.arange(56, device=device) + 1 - 56) / 56
     y = -(2 * torch.arange(40, device=device) + 1 - 40) / 40
     expected = torch.stack((x.expand(40, 56), y[:, None].expand(40, 56)), -1).expand(2, -1, -1, -1)
-    # Weights of faces a few pixels wide are sums of products of some (56 / 3)² the size of what is left of them.
-    torch.testing.assert_close(screen[..., :2][seen.mask], expected[seen.mask], **rounding(4 * (56 // 3) ** 2))
-    torch.testing.assert_close(screen[..., 2][seen.mask], seen.depth[seen.mask], **rounding(4 * (56 // 3) ** 2))
+    # Weights of faces a few pixels wide are sums of products about (56 / 3)² times as large as the result.
+    torch.testing.assert_close(
+        screen[..., :2][fragments.mask], expected[fragments.mask], **rounding(4 * (56 // 3) ** 2)
+    )
+    torch.testing.assert_close(
+        screen[..., 2][fragments.mask], fragments.depth[fragments.mask], **rounding(4 * (56 // 3) ** 2)
+    )
 
 
 def test_white_on_black_is_the_silhouette(device):
-    mesh, camera, seen = scene(device)
-    image = seen.composite(seen.interpolate(torch.ones(len(mesh.vertices), 1, device=device)))
+    mesh, camera, fragments = scene(device)
+    image = fragments.composite(fragments.interpolate(torch.ones(len(mesh.vertices), 1, device=device)))
     expected = nr.render(mesh, camera, (40, 56), outputs="alpha").alpha
     torch.testing.assert_close(image[:, 0], expected, **rounding(16))
 
@@ -43,36 +47,36 @@ def test_gradients_reach_everything(device, gradient):
     eye = torch.tensor([0.3, 1.0, -2.5], device=device, requires_grad=True)
     colors = torch.rand(len(vertices), 5, device=device, requires_grad=True)
     behind = torch.rand(5, 32, 32, device=device, requires_grad=True)
-    seen = nr.fragments((vertices, faces), nr.Camera.look_at(eye, viewing_angle=30), 32, gradient=gradient)
-    image = seen.composite(seen.interpolate(colors) ** 2, behind)
+    fragments = nr.fragments((vertices, faces), nr.Camera.look_at(eye, viewing_angle=30), 32, gradient=gradient)
+    image = fragments.composite(fragments.interpolate(colors) ** 2, behind)
     assert image.shape == (1, 5, 32, 32) and image.is_contiguous()
     weight = torch.randn(image.shape, generator=torch.Generator().manual_seed(0)).to(device)
     (image * weight).sum().backward()
     for leaf in (vertices, eye, colors, behind):
         assert leaf.grad.isfinite().all() and leaf.grad.any()
-    hidden = torch.nn.functional.avg_pool2d((~seen.mask).float()[:, None], 2)
+    hidden = torch.nn.functional.avg_pool2d((~fragments.mask).float()[:, None], 2)
     torch.testing.assert_close(behind.grad, (weight * hidden)[0])
 
 
 def test_texture_coordinates_have_faces_of_their_own(device):
-    mesh, _, seen = scene(device)
+    mesh, _, fragments = scene(device)
     corners = torch.eye(3, device=device).repeat(len(mesh.faces), 1)
     own = torch.arange(3 * len(mesh.faces), device=device).view(-1, 3)
-    torch.testing.assert_close(seen.interpolate(corners, own), seen.weights)
+    torch.testing.assert_close(fragments.interpolate(corners, own), fragments.weights)
 
 
 def test_what_does_not_fit(device):
-    mesh, camera, seen = scene(device)
+    mesh, camera, fragments = scene(device)
     with pytest.raises(ValueError, match="triangles: expected 320 like the mesh's faces, got 2"):
-        seen.interpolate(mesh.vertices, mesh.faces[:2])
+        fragments.interpolate(mesh.vertices, mesh.faces[:2])
     with pytest.raises(ValueError, match="triangles: expected indices in"):
-        seen.interpolate(mesh.vertices[:5])
+        fragments.interpolate(mesh.vertices[:5])
     with pytest.raises(TypeError, match="attributes: expected a floating-point"):
-        seen.interpolate(mesh.faces)
+        fragments.interpolate(mesh.faces)
     with pytest.raises(ValueError, match="colors: expected shape"):
-        seen.composite(torch.zeros(2, 40, 56, 3, device=device))
+        fragments.composite(torch.zeros(2, 40, 56, 3, device=device))
     with pytest.raises(ValueError, match="background: expected"):
-        seen.composite(torch.zeros(2, 80, 112, 3, device=device), [1.0, 2.0])
+        fragments.composite(torch.zeros(2, 80, 112, 3, device=device), [1.0, 2.0])
     with pytest.raises(TypeError, match="camera: expected a Camera"):
         nr.fragments(mesh, None)
     with pytest.raises(ValueError, match="gradient: expected one of nmr, edge"):
@@ -87,8 +91,8 @@ def test_seams_between_faces_of_different_colour(device):
     corners = torch.arange(3 * len(faces), device=device).view(-1, 3)
 
     def shaded(moved, seams):
-        seen = nr.fragments((moved, faces), camera, 48)
-        return seen.composite(seen.interpolate(colors.repeat_interleave(3, 0), corners), seams=seams)
+        fragments = nr.fragments((moved, faces), camera, 48)
+        return fragments.composite(fragments.interpolate(colors.repeat_interleave(3, 0), corners), seams=seams)
 
     def drawn(moved):
         cubes = colors[:, None, None, None].expand(-1, 2, 2, 2, 3).contiguous()
@@ -101,6 +105,6 @@ def test_seams_between_faces_of_different_colour(device):
         leaf = vertices.clone().requires_grad_()
         found += torch.autograd.grad((draw(leaf) * weight).sum(), leaf)
     with_seams, without, expected = found
-    # A vertex gathers at most some 48² pulls; what the same colours differ by in their last bits, cubes interpolate.
+    # A vertex gathers at most about 48² terms; cubes interpolate colours that differ in their last bits.
     torch.testing.assert_close(with_seams, expected, rtol=0, atol=48**2 * EPS * float(expected.abs().max()))
     assert (without - expected).norm() > 0.3 * expected.norm()

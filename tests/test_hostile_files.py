@@ -1,4 +1,4 @@
-"""Damaged files of every kind that is read: what they hold, or a ValueError or OSError that names one of them.
+"""Damaged files of every kind that is read: their content, or a ValueError or OSError that names one of them.
 
 Each file is changed at random by hypothesis. A reader may neither crash, hang nor fill the memory: for files of some
 kilobytes it has a minute, and two gigabytes more than the process had. The long run, over thousands of files and the
@@ -113,7 +113,7 @@ def read_mesh(path: Path) -> None:
 
 
 def in_range(image: torch.Tensor) -> bool:
-    """All numbers are in [0, 1], but for what is lost where means are taken."""
+    """All numbers are in [0, 1], up to rounding of means."""
     return bool(((image >= -1e-6) & (image <= 1 + 1e-6)).all())
 
 
@@ -170,7 +170,7 @@ def write_data(folder: Path) -> list[str]:
 
 
 def read_data(folder: Path) -> None:
-    """A copy that was unpacked once is read too; a wrong one is made anew."""
+    """An unpacked copy is read; a wrong copy is made again."""
     split = open_split(folder, "test")
     assert split.images["chair"].shape[1:] == (24, 4, 64, 64) and split.images["chair"].dtype == np.uint8
     assert split.voxels["chair"].shape[1:] == (32, 32, 32)
@@ -194,7 +194,7 @@ def read_weights(folder: Path) -> None:
 
 
 class FakeTask:
-    """A task that goes on from any state."""
+    """Task that resumes from any state."""
 
     phase, step, steps, done = "shape", 3, 3, True
 

@@ -15,6 +15,7 @@ SOURCE = Path(neural_renderer.__file__).parent
 # From the bottom to the top; a module may import from its own room and from those before it.
 ROOMS = [
     "version",
+    "deprecated",
     "validate",
     "constants",
     "metrics",
@@ -39,6 +40,7 @@ ROOMS = [
 RASTER = [
     "warp",
     "ops",
+    "colors",
     "visibility",
     "reference",
     "settings",
@@ -54,7 +56,7 @@ RECONSTRUCTION = ["data", "networks", "evaluation", "training"]
 
 
 def imports(path: Path) -> Iterator[tuple[str, ...]]:
-    """Parts of the paths of the modules that a file imports, without imports for type checkers alone."""
+    """Collect the paths of the modules that a file imports, without imports for type checkers."""
     package = path.relative_to(SOURCE).parent.parts
     tree = ast.parse(path.read_text(encoding="utf-8"))
     typing_only = {
@@ -80,7 +82,7 @@ def imports(path: Path) -> Iterator[tuple[str, ...]]:
 
 
 def room(parts: tuple[str, ...], prefix: tuple[str, ...]) -> str | None:
-    """The room below ``prefix`` that a module belongs to; None for the package itself and what lies elsewhere."""
+    """Find the room of a module below ``prefix``; None for the package itself and for other modules."""
     return parts[len(prefix)] if parts[: len(prefix)] == prefix and len(parts) > len(prefix) else None
 
 

@@ -90,9 +90,9 @@ def test_composite(device, gradient, anti_aliasing, batch):
 
     def draw(inputs):
         vertices, faces, textures = inputs
-        seen = nr.fragments((vertices, faces), camera, 16, gradient=gradient, anti_aliasing=anti_aliasing)
+        fragments = nr.fragments((vertices, faces), camera, 16, gradient=gradient, anti_aliasing=anti_aliasing)
         colors = textures.mean((2, 3, 4))[:, faces.new_ones(vertices.shape[1]).cumsum(0) % len(faces)]
-        return {"rgb": seen.composite(seen.interpolate(colors), 0.5)}
+        return {"rgb": fragments.composite(fragments.interpolate(colors), 0.5)}
 
     check(draw, leaves(device, batch))
 

@@ -20,7 +20,7 @@ def cube_at(x, y, z, device, size=0.4):
 
 
 def cameras(device):
-    """Three ways to stand on the +z axis and look at the origin, and one from -z, mirrored."""
+    """Cameras at +z that look at the origin, made in three ways, and a mirrored one at -z."""
     turn = torch.diag(torch.tensor([1.0, -1, -1], device=device))  # OpenCV's y is down and its z is ahead
     K = torch.tensor([[1.7, 0, 1], [0, 1.7, 1], [0, 0, 1]], device=device)
     t = torch.tensor([0.0, 0, 3], device=device)
@@ -129,7 +129,7 @@ def test_one_mesh_many_cameras_and_many_meshes_one_camera(device):
     assert views.rgb.shape == (3, 3, 24, 24)
     for b in range(3):
         alone = nr.render(mesh, nr.Camera.look_at(eyes[b]), 24)
-        # A vertex may be a rounding off; a pixel's depth mixes that of the faces with the background's, 100.
+        # A vertex may differ by a rounding; a pixel's depth mixes the faces' depth with the background's, 100.
         torch.testing.assert_close(views.depth[b], alone.depth[0], **rounding(64, 100))
     vertices = torch.stack([mesh.vertices * s for s in (0.5, 1.0, 1.5)])
     many = nr.render((vertices, mesh.faces, mesh.textures), nr.Camera.look_at((0, 0, 3)), 24)
@@ -182,9 +182,9 @@ def test_depth_gradient_moves_the_camera_the_right_way(device):
     mesh = white_sphere(device, 3)
     eye = torch.tensor([0.0, 0, 3], device=device, requires_grad=True)
     images = nr.render(mesh, nr.Camera.look_at(eye, orthographic=True), 32, outputs=("alpha", "depth"))
-    seen = images.alpha.detach() == 1
-    images.depth[seen].sum().backward()
-    assert float(eye.grad[2]) == pytest.approx(float(seen.sum()), rel=2 * 32**2 * EPS)  # a sum over pixels
+    covered = images.alpha.detach() == 1
+    images.depth[covered].sum().backward()
+    assert float(eye.grad[2]) == pytest.approx(float(covered.sum()), rel=2 * 32**2 * EPS)  # a sum over pixels
 
 
 def test_a_camera_inside_the_mesh_sees_it_all_around(device):

@@ -42,6 +42,8 @@ def constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor | N
 
 def on_device(tensor: Tensor, like: Tensor) -> Tensor:
     """Convert a tensor to the device and dtype of another; a copy on another device is kept as long as the tensor."""
+    if tensor.device == like.device and tensor.dtype == like.dtype:
+        return tensor
     if tensor.device == like.device or tensor.requires_grad or tensor.is_inference() or like.is_meta:
         return tensor.to(like)
     key = (tensor._version, like.device, like.dtype)

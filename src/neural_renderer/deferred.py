@@ -9,15 +9,16 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
+from .camera.screen import screen_positions
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ahead import ATTRIBUTES, load_kernels
 from .raster.background import background_image
-from .raster.faces import checked_faces, vertices_to_faces
-from .raster.ops.composite import composite
+from .raster.colors.composite import composite
+from .raster.colors.interpolate import interpolate
+from .raster.faces import checked_faces, corners_of
 from .raster.ops.corners import gather_corners
-from .raster.ops.interpolate import interpolate
 from .raster.settings import Settings
 from .raster.visible import VisibleFaces
 
@@ -26,7 +27,7 @@ from .raster.visible import VisibleFaces
 class Fragments(VisibleFaces):
     """The visible face of each pixel of B images, for custom shaders.
 
-    Under anti-aliasing, H and W are twice the size asked for; `composite` averages to that size.
+    Under anti-aliasing, H and W are twice the requested size; `composite` averages to that size.
 
     Attributes:
         corners: Screen-space corners of the faces, [B, F, 3, 3] float32.
@@ -35,10 +36,13 @@ class Fragments(VisibleFaces):
         rings: Rings of the edges that the faces share, for the gradient.
         triangles: Vertex indices of the faces, [F, 3] or [B, F, 3].
 
+    Raises:
+        TypeError, ValueError: In `interpolate` and `composite`, an argument that does not fit.
+
     Example:
-        >>> seen = nr.fragments(mesh, camera, 64)
-        >>> height = seen.interpolate(mesh.vertices)[..., 1:2]
-        >>> seen.composite(height, background=0.0).shape
+        >>> fragments = nr.fragments(mesh, camera, 64)
+        >>> height = fragments.interpolate(mesh.vertices)[..., 1:2]
+        >>> fragments.composite(height, background=0.0).shape
         torch.Size([1, 1, 64, 64])
     """
 
@@ -61,6 +65,11 @@ class Fragments(VisibleFaces):
         Raises:
             TypeError: A tensor of another dtype.
             ValueError: Another shape, device or index, NaN or infinite attributes.
+
+        Example:
+            >>> fragments = nr.fragments(mesh, camera, 64)
+            >>> fragments.interpolate(torch.rand(len(mesh.vertices), 8)).shape  # 8 channels, at twice the size
+            torch.Size([1, 128, 128, 8])
         """
         shape = ("V", "C") if getattr(attributes, "ndim", 3) == 2 else ("B", "V", "C")
         validate.floating("attributes", attributes, shape)
@@ -85,7 +94,7 @@ class Fragments(VisibleFaces):
         """Composite colours over a background and add the gradient through visibility.
 
         Args:
-            colors: Colours of the pixels, [B, H, W, C] floating. Those of pixels without a face are ignored.
+            colors: Colours of the pixels, [B, H, W, C] floating. Colours of pixels without a face are ignored.
             background: Number, colour [C] or [B, C], or image [C, height, width] or [B, C, height, width]. It gets
                 gradients.
             seams: Whether colours may jump where two faces of the surface meet, as with texture charts that do not
@@ -93,11 +102,17 @@ class Fragments(VisibleFaces):
                 and less noisy, but the gradient is wrong at jumps.
 
         Returns:
-            Images [B, C, height, width] float32 of the size that `fragments` was asked for.
+            Images [B, C, height, width] float32, of the size given to `fragments`.
 
         Raises:
             TypeError: A tensor of another dtype.
             ValueError: Another shape or device, NaN or infinite colours.
+
+        Example:
+            >>> fragments = nr.fragments(mesh, camera, 64)
+            >>> red = torch.tensor([1.0, 0.0, 0.0]).expand(*fragments.face_index.shape, 3)
+            >>> fragments.composite(red, background=(0.0, 0.0, 1.0)).shape
+            torch.Size([1, 3, 64, 64])
         """
         batch, rows, columns = self.face_index.shape
         validate.floating("colors", colors, (batch, rows, columns, "C"))
@@ -137,9 +152,9 @@ def fragments(
         ValueError: An argument of another shape, device or range.
 
     Example:
-        >>> seen = nr.fragments(mesh, camera, 64)
-        >>> normals = torch.nn.functional.normalize(seen.interpolate(mesh.vertices), dim=-1)
-        >>> seen.composite(normals.clamp(min=0), background=1.0).shape
+        >>> fragments = nr.fragments(mesh, camera, 64)
+        >>> normals = torch.nn.functional.normalize(fragments.interpolate(mesh.vertices), dim=-1)
+        >>> fragments.composite(normals.clamp(min=0), background=1.0).shape
         torch.Size([1, 3, 64, 64])
     """
     vertices, faces, _ = mesh_parts(mesh)
@@ -148,15 +163,19 @@ def fragments(
     settings = Settings.checked(
         size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
     )
-    screen = camera(vertices, aspect=settings.width / settings.height)
+    screen = screen_positions(camera, vertices, settings.width / settings.height)
     load_kernels(settings, ("rgb",), ATTRIBUTES, screen)
     return visible_fragments(screen, checked_faces(faces), settings, 8)
 
 
 def visible_fragments(screen: Tensor, faces: Tensor, settings: Settings, channels: int) -> Fragments:
-    """Find the visible faces of vertices [B, V, 3] in screen space, for so many channels at most.
+    """Find the visible faces of vertices [B, V, 3] in screen space.
 
-    ``faces`` are checked already.
+    Args:
+        screen: Vertices in screen space, [B, V, 3].
+        faces: Vertex indices, checked already.
+        settings: How to draw.
+        channels: Most channels of an image; their memory is checked.
     """
-    corners = settings.corners(vertices_to_faces(screen, faces), channels)
+    corners = settings.corners(corners_of(screen, faces), channels)
     return Fragments(corners, settings.face_index(corners), settings, settings.rings(corners, faces), faces)

@@ -49,7 +49,20 @@ def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6) ->
 
 
 def silhouette_iou(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tensor:
-    """Call `silhouette_iou_loss` under its old name. Deprecated since 2.0."""
+    """Call `silhouette_iou_loss` under its old name. Deprecated since 2.0.
+
+    Args:
+        predicted, target, eps: As in `silhouette_iou_loss`.
+
+    Returns:
+        Scalar tensor in [0, 1].
+
+    Raises:
+        TypeError, ValueError: As `silhouette_iou_loss`.
+
+    Warns:
+        DeprecationWarning: In every call.
+    """
     warnings.warn(
         "losses.silhouette_iou is now losses.silhouette_iou_loss; the old name goes in the next version",
         DeprecationWarning,

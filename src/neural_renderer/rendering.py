@@ -11,19 +11,21 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
+from .camera.screen import screen_positions
 from .deferred import Fragments, visible_fragments
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ahead import CUBES, IMAGES, load_kernels
 from .raster.background import background_image
-from .raster.cubes import cube_colors, light_on_pixels
+from .raster.colors.composite import composite
+from .raster.colors.light_pixels import light_pixels
+from .raster.cubes import cube_colors
 from .raster.faces import checked_faces, world_corners
 from .raster.images import OUTPUTS, Images, checked_outputs
-from .raster.ops.composite import composite
 from .raster.settings import Settings
 from .raster.visibility.continuity import image_edge_hashes
-from .shading.lights import Light
+from .shading.lights import Light, light_factors
 from .shading.spherical_harmonics import SphericalHarmonicLight
 
 AnyLight: TypeAlias = Light | SphericalHarmonicLight
@@ -56,9 +58,9 @@ def render(
             textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
         camera: One camera or B of them.
         size: Side of the images, or (height, width), in pixels. Pixels are square.
-        light: `Light`, `SphericalHarmonicLight`, or a list of them, which add up. None draws textures as they are.
+        light: `Light`, `SphericalHarmonicLight`, or a list of them to add up. None draws textures unchanged.
         background: Number, colour [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.
-        outputs: Some of "rgb", "alpha", "depth". Outputs that are not asked for cost nothing.
+        outputs: Some of "rgb", "alpha", "depth". Other outputs are not computed.
         near, far: Depth range in world units, 0 <= near < far; a point is visible if near < depth < far.
         anti_aliasing: Draw at twice the size and average 2 x 2 pixels.
         two_sided: Draw also faces seen from behind.
@@ -89,17 +91,17 @@ def render(
         size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient, name="size"
     )
     aspect = settings.width / settings.height
-    screen = validate.in_float32("vertices on the screen", camera(vertices, aspect=aspect))
+    screen = validate.in_float32("vertices on the screen", screen_positions(camera, vertices, aspect))
     faces = checked_faces(faces)
     load_kernels(settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, screen)
-    factors = None
-    if lights and "rgb" in outputs:
-        corners = world_corners(vertices, faces, len(screen))
-        several = [one.two_sided(corners, camera.mirrored) for one in lights]
-        factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
     visible = visible_fragments(screen, faces, settings, 1 + 3 * ("rgb" in outputs))
     if "rgb" not in outputs:
         return visible.images(outputs)
+    factors = None
+    if lights:
+        corners = world_corners(vertices, faces, screen.shape[0], in_range=True)
+        several = [light_factors(one, corners, camera.mirrored) for one in lights]
+        factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
     if isinstance(mesh, UVMesh):
         return visible.images(outputs, *_image_colors(visible, mesh, factors, background))
     if textures is None:
@@ -113,14 +115,14 @@ def render(
 def _image_colors(
     visible: Fragments, mesh: UVMesh, light: Tensor | None, background: Any
 ) -> tuple[Tensor, Callable[[], Tensor]]:
-    """Colour an image by a mesh's texture images; arguments and results as those of `cube_colors`."""
+    """Colour an image by a mesh's texture images; arguments and results as in `cube_colors`."""
     still = replace(visible, corners=visible.corners.detach())
     # Only "edge" differentiates shading inside faces.
     color = mesh.shade(visible if visible.settings.gradient == "edge" else still)
     behind = background_image(background, len(color), 3, visible.settings, color.device)
     rgb = composite(color, behind, visible.face_index)
-    if light is not None:  # which is 1 on the background
-        rgb = rgb * light_on_pixels(visible, light)
+    if light is not None:
+        rgb = light_pixels(rgb, light, visible.corners.detach(), visible.face_index, visible.settings.perspective)
     return rgb, lambda: image_edge_hashes(mesh.uv, mesh.image_index, light)
 
 

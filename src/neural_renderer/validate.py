@@ -21,6 +21,8 @@ FLOATING = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 """Floating dtypes that torch can compute in; 8-bit floats are for storage only."""
 _SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torch.uint64)
 
+_FEW = 4096  # numbers that torch sums on one thread
+
 _check_values = True
 _calls = threading.local()  # with the checks that wait in a call of `checked_together`
 
@@ -36,13 +38,16 @@ def check_values(enabled: bool) -> None:
     Args:
         enabled: Whether to check values.
 
+    Raises:
+        TypeError: ``enabled`` is not True or False.
+
     Example:
         >>> nr.check_values(False)
         >>> images = nr.render(mesh, camera)
         >>> nr.check_values(True)
     """
     global _check_values
-    _check_values = bool(enabled)
+    _check_values = flag("enabled", enabled)
 
 
 def values_are_checked(value: Tensor) -> bool:
@@ -160,7 +165,7 @@ def indices(name: str, value: Any, shape: Sequence[int | str], always: bool = Fa
 
         def check() -> None:
             if not bool((result == value).all()):
-                raise ValueError(f"{name}: expected whole numbers, got {shape_of(value)} with others")
+                raise ValueError(f"{name}: expected whole numbers, got {shape_of(value)} with fractions or NaN")
 
         if always or not postponed(value, lambda: (result != value).any(), check):
             check()
@@ -212,9 +217,9 @@ def has_numbers(name: str, value: Tensor) -> Tensor:
 def _match(name: str, value: Tensor, shape: Sequence[int | str]) -> None:
     """Raise ValueError unless the shape fits; see `floating`."""
     dense(name, value)
-    if len(shape) != value.dim() or any(
-        isinstance(want, int) and want != have for want, have in zip(shape, value.shape, strict=True)
-    ):
+    have = value.shape
+    fits = len(shape) == len(have)
+    if not fits or any(type(want) is not str and want != got for want, got in zip(shape, have, strict=True)):
         wanted = "[" + ", ".join(str(s) for s in shape) + "]"
         raise ValueError(f"{name}: expected shape {wanted}, got {shape_of(value)}")
 
@@ -232,17 +237,20 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
     """Raise ValueError if a number is not finite, while values are checked (see `check_values`) or with ``always``."""
     if not (always or values_are_checked(value)) or not value.numel():
         return
-    value = value.detach().resolve_neg()  # NumPy does not support the negative bit
+    value = value.detach()
     on_cpu = value.device.type == "cpu"
     if not (always or on_cpu) and postponed(
         value, lambda: ~torch.isfinite(value.sum()), lambda: finite(name, value, True)
     ):
         return
     # A sum is NaN or infinite if any term is: one pass without a mask. The second check excludes that finite numbers
-    # overflowed. On the CPU NumPy sums, because torch's idle threads would spin on cores that the kernels need.
-    plain = on_cpu and value.dtype in (torch.float32, torch.float64)
-    with np.errstate(all="ignore"):
-        total = float(value.numpy().sum()) if plain else value.sum().item()
+    # overflowed. Many numbers on the CPU are summed by NumPy, because torch's idle threads would spin on cores that the
+    # kernels need.
+    if value.numel() > _FEW and on_cpu and value.dtype in (torch.float32, torch.float64):
+        with np.errstate(all="ignore"):
+            total = float(value.resolve_neg().numpy().sum())  # NumPy does not support the negative bit
+    else:
+        total = value.sum().item()
     if not math.isfinite(total) and not bool(torch.isfinite(value).all()):
         raise ValueError(
             f"{name}: expected finite numbers, got {int((~torch.isfinite(value)).sum())} that are NaN or infinite"

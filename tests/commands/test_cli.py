@@ -150,7 +150,7 @@ def test_transparent_background(ball: str, tmp_path: Path) -> None:
     assert picture[0, 0, 3] == 0 and picture[20, 20, 3] == 1
     outline = (picture[..., 3] > 0) & (picture[..., 3] < 1)
     assert outline.any()
-    assert torch.allclose(picture[outline][:, :3], torch.tensor(0.82), atol=0.01)  # not darkened by what is behind
+    assert torch.allclose(picture[outline][:, :3], torch.tensor(0.82), atol=0.01)  # not darkened by the background
 
 
 def test_turntable(ball: str, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What a command writes never takes the place of what it reads, nor of what others have put beside its mesh."""
+"""Outputs of a command never replace its inputs, nor foreign files beside its mesh."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Adam of existing code: its rule, what it leaves alone, its state."""
+"""`Adam` of the first packages: its rule, skipped elements, its state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the published packages test, with their numbers, on real files."""
+"""Tests of the published packages, with their numbers, on real files."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_gradient_fixtures(device, case, mode):
     pixel = image[:, fixture["pyi"], fixture["pxi"]]
     loss = (pixel - 1).abs() if fixture["loss"] == "|I-1|" else pixel.abs()
     loss.sum().backward()
-    # What is published has been computed in float32, and within half a pixel: eps is part of it, and an hundredth.
+    # Published values were computed in float32, within half a pixel; eps adds a hundredth.
     np.testing.assert_allclose(vertices.grad[2].cpu(), fixture["grad"], rtol=1e-2, atol=1e-6)
     assert not vertices.grad[[0, 1, 3]].any()
 

@@ -1,4 +1,4 @@
-"""What docs/compatibility.md promises to code written for the first packages, call by call, in tables."""
+"""Promises of docs/compatibility.md to code written for the first packages, call by call, in tables."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def square(device, batch=1, size=1):
 
 
 def plain(**options):
-    """A renderer that takes vertices as they are on the screen."""
+    """Make a renderer without a camera: vertices are in screen space."""
     return nr.Renderer(**{"image_size": 4, "camera_mode": "none", "light_intensity_directional": 0, **options})
 
 
@@ -192,7 +192,7 @@ SHAPES = {
 @pytest.mark.parametrize("anti_aliasing", [True, False])
 @pytest.mark.parametrize("mode", SHAPES)
 def test_shapes_dtypes_and_gradients(device, mode, anti_aliasing):
-    """Images are contiguous float32; they require a gradient if what they depend on does, and never without reason."""
+    """Images are contiguous float32. They require a gradient only if an input does."""
     for leaf in (None, "vertices", "textures"):
         vertices, faces, textures = square(device, 2)
         vertices = vertices.clone().requires_grad_(leaf == "vertices")
@@ -248,7 +248,7 @@ def test_lights_for_each_image(device):
 
 
 def test_callers_tensors_are_left_alone_and_results_are_theirs(device):
-    """What comes in is not changed; what comes out may be changed in place before `backward`."""
+    """Arguments are not changed. Results may be changed in place before `backward`."""
     vertices, faces, textures = (part.clone() for part in square(device, 2, 2))
     vertices.requires_grad_(), textures.requires_grad_()
     before = vertices.detach().clone(), faces.clone(), textures.detach().clone()
@@ -319,7 +319,7 @@ def test_state_is_what_is_a_parameter(device):
 
 
 def test_pickles_of_the_first_packages(device):
-    """They lack the attributes of other camera modes, and what has come since."""
+    """They lack the attributes of other camera modes, and newer attributes."""
     wanted = nr.Renderer(4, camera_mode="look_at")
     old = copy.copy(wanted)
     for name in ("K", "R", "t", "dist_coeffs", "orig_size", "camera_up", "gradient"):

@@ -49,7 +49,7 @@ def test_case(device, case):
         images = {"alpha": renderer(vertices, faces, mode="silhouettes")}
     else:
         images = {"depth": renderer(vertices, faces, mode="depth")}
-    # What the vectors promise: values to 1e-4, but for pixels whose centre is on an edge, and gradients to 1e-3.
+    # Accuracy of the vectors: values 1e-4, except at pixels with a centre on an edge; gradients 1e-3.
     for name, image in images.items():
         wrong = (image - get(name)).abs() > 1e-4 * get(name).abs().clamp(min=1)
         assert wrong.float().mean() <= 1e-4, name

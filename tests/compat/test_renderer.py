@@ -1,4 +1,4 @@
-"""`Renderer`: its attributes, modes and cameras, and what it leaves alone."""
+"""`Renderer`: attributes, modes and cameras; arguments stay unchanged."""
 
 from __future__ import annotations
 

@@ -220,10 +220,14 @@ def test_files_that_are_refused(tmp_path: Path) -> None:
         ("other", {"layer1.0.conv1.weight": torch.ones(3)}, "expected the weights of a VGG .* got tensors with other"),
         ("list", [torch.ones(3)], "expected a state_dict, got a list"),
         ("gap", {k: v for k, v in weights.items() if "features.5." not in k}, "expected convolutions two or three"),
-        ("width", weights | {"features.5.weight": torch.ones(4, 9, 3, 3)}, r"conv2_1.weight of shape \[·, 4, 3, 3\]"),
-        ("half", {k: v for k, v in weights.items() if k != "features.5.bias"}, "a weight and a bias for each"),
+        (
+            "width",
+            weights | {"features.5.weight": torch.ones(4, 9, 3, 3)},
+            r"features.5.weight of shape \[·, 4, 3, 3\]",
+        ),
+        ("half", {k: v for k, v in weights.items() if k != "features.5.bias"}, "weight and bias of features.5"),
         ("bn", weights | {"features.1.running_mean": torch.ones(4)}, "VGG without batch normalisation"),
-        ("fc", {k: v for k, v in weights.items() if k != "classifier.3.bias"}, "classifier.3 with 6 inputs"),
+        ("fc", {k: v for k, v in weights.items() if k != "classifier.3.bias"}, "weight and bias of classifier.3"),
         ("nan", weights | {"features.5.bias": torch.full((4,), torch.nan)}, "got NaN or infinity in conv2_1"),
     ):
         torch.save(content, tmp_path / f"{name}.pth")

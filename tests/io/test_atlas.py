@@ -1,4 +1,4 @@
-"""The picture of all faces: where each lies, and what lies beside it."""
+"""The texture atlas: places of tiles, and the pixels around them."""
 
 from __future__ import annotations
 

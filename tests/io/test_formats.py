@@ -1,4 +1,4 @@
-"""Meshes in other formats: what is read, what is refused, and what comes back after writing."""
+"""Meshes in other formats: reading, refused files, and round trips."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ REFUSED = {
 
 def coloured_sphere(size: int = 4):
     vertices, faces = icosphere(1)
-    return vertices, faces, torch.from_numpy(bake_corners((vertices[faces.long()].numpy() + 1) / 2, size))
+    return vertices, faces, bake_corners((vertices[faces.long()] + 1) / 2, size)
 
 
 def test_every_nasty_file_loads_or_is_refused(nasty):

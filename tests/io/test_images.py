@@ -1,4 +1,4 @@
-"""Pictures and animations: shapes, kinds, and what is refused."""
+"""Pictures and animations: shapes, kinds, and refused files."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_errors(tmp_path):
 
 
 def zeros_png(path: Path, width: int, height: int, rows: int) -> Path:
-    """A PNG of black pixels, as small as can be, whose header tells of more rows than it may have."""
+    """Make the smallest PNG of black pixels with more rows in its header than allowed."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

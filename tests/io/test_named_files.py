@@ -1,4 +1,4 @@
-"""Files that name files: nothing outside their folder is read unless it is asked for, and never a device or a pipe."""
+"""Files that name files: files outside their folder are read on request only, devices and pipes never."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_the_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_materials_may_lie_below_and_name_what_lies_above_them(folder: Path) -> None:
-    """The folder of the mesh counts, not that of its materials."""
+    """Names are relative to the folder of the mesh, not to the folder of its materials."""
     assert color(obj(folder, "../inner/green.png", "materials/m.mtl")) == [0, 1, 0]
     with pytest.raises(ValueError, match=HINT):
         nr.load_mesh(obj(folder, "../../beside/red.png", "materials/m.mtl"))
@@ -176,7 +176,7 @@ def test_names(tmp_path: Path) -> None:
     }.items():
         assert is_outside(source, name) == out, name
     assert find_file(source, "..\\home\\B.MTL") == source.parent / "b.mtl"
-    for name in ("", "x" * 5000, "x\0y", "b.mtl/c", "."):  # none of which the system may be asked for
+    for name in ("", "x" * 5000, "x\0y", "b.mtl/c", "."):  # no such name may reach the system
         assert find_file(source, name, allow_outside=True) is None, name
 
 

@@ -46,9 +46,9 @@ def test_an_image_is_shown_texel_by_texel_and_a_colour_as_it_is(board):
     path, picture = board
     mesh = nr.UVMesh.load(path)
     assert mesh.image_index.tolist() == [0, -1] and len(mesh.images) == 1
-    seen = seen_from_the_front(mesh, 16)
-    shown = mesh.shade(seen)[0]
-    below = seen.face_index[0] == 0
+    fragments = seen_from_the_front(mesh, 16)
+    shown = mesh.shade(fragments)[0]
+    below = fragments.face_index[0] == 0
     # A place among 16 texels is a few roundings of 16 off.
     torch.testing.assert_close(shown[below], picture.permute(1, 2, 0)[below], **rounding(10, 16))
     torch.testing.assert_close(shown[~below], torch.tensor([1.0, 0.25, 0.0]).expand(int((~below).sum()), 3))
@@ -57,16 +57,16 @@ def test_an_image_is_shown_texel_by_texel_and_a_colour_as_it_is(board):
 def test_an_image_is_found_again_by_its_gradient(board):
     path, picture = board
     mesh = nr.UVMesh.load(path)
-    seen = seen_from_the_front(mesh, 16)
-    target = mesh.shade(seen)
+    fragments = seen_from_the_front(mesh, 16)
+    target = mesh.shade(fragments)
     image = torch.full_like(mesh.images[0], 0.5).requires_grad_()
     optimizer = torch.optim.Adam([image], lr=0.1)
     for _ in range(100):
-        loss = (dataclasses.replace(mesh, images=(image,)).shade(seen) - target).square().sum()
+        loss = (dataclasses.replace(mesh, images=(image,)).shade(fragments) - target).square().sum()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-    below = seen.face_index[0] == 0
+    below = fragments.face_index[0] == 0
     assert (image.detach()[below] - picture.permute(1, 2, 0)[below]).abs().max() < 0.02
 
 
@@ -76,8 +76,8 @@ def test_a_glb_file_shows_what_its_obj_file_shows(board, tmp_path):
     trimesh.load(path, process=False).export(tmp_path / "board.glb")
     images = []
     for mesh in (nr.UVMesh.load(path), nr.UVMesh.load(tmp_path / "board.glb")):
-        seen = seen_from_the_front(mesh, 32)
-        images.append(seen.composite(mesh.shade(seen)))
+        fragments = seen_from_the_front(mesh, 32)
+        images.append(fragments.composite(mesh.shade(fragments)))
     apart = (images[0] - images[1]).abs().amax(1)[0]
     shows_image = (images[0][0] - torch.tensor([1.0, 0.25, 0.0])[:, None, None]).abs().amax(0) > 0.01
     assert 450 < shows_image.sum() < 550  # half of all pixels; trimesh writes the red as if it were linear
@@ -87,8 +87,8 @@ def test_a_glb_file_shows_what_its_obj_file_shows(board, tmp_path):
 def test_the_vertices_of_a_file_without_colour_are_grey(tmp_path):
     (tmp_path / "plain.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     mesh = nr.UVMesh.load(tmp_path / "plain.obj")
-    seen = seen_from_the_front(mesh, 8)
-    assert (mesh.shade(seen)[seen.mask] == 0.5).all() and mesh.to("cpu").images == ()
+    fragments = seen_from_the_front(mesh, 8)
+    assert (mesh.shade(fragments)[fragments.mask] == 0.5).all() and mesh.to("cpu").images == ()
 
 
 def test_what_does_not_fit(tmp_path):
@@ -151,12 +151,12 @@ def test_render_reaches_images_and_colours(board):
     mesh = dataclasses.replace(mesh, images=(image,), colors=colors)
     camera = nr.Camera.look_at((0.0, 0.0, 3.0), orthographic=True)
     rgb = nr.render(mesh, camera, 16, light=None, anti_aliasing=False).rgb
-    seen = seen_from_the_front(mesh, 16)
-    assert torch.equal(rgb, seen.composite(mesh.shade(seen)))
+    fragments = seen_from_the_front(mesh, 16)
+    assert torch.equal(rgb, fragments.composite(mesh.shade(fragments)))
     rgb.sum().backward()
     # Sums of shares of 1 over 16 x 16 pixels.
-    assert image.grad.sum() == pytest.approx(3 * int((seen.face_index == 0).sum()), rel=16**2 * 4 * EPS)
-    assert colors.grad[1].sum() == pytest.approx(3 * int((seen.face_index == 1).sum()), rel=16**2 * 4 * EPS)
+    assert image.grad.sum() == pytest.approx(3 * int((fragments.face_index == 0).sum()), rel=16**2 * 4 * EPS)
+    assert colors.grad[1].sum() == pytest.approx(3 * int((fragments.face_index == 1).sum()), rel=16**2 * 4 * EPS)
     with pytest.raises(ValueError, match="background: expected"):
         nr.render(mesh, camera, 16, background=(1.0, 1.0))
 
@@ -173,7 +173,7 @@ def test_a_saved_mesh_is_the_same_again(board, tmp_path, name):
     camera = nr.Camera.look_at((0.0, 0.0, 3.0), orthographic=True)
     one, other = (nr.render(each, camera, 64, light=None, anti_aliasing=False) for each in (mesh, again))
     apart = (one.rgb - other.rgb).abs().amax(1) > 0.002  # colours are in steps of 1 / 255
-    assert apart.sum() <= 64  # the diagonal, where the face of lower index is seen: files may change their order
+    assert apart.sum() <= 64  # the diagonal, where the face of lower index is visible: files may change their order
     assert torch.equal(one.alpha, other.alpha)
 
 

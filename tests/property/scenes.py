@@ -23,7 +23,7 @@ DTYPES = (torch.float32, torch.float32, torch.float64, torch.float16, torch.bflo
 
 @dataclass(frozen=True)
 class Scene:
-    """What a scene is made of; its numbers follow from ``seed``."""
+    """Parts of a scene; its numbers follow from ``seed``."""
 
     seed: int
     batch: int
@@ -54,7 +54,7 @@ class Scene:
 
     @property
     def options(self) -> dict[str, Any]:
-        """What all functions that draw take."""
+        """Arguments of all functions that draw."""
         return {
             "near": self.near_far[0],
             "far": self.near_far[1],

@@ -1,4 +1,4 @@
-"""What holds for every scene and every public function that draws, whatever the numbers."""
+"""Properties of every public function that draws, for random scenes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def render_one_mesh(s: Scene, leaves: Leaves, pick: Pick) -> dict[str, Tensor]:
 
 
 def render_list(s: Scene, leaves: Leaves, pick: Pick) -> dict[str, Tensor]:
-    """Meshes of different size; they are copies, without gradients to what they were made of."""
+    """Meshes of different sizes; they are copies without gradients to their sources."""
     triangles = s.triangles(leaves["eye"].device)
     if not len(triangles):
         return {}
@@ -59,14 +59,14 @@ def render_uv(s: Scene, leaves: Leaves, pick: Pick) -> dict[str, Tensor]:
 def fragments(s: Scene, leaves: Leaves, pick: Pick) -> dict[str, Tensor]:
     """Shading in torch, of normals, attributes and a texture."""
     mesh = pick(leaves["vertices"]), s.triangles(leaves["eye"].device)
-    seen = nr.fragments(mesh, s.view(leaves, pick), s.size, two_sided=s.two_sided, **s.options)
-    mixed = seen.interpolate(pick(leaves["attributes"]))
-    normals = seen.interpolate(nr.vertex_normals(*mesh))
-    texture = nr.sample_texture(leaves["image"], mixed[..., :2], seen.face_index)
+    fragments = nr.fragments(mesh, s.view(leaves, pick), s.size, two_sided=s.two_sided, **s.options)
+    mixed = fragments.interpolate(pick(leaves["attributes"]))
+    normals = fragments.interpolate(nr.vertex_normals(*mesh))
+    texture = nr.sample_texture(leaves["image"], mixed[..., :2], fragments.face_index)
     plain = nr.sample_texture(leaves["image"], mixed[..., :2], wrap="clamp")
     colors = torch.cat((normals, mixed, texture, plain), 3)
-    image = seen.composite(colors, 0.5, seams=s.gradient == "edge")
-    return {"weights": seen.weights, "depth": seen.depth, "image": image}
+    image = fragments.composite(colors, 0.5, seams=s.gradient == "edge")
+    return {"weights": fragments.weights, "depth": fragments.depth, "image": image}
 
 
 def rasterize_images(s: Scene, leaves: Leaves, pick: Pick) -> dict[str, Tensor]:
@@ -130,7 +130,7 @@ def check(function: Any, s: Scene, device: str) -> None:
     if s.strided:  # strides change no bit
         contiguous = drawn(function, s, replace(s, strided=False).leaves(device), lambda t: t)
         assert all(torch.equal(contiguous[name], image) for name, image in images.items())
-    # Alone as among others, to the bit: nothing is summed over the batch.
+    # Bitwise equal with and without the rest of the batch: nothing is summed over the batch.
     for n in range(s.batch):
         alone = drawn(function, s, leaves, lambda t, n=n: t[n : n + 1])
         for name, image in images.items():

@@ -17,7 +17,7 @@ NEAR, FAR = 0.1, 10.0
 
 
 def examples(count: int) -> settings:
-    """Always the same examples, as many as the suite has time for."""
+    """Run the same examples each time, as many as the suite has time for."""
     phases = (Phase.explicit, Phase.generate, Phase.shrink)
     checks = list(HealthCheck)
     return settings(max_examples=count, deadline=None, derandomize=True, phases=phases, suppress_health_check=checks)
@@ -108,7 +108,7 @@ def crosses(faces: Tensor, perspective: bool) -> Tensor:
 
 @dataclass(frozen=True)
 class Doubt:
-    """What float32 leaves open for each face of one image at each pixel, [F, H, W]."""
+    """Bounds of float32 on each face of one image at each pixel, [F, H, W]."""
 
     possible: Tensor  # the face may be drawn here
     certain: Tensor  # the face must be drawn here, nearer things aside
@@ -146,10 +146,10 @@ def doubt(faces: Tensor, height: int, width: int, two_sided: bool, perspective: 
     arm = (faces[:, a, :2] - faces[:, :, :2]).norm(dim=-1)
     thin = whole <= 1e-6 * (arm.amax(1)[:, None, None] + scale[..., 0]) * arm.amax(1)[:, None, None]
     side = sides(faces, perspective)[:, None, None]
-    seen = (side > 0) | two_sided
-    inside = found.inside & seen
+    visible = (side > 0) | two_sided
+    inside = found.inside & visible
     close = (edge * edge.sum(-1, keepdim=True).sign() >= -open_edge).all(-1) | crossing
-    possible = inside | (near_edge & close & (seen | thin)) | (thin & close)
+    possible = inside | (near_edge & close & (visible | thin)) | (thin & close)
     finite = faces.isfinite().flatten(1).all(1)[:, None, None] & (~(z <= 0).all(1)[:, None, None] | (not perspective))
     return Doubt(possible & finite, inside & ~near_edge & ~thin, found.depth, error)
 

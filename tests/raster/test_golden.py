@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from neural_renderer.raster.colors.texture_cubes import sample_textures
 from neural_renderer.raster.ops.barycentrics import barycentrics
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.ops.texture_cubes import sample_textures
 from neural_renderer.raster.visibility.nmr import nmr_edges
 from tests.paths import GOLDEN
 
@@ -34,13 +34,13 @@ def test_case(device, case):
     index = coverage(faces.detach(), side, side, near, far, False, True)
     same = index == get("face_index")
     assert same.float().mean() >= 0.9999
-    seen = same & (index >= 0)
+    visible = same & (index >= 0)
     weights, depth = barycentrics(faces, index, near, far, True)
     z = faces.detach()[torch.arange(len(index))[:, None, None], index.clamp(min=0), :, 2]
     on_screen = weights * z / depth[..., None]
-    # What the vectors promise: another implementation in float32 comes as close, and the gradients to 1e-3.
-    torch.testing.assert_close(on_screen[seen], get("weights")[seen], rtol=0, atol=1e-4)
-    torch.testing.assert_close(depth[seen], get("zmap")[seen], rtol=1e-4, atol=1e-4)
+    # Accuracy of the vectors: that of another implementation in float32; gradients 1e-3.
+    torch.testing.assert_close(on_screen[visible], get("weights")[visible], rtol=0, atol=1e-4)
+    torch.testing.assert_close(depth[visible], get("zmap")[visible], rtol=1e-4, atol=1e-4)
 
     images, grads, loss = [], [], torch.zeros((), device=device)
     if "alpha" in data:

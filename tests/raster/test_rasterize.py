@@ -112,7 +112,7 @@ def test_renderers_compile_as_one_graph(device):
             inputs = vertices.clone().requires_grad_(), cubes.clone().requires_grad_()
             image = f(*inputs)
             results.append((image, *torch.autograd.grad(image.square().sum(), inputs)))
-        # What the compiler fuses is rounded otherwise; depth is up to 100, and sums go over 16 x 16 x 4 samples.
+        # Fused operations round differently; depth is up to 100, and sums have 16 x 16 x 4 terms.
         for one, other in zip(*results, strict=True):
             torch.testing.assert_close(one, other, **rounding(32**2, float(other.detach().abs().max())))
 
@@ -263,7 +263,7 @@ def test_background_pictures(device, batched, anti_aliasing):
 
 
 def test_two_sided_is_appending_reversed_faces(device):
-    """Bitwise, in value; the gradients too, once those of the copies are added (`fill_back` of the first packages)."""
+    """Values are bitwise equal; so are gradients, summed over a face and its copy (`fill_back`)."""
     scene, faces, *_ = scene_inputs(device, count=12)
     cubes = scene.noise(2, 12, 3, 3, 3, 3).to(device)
     order = torch.tensor([2, 1, 0], device=device)
@@ -298,7 +298,7 @@ def test_arguments_are_never_changed(device):
     images = nr.rasterize_images(inputs[0], (14, 18), textures=inputs[1], light=inputs[2], background=inputs[3])
     sum(image.sum() for image in images).backward()
     assert all(torch.equal(a, b) for a, b in zip(inputs, before, strict=True))
-    # Nor does a caller who changes the result change what is saved for the gradient.
+    # A caller who changes the result does not change the tensors saved for the gradient.
     grads = [t.grad.clone() for t in inputs]
     for t in inputs:
         t.grad = None

@@ -1,4 +1,4 @@
-"""Limits of memory: what does not fit is an error that says what would."""
+"""Limits of memory: the error says how many pixels would fit."""
 
 from __future__ import annotations
 

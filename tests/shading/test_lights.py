@@ -1,4 +1,4 @@
-"""Light: the formula, its side, what it leaves alone, gradients, small and degenerate faces."""
+"""Light: the formula, its side, unchanged arguments, gradients, small and degenerate faces."""
 
 from __future__ import annotations
 

@@ -98,6 +98,6 @@ def test_no_faces() -> None:
 def test_edges_are_neighbours_on_the_lattice() -> None:
     texels = Texels.shared(BALL, 4)
     edges = texels.edges()
-    # A closed surface of 80 · 9 small triangles has 3/2 as many edges, each between two texels that a face has.
+    # A closed surface of 80 · 9 small triangles has 3/2 as many edges; each connects two texels of a face.
     assert len(edges) == 80 * 9 * 3 // 2 and (edges[:, 0] < edges[:, 1]).all()
     assert torch.bincount(edges.reshape(-1)).unique().tolist() == [5, 6]

@@ -1,4 +1,4 @@
-"""What no face shows of an image takes the colours around it, and nothing else changes."""
+"""Texels that no face shows get the surrounding colours; all others stay unchanged."""
 
 from __future__ import annotations
 

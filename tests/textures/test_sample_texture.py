@@ -39,28 +39,28 @@ def plane(device, size):
     vertices = torch.tensor([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], device=device)
     faces = torch.tensor([[0, 1, 2], [0, 2, 3]], device=device)
     camera = nr.Camera.look_at((0.0, 0.0, 3.0), viewing_angle=20).to(device)
-    seen = nr.fragments((vertices, faces), camera, size, anti_aliasing=False)
-    return seen, seen.interpolate((vertices[:, :2] + 1) / 2)
+    fragments = nr.fragments((vertices, faces), camera, size, anti_aliasing=False)
+    return fragments, fragments.interpolate((vertices[:, :2] + 1) / 2)
 
 
 def test_mipmaps_average_what_a_pixel_covers(device):
     """A checkerboard far finer than the pixels is grey, and one coarser than them is itself."""
-    seen, uv = plane(device, 24)
+    fragments, uv = plane(device, 24)
     board = (torch.arange(512, device=device)[:, None] + torch.arange(512, device=device)) % 2
-    fine = nr.sample_texture(board[..., None].float(), uv, seen.face_index)
-    assert (fine[seen.mask] - 0.5).abs().max() < 0.01
-    assert nr.sample_texture(board[..., None].float(), uv)[seen.mask].std() > 0.1
+    fine = nr.sample_texture(board[..., None].float(), uv, fragments.face_index)
+    assert (fine[fragments.mask] - 0.5).abs().max() < 0.01
+    assert nr.sample_texture(board[..., None].float(), uv)[fragments.mask].std() > 0.1
     coarse = torch.rand(6, 6, 3, generator=torch.Generator().manual_seed(0)).to(device)
-    filtered = nr.sample_texture(coarse, uv, seen.face_index)
-    torch.testing.assert_close(filtered[seen.mask], nr.sample_texture(coarse, uv)[seen.mask])
-    assert (filtered[~seen.mask] == 0).all()
+    filtered = nr.sample_texture(coarse, uv, fragments.face_index)
+    torch.testing.assert_close(filtered[fragments.mask], nr.sample_texture(coarse, uv)[fragments.mask])
+    assert (filtered[~fragments.mask] == 0).all()
 
 
 def test_gradients(device):
-    seen, uv = plane(device, 24)
+    fragments, uv = plane(device, 24)
     texture = torch.rand(64, 64, 3, generator=torch.Generator().manual_seed(0)).to(device).requires_grad_()
-    colors = nr.sample_texture(texture, uv, seen.face_index)
-    (seen.composite(colors, 1.0) ** 2).sum().backward()
+    colors = nr.sample_texture(texture, uv, fragments.face_index)
+    (fragments.composite(colors, 1.0) ** 2).sum().backward()
     assert texture.grad.isfinite().all() and (texture.grad.sum(-1) != 0).float().mean() > 0.9
     place = (0.1 + 0.8 * torch.rand(1, 3, 3, 2, generator=torch.Generator().manual_seed(1))).to(device).requires_grad_()
     nr.sample_texture(ramp(16, 16, device), place).sum().backward()

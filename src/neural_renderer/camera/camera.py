@@ -51,6 +51,10 @@ class Camera:
         orig_size: (height, width) in pixels of the image that K describes.
         mirrored: Whether the picture is a mirror image.
 
+    Raises:
+        TypeError, ValueError: A type, shape or device does not fit, or ``orig_size`` is missing for K; while values are
+            checked, also a number that is not finite.
+
     Example:
         >>> camera = nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30)
         >>> x, y, depth = camera(torch.zeros(1, 3))[0, 0]  # the origin, at the image's centre
@@ -103,6 +107,9 @@ class Camera:
             scale: Screen units per world unit: a number, or a tensor [] or [B]. The image is 2 screen units high.
             mirrored: Mirror the picture, as the old functions do.
 
+        Returns:
+            B cameras; one if no argument has a batch.
+
         Raises:
             TypeError, ValueError: As the functions `look_at` and `perspective`.
 
@@ -127,7 +134,23 @@ class Camera:
         scale: Scalar = 1.0,
         mirrored: bool = False,
     ) -> Camera:
-        """Make cameras at ``eye`` that look along ``direction``, [3] or [B, 3]. Otherwise as `Camera.look_at`."""
+        """Make cameras at ``eye`` that look along ``direction``.
+
+        Args:
+            eye: Position, [3] or [B, 3] in world units: list, tuple, array or tensor.
+            direction: Viewing direction, likewise, of any length.
+            up, viewing_angle, orthographic, scale, mirrored: As in `Camera.look_at`.
+
+        Returns:
+            B cameras; one if no argument has a batch.
+
+        Raises:
+            TypeError, ValueError: As the functions `look` and `perspective`.
+
+        Example:
+            >>> camera = nr.Camera.look((0.0, 1.0, -2.5), direction=(0.0, -0.4, 1.0))
+            >>> images = nr.render(mesh, camera, 64)
+        """
         dtype = float_type(eye, direction, up, viewing_angle, scale)
         frame = look_frame(eye, direction, up, dtype, mirrored)
         return cls._with_lens(*frame, viewing_angle, orthographic, scale, mirrored)
@@ -150,6 +173,9 @@ class Camera:
             dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3); None means no distortion.
             orig_size: Side or (height, width) in pixels of the image that K describes. Required. A render of any size
                 shows this whole image, stretched if its aspect is different.
+
+        Returns:
+            B cameras; one if no argument has a batch.
 
         Raises:
             TypeError, ValueError: A type or shape does not fit, or ``orig_size`` is missing or not positive; while
@@ -190,6 +216,9 @@ class Camera:
             shift: [2] or [B, 2] in screen units, to the right and down.
             distance: Depth of the world's origin. Choose it so that the mesh lies between ``near`` and ``far``; the
                 picture does not depend on it.
+
+        Returns:
+            B cameras; one if no argument has a batch.
 
         Raises:
             TypeError, ValueError: A type, shape or batch size does not fit; while values are checked, also R is not a
@@ -237,6 +266,11 @@ class Camera:
         Raises:
             TypeError, ValueError: A type, shape or batch size does not fit, or ``aspect`` is not positive; while values
                 are checked, also a vertex that is not finite.
+
+        Example:
+            >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45)
+            >>> camera(torch.tensor([[-1.0, 1.0, 0.0]]))  # from the −z side, −x is on the right
+            tensor([[[0.4000, 0.4000, 2.5000]]])
         """
         vertices = validate.wide(validate.vertices(vertices))
         aspect = validate.positive("aspect", aspect)
@@ -255,7 +289,22 @@ class Camera:
         return torch.stack((x / aspect, y, z), dim=-1)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Camera:
-        """Copy the cameras to another device or floating dtype. Raises TypeError for other dtypes."""
+        """Copy the cameras to another device or floating dtype.
+
+        Args:
+            device: Device of the copy; None keeps the device.
+            dtype: Floating dtype of the copy; None keeps the dtype.
+
+        Returns:
+            The copy. Gradients flow back to the original.
+
+        Raises:
+            TypeError: ``dtype`` is not a floating dtype.
+
+        Example:
+            >>> nr.Camera.look_at((0.0, 0.0, -2.5)).to(dtype=torch.float64).rotation.dtype
+            torch.float64
+        """
         if not (dtype is None or (isinstance(dtype, torch.dtype) and dtype.is_floating_point)):
             raise TypeError(f"dtype: expected a floating dtype, got {dtype!r}")
         tensors = {f.name: v for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)}

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..raster.ops.pinhole import NEAREST
 from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, outside, parameter, scalar
 from .view import rotate
 
-_NEAREST = 1e-6  # smallest |z| in the division of x and y by z, in world units
 _TOLERANCE = 0.02  # for R Rᵀ and K's third row; admits matrices typed with three digits, or in bfloat16
 _FARTHEST = 1e9  # bound of |x| and |y| (at z = 1) in tangential distortion
 _WIDEST = 1e4  # bound of x² + y² (at z = 1) in the radial polynomial: 89.4° off the axis
@@ -219,5 +219,5 @@ def viewing_angle(name: str, angle: Any, dtype: torch.dtype, device: torch.devic
 
 
 def _away_from_zero(z: Tensor) -> Tensor:
-    """Move z to at least `_NEAREST` from 0, keeping its sign, so that 1 / z and its gradient are finite."""
-    return torch.where(z.abs() < _NEAREST, torch.where(z < 0, -_NEAREST, _NEAREST).to(z.dtype), z)
+    """Move z to at least `NEAREST` from 0, keeping its sign, so that 1 / z and its gradient are finite."""
+    return torch.where(z.abs() < NEAREST, torch.where(z < 0, -NEAREST, NEAREST).to(z.dtype), z)

@@ -63,7 +63,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> Non
 
 
 def say(text: str, color: str | None = None, markup: bool = False) -> None:
-    """Print a line: to standard output, or in a color, for warnings and errors, to standard error."""
+    """Print a line: to standard output, or in a colour, for warnings and errors, to standard error."""
     console = Console(stderr=color is not None)
     console.print(text, style=color, markup=markup, highlight=False, soft_wrap=True)
 

@@ -11,19 +11,19 @@ from torch import Tensor
 
 from ..camera import Camera, get_points_from_angles
 from ..io import save_animation, save_image
-from ..io.obj_writer import check_own
+from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.primitives import icosphere
 from ..pictures.clay import clay_mesh
 from ..pictures.photograph import lowest_point, photograph
 from ..pictures.sheet import sheet
+from ..pictures.turntable import FIRST_AZIMUTH, turntable
 from ..tasks.fit import ShapeFit, TextureFit, Views
 from .common import check_counts, choose_device, say
 from .demo_models import duck, knot
 from .options.demo import DemoOptions
 
-_FIRST_AZIMUTH = 145.0  # degrees, of the animation of the fit
-_AZIMUTHS = (_FIRST_AZIMUTH, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, in degrees
+_AZIMUTHS = (FIRST_AZIMUTH, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, in degrees
 _ELEVATIONS, _DISTANCE, _VIEWING_ANGLE = (-25.0, 10.0, 40.0), 3.2, 25.0  # of the cameras of the fit
 _STAGES = 24  # of the fit, in the animation
 _RATE, _SMOOTH = 0.02, 1.0  # of the fit of the shape
@@ -61,9 +61,9 @@ def _make_turntable(options: DemoOptions, mesh: Mesh, progress: Progress) -> Non
     """Write turntable.gif and turntable.mp4."""
     task = progress.add_task("Turntable", total=options.frames, note="compiling kernels at the first run")
     pictures = []
-    for index in range(options.frames):
-        pictures.append(photograph(mesh, 180 + 360 * index / options.frames, size=options.size).cpu())
-        progress.update(task, advance=1, note=f"{index + 1} of {options.frames} pictures")
+    for picture in turntable(mesh, options.frames, 180, size=options.size):
+        pictures.append(picture)
+        progress.update(task, advance=1, note=f"{len(pictures)} of {options.frames} pictures")
     save_animation(options.output / "turntable.gif", pictures, fps=20)
     save_animation(options.output / "turntable.mp4", pictures, fps=20)
 
@@ -113,7 +113,7 @@ def _draw_stages(options: DemoOptions, history: list[Mesh], fitted: Mesh, target
     save_image(options.output / "fit.png", sheet(rows, list(stages)))
     frames = []
     for index, mesh in enumerate(history + still):
-        azimuth = _FIRST_AZIMUTH + 360 * index / len(history + still)
+        azimuth = FIRST_AZIMUTH + 360 * index / len(history + still)
         frames.append(sheet([[picture(m, azimuth, options.size * 5 // 8) for m in (mesh, target)]]))
         progress.update(task, advance=1)
     save_animation(options.output / "fit.gif", frames, fps=12)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ..io.cubes import barycentric_grid
+from ..io.cubes import bake_corners
 from ..meshes.isosurface import isosurface
 from ..meshes.mesh import Mesh
 
@@ -29,7 +28,7 @@ def duck(steps: int = 56, texture_size: int = 4) -> Mesh:
         return _blend(_blend(_plumage(p), _beak(p), 0.04), _tail(p), 0.25)
 
     vertices, faces = isosurface(field, steps)
-    return Mesh(vertices, faces, bake(vertices[faces], _duck_color, texture_size)).normalize()
+    return Mesh(vertices, faces, _duck_color(bake_corners(vertices[faces], texture_size))).normalize()
 
 
 def _duck_color(p: Tensor) -> Tensor:
@@ -107,7 +106,7 @@ def knot(segments: int = 320, sides: int = 28, texture_size: int = 4) -> Mesh:
     # Colours are a function of (u, v). At the seam, (u, v) continue beyond 1 and do not wrap around.
     u, v = torch.stack((i, i + 1, i + 1, i, i, i + 1)), torch.stack((j, j + 1, j, j, j + 1, j + 1))
     uv = torch.stack((u / segments, v / sides), dim=-1).movedim(0, 1).reshape(-1, 3, 2)
-    return Mesh(vertices, faces, bake(uv, _ribbon, texture_size)).normalize()
+    return Mesh(vertices, faces, _ribbon(bake_corners(uv, texture_size))).normalize()
 
 
 def _ribbon(uv: Tensor) -> Tensor:
@@ -118,18 +117,3 @@ def _ribbon(uv: Tensor) -> Tensor:
     color = palette[first]
     stripe = ((place - first) < 0.12) | ((place - first) > 0.88)
     return torch.where(stripe[..., None], torch.tensor([0.97, 0.95, 0.90]), color)
-
-
-def bake(corners: Tensor, color: Callable[[Tensor], Tensor], size: int) -> Tensor:
-    """Bake a colour function into texture cubes.
-
-    Args:
-        corners: [F, 3 corners, D], arguments of the function at the corners of faces.
-        color: Maps [..., D] to RGB [..., 3].
-        size: T, texels along the edge of a cube.
-
-    Returns:
-        [F, T, T, T, 3].
-    """
-    weights = torch.from_numpy(barycentric_grid(size)).to(corners).reshape(size, size, size, 3)
-    return color(torch.einsum("ijkc,fcd->fijkd", weights, corners))

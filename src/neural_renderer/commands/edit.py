@@ -11,7 +11,7 @@ import torch
 from .. import validate
 from ..features import FeatureNetwork, load_features
 from ..io import load_mesh, save_image
-from ..io.obj_writer import check_own
+from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..tasks.editing import DreamWeights, MeshEdit, RandomViews, StyleWeights

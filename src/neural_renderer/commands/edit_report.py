@@ -6,20 +6,20 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..io import save_image
+from ..io import save_animation, save_image
 from ..io.atomic_write import write_file
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..pictures.curve import curve
 from ..tasks.editing import MeshEdit
-from ..tasks.editing.edit_pictures import six_views, turntable
+from ..tasks.editing.edit_pictures import six_views, turn
 from ..version import __version__
 from .common import say, say_finished
 from .options.edit import EditOptions
 from .task_runner import TaskRunner
 
-_PICTURES = ("preview.png", "views.png", "loss.png", "turntable.mp4", "turntable.gif")
-RESULTS = ("mesh.obj", "mesh.glb", *_PICTURES, "report.json")
+_PICTURES, _TURNTABLES = ("preview.png", "views.png", "loss.png"), ("turntable.mp4", "turntable.gif")
+RESULTS = ("mesh.obj", "mesh.glb", *_PICTURES, *_TURNTABLES, "report.json")
 """Files that a run writes."""
 
 
@@ -37,7 +37,9 @@ def write_results(options: EditOptions, edit: MeshEdit, before: Mesh | UVMesh, h
     mesh.save(folder / "mesh.glb")
     save_image(folder / "views.png", six_views(before, mesh))
     if options.turntable:
-        turntable(folder, mesh, options.turntable)
+        pictures = turn(mesh, options.turntable)
+        for name in _TURNTABLES:
+            save_animation(folder / name, pictures, fps=15)
     main = next(name for name in history[-1] if name not in ("phase", "loss")) if history else "loss"
     save_image(folder / "loss.png", curve(history, main, "loss", logarithmic=main == "style"))
 

@@ -10,7 +10,7 @@ from typing import Any
 from torch import Tensor
 
 from ..io import save_image
-from ..io.obj_writer import check_own
+from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
 from ..tasks.fit.camera_files import camera_file

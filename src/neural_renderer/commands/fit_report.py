@@ -7,16 +7,18 @@ from typing import Any
 
 from torch import Tensor
 
-from ..io import save_image
+from ..io import save_animation, save_image
 from ..io.atomic_write import write_file
 from ..pictures.curve import curve
+from ..pictures.turntable import turntable
 from ..tasks.fit import CameraFit, MeshFit, Views
-from ..tasks.fit.fit_pictures import comparison, turntable
+from ..tasks.fit.fit_pictures import comparison, upright
 from ..version import __version__
 from .common import say, say_finished
 from .options.fit import FitOptions
 from .task_runner import TaskRunner
 
+_TURNTABLE_SIZE = 256  # pixels
 RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png", "turntable.gif", "report.json")
 """Files that a fit writes."""
 
@@ -34,7 +36,8 @@ def write_mesh(options: FitOptions, fit: MeshFit, views: Views) -> None:
     mesh.save(folder / "mesh.glb")
     save_image(folder / "comparison.png", comparison(fit.views, fit.shape))
     if options.turntable:
-        turntable(folder / "turntable.gif", views, mesh, options.turntable)
+        pictures = turntable(upright(mesh, views), options.turntable, size=_TURNTABLE_SIZE)
+        save_animation(folder / "turntable.gif", pictures, fps=15)
 
 
 def report_mesh(options: FitOptions, runner: TaskRunner, fit: MeshFit, held_out: Views | None, finished: bool) -> None:

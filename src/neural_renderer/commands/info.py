@@ -92,9 +92,9 @@ def _check_sphere(device: torch.device) -> list[str]:
     (found,) = torch.autograd.grad((images.alpha * weight).sum(), faces)
 
     corners = faces.detach().cpu()
-    faces_seen = coverage_reference(corners, 24, 24, 0.1, 100.0, False, True)
-    alpha = (faces_seen >= 0).float()
-    expected = nmr_edges_reference(weight.cpu()[:, None], alpha[:, None], corners, faces_seen, 1e-3, False).float()
+    face_index = coverage_reference(corners, 24, 24, 0.1, 100.0, False, True)
+    alpha = (face_index >= 0).float()
+    expected = nmr_edges_reference(weight.cpu()[:, None], alpha[:, None], corners, face_index, 1e-3, False).float()
     problems = []
     if _differs(images.alpha, alpha, 0):
         problems.append(_difference("sphere", images.alpha, alpha, 0))

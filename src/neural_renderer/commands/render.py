@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.progress import track
 from torch import Tensor
 
+from .. import deferred
 from ..camera import Camera, get_points_from_angles
-from ..deferred import fragments
 from ..io import load_mesh, save_animation, save_image
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
@@ -147,11 +147,11 @@ def _draw_normals(
     far: float,
 ) -> tuple[Tensor, Tensor]:
     """Draw normals in camera space as colours [3, H, W], and the silhouette [H, W]."""
-    seen = fragments((mesh.vertices, mesh.faces), camera, size, near=near, far=far)
+    fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size, near=near, far=far)
     axes = camera.rotation[0] * camera.rotation.new_tensor([1.0, 1.0, -1.0])[:, None]  # right, up, backward
-    normals = seen.interpolate(vertex_normals(mesh.vertices, mesh.faces)[0] @ axes.T)
-    alpha = seen.composite(torch.ones_like(normals[..., :1]))[0, 0]
-    return seen.composite((normals + 1) / 2, background)[0], alpha
+    normals = fragments.interpolate(vertex_normals(mesh.vertices, mesh.faces)[0] @ axes.T)
+    alpha = fragments.composite(torch.ones_like(normals[..., :1]))[0, 0]
+    return fragments.composite((normals + 1) / 2, background)[0], alpha
 
 
 def _shade_depth(depth: Tensor, alpha: Tensor, far: float) -> Tensor:

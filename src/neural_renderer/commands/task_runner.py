@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from ..io.atomic_write import write_file
 from ..io.files import load_tensors, why_not_loaded
+from ..version import __version__
 from .common import interruption
 
 _SECONDS = 4.0  # between two previews and checkpoints, unless their number of steps is given
@@ -83,7 +84,7 @@ class TaskRunner:
             False if Ctrl-C interrupted the task.
 
         Raises:
-            ValueError: The checkpoint is unreadable or belongs to a task with other settings.
+            ValueError: The checkpoint is unreadable, or belongs to a task with other settings or of another version.
         """
         if resume and self._checkpoint.is_file():
             self._restore()
@@ -129,7 +130,13 @@ class TaskRunner:
         if names:
             mine, theirs = (", ".join(f"{k} {each.get(k)}" for k in names) for each in (self._settings, settings))
             raise ValueError(f"{self._checkpoint}: expected a checkpoint of this run ({mine}), got one of {theirs}")
-        self._task.load_state_dict(task)
+        try:
+            self._task.load_state_dict(task)
+        except KeyError as error:
+            raise ValueError(
+                f"{self._checkpoint}: expected a checkpoint of version {__version__}, got one of another version (it "
+                f"has no {error}); start anew"
+            ) from None
 
 
 def setting_value(value: Any) -> Any:

@@ -61,7 +61,19 @@ class Adam(torch.optim.Optimizer):
         super().__init__(params, defaults)
 
     def add_param_group(self, param_group: dict[str, Any]) -> None:
-        """Add a parameter group, as for any torch optimiser. Its t starts at 0."""
+        """Add a parameter group, as for any torch optimiser. Its t starts at 0.
+
+        Args:
+            param_group: "params", and optionally "lr", "betas" and "eps" for these parameters.
+
+        Raises:
+            TypeError, ValueError: A number is out of range.
+
+        Example:
+            >>> mesh = nr.Mesh.icosphere(2)
+            >>> optimizer = nr.Adam([mesh.vertices], lr=0.01)
+            >>> optimizer.add_param_group({"params": [mesh.textures], "lr": 0.1})
+        """
         options = {**self.defaults, **param_group}
         if validate.number("lr", options["lr"]) < 0:
             raise ValueError(f"lr: expected a number of at least 0, got {options['lr']}")
@@ -81,6 +93,9 @@ class Adam(torch.optim.Optimizer):
 
         Returns:
             The result of ``closure``, or None.
+
+        Raises:
+            TypeError: A gradient is sparse or complex.
         """
         loss = None
         if closure is not None:
@@ -115,7 +130,7 @@ class Adam(torch.optim.Optimizer):
             _move(part, slope, m, v, rates)
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned, as for any torch optimiser."""
+        """Restore the result of `state_dict`, as for any torch optimiser."""
         super().load_state_dict(state_dict)
         # torch casts the means to the parameters' dtype, which may lack range and precision.
         numbers = (number for group in state_dict["param_groups"] for number in group["params"])

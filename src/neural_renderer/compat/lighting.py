@@ -22,8 +22,8 @@ def face_light(
 ) -> Tensor:
     """Compute the light on each face as the published renderer does, [B, F, 3 colours]. Arguments: see `lighting`.
 
-    The lit side is that of (v0 − v1) × (v2 − v1). Through the mirroring cameras of `look_at` and `look`, it is the side
-    whose corners run counter-clockwise on the screen. Differentiable in all arguments.
+    Light falls on the side to which (v0 − v1) × (v2 − v1) points. Through the mirroring cameras of `look_at` and
+    `look`, corners on this side run counter-clockwise on the screen. Differentiable in all arguments.
     """
     light = Light(intensity_ambient, intensity_directional, color_ambient, color_directional, direction)
     return light._shade(light._facing(corners))

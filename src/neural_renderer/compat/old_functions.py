@@ -13,9 +13,9 @@ from .. import validate
 from ..io.atlas import build_atlas
 from ..io.cubes import check_size
 from ..io.files import existing
-from ..io.mtl import read_mtl
 from ..io.obj import obj_surface_colors
-from ..io.parse import read_obj
+from ..io.obj.mtl import read_mtl
+from ..io.obj.parse import read_obj
 from ..io.surface_colors import SurfaceColors
 from .rasterize import Rasterize
 

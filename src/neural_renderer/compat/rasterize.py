@@ -98,7 +98,7 @@ def rasterize(
     Args:
         faces: [B, F, 3 corners, 3] floating, in screen space.
         textures: [B, F, T, T, T, 3] floating.
-        image_size: See `rasterize_rgbad`, as for all further arguments.
+        image_size, anti_aliasing, near, far, eps, background_color, gradient: As in `rasterize_rgbad`.
 
     Returns:
         [B, 3, H, W] float32, differentiable in faces and textures.
@@ -128,7 +128,7 @@ def rasterize_silhouettes(
 
     Args:
         faces: [B, F, 3 corners, 3] floating, in screen space.
-        image_size: See `rasterize_rgbad`, as for all further arguments.
+        image_size, anti_aliasing, near, far, eps, gradient: As in `rasterize_rgbad`.
 
     Returns:
         [B, H, W] float32: 1 on faces, 0 elsewhere, fractions with ``anti_aliasing``. Differentiable in faces.
@@ -158,7 +158,7 @@ def rasterize_depth(
 
     Args:
         faces: [B, F, 3 corners, 3] floating, in screen space.
-        image_size: See `rasterize_rgbad`, as for all further arguments.
+        image_size, anti_aliasing, near, far, eps, gradient: As in `rasterize_rgbad`.
 
     Returns:
         [B, H, W] float32, ``far`` in the background. Differentiable in faces.
@@ -178,7 +178,9 @@ def rasterize_depth(
 class Rasterize(nn.Module):
     """Rasteriser as a module: no anti-aliasing, rows from the **bottom**, channels last.
 
-    Arguments: see `rasterize_rgbad`.
+    Args:
+        image_size, near, far, eps, background_color: As in `rasterize_rgbad`.
+        return_rgb, return_alpha, return_depth, gradient: As in `rasterize_rgbad`.
 
     Raises:
         ValueError: Nothing is requested.
@@ -217,7 +219,11 @@ class Rasterize(nn.Module):
     def forward(
         self, faces: Tensor, textures: Tensor | None = None
     ) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
-        """Draw faces [B, F, 3, 3] with textures [B, F, T, T, T, 3], which are needed for colour.
+        """Draw faces.
+
+        Args:
+            faces: [B, F, 3 corners, 3] floating, in screen space.
+            textures: [B, F, T, T, T, 3] floating, for colour; otherwise None.
 
         Returns:
             (rgb [B, H, W, 3], alpha [B, H, W], depth [B, H, W]), None if not requested.

@@ -18,7 +18,7 @@ from ..raster.faces import checked_faces, vertices_to_faces, world_corners
 from ..raster.images import Images
 from ..raster.rasterize import rasterize_images
 from ..raster.settings import image_size
-from ..shading.lights import Light
+from ..shading.lights import Light, light_factors
 from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR
 
 # Attribute of `Light` → attribute of `Renderer`.
@@ -184,13 +184,22 @@ class Renderer(nn.Module):
         dist_coeffs: Any = None,
         orig_size: int | tuple[int, int] | None = None,
     ) -> Any:
-        """Draw images. Arguments: see `render`.
+        """Draw images.
 
         Args:
+            vertices, faces, textures: As in `render`.
             mode: None calls `render`, "rgb" `render_rgb`, "silhouettes" `render_silhouettes`, "depth" `render_depth`.
+            K, R, t, dist_coeffs, orig_size: As in `render`.
+
+        Returns:
+            The result of the method that ``mode`` selects.
 
         Raises:
             TypeError, ValueError: As `render`, or the mode is unknown.
+
+        Example:
+            >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
+            >>> alpha = renderer(*mesh.get_batch(1), mode="silhouettes")
         """
         camera = (K, R, t, dist_coeffs, orig_size)
         if mode is None:
@@ -220,6 +229,10 @@ class Renderer(nn.Module):
 
         Raises:
             TypeError, ValueError: An argument or attribute does not fit.
+
+        Example:
+            >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
+            >>> rgb, depth, alpha = renderer.render(*mesh.get_batch(1))
         """
         images = self._draw(("rgb", "alpha", "depth"), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size))
         return images.rgb, images.depth, images.alpha
@@ -228,21 +241,65 @@ class Renderer(nn.Module):
         self, vertices: Tensor, faces: Tensor, textures: Tensor | None, K: Any = None, R: Any = None, t: Any = None,
         dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
     ) -> Tensor:  # fmt: skip
-        """Draw colour, [B, 3, H, W]. Arguments: see `render`."""
+        """Draw colour.
+
+        Args:
+            vertices, faces, textures, K, R, t, dist_coeffs, orig_size: As in `render`.
+
+        Returns:
+            [B, 3, H, W] float32.
+
+        Raises:
+            TypeError, ValueError: As `render`.
+
+        Example:
+            >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
+            >>> rgb = renderer.render_rgb(*mesh.get_batch(1))
+        """
         return self._draw(("rgb",), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size)).rgb
 
     def render_silhouettes(
         self, vertices: Tensor, faces: Tensor, K: Any = None, R: Any = None, t: Any = None,
         dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
     ) -> Tensor:  # fmt: skip
-        """Draw silhouettes, [B, H, W]. Arguments: see `render`."""
+        """Draw silhouettes.
+
+        Args:
+            vertices, faces, K, R, t, dist_coeffs, orig_size: As in `render`.
+
+        Returns:
+            [B, H, W] float32: 1 on faces, 0 elsewhere, fractions with ``anti_aliasing``.
+
+        Raises:
+            TypeError, ValueError: As `render`.
+
+        Example:
+            >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
+            >>> vertices, faces, _ = mesh.get_batch(1)
+            >>> alpha = renderer.render_silhouettes(vertices, faces)
+        """
         return self._draw(("alpha",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).alpha
 
     def render_depth(
         self, vertices: Tensor, faces: Tensor, K: Any = None, R: Any = None, t: Any = None,
         dist_coeffs: Any = None, orig_size: int | tuple[int, int] | None = None,
     ) -> Tensor:  # fmt: skip
-        """Draw depth, [B, H, W]. Arguments: see `render`."""
+        """Draw depth.
+
+        Args:
+            vertices, faces, K, R, t, dist_coeffs, orig_size: As in `render`.
+
+        Returns:
+            [B, H, W] float32, in world units; ``far`` in the background.
+
+        Raises:
+            TypeError, ValueError: As `render`.
+
+        Example:
+            >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
+            >>> vertices, faces, _ = mesh.get_batch(1)
+            >>> depth = renderer.render_depth(vertices, faces)
+        """
         return self._draw(("depth",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).depth
 
     def _draw(
@@ -269,7 +326,7 @@ class Renderer(nn.Module):
             )
             # Light is computed in world space, on the side that the first packages lit (see the class).
             with validate.called(**_LIGHT):
-                light = lamp.two_sided(world_corners(vertices, faces, len(screen)), mirrored=True)
+                light = light_factors(lamp, world_corners(vertices, faces, len(screen)), mirrored=True)
         with validate.called(background="background_color", eps="rasterizer_eps", light="light_*"):
             return rasterize_images(
                 vertices_to_faces(screen, faces),

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from .network import FeatureNetwork, Normalize, convolution, linear, plan_of
+from .network import FeatureNetwork, Normalize, convolution, linear, plan_of, weight_and_bias
 
 _BLOCKS = ("3a", "3b", "4a", "4b", "4c", "4d", "4e", "5a", "5b")
 _BRANCHES = ("1x1", "3x3_reduce", "3x3", "5x5_reduce", "5x5", "pool_proj")
@@ -55,7 +55,8 @@ def googlenet(weights: Mapping[str, Tensor]) -> FeatureNetwork:
         ('conv1', 'pool1', 'conv2_reduce')
     """
     from_torchvision = "conv1.conv.weight" in weights
-    layers = _LayerBuilder(_fold_batch_norm(weights) if from_torchvision else dict(weights))
+    tensors = _fold_batch_norm(weights) if from_torchvision else weights
+    layers = _LayerBuilder(tensors)
     norm: list[nn.Module] = [] if from_torchvision else [LocalResponse()]
     stages: dict[str, nn.Module] = {
         "conv1": layers.convolution("conv1.7x7_s2", 3, stride=2),
@@ -71,7 +72,7 @@ def googlenet(weights: Mapping[str, Tensor]) -> FeatureNetwork:
         if block == "4e":
             stages["pool4"] = nn.MaxPool2d(2 if from_torchvision else 3, 2, ceil_mode=True)
     stages["pool5"] = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten())
-    stages["classifier"] = linear(*layers.weight_and_bias("loss3.classifier", (layers.width,)))
+    stages["classifier"] = linear(*weight_and_bias(tensors, "loss3.classifier", (layers.width,)))
     normalize = Normalize(_HALF_RANGE, _HALF_RANGE) if from_torchvision else Normalize(_CAFFE_MEAN, bgr=True)
     return FeatureNetwork("GoogLeNet", normalize, stages, plan_of(weights))
 
@@ -143,7 +144,7 @@ class _LayerBuilder:
         width: Number of channels after the layers made so far.
     """
 
-    def __init__(self, weights: dict[str, Tensor]) -> None:
+    def __init__(self, weights: Mapping[str, Tensor]) -> None:
         self._weights = weights
         self.width = 3
 
@@ -151,20 +152,10 @@ class _LayerBuilder:
         """Make a convolution with ReLU; ``inputs`` is its number of input channels, by default ``width``."""
         kernel = self._weights.get(f"{name}.weight")
         side = kernel.shape[-1] if kernel is not None and kernel.dim() == 4 else 1
-        weight, bias = self.weight_and_bias(name, (self.width if inputs is None else inputs, side, side))
+        shape = (self.width if inputs is None else inputs, side, side)
+        weight, bias = weight_and_bias(self._weights, name, shape)
         self.width = len(bias)
         return nn.Sequential(convolution(weight, bias, stride), nn.ReLU(inplace=True))
-
-    def weight_and_bias(self, name: str, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
-        """Return the tensors of a layer whose weight has the shape [·, *shape]."""
-        weight, bias = self._weights.get(f"{name}.weight"), self._weights.get(f"{name}.bias")
-        if weight is None or bias is None:
-            raise ValueError(f"expected weight and bias of {name}, got neither or only one")
-        if tuple(weight.shape[1:]) != shape or bias.shape != weight.shape[:1]:
-            raise ValueError(
-                f"expected {name}.weight of shape [·, {', '.join(map(str, shape))}], got {list(weight.shape)}"
-            )
-        return weight, bias
 
 
 def _fold_batch_norm(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:

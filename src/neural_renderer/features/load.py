@@ -45,8 +45,10 @@ def load_features(source: str | os.PathLike[str], progress: bool = True) -> Feat
         ModuleNotFoundError: The file is ``.safetensors`` and the package safetensors is not installed.
 
     Example:
-        >>> from neural_renderer.features import load_features
-        >>> network = load_features("vgg16-original")  # doctest: +SKIP
+        >>> weights = {"conv1_1.weight": torch.rand(8, 3, 3, 3), "conv1_1.bias": torch.zeros(8)}
+        >>> torch.save(weights, "narrow_vgg.pth")
+        >>> load_features("narrow_vgg.pth").layers
+        ('conv1_1',)
     """
     if isinstance(source, str) and source in PUBLISHED:
         return _network(_published(source, progress), source)

@@ -20,18 +20,30 @@ class FeatureNetwork(nn.Module):
     """Convolutional network that returns the activations of named layers.
 
     Weights are frozen: gradients flow to the images only. Activations are taken after the ReLU, except those of the
-    last layer of a classifier.
+    last layer of a classifier. `vgg`, `googlenet` and `load_features` make such networks.
+
+    Args:
+        name: Name of the architecture, such as "VGG-16".
+        normalize: Module applied to the images first.
+        stages: Modules by the name of their layer, in the order of computation.
+        plan: Shapes of the tensors of the checkpoint, by name; None if there is no checkpoint.
 
     Attributes:
-        name: Name of the architecture, such as "VGG-16".
+        name: Name of the architecture.
         layers: Names of all layers, in the order of computation.
-        plan: Shapes of the tensors of the checkpoint, for `features_like`. Empty if the network has no checkpoint.
+        plan: As the argument; empty without a checkpoint. `features_like` builds a network from it.
 
     Example:
-        >>> from neural_renderer.features import load_features
-        >>> network = load_features("googlenet_bvlc.safetensors")  # doctest: +SKIP
-        >>> network(images, ["inception_4c"])["inception_4c"].shape  # doctest: +SKIP
-        torch.Size([4, 512, 14, 14])
+        >>> from neural_renderer.features import vgg
+        >>> weights = {"conv1_1.weight": torch.rand(8, 3, 3, 3), "conv1_1.bias": torch.zeros(8)}
+        >>> weights |= {"conv1_2.weight": torch.rand(8, 8, 3, 3), "conv1_2.bias": torch.zeros(8)}
+        >>> network = vgg(weights)
+        >>> network.layers, network.until("conv1_1").layers
+        (('conv1_1', 'conv1_2'), ('conv1_1',))
+        >>> network.checked("conv1_2")
+        ('conv1_2',)
+        >>> network(torch.rand(4, 3, 32, 32), ["conv1_1"])["conv1_1"].shape
+        torch.Size([4, 8, 32, 32])
     """
 
     def __init__(self, name: str, normalize: nn.Module, stages: dict[str, nn.Module], plan: Plan | None = None) -> None:
@@ -78,13 +90,33 @@ class FeatureNetwork(nn.Module):
         return found
 
     def until(self, layer: str) -> FeatureNetwork:
-        """Truncate the network after a layer. Weights are shared, not copied. Raises ValueError for unknown layers."""
+        """Truncate the network after a layer.
+
+        Args:
+            layer: Name of the last layer to keep.
+
+        Returns:
+            The shorter network. Weights are shared, not copied.
+
+        Raises:
+            ValueError: The layer is unknown.
+        """
         (layer,) = self.checked([layer])
         kept = self.layers[: self.layers.index(layer) + 1]
         return FeatureNetwork(self.name, self._normalise, {name: self._stages[name] for name in kept}, self.plan)
 
     def checked(self, layers: Sequence[str]) -> tuple[str, ...]:
-        """Return ``layers`` as a tuple. Raises ValueError if it is empty or names an unknown layer."""
+        """Check names of layers.
+
+        Args:
+            layers: Names, or one name.
+
+        Returns:
+            The names as a tuple.
+
+        Raises:
+            ValueError: There are no names, or a layer is unknown.
+        """
         layers = (layers,) if isinstance(layers, str) else tuple(layers)
         for name in layers or ("",):
             if name not in self.layers:
@@ -132,6 +164,16 @@ def linear(weight: Tensor, bias: Tensor) -> nn.Linear:
     layer.out_features, layer.in_features = weight.shape
     layer.weight, layer.bias = nn.Parameter(weight), nn.Parameter(bias)
     return layer
+
+
+def weight_and_bias(weights: Mapping[str, Tensor], name: str, shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
+    """Return the tensors of a layer from a checkpoint; ValueError unless the weight has the shape [·, *shape]."""
+    weight, bias = weights.get(f"{name}.weight"), weights.get(f"{name}.bias")
+    if weight is None or bias is None:
+        raise ValueError(f"expected weight and bias of {name}, got neither or only one")
+    if tuple(weight.shape[1:]) != shape or bias.shape != weight.shape[:1]:
+        raise ValueError(f"expected {name}.weight of shape [·, {', '.join(map(str, shape))}], got {list(weight.shape)}")
+    return weight, bias
 
 
 IMAGENET_MEAN = (123.675, 116.28, 103.53)

@@ -9,12 +9,22 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from .network import IMAGENET_MEAN, IMAGENET_STD, FeatureNetwork, Normalize, Padding, convolution, linear, plan_of
+from .network import (
+    IMAGENET_MEAN,
+    IMAGENET_STD,
+    FeatureNetwork,
+    Normalize,
+    Padding,
+    convolution,
+    linear,
+    plan_of,
+    weight_and_bias,
+)
 
-_NAMED = re.compile(r"conv([1-5])_?([1-4])\.(weight|bias)")
+_NAMED = re.compile(r"(conv([1-5])_?([1-4]))\.(?:weight|bias)")
 _ORIGINAL_MEAN = (123.68, 116.779, 103.939)  # RGB
 _POOLED = 7  # side of the classifier's input
-_Convolutions = dict[tuple[int, int], dict[str, Tensor]]  # (block, number in the block) → "weight" and "bias"
+_Convolutions = dict[tuple[int, int], str]  # (block, number in the block) → name of the layer in the checkpoint
 
 
 def is_vgg(weights: Mapping[str, Any]) -> bool:
@@ -50,7 +60,7 @@ def vgg(weights: Mapping[str, Tensor]) -> FeatureNetwork:
     from_torchvision = "features.0.weight" in weights
     convolutions = _from_torchvision(weights) if from_torchvision else _from_names(weights)
     normalize, padding = _input_stage(weights)
-    stages, width = _convolution_stages(convolutions, padding)
+    stages, width = _convolution_stages(weights, convolutions, padding)
     depth = len(convolutions) + 3
     if max(block for block, _ in convolutions) == 5 and max(place for block, place in convolutions if block == 5) > 1:
         stages["pool5"] = nn.MaxPool2d(2)
@@ -72,23 +82,21 @@ def _input_stage(weights: Mapping[str, Tensor]) -> tuple[nn.Module, Padding]:
     return Normalize(_ORIGINAL_MEAN[::-1], bgr=True), "zeros"
 
 
-def _convolution_stages(convolutions: _Convolutions, padding: Padding) -> tuple[dict[str, nn.Module], int]:
+def _convolution_stages(
+    weights: Mapping[str, Tensor], convolutions: _Convolutions, padding: Padding
+) -> tuple[dict[str, nn.Module], int]:
     """Make the convolutions and the pools between blocks; return them and the number of output channels."""
     stages: dict[str, nn.Module] = {}
     width = 3
     for (block, place), layer in sorted(convolutions.items()):
         name = f"conv{block}_{place}"
-        if set(layer) != {"weight", "bias"} or ((block, place - 1) not in convolutions and place > 1):
-            raise ValueError(f"expected a weight and a bias for each convolution, up to {name}")
-        shape = tuple(layer["weight"].shape)
-        if len(shape) != 4 or shape[1:] != (width, 3, 3) or layer["bias"].shape != shape[:1]:
-            raise ValueError(f"expected {name}.weight of shape [·, {width}, 3, 3], got {list(shape)}")
+        if place > 1 and (block, place - 1) not in convolutions:
+            raise ValueError(f"expected conv{block}_{place - 1} before {name}, got none")
+        weight, bias = weight_and_bias(weights, layer, (width, 3, 3))
         if place == 1 and block > 1:
             stages[f"pool{block - 1}"] = nn.MaxPool2d(2)
-        stages[name] = nn.Sequential(
-            convolution(layer["weight"], layer["bias"], padding_mode=padding), nn.ReLU(inplace=True)
-        )
-        width = shape[0]
+        stages[name] = nn.Sequential(convolution(weight, bias, padding_mode=padding), nn.ReLU(inplace=True))
+        width = len(bias)
     return stages, width
 
 
@@ -107,18 +115,14 @@ def _from_torchvision(weights: Mapping[str, Tensor]) -> _Convolutions:
         elif index - last != 2:
             raise ValueError(f"expected convolutions two or three apart, got features.{last} and features.{index}")
         place, last = place + 1, index
-        parts = {part: weights.get(f"features.{index}.{part}") for part in ("weight", "bias")}
-        convolutions[block, place] = {part: value for part, value in parts.items() if value is not None}
+        convolutions[block, place] = f"features.{index}"
     return convolutions
 
 
 def _from_names(weights: Mapping[str, Tensor]) -> _Convolutions:
     """Find the convolutions by names such as ``conv1_1``."""
-    convolutions: _Convolutions = {}
-    for name, value in weights.items():
-        if match := _NAMED.fullmatch(name):
-            convolutions.setdefault((int(match[1]), int(match[2])), {})[match[3]] = value
-    return convolutions
+    matches = filter(None, map(_NAMED.fullmatch, weights))
+    return {(int(match[2]), int(match[3])): match[1] for match in matches}
 
 
 def _has_classifier(weights: Mapping[str, Tensor]) -> bool:
@@ -132,9 +136,7 @@ def _classifier(weights: Mapping[str, Tensor], width: int) -> dict[str, nn.Modul
     layers = []
     inputs = width * _POOLED**2
     for index in (0, 3, 6):
-        weight, bias = (weights.get(f"classifier.{index}.{part}") for part in ("weight", "bias"))
-        if weight is None or bias is None or weight.shape[1:] != (inputs,) or bias.shape != weight.shape[:1]:
-            raise ValueError(f"expected classifier.{index} with {inputs} inputs")
+        weight, bias = weight_and_bias(weights, f"classifier.{index}", (inputs,))
         layers.append(linear(weight, bias))
         inputs = len(bias)
     return {

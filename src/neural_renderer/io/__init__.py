@@ -3,7 +3,6 @@
 from .formats import load_mesh
 from .images import load_image, save_animation, save_image
 from .mesh_writer import save_mesh
-from .obj import load_obj
-from .obj_writer import save_obj
+from .obj import load_obj, save_obj
 
 __all__ = ["load_image", "load_mesh", "load_obj", "save_animation", "save_image", "save_mesh", "save_obj"]

@@ -26,7 +26,7 @@ def build_atlas(textures: np.ndarray, tile: int | None = None) -> tuple[np.ndarr
     Args:
         textures: [F, T, T, T, 3] float32 in [0, 1].
         tile: Width of a tile in pixels, ≥ 4. None chooses about 15; up to 50 if the picture is at most 1024 wide; fewer
-            for meshes of more than 290,000 faces, whose picture would exceed 8192.
+            for meshes of more than 290,000 faces, because the picture would be wider than 8192.
 
     Returns:
         The picture, [H, W, 3] uint8, row 0 at the top, and the pixel positions of the faces' corners, [F, 3, 2] float64

@@ -118,7 +118,7 @@ def _rename(file: Path, target: Path) -> None:
 
 
 def _make_staging(folder: Path) -> Path:
-    """Make a temporary folder whose name tells which process it belongs to."""
+    """Make a temporary folder with the id of this process in its name."""
     return Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{_machine()}-{os.getpid()}-", dir=folder))
 
 

@@ -8,6 +8,8 @@ a corner at cube coordinate w · (T − 1).
 from __future__ import annotations
 
 import numpy as np
+import torch
+from torch import Tensor
 
 WRAPPINGS = ("REPEAT", "MIRRORED_REPEAT", "CLAMP_TO_EDGE", "CLAMP_TO_BORDER")
 _MOST_BYTES = 8 * 2**30
@@ -36,10 +38,18 @@ def check_size(faces: int, size: int) -> None:
         )
 
 
-def bake_corners(colors: np.ndarray, size: int) -> np.ndarray:
-    """Bake corner colours [N, 3, 3] into cubes [N, T, T, T, 3] float32 that interpolate them."""
-    cubes = np.einsum("gk,nkc->ngc", barycentric_grid(size).astype(np.float32), colors.astype(np.float32))
-    return cubes.reshape(-1, size, size, size, 3)
+def bake_corners(values: Tensor, size: int) -> Tensor:
+    """Bake values at the corners of faces into texture cubes that interpolate them; differentiable.
+
+    Args:
+        values: [F, 3 corners, C] floating, such as colours.
+        size: T, texels along a cube's edge.
+
+    Returns:
+        [F, T, T, T, C], of the same dtype.
+    """
+    weights = torch.from_numpy(barycentric_grid(size)).to(values)
+    return torch.einsum("gk,fkc->fgc", weights, values).reshape(len(values), size, size, size, values.shape[2])
 
 
 def bake_image(

@@ -19,7 +19,7 @@ from .files import existing, fits_float32, read_bytes, reason, short, warn
 from .images import unpack
 from .named_files import find_file
 from .obj import obj_surface_colors
-from .parse import read_obj
+from .obj.parse import read_obj
 from .surface_colors import SurfaceColors
 
 if TYPE_CHECKING:

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 from PIL import Image
 
 from .atlas import build_atlas, coordinates
 from .atomic_write import write_file
 from .cubes import bake_corners
 from .files import mesh_to_write
-from .obj_writer import Part, save_cubes, write_obj
+from .obj.writer import Part, save_cubes, write_obj
 from .surface_colors import SurfaceColors
 
 if TYPE_CHECKING:
@@ -108,7 +109,8 @@ def _parts(surface: SurfaceColors) -> list[Part]:
             found.append(_part(own, surface.uv[own], pixels, wrapping != "REPEAT"))
     plain = np.flatnonzero(surface.image < 0)
     if len(plain):
-        pixels, place = build_atlas(bake_corners(surface.colors[plain].clip(0, 1), 2))
+        cubes = bake_corners(torch.from_numpy(surface.colors[plain].clip(0, 1)), 2)
+        pixels, place = build_atlas(cubes.numpy())
         found.append(_part(plain, coordinates(place, pixels), pixels, True))
     return found
 

@@ -17,13 +17,13 @@ _NAMING = (".obj", ".mtl", ".ply", ".gltf", ".glb", ".json", ".csv")  # suffixes
 def find_file(source: Path, name: str, *folders: Path, allow_outside: bool = False) -> Path | None:
     """Find the regular file that ``source`` calls ``name``.
 
-    The name is searched as written, then by its last part alone, because exporters write paths of their own machine.
+    The full name is searched first, then its last part, because exporters write paths of their own machine.
     Backslashes are separators. Upper and lower case differ only if both files exist.
 
     Args:
         source: File that contains the name.
         name: Path in any spelling.
-        folders: Folders to search; by default that of ``source``.
+        folders: Folders to search; by default the folder of ``source``.
         allow_outside: Search outside the folder of ``source``, too. Otherwise absolute paths elsewhere are not found.
 
     Returns:

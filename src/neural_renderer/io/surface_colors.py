@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
 
 from .cubes import bake_corners, bake_image, check_size
 
@@ -68,7 +69,7 @@ class SurfaceColors:
         cubes = np.empty((len(self.image), size, size, size, 3), dtype=np.float32)
         flat = (self.colors == self.colors[:, :1]).all(axis=(1, 2))
         cubes[flat] = self.colors[flat, 0][:, None, None, None]
-        cubes[~flat] = bake_corners(self.colors[~flat], size)
+        cubes[~flat] = bake_corners(torch.from_numpy(self.colors[~flat]), size).numpy()
         for number, (image, wrapping) in enumerate(zip(self.images, self.wrapping, strict=True)):
             chosen = self.image == number
             cubes[chosen] = bake_image(image, self.uv[chosen], size, wrapping, bilinear, pixel_centers)

@@ -106,8 +106,16 @@ class Mesh(nn.Module):
             texture_size: T, texels along a cube's edge, ≥ 1.
             allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
+        Returns:
+            The mesh, on the CPU.
+
         Raises:
             OSError, TypeError, ValueError: As `load_obj`.
+
+        Example:
+            >>> nr.save_obj("cube.obj", *nr.cube())
+            >>> nr.Mesh.fromobj("cube.obj", texture_size=2)
+            Mesh(8 vertices, 12 faces, textures of 2³, cpu)
         """
         loaded = load_obj(filename_obj, normalization, texture_size, load_texture, allow_outside=allow_outside)
         textures = loaded[2] if len(loaded) == 3 else None
@@ -129,8 +137,16 @@ class Mesh(nn.Module):
             normalize: Centre and scale the mesh; see `Mesh.normalize`.
             allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
+        Returns:
+            The mesh, on the CPU.
+
         Raises:
             OSError, TypeError, ValueError: As `load_mesh`.
+
+        Example:
+            >>> nr.save_mesh("torus.ply", *nr.torus(segments=16, sides=8))
+            >>> nr.Mesh.load("torus.ply", texture_size=2)
+            Mesh(128 vertices, 256 faces, textures of 2³, cpu)
         """
         vertices, faces, textures = load_mesh(path, texture_size, allow_outside)
         mesh = cls(vertices, faces, _white(faces, texture_size) if textures is None else textures)
@@ -138,7 +154,23 @@ class Mesh(nn.Module):
 
     @classmethod
     def icosphere(cls, level: int = 3, radius: float = 1.0, texture_size: int = 4) -> Mesh:
-        """Make a white sphere of 10·4ˡᵉᵛᵉˡ + 2 vertices; see the function `icosphere`."""
+        """Make a white sphere of 10·4ˡᵉᵛᵉˡ + 2 vertices.
+
+        Args:
+            level: Number of subdivisions, 0 to 8; see the function `icosphere`.
+            radius: Radius, > 0.
+            texture_size: T, texels along a cube's edge, ≥ 1.
+
+        Returns:
+            The mesh, on the CPU.
+
+        Raises:
+            TypeError, ValueError: A number is out of range.
+
+        Example:
+            >>> nr.Mesh.icosphere(2)
+            Mesh(162 vertices, 320 faces, textures of 4³, cpu)
+        """
         vertices, faces = primitives.icosphere(level, radius)
         return cls(vertices, faces, _white(faces, texture_size))
 
@@ -158,11 +190,25 @@ class Mesh(nn.Module):
         return self.textures.shape[1]
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the mesh as OBJ, PLY or GLB, with textures clamped to [0, 1]; see `save_mesh`."""
+        """Write the mesh as OBJ, PLY or GLB, with textures clamped to [0, 1].
+
+        Args:
+            path: Name that ends in ``.obj``, ``.ply`` or ``.glb``. A file of this name is replaced.
+            overwrite: Replace foreign files beside an OBJ, too; see `save_mesh`.
+
+        Raises:
+            OSError, TypeError, ValueError: As `save_mesh`.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("sphere.glb")
+        """
         save_mesh(path, self.vertices, self.faces, self.textures, overwrite=overwrite)
 
     def normalize(self) -> Mesh:
         """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
+
+        Returns:
+            The copy.
 
         Raises:
             ValueError: All vertices coincide, or one is not finite.
@@ -179,12 +225,20 @@ class Mesh(nn.Module):
     def get_batch(self, batch_size: int) -> tuple[Tensor, Tensor, Tensor]:
         """Repeat the mesh ``batch_size`` times, without a copy.
 
+        Args:
+            batch_size: B, ≥ 0.
+
         Returns:
             Vertices [B, V, 3], faces [B, F, 3] and textures [B, F, T, T, T, 3]. The textures are the sigmoid of the
             parameter, so that they stay in [0, 1] during optimisation.
 
         Raises:
             TypeError, ValueError: ``batch_size`` is not a whole number ≥ 0.
+
+        Example:
+            >>> vertices, faces, textures = nr.Mesh.icosphere(2).get_batch(5)
+            >>> vertices.shape
+            torch.Size([5, 162, 3])
         """
         batch_size = validate.whole("batch_size", batch_size, 0)
         parts = self.vertices, self.faces, torch.sigmoid(self.textures)
@@ -195,6 +249,15 @@ class Mesh(nn.Module):
         """Set the factors of the learning rate that `neural_renderer.Adam` uses for vertices and textures.
 
         Copies and pickles of the mesh keep the factors; its `state_dict` does not.
+
+        Args:
+            lr_vertices: Factor for the vertices; 0 keeps them.
+            lr_textures: Factor for the textures; 0 keeps them.
+
+        Example:
+            >>> mesh = nr.Mesh.icosphere(2)
+            >>> mesh.set_lr(0.1, 1.0)
+            >>> optimizer = nr.Adam(mesh.parameters(), lr=0.01)  # 0.001 for the vertices
         """
         self.vertices.lr = lr_vertices  # type: ignore[attr-defined]
         self.textures.lr = lr_textures  # type: ignore[attr-defined]

@@ -8,10 +8,9 @@ from torch.nn import functional
 
 from .. import validate
 from ..raster.faces import checked_faces, vertices_to_faces
+from ..raster.ops.flat_light import LARGE, SMALLEST_SINE
 
-_LARGE = 1e4  # faces with larger coordinates are scaled down before their normals are computed
 _TINY = 1e-20  # smallest divisor of a vertex normal
-_SMALLEST_SINE = 1e-5  # a face with a smaller area, relative to its squared edge length, has a normal shorter than 1
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -32,8 +31,8 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
     Example:
         >>> mesh = nr.Mesh.icosphere()
-        >>> seen = nr.fragments(mesh, nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30), 64)
-        >>> normals = seen.interpolate(nr.vertex_normals(mesh.vertices, mesh.faces))
+        >>> fragments = nr.fragments(mesh, nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30), 64)
+        >>> normals = fragments.interpolate(nr.vertex_normals(mesh.vertices, mesh.faces))
         >>> normals = torch.nn.functional.normalize(normals, dim=-1)
     """
     points = validate.vertices(vertices)
@@ -67,7 +66,7 @@ def face_normals(corners: Tensor) -> Tensor:
     # The first packages divide by max(area, 1e-5), which darkens the small faces of a fine mesh. Here the floor is
     # relative to the squared edge length: it affects slivers only, and equals theirs for edges longer than 1.
     size = torch.maximum((a * a).sum(-1, keepdim=True), (b * b).sum(-1, keepdim=True)).detach()
-    floor = _SMALLEST_SINE * size.clamp(1e-12, 1)
+    floor = SMALLEST_SINE * size.clamp(1e-12, 1)
     normal = normal / torch.maximum(torch.linalg.vector_norm(normal, dim=-1, keepdim=True), floor)
     return normal.to(corners.dtype)
 
@@ -75,4 +74,4 @@ def face_normals(corners: Tensor) -> Tensor:
 def _in_range(corners: Tensor, dims: tuple[int, ...]) -> Tensor:
     """Scale large corners down, by one factor over ``dims``, so that squared areas do not overflow."""
     largest = corners.detach().abs().amax(dims, keepdim=True) if corners.numel() else corners.new_ones(())
-    return corners / (largest / _LARGE).clamp(min=1)
+    return corners / (largest / LARGE).clamp(min=1)

@@ -12,6 +12,7 @@ from torch.nn import functional
 
 from .. import validate
 from ..constants import read_once
+from ..deprecated import old_argument
 from ..io.formats import read_mesh
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
@@ -38,6 +39,9 @@ class UVMesh:
         images: [H, W, 3] float32 each, RGB, row 0 at the top. Sizes may differ.
         colors: [F, 3, 3] float32, RGB at the corners of faces without an image.
         wraps: "repeat" or "clamp" for each image, as in `sample_texture`.
+
+    Raises:
+        TypeError, ValueError: In drawing or saving, attributes that do not fit together or are not finite.
 
     Example:
         >>> vertices, faces = nr.cube()
@@ -68,11 +72,16 @@ class UVMesh:
             grey: Colour of a mesh without colours, in [0, 1].
             allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
+        Returns:
+            The mesh, on the CPU.
+
         Raises:
             OSError, TypeError, ValueError: As `load_mesh`.
 
         Example:
-            >>> spot = nr.UVMesh.load("spot.obj")  # doctest: +SKIP
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> nr.UVMesh.load("sphere.obj").uv.shape
+            torch.Size([320, 3, 2])
         """
         vertices, faces, surface, _ = read_mesh(path, allow_outside)
         surface = surface or SurfaceColors.plain(len(faces), validate.number("grey", grey))
@@ -109,6 +118,11 @@ class UVMesh:
             TypeError, ValueError: The suffix is unknown, a tensor does not fit, or a number is not finite.
             FileExistsError: The MTL or a PNG would replace a foreign file.
             OSError: A file cannot be written. All existing files stay as they were.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("white.obj")
+            >>> sphere = nr.UVMesh.load("white.obj")
+            >>> sphere.save("sphere.glb")
         """
         self._check(always=True)
         surface = SurfaceColors(
@@ -120,26 +134,29 @@ class UVMesh:
         )
         save_uv_mesh(path, self.vertices, self.faces, surface, overwrite=overwrite)
 
+    @old_argument("seen", "fragments")
     @validate.checked_together
-    def shade(self, seen: Fragments) -> Tensor:
+    def shade(self, fragments: Fragments) -> Tensor:
         """Sample the albedo of each pixel, with mipmaps.
 
-        Gradients flow to images and colors, and, with ``gradient="edge"``, to vertices. If adjacent charts differ in
-        colour at their border, pass ``seams`` to `Fragments.composite`.
+        Gradients flow to ``images`` and ``colors``, and with ``gradient="edge"`` to ``vertices``. If adjacent charts
+        differ in colour at their border, pass ``seams`` to `Fragments.composite`.
 
         Args:
-            seen: Fragments of this mesh; see `fragments`.
+            fragments: Fragments of this mesh; see `fragments`.
 
         Returns:
             [B, H, W, 3] float32, RGB.
 
         Raises:
-            ValueError: ``seen`` belongs to a mesh with another number of faces.
+            ValueError: ``fragments`` belongs to a mesh with another number of faces.
 
         Example:
-            >>> spot = nr.UVMesh.load("spot.obj")               # doctest: +SKIP
-            >>> seen = nr.fragments(spot, camera, 128)          # doctest: +SKIP
-            >>> images = seen.composite(spot.shade(seen))       # doctest: +SKIP
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> sphere = nr.UVMesh.load("sphere.obj")
+            >>> fragments = nr.fragments(sphere, camera, 64)
+            >>> fragments.composite(sphere.shade(fragments)).shape
+            torch.Size([1, 3, 64, 64])
         """
         self._check()
         count = len(self.uv)
@@ -147,15 +164,15 @@ class UVMesh:
         plain = self.image_index < 0
         parts = []  # images to add up; each is 0 where another one is visible
         if not self.images or read_once(self.image_index, _has_negative):
-            parts.append(seen.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
+            parts.append(fragments.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
         if self.images:
-            uv = seen.interpolate(self.uv.reshape(-1, 2), corners)
+            uv = fragments.interpolate(self.uv.reshape(-1, 2), corners)
             shown = None
             if len(self.images) > 1 or parts:
                 # Face −1 (background) reads the extra entry at the end.
-                shown = torch.cat((self.image_index, self.image_index.new_full((1,), -1)))[seen.face_index.long()]
+                shown = torch.cat((self.image_index, self.image_index.new_full((1,), -1)))[fragments.face_index.long()]
             for number, (image, wrap) in enumerate(zip(self.images, self.wraps, strict=True)):
-                own = seen.face_index if shown is None else torch.where(shown == number, seen.face_index, -1)
+                own = fragments.face_index if shown is None else torch.where(shown == number, fragments.face_index, -1)
                 parts.append(sampled(image[None].float(), uv, own, wrap))
         return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
 
@@ -185,18 +202,56 @@ class UVMesh:
             _check_range(index, images)
 
     def normalize(self) -> UVMesh:
-        """Copy the mesh, centred at the origin, with its longest side from −1 to 1; see `Mesh.normalize`."""
+        """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
+
+        Returns:
+            The copy. Its vertices are detached; the other tensors are shared.
+
+        Raises:
+            ValueError: All vertices coincide, or one is not finite.
+
+        Example:
+            >>> nr.Mesh.icosphere(2, radius=3.0).save("sphere.obj")
+            >>> nr.UVMesh.load("sphere.obj").normalize().vertices.max().item()
+            1.0
+        """
         return replace(self, vertices=centered(self.vertices).float())
 
     def resized(self, side: int) -> UVMesh:
-        """Copy the mesh with all images resized to ``side`` × ``side`` pixels, with antialiasing."""
+        """Copy the mesh, with all images resized to ``side`` × ``side`` pixels by an antialiasing filter.
+
+        Args:
+            side: Side of the new images in pixels, ≥ 1.
+
+        Returns:
+            The copy, differentiable in the images.
+
+        Raises:
+            TypeError, ValueError: ``side`` is not a whole number ≥ 1.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> [image.shape for image in nr.UVMesh.load("sphere.obj").resized(128).images]
+            [torch.Size([128, 128, 3])]
+        """
         size = (validate.whole("side", side, 1),) * 2
         images = [image.movedim(2, 0)[None] for image in self.images]
         resized = [functional.interpolate(image, size, mode="bilinear", antialias=True) for image in images]
         return replace(self, images=tuple(image[0].movedim(0, 2).contiguous() for image in resized))
 
     def to(self, device: torch.device | str) -> UVMesh:
-        """Copy the mesh to another device."""
+        """Copy the mesh to another device.
+
+        Args:
+            device: Device of the copy.
+
+        Returns:
+            The copy. Gradients flow back to the original.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> sphere = nr.UVMesh.load("sphere.obj").to("cuda" if torch.cuda.is_available() else "cpu")
+        """
 
         def moved(value: Any) -> Any:
             if isinstance(value, tuple):

@@ -1,1 +1,1 @@
-"""Pictures of results: photographs of meshes, sheets and curves."""
+"""Pictures of results: photographs of meshes, turntables, sheets and curves."""

@@ -18,7 +18,7 @@ from ..deferred import Fragments
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..raster import Images
-from .photograph import photograph
+from .turntable import turntable
 
 _MOST_IMAGES = 8  # of a batch
 _LEAST_SIDE, _MOST_WIDTH = 128, 1024  # pixels: small images are enlarged, wide rows are reduced
@@ -71,7 +71,7 @@ def mesh_png(mesh: Mesh | UVMesh) -> bytes | None:
     except ValueError:
         return None
     frames = _FRAMES if len(mesh.faces) <= _MANY_FACES else 1
-    return _png([photograph(mesh, 180 + 360 * frame / frames, size=_FRAME_SIZE) for frame in range(frames)])
+    return _png(list(turntable(mesh, frames, 180, size=_FRAME_SIZE)))
 
 
 def _nearness(depth: Tensor) -> Tensor:

@@ -9,8 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .. import deferred
 from ..camera import Camera, get_points_from_angles
-from ..deferred import fragments
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
@@ -47,7 +47,7 @@ def photograph(
         size: Side of the picture, or height and width, in pixels.
         distance: Distance of the camera from the origin.
         viewing_angle: Half the vertical field of view in degrees.
-        floor: Height of the ground; by default that of the lowest vertex.
+        floor: Height of the ground; by default the height of the lowest vertex.
 
     Returns:
         [3, H, W] float32 in [0, 1].
@@ -58,8 +58,8 @@ def photograph(
     lamp, forward = lamp_direction(camera), camera.rotation[0, 2]
 
     images = render(mesh, camera, size, light=None, outputs=("rgb", "alpha"))
-    seen = fragments((mesh.vertices, mesh.faces), camera, size)
-    normal = seen.composite(seen.interpolate(vertex_normals(mesh.vertices, mesh.faces)))[0]
+    fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size)
+    normal = fragments.composite(fragments.interpolate(vertex_normals(mesh.vertices, mesh.faces)))[0]
     normal = F.normalize(normal, dim=0)  # anti-aliasing shortens normals towards the outline
     rgb, alpha = images.rgb[0], images.alpha[0]
 

@@ -8,13 +8,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from .colors.composite import composite
+from .colors.interpolate import interpolate
+from .colors.light_pixels import light_pixels
+from .colors.mipmaps import sample_mipmaps
+from .colors.texture_cubes import sample_textures
 from .ops.barycentrics import barycentrics
-from .ops.composite import composite
 from .ops.corners import gather_corners
 from .ops.coverage import coverage
-from .ops.interpolate import interpolate
-from .ops.mipmaps import sample_mipmaps
-from .ops.texture_cubes import sample_textures
+from .ops.flat_light import flat_light
+from .ops.pinhole import pinhole
 from .ops.visible_faces import seen_faces
 from .settings import Settings
 from .visibility.continuity import texture_edge_hashes
@@ -28,10 +31,10 @@ from .warp.registration import is_plain
 
 Functions = tuple[Callable[..., Any], ...]
 
-CUBES: Functions = (sample_textures,)
+CUBES: Functions = (sample_textures, flat_light)
 ATTRIBUTES: Functions = (interpolate, composite)
-IMAGES: Functions = (interpolate, composite, sample_mipmaps, sample_textures)
-_ALWAYS: Functions = (coverage, gather_corners)
+IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels, flat_light)
+_ALWAYS: Functions = (coverage, gather_corners, pinhole)
 _VISIBILITY: dict[str, Functions] = {
     "nmr": (nmr_edges, empty_lines, seen_faces),
     "edge": (boundaries, add_intersections, neighbors, seen_faces),
@@ -39,9 +42,9 @@ _VISIBILITY: dict[str, Functions] = {
 
 
 def load_kernels(settings: Settings, outputs: Collection[str], colors: Functions, corners: Tensor) -> None:
-    """Compile what is not yet in the cache of the kernels that images of these corners or vertices need.
+    """Compile the kernels that images of these corners or vertices need, unless they are in the cache.
 
-    A kernel that is missing here is compiled when it is first run.
+    Any other kernel is compiled when it first runs.
 
     Args:
         settings: How faces are drawn.

@@ -41,7 +41,7 @@ def background_image(background: Any, batch: int, channels: int, settings: Setti
                 f"background: expected a number, a colour [{channels}] or [B, {channels}], or an image, "
                 f"got {reprlib.repr(background)}"
             ) from None
-    elif background.dtype == torch.uint8:  # an image as it comes from a file, most likely
+    elif background.dtype == torch.uint8:  # most likely an image from a file
         raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")
     validate.dense("background", background)
     if device.type != "meta":

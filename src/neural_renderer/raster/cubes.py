@@ -10,7 +10,7 @@ from torch import Tensor
 
 from .. import validate
 from .background import background_image
-from .ops.texture_cubes import sample_textures
+from .colors.texture_cubes import sample_textures
 from .visibility.continuity import texture_edge_hashes
 from .visible import VisibleFaces
 
@@ -43,23 +43,6 @@ def cube_colors(
     inside = corners if settings.gradient == "edge" else corners.detach()
     rgb = sample_textures(cubes, factors, behind, inside, visible.face_index, settings.eps, settings.perspective)
     return rgb, lambda: texture_edge_hashes(cubes, factors)
-
-
-def light_on_pixels(visible: VisibleFaces, light: Tensor) -> Tensor:
-    """Look up the light on the visible side of each pixel's face.
-
-    Args:
-        visible: Visible faces of B images of F faces.
-        light: Factors [B or 1, 2, F, 3] on the front and the back of each face.
-
-    Returns:
-        [B, 3, H, W] float32; 1 where no face is visible. Differentiable in ``light``.
-    """
-    settings, index = visible.settings, visible.face_index
-    white = torch.ones((1, visible.corners.shape[1], 1, 1, 1, 3), device=index.device)
-    behind = white.new_ones(()).expand(len(index), 3, *index.shape[1:])
-    corners = visible.corners.detach()
-    return sample_textures(white, light, behind, corners, index, settings.eps, settings.perspective)
 
 
 def _checked_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:

@@ -17,7 +17,7 @@ def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
     Args:
         vertices: [B, V, 3] floating.
         faces: Vertex indices in [0, V), [F, 3] for all meshes or [B or 1, F, 3]; whole numbers of any real dtype. A
-            face of (-1, -1, -1) is padding: meshes of different size fill up one batch with it.
+            face of (-1, -1, -1) is padding, in a batch of meshes of different sizes.
 
     Returns:
         [B, F, 3, 3] float32; zeros for padding.
@@ -30,32 +30,46 @@ def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
         >>> nr.vertices_to_faces(torch.rand(2, 4, 3), torch.tensor([[0, 1, 2], [0, 2, 3]])).shape
         torch.Size([2, 2, 3, 3])
     """
-    validate.floating("vertices", vertices, ("B", "V", 3))
-    faces = checked_faces(faces)
+    return corners_of(validate.floating("vertices", vertices, ("B", "V", 3)), checked_faces(faces))
+
+
+def corners_of(vertices: Tensor, faces: Tensor, in_range: bool = False) -> Tensor:
+    """Gather the corners of each face as `vertices_to_faces`, from tensors of valid types and shapes.
+
+    Args:
+        vertices: [B, V, 3] floating.
+        faces: [F, 3] or [B or 1, F, 3], int32 or int64.
+        in_range: Whether the indices are known to be in range.
+
+    Raises:
+        ValueError: Another device, batch or index.
+    """
     validate.same_device(vertices=vertices, faces=faces)
     faces = faces[None] if faces.dim() == 2 else faces
     if faces.shape[0] not in (1, vertices.shape[0]):
         raise ValueError(f"faces: expected a batch of {vertices.shape[0]} like vertices, got {faces.shape[0]}")
-    validate.in_range("faces", faces, vertices.shape[1], padded=True)
+    if not in_range:
+        validate.in_range("faces", faces, vertices.shape[1], padded=True)
     if faces.dtype == torch.int64:  # an index that is out of range stays so in 32 bits
         faces = faces.clamp(-1, 2**31 - 1)
     return gather_corners(vertices.float(), faces.int())
 
 
-def world_corners(vertices: Tensor, faces: Tensor, images: int) -> Tensor:
+def world_corners(vertices: Tensor, faces: Tensor, images: int, in_range: bool = False) -> Tensor:
     """Gather the corners of faces in world space, for lighting.
 
     If there are faces for each image, one mesh is repeated for all of them.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] or [B, F, 3].
+        faces: [F, 3] or [B, F, 3], int32 or int64.
         images: Number of images.
+        in_range: Whether the indices are known to be in range.
     """
     vertices = vertices if vertices.dim() == 3 else vertices[None]
     if faces.dim() == 3 and len(faces) == images:
         vertices = vertices.expand(images, -1, -1)
-    return vertices_to_faces(vertices, faces)
+    return corners_of(vertices, faces, in_range)
 
 
 def checked_faces(faces: Any) -> Tensor:

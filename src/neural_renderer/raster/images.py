@@ -11,7 +11,7 @@ OUTPUTS = ("rgb", "alpha", "depth")
 
 
 class _Outputs(NamedTuple):
-    """Storage of `Images`: None for an output that was not asked for."""
+    """Storage of `Images`: None for an output that was not requested."""
 
     rgb: Tensor | None = None
     alpha: Tensor | None = None
@@ -21,8 +21,16 @@ class _Outputs(NamedTuple):
 class Images(_Outputs):
     """Rendered images. Row 0 is at the top.
 
-    Unpacking gives three values, ``rgb, alpha, depth = images``, with None for an output that was not asked for.
-    Reading the attribute of such an output raises AttributeError. Images may be changed in place before ``backward``.
+    Unpacking gives three values, ``rgb, alpha, depth = images``, with None for an output that was not requested.
+    Images may be changed in place before ``backward``.
+
+    Attributes:
+        rgb: Colours, [B, 3, H, W] float32.
+        alpha: Silhouettes, [B, H, W] float32: 1 where a face is visible, 0 elsewhere, in between at smoothed outlines.
+        depth: Depth along the viewing axis in world units, [B, H, W] float32; ``far`` where no face is visible.
+
+    Raises:
+        AttributeError: In reading an output that was not requested.
 
     Example:
         >>> images = nr.render(mesh, camera, 32, outputs=("rgb", "alpha"))
@@ -52,7 +60,7 @@ class Images(_Outputs):
         if image is None:
             name, drawn = OUTPUTS[index], [name for name, value in zip(OUTPUTS, self, strict=True) if value is not None]
             raise AttributeError(
-                f"{name}: expected an output that was asked for, got images of {', '.join(drawn) or 'nothing'}; "
+                f"{name}: expected an output that was requested, got images of {', '.join(drawn) or 'nothing'}; "
                 f'add "{name}" to outputs'
             )
         return image

@@ -40,7 +40,7 @@ def rasterize_images(
         faces: Corners (x, y, z), [B, F, 3, 3] floating: x right and y up in [-1, 1] over the image, z the depth along
             the viewing axis in world units, positive in front of the camera. Other types are computed in float32.
         size: Side of the images, or (height, width), in pixels.
-        outputs: Some of "rgb", "alpha", "depth". Outputs that are not asked for cost nothing.
+        outputs: Some of "rgb", "alpha", "depth". Other outputs are not computed.
         textures: Cubes [B or 1, F, T, T, T, 3] floating (T = 1: one colour per face). Needed for "rgb".
         light: Factors [B or 1, 2, F, 3] on the front and the back of each face; None for 1.
         background: Number, colour [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.
@@ -53,8 +53,8 @@ def rasterize_images(
             sub-pixel shifts, including the derivatives of texture coordinates and depth. ``"nmr"`` is the paper's
             approximation (section 3.2): it also acts over long distances, and its magnitude is not a derivative's.
         triangles: Vertex indices of ``faces``, [F, 3] or [B or 1, F, 3] integer, as given to `vertices_to_faces`. With
-            them ``"edge"`` finds adjacent faces once per mesh. Without them, it searches them by the positions of
-            corners in every backward pass.
+            them ``"edge"`` finds adjacent faces once per mesh. Without them, it searches for adjacent faces by the
+            positions of corners in every backward pass.
 
     Returns:
         Images. An empty batch or mesh gives the background.

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from .colors.downsample import halve
 from .ops.coverage import coverage
 from .visibility.edge import boundaries
 from .visibility.nmr import nmr_edges
@@ -34,8 +35,8 @@ class Settings:
     Attributes:
         height: Height of the returned image in pixels.
         width: Width of the returned image in pixels.
-        near: Depth from which faces are drawn, in world units, >= 0.
-        far: Depth up to which faces are drawn, in world units; also the depth of the background.
+        near: Least visible depth in world units, >= 0.
+        far: Greatest visible depth in world units; also the depth of the background.
         eps: Added to distances in the denominators of "nmr", in screen units; cube coordinates end at T - 1 - eps.
             In [0, 1).
         anti_aliasing: Whether faces are drawn at twice the size and averaged over 2 x 2 pixels.
@@ -99,7 +100,7 @@ class Settings:
 
         Args:
             faces: [B, F, 3, 3] floating.
-            channels: Channels of the images to draw, whose memory is checked.
+            channels: Channels of the images to draw; their memory is checked.
 
         Returns:
             [B, F, 3, 3] float32, differentiable in ``faces``.
@@ -121,7 +122,7 @@ class Settings:
         return coverage(corners.detach(), height, width, self.near, self.far, self.two_sided, self.perspective)
 
     def rings(self, corners: Tensor, triangles: Tensor) -> Tensor | None:
-        """Find the `edge_rings` of the triangles that the corners were gathered by; None if no gradient needs them."""
+        """Find the `edge_rings` of the faces with these vertex indices; None if no gradient needs them."""
         needed = self.gradient == "edge" and corners.requires_grad and torch.is_grad_enabled()
         return edge_rings(triangles) if needed else None
 
@@ -135,10 +136,10 @@ class Settings:
         edge_hashes: Callable[[], Tensor] | None = None,
         rings: Tensor | None = None,
     ) -> Tensor:
-        """Attach the gradient through visibility to an image: `nmr_edges` or `boundaries`.
+        """Average an image for anti-aliasing, and attach the gradient through visibility: `nmr_edges` or `boundaries`.
 
         Args:
-            image: With its background, before anti-aliasing, [B, C, H, W] float32.
+            image: Image with its background, before anti-aliasing, [B, C, H, W] float32.
             corners: Screen-space corners, [B, F, 3, 3] float32.
             face_index: Visible face of each pixel, [B, H, W] int32.
             seams: Whether colours may jump between adjacent faces; see `boundaries`.
@@ -147,16 +148,19 @@ class Settings:
             rings: As from `rings`.
 
         Returns:
-            The values of the image, [B, C, H, W] float32.
+            [B, C, height, width] float32.
         """
+        halved = self.anti_aliasing
         if not (corners.requires_grad and torch.is_grad_enabled()):
-            return image
+            return halve(image) if halved else image
         if self.gradient == "edge":
             hashes = edge_hashes() if edge_hashes is not None and seams else None
-            return boundaries(image, corners, face_index, self.two_sided, self.perspective, seams, hashes, rings)
+            return boundaries(
+                image, corners, face_index, self.two_sided, self.perspective, seams, hashes, rings, halved
+            )
         if not self.perspective:  # an orthographic camera has no plane that corners can lie behind
             corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
-        return nmr_edges(image, corners, face_index, self.eps, self.two_sided, binary)
+        return nmr_edges(image, corners, face_index, self.eps, self.two_sided, binary, halved)
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:
@@ -187,7 +191,7 @@ def image_size(name: str, size: Any) -> tuple[int, int]:
 
 
 def _check_memory(batch: int, height: int, width: int, channels: int, device: torch.device) -> None:
-    # The key, index, weights and depth, and four copies of the image on the way back.
+    # The key, index, weights and depth, and four copies of the image in the backward pass.
     each = 28 + 16 * channels
     need = batch * height * width * each
     if need < 1 << 30:
@@ -202,7 +206,7 @@ def _check_memory(batch: int, height: int, width: int, channels: int, device: to
 
 
 def _machine_memory() -> int | None:
-    """Bytes that this process may use: the machine's, or fewer where a container has a limit; None if nobody tells."""
+    """Return the bytes that this process may use: the machine's, or a container's limit; None if unknown."""
     limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")] if hasattr(os, "sysconf") else []
     try:
         groups = [line.split(":", 2) for line in _CGROUPS.read_text().splitlines()]

@@ -1,4 +1,4 @@
-"""The one road from visible faces to images: every way of colouring them meets here."""
+"""From visible faces to images: all shading meets here."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from .colors.downsample import halve
 from .images import Images
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette
-from .ops.downsample import halve
 from .settings import Settings
 
 
 @dataclass(frozen=True, eq=False)
 class VisibleFaces:
-    """The face that each pixel of B images shows, at twice the size that is returned under anti-aliasing.
+    """The visible face of each pixel of B images. Under anti-aliasing, H and W are twice the returned size.
 
     Attributes:
         corners: Screen-space corners of the faces, [B, F, 3, 3] float32.
@@ -77,16 +77,14 @@ class VisibleFaces:
         Returns:
             [B, C, height, width] float32.
         """
-        settings = self.settings
-        layers = settings.through_visibility(
+        return self.settings.through_visibility(
             layers, self.corners, self.face_index, seams, binary, edge_hashes, self.rings
         )
-        return halve(layers) if settings.anti_aliasing else layers
 
     def images(
         self, outputs: Collection[str], rgb: Tensor | None = None, edge_hashes: Callable[[], Tensor] | None = None
     ) -> Images:
-        """Make the images that were asked for.
+        """Make the requested images.
 
         Args:
             outputs: Some of "rgb", "alpha", "depth".

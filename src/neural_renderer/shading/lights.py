@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from .. import validate
-from ..camera.parameters import Array, Scalar, batch_of, batch_size, parameter, scalar
+from ..camera.parameters import Array, Scalar, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
+from ..raster.ops.flat_light import flat_light
+from ..raster.warp.registration import is_plain
+from .spherical_harmonics import SphericalHarmonicLight
 
 _WHITE = (1.0, 1.0, 1.0)
 _UP = (0.0, 1.0, 0.0)
@@ -28,6 +33,9 @@ class Light:
         ambient_color: RGB [3] or [B, 3]: list, tuple, array or tensor.
         directional_color: RGB [3] or [B, 3].
         direction: [3] or [B, 3], world vector **towards** the light. It is not normalised: its length scales the light.
+
+    Raises:
+        TypeError, ValueError: In drawing or `two_sided`, a parameter that does not fit or is not finite.
 
     Example:
         >>> light = nr.Light(ambient=0.3, directional=0.7, direction=(1.0, 1.0, 0.0))
@@ -54,6 +62,11 @@ class Light:
         Raises:
             TypeError, ValueError: A type or shape does not fit; while values are checked, also a parameter that is not
                 finite.
+
+        Example:
+            >>> corners = nr.vertices_to_faces(mesh.vertices[None], mesh.faces)
+            >>> nr.Light(ambient=1.0, directional=0.0).two_sided(corners).shape
+            torch.Size([1, 2, 320, 3])
         """
         facing = self._facing(corners)
         if not mirrored:
@@ -63,21 +76,83 @@ class Light:
     def _facing(self, corners: Tensor) -> Tensor:
         """Compute n · direction of each face, [B, F], with the orientation of `face_normals`."""
         validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
-        if isinstance(self.directional, (int, float)) and self.directional == 0:
+        if self._is_ambient:
             return corners.new_zeros(corners.shape[:2])
-        direction = parameter("direction", self.direction, (3,), corners.dtype, corners.device, shared=True)
-        batch_size(corners=corners.shape[0], direction=batch_of(direction, 1))
+        _, _, direction = self._parameters(corners.dtype, corners.device, len(corners))
         return (face_normals(corners) * direction[..., None, :]).sum(-1)
 
     def _shade(self, facing: Tensor) -> Tensor:
         """Compute light [B, ..., 3] from n · direction [B, ...]."""
+        ambient, directional, _ = self._parameters(facing.dtype, facing.device, len(facing))
+        across = (-1, *(1,) * (facing.ndim - 1), 3)
+        return ambient.reshape(across) + directional.reshape(across) * torch.relu(facing)[..., None]
 
-        def glow(intensity: str, color: str) -> Tensor:
-            strength = scalar(intensity, getattr(self, intensity), facing.dtype, facing.device)
-            rgb = parameter(color, getattr(self, color), (3,), facing.dtype, facing.device, shared=True)
-            rgb = rgb * (strength[:, None] if isinstance(strength, Tensor) and strength.ndim else strength)
-            batch_size(corners=facing.shape[0], **{color: batch_of(rgb, 1)})
-            return rgb.reshape(-1, *(1,) * (facing.ndim - 1), 3)
+    @property
+    def _is_ambient(self) -> bool:
+        """Whether there is no directional light, by its number; the direction is then of no use."""
+        return isinstance(self.directional, (int, float)) and self.directional == 0
 
-        ambient, directional = glow("ambient", "ambient_color"), glow("directional", "directional_color")
-        return ambient + directional * torch.relu(facing)[..., None]
+    def _parameters(self, dtype: torch.dtype, device: torch.device, images: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Convert the parameters to tensors: RGB of the ambient and of the directional light, and the direction.
+
+        Args:
+            dtype, device: Dtype and device of the tensors.
+            images: Number of images or meshes, B.
+
+        Returns:
+            Three tensors, [1 or B, 3] each.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
+                finite.
+        """
+        kept = self.__dict__.get("_kept")
+        if kept is not None and kept[0] == (dtype, device) and is_plain(()):
+            parts: tuple[Tensor, Tensor, Tensor] = kept[1]
+        elif is_plain(()) and all(isinstance(number, (int, float)) for number in self._numbers()):
+            with torch.inference_mode(False):  # what is kept may be needed with gradients later
+                parts = self._convert(dtype, device)
+            self.__dict__["_kept"] = ((dtype, device), parts)
+        else:
+            parts = self._convert(dtype, device)
+        names = ("ambient_color", "directional_color", "direction")
+        batch_size(corners=images, **{name: len(part) for name, part in zip(names, parts, strict=True)})
+        return parts
+
+    def _convert(self, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+        towards = (0.0, 0.0, 0.0) if self._is_ambient else self.direction
+        direction = parameter("direction", towards, (3,), dtype, device, shared=True).reshape(-1, 3)
+        return self._rgb("ambient", dtype, device), self._rgb("directional", dtype, device), direction
+
+    def _rgb(self, intensity: str, dtype: torch.dtype, device: torch.device) -> Tensor:
+        strength = scalar(intensity, getattr(self, intensity), dtype, device)
+        rgb = parameter(f"{intensity}_color", getattr(self, f"{intensity}_color"), (3,), dtype, device, shared=True)
+        rgb = rgb * (strength[:, None] if isinstance(strength, Tensor) and strength.ndim else strength)
+        return rgb.reshape(-1, 3)
+
+    def _numbers(self) -> Iterator[Any]:
+        """Yield what the parameters are made of: numbers that stay, or tensors and lists that may change."""
+        for value in (self.ambient, self.directional, self.ambient_color, self.directional_color, self.direction):
+            yield from value if isinstance(value, tuple) else (value,)
+
+
+def light_factors(light: Light | SphericalHarmonicLight, corners: Tensor, mirrored: bool) -> Tensor:
+    """Compute the light on both sides of faces as ``light.two_sided``; for callers with first derivatives only.
+
+    Args:
+        light: Ambient and directional light, or spherical harmonics.
+        corners: [B, F, 3 corners, 3] floating, finite, in world space.
+        mirrored: Whether the camera mirrors.
+
+    Returns:
+        [B, 2, F, 3], as `Light.two_sided`.
+
+    Raises:
+        TypeError, ValueError: As `Light.two_sided`.
+    """
+    if not isinstance(light, Light) or type(light) is not Light or light._is_ambient:
+        return light.two_sided(corners, mirrored)
+    if corners.dtype != torch.float32 or not is_plain((corners,)):
+        return light.two_sided(corners, mirrored)
+    ambient, directional, direction = light._parameters(corners.dtype, corners.device, len(corners))
+    return flat_light(corners, ambient, directional, direction, mirrored)

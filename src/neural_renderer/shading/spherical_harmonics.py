@@ -32,6 +32,9 @@ class SphericalHarmonicLight:
             (1, 1), (2, −2), …, (2, 2). Real harmonics of world x, y, z: band 1 belongs to y, z, x. Uniform light of
             radiance 1 is √(4π) in the first row. Differentiable if it is a tensor.
 
+    Raises:
+        TypeError, ValueError: In drawing, `two_sided` or `on`, coefficients that do not fit or are not finite.
+
     Example:
         >>> coefficients = torch.zeros(9, 3)
         >>> coefficients[0] = 3.5449  # uniform white light
@@ -41,7 +44,26 @@ class SphericalHarmonicLight:
     coefficients: Array
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
-        """Compute the light on both sides of each face, [B, 2, F, 3]; see `Light.two_sided`."""
+        """Compute the light on both sides of each face.
+
+        Args:
+            corners: [B, F, 3 corners, 3] floating, corners of faces in world space.
+            mirrored: Whether the camera mirrors (`Camera.mirrored`).
+
+        Returns:
+            [B, 2, F, 3]: RGB factors of the sides, in the order of `Light.two_sided`.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
+                finite.
+
+        Example:
+            >>> coefficients = torch.zeros(9, 3)
+            >>> coefficients[0] = 3.5449
+            >>> light = nr.SphericalHarmonicLight(coefficients)
+            >>> light.two_sided(nr.vertices_to_faces(mesh.vertices[None], mesh.faces)).shape
+            torch.Size([1, 2, 320, 3])
+        """
         validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
         normals = face_normals(corners)
         if not mirrored:
@@ -60,6 +82,12 @@ class SphericalHarmonicLight:
         Raises:
             TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
                 finite.
+
+        Example:
+            >>> coefficients = torch.zeros(9, 3)
+            >>> coefficients[0] = 3.5449  # uniform white light
+            >>> nr.SphericalHarmonicLight(coefficients).on(torch.tensor([[[0.0, 1.0, 0.0]]]))
+            tensor([[[1.0000, 1.0000, 1.0000]]])
         """
         validate.floating("normals", normals, ("B",) + ("N",) * max(1, getattr(normals, "ndim", 3) - 2) + (3,))
         validate.finite("normals", normals)

@@ -26,20 +26,30 @@ class FitWeights:
 
     Regularisers depend on the resolution of a mesh. Their weights are for 10,000 vertices and are converted for other
     meshes.
+
+    Attributes:
+        silhouette: Weight of 1 - IoU of silhouettes.
+        photometric: Weight of the mean squared difference of colours, once vertices have colours.
+        laplacian: Weight of the Laplacian loss.
+        edge_length: Weight of the mean squared edge length.
+        normal_consistency: Weight of 1 - cosine of the angle between adjacent faces.
+        smoothness: Weight of the paper's smoothness loss.
+
+    Raises:
+        TypeError, ValueError: A weight is not a finite number ≥ 0.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import FitWeights
+        >>> FitWeights(laplacian=50.0).laplacian
+        50.0
     """
 
     silhouette: float = 1.0
-    """Weight of 1 - IoU of silhouettes."""
     photometric: float = 4.0
-    """Weight of the mean squared difference of colours, once vertices have colours."""
     laplacian: float = 100.0
-    """Weight of the Laplacian loss."""
     edge_length: float = 0.0
-    """Weight of the mean squared edge length."""
     normal_consistency: float = 0.2
-    """Weight of 1 - cosine of the angle between adjacent faces."""
     smoothness: float = 0.0
-    """Weight of the paper's smoothness loss."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

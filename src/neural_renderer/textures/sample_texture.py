@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from ..raster.ops.mipmaps import pyramid, sample_mipmaps
+from ..raster.colors.mipmaps import pyramid, sample_mipmaps
 
 WRAPS = ("repeat", "clamp")
 
@@ -36,9 +36,9 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
 
     Example:
         >>> texture = torch.rand(256, 256, 3, requires_grad=True)
-        >>> seen = nr.fragments(mesh, camera, 128)
-        >>> uv = seen.interpolate(0.5 + 0.5 * mesh.vertices[:, :2])  # any [V, 2] → [B, 128, 128, 2]
-        >>> image = seen.composite(sample_texture(texture, uv, seen.face_index))
+        >>> fragments = nr.fragments(mesh, camera, 128)
+        >>> uv = fragments.interpolate(0.5 + 0.5 * mesh.vertices[:, :2])  # any [V, 2] → [B, 128, 128, 2]
+        >>> image = fragments.composite(sample_texture(texture, uv, fragments.face_index))
     """
     validate.floating("texture", texture, ("h", "w", "C") if getattr(texture, "ndim", 4) == 3 else ("B", "h", "w", "C"))
     validate.floating("uv", uv, ("B", "H", "W", 2))

@@ -59,7 +59,7 @@ def test_values(device, scene):
 def test_gradient(device, scene):
     faces, face_index = drawn(scene, device)
     weights, depth = barycentrics(faces.requires_grad_(), face_index, NEAR, FAR, scene.perspective)
-    # Of faces that are well conditioned; others multiply what the weights have lost already.
+    # Only well-conditioned faces; others amplify the rounding errors of the weights.
     cond = condition(faces.detach().cpu(), scene.height, scene.width).nan_to_num(1e9, 1e9)
     good = (at_pixels(cond, face_index.cpu()) < 3000).to(device)
     to_weights = scene.noise(*weights.shape).to(device) * good[..., None]
@@ -133,7 +133,7 @@ def test_faces_however_small_or_thin(device, perspective, shape):
 
 
 def test_a_face_without_area_counts_for_its_middle(device):
-    """What is asked for where nothing was drawn is a number all the same."""
+    """Values at pixels without a drawn face are finite, too."""
     faces = torch.tensor([[[0.3, 0.3, 1.0], [0.3, 0.3, 2.0], [0.3, 0.3, 3.0]]], device=device)[None].requires_grad_()
     index = torch.zeros(1, 4, 4, dtype=torch.int32, device=device)
     weights, depth = barycentrics(faces, index, NEAR, FAR, False)

@@ -25,7 +25,7 @@ def test_values_and_gradient(device, seed, batch, count, vertices, shared, beyon
     points = torch.randn(batch, vertices, 3, generator=random)
     low, high = -beyond, max(vertices + beyond, 1 - beyond)
     faces = torch.randint(low, high, (1 if shared else batch, count, 3), generator=random, dtype=torch.int32)
-    # (-1, -1, -1) stands for no face: one without area at the first vertex, if there is any.
+    # (-1, -1, -1) is padding: a face without area at the first vertex, if there are vertices.
     plain = torch.where((faces == -1).all(-1, keepdim=True) & (vertices > 0), 0, faces)
     ours, exact = points.to(device).requires_grad_(), points.double().requires_grad_()
     found, expected = gather_corners(ours, faces.to(device)), gather_corners_reference(exact, plain)

@@ -1,4 +1,4 @@
-"""Which face is seen: against the reference, watertight, ties, both sides, behind the camera."""
+"""Visible faces: against the reference, ties, both sides, behind the camera. `draw_face` runs in its kernels."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def check_each_pixel(scene: Scene, found: torch.Tensor) -> None:
         possible = open_.possible & (high > NEAR) & (low < FAR)
         nearest = torch.where(certain, high, math.inf).min(0).values
         index = found[b].clamp(min=0).long()[None]
-        seen = found[b] >= 0
-        assert possible.gather(0, index)[0][seen].all()
-        assert (low.gather(0, index)[0] <= nearest)[seen].all()
-        assert not certain.any(0)[~seen].any()
+        visible = found[b] >= 0
+        assert possible.gather(0, index)[0][visible].all()
+        assert (low.gather(0, index)[0] <= nearest)[visible].all()
+        assert not certain.any(0)[~visible].any()
         # Identical faces have identical depths: the first of them is seen.
         same = (scene.faces[b][:, None] == scene.faces[b]).flatten(2).all(2)
         first = same.int().argmax(0)
-        assert torch.equal(first[found[b][seen].long()], found[b][seen].long())
+        assert torch.equal(first[found[b][visible].long()], found[b][visible].long())
 
 
 @examples(25)
@@ -133,7 +133,7 @@ def test_two_sided_is_appending_reversed_faces(device, scene):
 
 
 def test_faces_that_exist_twice(device):
-    """Many models hold each face a second time in reversed order: the copy that faces the camera is seen, everywhere.
+    """Many models contain each face twice, once reversed: the copy that faces the camera is visible everywhere.
 
     Its depth is that of the other copy's back to the last bit, and at equal depth fronts come before backs.
     """
@@ -171,7 +171,7 @@ def test_floor_through_the_camera(device):
 
 @pytest.mark.parametrize("z", [(-1.0, 3.0, 3.0), (-1.0, 3.0, -1.0)])
 def test_orthographic_face_through_the_camera_plane(device, z):
-    """Without perspective a corner behind the camera turns nothing over: the near cut alone decides."""
+    """Without perspective a corner behind the camera does not reverse a face; only ``near`` matters."""
     faces = torch.tensor([[[[-1.0, -1, z[0]], [3, -1, z[1]], [-1, 3, z[2]]]]])
     for two_sided in (False, True):
         found = coverage(faces.to(device), 8, 8, 0.0, 100.0, two_sided, False).cpu()

@@ -112,8 +112,8 @@ def test_render_finds_no_seams_in_a_continuous_texture(device):
         moving = vertices.clone().requires_grad_()
         mesh = nr.UVMesh(moving, faces, uv, index, (image,), colors, ("repeat",))
         if known:
-            seen = nr.fragments(mesh, camera, 32)
-            rgb = seen.composite(mesh.shade(seen), seams=False)
+            fragments = nr.fragments(mesh, camera, 32)
+            rgb = fragments.composite(mesh.shade(fragments), seams=False)
         else:
             rgb = nr.render(mesh, camera, 32, light=None, gradient="edge").rgb
         rgb.square().sum().backward()

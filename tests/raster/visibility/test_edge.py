@@ -1,4 +1,7 @@
-"""The estimator `gradient="edge"` against its reference and closed forms."""
+"""The estimator `gradient="edge"` against its reference and closed forms.
+
+Its parts, `crossings`, `outlines`, `seams`, `gains` and `nearness`, run inside its kernel and are tested through it.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,7 @@ def test_most_gradients_are_compared(device, perspective):
 @pytest.mark.parametrize("seams", [False, True])
 @pytest.mark.parametrize("perspective", [False, True])
 def test_closed_surfaces(device, seams, perspective):
-    """Faces narrower than a pixel at the outline, where adjacent ones stand in; seams of faces of any width."""
+    """Faces narrower than a pixel at the outline, with adjacent faces as stand-ins; seams of faces of any width."""
     compared = torch.zeros(2)
     for seed, level in ((0, 0), (1, 1), (2, 2)):
         compared += compare(device, ball(seed, level), 17, 24, 2, seed % 2 == 0, perspective, seams, seed)

@@ -1,4 +1,7 @@
-"""The gradient of `boundaries` where faces intersect."""
+"""The gradient of `boundaries` where faces intersect.
+
+`candidates` and `nearness` run inside its kernels: a face that `candidates` misses would have no gradient here.
+"""
 
 from __future__ import annotations
 

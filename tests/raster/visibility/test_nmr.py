@@ -1,4 +1,4 @@
-"""The paper's gradient through visibility, against the reference."""
+"""The paper's gradient through visibility, against the reference. It tests the sums of `scanlines` too."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def gradient(image, faces, index, eps, two_sided, binary, grad):
 
 
 def share_in_doubt(faces: torch.Tensor, height: int, width: int, eps: float) -> torch.Tensor:
-    """By what share float32 may change each face's gradient; infinite where another pixel may be the nearest.
+    """Bound the relative error of each face's gradient in float32; infinite if another pixel may be the nearest.
 
     It is 2^-24 of the pixel coordinates, grown by the edge's slope, over the distance to the nearest pixel.
     """
@@ -142,7 +142,7 @@ def test_centres_exactly_on_edges(device, side, binary):
 
 
 def test_centres_exactly_on_corners(device):
-    """On the line through its one end, an edge moves with that end alone."""
+    """On the line through one of its ends, an edge moves with this end only."""
     for faces in on_pixels(8):
         index = coverage(faces.to(device), 8, 8, NEAR, FAR, True, True)
         image = (index >= 0).float()[:, None]
@@ -176,7 +176,7 @@ def test_faces_through_the_camera_plane_are_pulled_inward(device):
 
 
 def test_tensors_of_any_strides(device):
-    """What is expanded or cropped is read as what it holds."""
+    """Expanded and cropped tensors are read correctly."""
     scene = Scene(3, 1, 6, 24, 30, True, True, ("plain",))
     faces = scene.faces.to(device)
     index = coverage(faces, 24, 30, NEAR, FAR, True, True)[:, 2:20, 4:28]

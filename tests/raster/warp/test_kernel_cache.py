@@ -1,4 +1,4 @@
-"""Compiled kernels in files: damaged ones are compiled again, a full disk is a sentence, what was left is removed."""
+"""Cached kernels: damaged files are compiled again, a full disk gives an error message, leftovers are removed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import warp as wp
 
 from neural_renderer.raster.warp import kernel_cache, launch
 
-# In a process of its own, with a cache of its own: a kernel that compiles in a second, damaged in every way.
+# In a separate process with its own cache: a kernel that compiles in a second, damaged in several ways.
 SCRIPT = """
 import sys, warnings
 from pathlib import Path
@@ -98,7 +98,9 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_full_disk_is_told_before_the_compiler_ends_the_process(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=70_000))
     monkeypatch.setattr(wp, "init", lambda: None)
-    with pytest.raises(OSError, match=rf"{cache.name}: expected a folder .* No space left on device; WARP_CACHE_PATH"):
+    with pytest.raises(
+        OSError, match=rf"{cache.name}: expected a folder .* No space left on device; set WARP_CACHE_PATH"
+    ):
         launch.load_kernel(Unknown(), "cpu")
 
 

@@ -152,7 +152,7 @@ def test_dream_losses(network: FeatureNetwork) -> None:
     torch.testing.assert_close(found["dream"], -features[:, 3].square().mean(), **relative(features.numel()))
     edges = shape.vertices[shape.topology.edges]
     lengths = (edges[:, 0] - edges[:, 1]).norm(dim=1)
-    # A variance of lengths that are alike: their rounding counts by as much as they are larger than their deviation.
+    # The variance of similar lengths amplifies rounding errors by the ratio of length to deviation.
     spread = float(lengths.mean() / lengths.std())
     expected = 2 * 320 * lengths.var(unbiased=False)
     torch.testing.assert_close(found["edges"], expected, **relative(int(2 * len(lengths) * spread**2)))
@@ -258,7 +258,7 @@ def test_the_mesh_keeps_its_coordinates_and_colours(network: FeatureNetwork) -> 
     weights = torch.cartesian_prod(*[torch.arange(4.0)] * 3)
     weights[0] = 1
     cubes = torch.einsum("gk,fkc->fgc", weights / weights.sum(1, keepdim=True), colours[mesh.faces.long()])
-    # Each face has three vertices of its own, as in a GLB file; equal ones move together.
+    # Faces share no vertices, as in a GLB file; equal vertices move together.
     soup = mesh.vertices.detach()[mesh.faces.long()].reshape(-1, 3) * 7 + torch.tensor([100.0, -5, 3])
     own = nr.Mesh(soup, torch.arange(len(soup)).reshape(-1, 3), cubes.reshape(-1, 4, 4, 4, 3))
     edit = MeshEdit(own, Style(network, painting(), 48), steps=2, size=48, batch=1)
@@ -339,7 +339,7 @@ def test_images_are_painted_where_a_mesh_has_some(network: FeatureNetwork) -> No
     found = edit.mesh()
     assert isinstance(found, nr.UVMesh) and torch.equal(found.uv, mesh.uv)
     expected = painting().mean((1, 2))
-    assert (found.images[0].mean((0, 1)) - expected).abs().max() < 0.15  # all of it, what no face shows too
+    assert (found.images[0].mean((0, 1)) - expected).abs().max() < 0.15  # all texels, also invisible ones
     upper = mesh.image_index == 0
     colours = found.colors[~upper]
     assert torch.equal(found.colors[upper], mesh.colors[upper]) and (colours > 0.12).any()

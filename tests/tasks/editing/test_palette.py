@@ -1,4 +1,4 @@
-"""The colours of a painting: what is far from them, by the usual formula."""
+"""Palettes: distances from a painting's colours, against the usual formula."""
 
 from __future__ import annotations
 
@@ -55,6 +55,6 @@ def test_masks_and_paintings_of_one_colour() -> None:
     one, two = Palette.of(painting(), half), Palette.of(other, half)
     torch.testing.assert_close(one.mean, two.mean, **relative(2 * (40 * 50 + 2)))
     plain = Palette.of(torch.full((1, 3, 8, 8), 0.5), torch.ones(1, 8, 8))
-    for allowed in ([0.52, 0.5, 0.49], [0.4, 0.4, 0.4], [0.62, 0.62, 0.62]):  # another light is no other colour
+    for allowed in ([0.52, 0.5, 0.49], [0.4, 0.4, 0.4], [0.62, 0.62, 0.62]):  # another light does not change the colour
         assert plain.excess(torch.tensor(allowed)) == 0
     assert plain.excess(torch.tensor([0.65, 0.5, 0.5])) > 2

@@ -13,7 +13,7 @@ import torch
 import neural_renderer as nr
 from neural_renderer.meshes.topology import Topology
 from neural_renderer.tasks.fit import CameraFit, FitWeights, MeshFit, ShapeFit, TextureFit, Views, carve, object_bounds
-from neural_renderer.tasks.fit.descent import SmoothDescent
+from neural_renderer.tasks.fit.descent import SmoothDescent, VectorAdam
 from tests.rounding import rounding
 
 
@@ -91,6 +91,8 @@ def test_silhouettes_that_do_not_meet(views: Views) -> None:
     masks[1::2, -8:, -8:] = 1
     with pytest.raises(ValueError, match="that meet in space"):
         object_bounds(Views(views.camera, masks))
+    with pytest.raises(ValueError, match=r"that meet in \[-1, 1\]³"):
+        carve(Views(views.camera, masks), 16)
 
 
 def test_blur_is_the_inverse() -> None:
@@ -108,6 +110,15 @@ def test_blur_is_the_inverse() -> None:
     # by its condition.
     condition = int(torch.linalg.cond(matrix))
     torch.testing.assert_close(blurred, torch.linalg.solve(matrix, values), **rounding(17 + 16 * condition, 4))
+
+
+@pytest.mark.parametrize("each_row", [False, True])
+def test_vector_adam_keeps_directions(each_row: bool) -> None:
+    """The first step has the direction of the gradient, and the length of the rate where it is longest."""
+    gradient = torch.tensor([[3.0, 4.0], [0.3, -0.4], [0.0, 0.0]])
+    first = VectorAdam(0.95, each_row).step(torch.zeros(3, 2), gradient, 0.1)
+    expected = -0.1 * torch.tensor([[0.6, 0.8], [0.6, -0.8] if each_row else [0.06, -0.08], [0.0, 0.0]])
+    torch.testing.assert_close(first, expected, **rounding(16, 0.1))
 
 
 def test_sphere_is_subdivided_and_fits() -> None:

@@ -1,4 +1,4 @@
-"""The group of commands `reconstruct`: what it lists, what each explains, and wrong usage."""
+"""The commands of `reconstruct`: the list, their help, and wrong usage."""
 
 from __future__ import annotations
 

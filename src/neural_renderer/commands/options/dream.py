@@ -26,6 +26,6 @@ class DreamOptions(EditOptions):
     """
 
     layer: str = DREAM_LAYER
-    """Layer of the network whose activations are maximised."""
+    """Layer of the network; its activations are maximised."""
     channel: int | None = None
     """Channel of the layer, from 0; by default all."""

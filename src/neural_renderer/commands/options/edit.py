@@ -18,7 +18,7 @@ class EditOptions:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the results; it is made if missing."""
     preset: Literal["paper", "published"] = "paper"
-    """Default settings. paper: the paper's, with losses that suit any network and mesh; published: those of the
+    """Default settings. paper: the paper's, with losses that suit any network and mesh; published: the settings of the
     published code, for the paper's network only."""
     weights: Path | None = None
     """File with the weights of the network, .safetensors or .pth. By default they are downloaded once."""

@@ -40,4 +40,4 @@ class StyleOptions(EditOptions):
     painting_scale: float = 1.0
     """Size of the painting relative to the images of the mesh (above 0). 2 makes its strokes twice as large."""
     layers: tuple[str, ...] = STYLE_LAYERS
-    """Layers of the network whose statistics are compared."""
+    """Layers of the network for the comparison of feature statistics."""

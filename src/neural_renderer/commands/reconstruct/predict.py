@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ...io import load_image, save_animation, save_image, save_mesh
 from ...pictures.clay import clay_mesh
-from ...pictures.photograph import photograph
+from ...pictures.turntable import turntable
 from ...tasks.reconstruction.data.drawing import MESH_COLOR
 from ...tasks.reconstruction.data.framing import SIZE
 from ...tasks.reconstruction.evaluation.cutout import cut_out
@@ -24,7 +24,7 @@ from ..options.reconstruct.predict import PredictOptions
 
 _SUFFIXES = (".obj", ".glb", ".ply")
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
-_FIRST_AZIMUTH, _TURNTABLE_SIZE = 145, 256
+_TURNTABLE_SIZE = 256  # pixels
 
 
 def run(options: PredictOptions) -> int:
@@ -115,8 +115,7 @@ def _write(
         save_image(_beside(target, "sheet.png"), prediction_picture(picture, image, vertices, faces))
     if options.turntable:
         upright = clay_mesh(vertices, faces, MESH_COLOR).normalize()
-        angles = (_FIRST_AZIMUTH + 360 * index / options.turntable for index in range(options.turntable))
-        frames = (photograph(upright, angle, size=_TURNTABLE_SIZE) for angle in angles)
+        frames = turntable(upright, options.turntable, size=_TURNTABLE_SIZE)
         save_animation(_beside(target, "turntable.gif"), frames, fps=15)
 
 

@@ -1,1 +1,1 @@
-"""The operators of the rasteriser, one a file: torch operator, gradient and Warp kernels."""
+"""The operators from vertices to the visible points of pixels, one a file: torch operator, gradient, Warp kernels."""

@@ -22,10 +22,10 @@ def barycentrics(
 ) -> tuple[Tensor, Tensor]:
     """Compute barycentric weights and depth at each pixel; differentiable in the corners.
 
-    With screen-space weights w_k, depth is ``z = 1 / sum(w_k / z_k)`` and the weights in space are ``w_k z / z_k``; in
-    orthographic projection, ``z = sum(w_k z_k)`` and w_k. Backward is the analytic derivative inside the face: at a
-    fixed pixel, moving corner m by v on the screen changes w_k by ``-w_m grad(w_k) . v``. A `degenerate` face has no
-    gradient to x and y.
+    With screen-space weights w_k, depth is ``z = 1 / sum(w_k / z_k)`` and the weights in space are ``w_k z / z_k``. In
+    orthographic projection, depth is ``sum(w_k z_k)`` and the weights are w_k. The backward pass is the analytic
+    derivative inside the face: at a fixed pixel, moving corner m by v on the screen changes w_k by
+    ``-w_m grad(w_k) . v``. A `degenerate` face has no gradient to x and y.
 
     Args:
         faces: Screen-space corners, [B, F, 3, 3] float32.
@@ -35,7 +35,7 @@ def barycentrics(
         perspective: Whether the projection is perspective; else orthographic.
 
     Returns:
-        Weights in space, [B, H, W, 3] float32 in [0, 1], which interpolate values at the corners: their sum is 1, or 0
+        Weights in space, [B, H, W, 3] float32 in [0, 1], which interpolate values at the corners. Their sum is 1, or 0
         where no face is visible. Depth, [B, H, W] float32 in [near, far]; ``far`` where no face is visible. Both are
         finite for every face that `coverage` draws.
     """
@@ -102,12 +102,14 @@ _ROWS = over_rows(
             depth.data[pixel] = z < near ? near : z > far ? far : z;  // only rounding leaves the range
     """,
     run="""
-            float w[3][8], z[8];
-            memcpy(w, eight.weights, sizeof(w));
-            memcpy(z, &eight.z, sizeof(z));
-            for (int n = 0; n < run; ++n) {
+            const Eight::floats z = eight.z < near ? near : eight.z > far ? far : eight.z;
+            if (i + 8 <= width) {
+                Eight::store((float*)(weights_at.data + pixel), eight.weights[0], eight.weights[1], eight.weights[2]);
+                memcpy(depth.data + pixel, &z, sizeof(z));
+            } else for (int n = 0; n < run; ++n) {
+                const auto* w = eight.weights;
                 weights_at.data[pixel + n] = wp::vec_t<3, float>(w[0][n], w[1][n], w[2][n]);
-                depth.data[pixel + n] = z[n] < near ? near : z[n] > far ? far : z[n];
+                depth.data[pixel + n] = z[n];
             }
     """,
     empty="""
@@ -154,11 +156,8 @@ _PULL = over_face(
                 const float* g = (const float*)(grad_weights.data + row + at);
                 Eight::floats to_weights[3], to_depth;
                 memcpy(&to_depth, grad_depth.data + row + at, sizeof(to_depth));
-                for (int k = 0; k < 3; ++k) {
-                    to_weights[k] = Eight::floats{g[k], g[k + 3], g[k + 6], g[k + 9], g[k + 12], g[k + 15], g[k + 18],
-                                                  g[k + 21]};
-                    to_weights[k] = here ? to_weights[k] : Eight::none();
-                }
+                Eight::load(g, to_weights);
+                for (int k = 0; k < 3; ++k) to_weights[k] = here ? to_weights[k] : Eight::none();
                 eight.pull(face, to_weights, here ? to_depth : Eight::none(), here);
     """,
 )
@@ -181,7 +180,7 @@ def pull_face(
     faces_too: int,
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """Sum the gradients of a face's pixels in a box; ``alone``: no other task writes what this one does."""
+    """Sum the gradients of a face's pixels in a box; ``alone`` if no other task writes to the same places."""
     ...
 
 

@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import concurrent
+from ..warp.layout import concurrent, group_tasks
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -27,8 +27,7 @@ def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
     """
     shape = (vertices.shape[0], *faces.shape[1:], vertices.shape[2])
     corners = torch.empty(shape, dtype=torch.float32, device=vertices.device)
-    each = 1 if concurrent(vertices.device) else 256
-    groups = -(-corners.shape[1] // each)
+    groups, each = group_tasks(corners.shape[1], vertices.device, 256)
     arguments = [array(vertices), array(faces), array(corners), groups, each]
     launch(_forward, corners.shape[0] * groups, arguments, vertices.device)
     return corners
@@ -51,7 +50,7 @@ def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
         index = (torch.where(valid, faces, 0).flatten(1) + image).flatten()
         part = torch.where(valid[..., None], grad, 0.0)
         return result.flatten(0, 1).index_add_(0, index, part.flatten(0, 2)).view_as(result)
-    # On the CPU one task takes all faces of an image: additions of several tasks would collide.
+    # On the CPU one task takes all faces of an image, because additions of several tasks would collide.
     groups = grad.shape[1] if concurrent(grad.device) else 1
     arguments = [array(grad), array(faces), groups, array(result)]
     launch(_backward, batch * groups, arguments, grad.device)
@@ -112,7 +111,7 @@ _ADD = """
 """
 
 
-# Warp's CPU atomics are function calls, and slow.
+# Plain additions on the CPU, because Warp's CPU atomics are slow function calls.
 @wp.func_native(
     "#if defined(__CUDA_ARCH__)"
     + _EACH.replace("DO", _ADD).replace("ADD", "wp::atomic_add(vertex + c, corner[c])")

@@ -1,4 +1,4 @@
-"""The visible face of each pixel: the discrete half of rasterisation, without a gradient of its own."""
+"""The visible face of each pixel: the discrete half of rasterisation, without a gradient."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -22,7 +22,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 def coverage(
     faces: Tensor, height: int, width: int, near: float, far: float, two_sided: bool, perspective: bool
 ) -> Tensor:
-    """Find the visible face of each pixel: the nearest one at its centre; of equal depths, the lowest index.
+    """Find the visible face of each pixel: the nearest one at its centre, or at equal depth the one of lowest index.
 
     A pixel centre on an edge is inside. Faces with a corner that is not finite or beyond 1e12 are not drawn.
 
@@ -44,7 +44,7 @@ def coverage(
     if concurrent(faces.device):
         draw_concurrently(faces, face_index, options)
         return face_index
-    # One task per image, or band of rows of it, which runs through all faces from first to last.
+    # One task per image, or per band of its rows, draws all faces in order.
     bands = min(height, cpu_bands(batch, height * width + 32 * count))
     nearest = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
     maps = [array(nearest), array(face_index)]
@@ -73,6 +73,32 @@ def _(face_index):  # type: ignore[no-untyped-def]
 @torch.library.register_fake("neural_renderer::coverage")
 def _(faces, height, width, near, far, two_sided, perspective):  # type: ignore[no-untyped-def]
     return faces.new_empty((faces.shape[0], height, width), dtype=torch.int32)
+
+
+@wp.func
+def draw_crossing_rows(
+    nearest: wp.array3d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    b: int,
+    index: int,
+    v0: wp.vec3,
+    v1: wp.vec3,
+    v2: wp.vec3,
+    near: float,
+    bottom: int,
+    top: int,
+):
+    """Draw a face that crosses the camera's plane into rows of an image, counted from the bottom, on the CPU."""
+    height = face_index.shape[1]
+    width = face_index.shape[2]
+    for j in range(bottom, top + 1):
+        row = height - 1 - j
+        for i in range(width):
+            z = crossing_depth(v0, v1, v2, i, j, height, width)
+            closest = nearest[b, row, i]
+            if z > near and (z < closest or (z == closest and index < face_index[b, row, i])):
+                nearest[b, row, i] = z
+                face_index[b, row, i] = index
 
 
 @wp.kernel
@@ -105,22 +131,14 @@ def _draw_band(
             box = pixel_box(v0, v1, v2, front, height, width)
             from_row = wp.max(box[2], bottom)
             to_row = wp.min(box[3], top)
-            if front == 1:
-                if box[0] <= box[1]:
-                    n, d = depth_terms(v0, v1, v2, perspective)
-                    draw_into_rows(
-                        nearest, face_index, b, index, v0, v1, v2, n, d, near, height, width, box[0], box[1], from_row,
-                        to_row,
-                    )  # fmt: skip
-            else:
-                for j in range(from_row, to_row + 1):
-                    row = height - 1 - j
-                    for i in range(width):
-                        z = crossing_depth(v0, v1, v2, i, j, height, width)
-                        closest = nearest[b, row, i]
-                        if z > near and (z < closest or (z == closest and index < face_index[b, row, i])):
-                            nearest[b, row, i] = z
-                            face_index[b, row, i] = index
+            if front == 0:
+                draw_crossing_rows(nearest, face_index, b, index, v0, v1, v2, near, from_row, to_row)
+            elif box[0] <= box[1]:
+                n, d = depth_terms(v0, v1, v2, perspective)
+                draw_into_rows(
+                    nearest, face_index, b, index, v0, v1, v2, n, d, near, height, width, box[0], box[1], from_row,
+                    to_row,
+                )  # fmt: skip
         f = next_candidate(faces, b, f + 1, low, high, near, far, two_sided, perspective)
     if two_sided == 1:
         turn_rows(face_index, b, height - 1 - top, height - bottom, faces.shape[1])

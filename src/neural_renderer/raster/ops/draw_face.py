@@ -10,7 +10,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 # For each row of the face's box, the span between its crossings with the edges, widened by the rounding error. A box
-# that is narrower than the pixels tested at once has no need of it.
+# narrower than the pixels that are tested at once needs no span.
 _ROWS = """
     const float x0 = v0[0], x1 = v1[0], x2 = v2[0], w = (float)width, h = (float)height;
     const float slope[3] = {v1[1] - v2[1], v2[1] - v0[1], v0[1] - v1[1]};
@@ -47,7 +47,7 @@ _TEST = """
             const FLOATS z = (e0 * n[0] + e1 * n[1] + e2 * n[2]) / (e0 * d[0] + e1 * d[1] + e2 * d[2]);
             const auto inside = (e0 >= 0.0f) & (e1 >= 0.0f) & (e2 >= 0.0f) & (z > near);
 """
-# The nearest face is visible; of equal depths, the lowest index.
+# The nearest face is visible; at equal depth, the one of lowest index.
 _SINGLE = """
         for (int i = first + LANE; i <= last; i += LANES) {
             const float x = (float)(2 * i + 1 - width) / w;
@@ -56,7 +56,7 @@ _SINGLE = """
         }
 """
 _KEY = """
-            // Positive floats order as their bits do: one minimum picks the nearest, then the lowest index.
+            // Positive floats have the order of their bits, so one minimum finds the nearest face of lowest index.
             const wp::int64 candidate = ((wp::int64)__float_as_int(z) << 32) | index;
             if (inside && z < far && candidate < key.data[row + i])
                 atomicMin((long long*)key.data + row + i, (long long)candidate);
@@ -66,18 +66,18 @@ _NEAREST = """
             int& shown = face_index.data[row + i];
             if (inside & ((z < depth) | ((z == depth) & (index < shown)))) depth = z, shown = index;
 """
-# The compiler's vector types: most faces are too narrow for loops that it would vectorise itself.
+# The compiler's vector types. Most faces are too narrow for the loops that it vectorises by itself.
 _EIGHT = """
         for (int i = first; i <= last; i += 8) {
             const int at = i < width - 8 ? i : width - 8;
             const floats x = ((float)(2 * at + 1 - width) + ahead) / w;
             TEST
-            // Positive floats order as their bits do. A minimum is stored at once; a choice would be stored under a
-            // mask, which takes far longer.
+            // Positive floats have the order of their bits. A minimum is stored directly; a selection would be stored
+            // under a mask, which takes far longer.
             ints depth, shown;
             memcpy(&depth, nearest.data + row + at, sizeof(depth));
             memcpy(&shown, face_index.data + row + at, sizeof(shown));
-            // Only pixels of the row's span: far from a thin face rounding alone decides on which side of it they lie.
+            // Only pixels in the row's span. Far from a thin face, rounding errors decide the signs of edge functions.
             const ints spanned = (column >= first - at) & (column <= last - at);
             const ints bits = (inside & spanned) ? (ints)z : (shown & 0) + 0x7fffffff;
             const ints wins = (bits < depth) | ((bits == depth) & (shown > index));
@@ -152,7 +152,7 @@ def draw_into_rows(
     bottom: int,
     top: int,
 ):
-    """Draw a face into its box on the CPU; ``nearest`` is the least depth of a row's pixels so far, at first far."""
+    """Draw a face into its box on the CPU; ``nearest`` holds the least depth of each pixel so far, initially far."""
     ...
 
 
@@ -173,5 +173,5 @@ def clear_rows(
 
 @wp.func_native(_EACH.replace("DO", "face_index.data[i] -= face_index.data[i] < count ? 0 : count"))
 def turn_rows(face_index: wp.array3d(dtype=int), b: int, first: int, last: int, count: int):
-    """Replace the indices of back sides, which follow all ``count`` faces, by those of the faces."""
+    """Replace the indices of back sides, which start at ``count``, by those of their faces."""
     ...

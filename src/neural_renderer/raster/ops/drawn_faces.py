@@ -45,7 +45,7 @@ def next_candidate(
     two_sided: int,
     perspective: int,
 ) -> int:
-    """Find the first face from f on that may be drawn (see `drawn_face`); the number of faces if none."""
+    """Find the first face from f on that may be drawn (see `drawn_face`); return the number of faces if none."""
     ...
 
 
@@ -63,7 +63,7 @@ def drawn_face(
 ):
     """Classify a face (see `in_front`; -1 if it is not drawn between two heights) and orient it counter-clockwise.
 
-    Returns the class, the index (of a back side: plus the number of faces) and the three corners.
+    Returns the class, the index (plus the number of faces for a back side) and the three corners.
     """
     v0 = faces[b, f, 0]
     v1 = faces[b, f, 1]
@@ -81,8 +81,8 @@ def drawn_face(
         if side == 0 or (side < 0 and two_sided == 0):
             front = -1
         if side < 0:
-            # The first packages append reversed copies after all faces. The same order decides ties here: a face that a
-            # file holds twice, once reversed, has the depth of its copy to the last bit.
+            # The first packages append reversed copies after all faces. Ties are decided in the same order here: if a
+            # file contains a face twice, once reversed, both have the same depth to the last bit.
             index = f + faces.shape[1]
             v0, v2 = v2, v0
     return front, index, v0, v1, v2
@@ -90,7 +90,7 @@ def drawn_face(
 
 @wp.func
 def depth_terms(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int):
-    """Compute n and d, by which edge functions e give the depth (e . n) / (e . d)."""
+    """Compute the vectors n and d of the depth (e . n) / (e . d) for edge functions e."""
     n = wp.vec3(v0[2], v1[2], v2[2])
     d = wp.vec3(1.0, 1.0, 1.0)
     if perspective == 1:

@@ -1,4 +1,4 @@
-"""Masks of visible faces: all others, often more than half, have no gradient and are skipped."""
+"""Masks of visible faces. All other faces, often more than half, have no gradient and are skipped."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -48,7 +48,7 @@ _MARK = f"""
     for (int row = first; row < last; ++row) {{
         const int* shown = face_index.data + (wp::int64)row * width;
         int* own = seen.data + (wp::int64)(row / height) * entries;
-        // Always written, never tested: faces of neighbouring pixels differ too often for a predictable branch.
+        // Written without a test: faces of neighbouring pixels differ too often for a predictable branch.
         for (int i = left; i < right; ++i) own[shown[i] < 0 ? none : shown[i]] = 1;
     }}
 """
@@ -62,7 +62,7 @@ def mark(face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int), task: i
 
 @wp.kernel
 def _mark(first: int, face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int), each: int):
-    """Mark the faces of the pixels of a task. Tasks may write to one place, but never different values."""
+    """Mark the faces of the pixels of a task. Several tasks may write to one place, but all write 1."""
     mark(face_index, seen, first + wp.tid(), each)
 
 

@@ -17,23 +17,23 @@ _EMPTY = wp.constant(wp.uint8(0))
 _SURFACE = wp.constant(wp.uint8(1))
 _OUTSIDE = wp.constant(wp.uint8(2))
 
-# Points or lines that are worth another CPU thread.
+# Number of points or lines that are worth another CPU thread.
 _MANY_POINTS = 2048
 
 
 def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) -> Tensor:
     """Fill meshes with voxels.
 
-    Along each axis, a line through integers marks the four voxels around it where it meets a face. Corners mark their
-    voxel, and so do points on the faces at most ``spacing`` apart: with half a voxel, no part thinner than a voxel is
-    lost. Empty voxels connected to the border of the grid through sides of empty voxels are outside; all others are
-    filled.
+    The edges of voxels lie on lines through integer coordinates. Where such a line meets a face, the four voxels around
+    it are marked. Corners mark their voxel, and so do points on the faces at most ``spacing`` apart; half a voxel keeps
+    parts thinner than a voxel. Empty voxels connected to the border of the grid through sides of empty voxels are
+    outside. All others are filled.
 
     Args:
         vertices: [B, V, 3] float32 in voxels; parts outside [0, size] are ignored.
         faces: Vertex indices, [F, 3] int32.
         size: Voxels along each side of the grid.
-        spacing: Largest distance of points on the faces, in voxels.
+        spacing: Largest distance between points on the faces, in voxels.
 
     Returns:
         [B, size, size, size] bool; voxel (i, j, k) is [i, i + 1] × [j, j + 1] × [k, k + 1].
@@ -67,7 +67,7 @@ def inside(vertices: Tensor, faces: Tensor, points: Tensor, least: float = 0.5) 
     """Test which points are inside a mesh, by winding numbers.
 
     A point is inside if its winding number is above ``least`` (Jacobson, Kavan and Sorkine-Hornung, "Robust
-    inside-outside segmentation using generalized winding numbers", 2013). A hole in the mesh matters near it only.
+    inside-outside segmentation using generalized winding numbers", 2013). A hole affects only the points near it.
 
     Args:
         vertices: [V, 3] float32 on the CPU.
@@ -89,8 +89,8 @@ def inside(vertices: Tensor, faces: Tensor, points: Tensor, least: float = 0.5) 
 def distances(marked: Tensor) -> Tensor:
     """Compute the distance of each voxel's centre from the nearest marked one.
 
-    Exact: the minimum of squared distances, axis by axis (Felzenszwalb and Huttenlocher, "Distance transforms of
-    sampled functions", 2012; a plain minimum is as fast for grids of this size).
+    The distance is exact: the minimum of squared distances, axis by axis (Felzenszwalb and Huttenlocher, "Distance
+    transforms of sampled functions", 2012). For grids of this size a plain minimum is as fast as theirs.
 
     Args:
         marked: [B, S, S, S] bool.
@@ -204,7 +204,7 @@ def reached(state: wp.array4d(dtype=wp.uint8), b: int, i: int, j: int, k: int) -
 
 @wp.kernel
 def _flood(first: int, state: wp.array4d(dtype=wp.uint8)):
-    """Sweep forward and backward until no new voxel is outside; a few sweeps for all but mazes."""
+    """Sweep forward and backward until no new voxel is outside. All grids but mazes need a few sweeps."""
     b = first + wp.tid()
     size = int(state.shape[1])
     count = size * size * size

@@ -16,8 +16,8 @@ from .intersections import intersections_reference
 from .neighbors import drawn_faces, exact_sides, neighbors_reference
 from .operators import SHORTEST
 
-LEAST_CHORD = 0.02  # pixels: a crossing has a weight of at most the inverse
-SMALL = 1.5  # pixels: all centres often miss faces of less area
+LEAST_CHORD = 0.02  # pixels; the weight of a crossing is at most the inverse
+SMALL = 1.5  # largest area of a small face in pixels
 
 
 def boundaries_reference(
@@ -45,9 +45,9 @@ def boundaries_reference(
         for axis in range(2):
             scan = _Scan.of(pull, color, shown, corners[b], adjacent[b], axis, perspective)
             for f, k in itertools.product(drawn[b].nonzero().flatten().tolist(), range(3)):
-                if adjacent[b, f, k] >= 0:  # no outline, but perhaps a seam
-                    if not seams or _colors_continue(edge_hashes, corners[b], adjacent[b], b, f, k):
-                        continue
+                is_outline = bool(adjacent[b, f, k] < 0)
+                if not is_outline and not (seams and _is_seam(edge_hashes, corners[b], adjacent[b], b, f, k)):
+                    continue
                 to_start, to_end = _move_edge(scan, f, k, bool(side[b, f] > 0))
                 result[b, f, k, axis] += to_start
                 result[b, f, (k + 1) % 3, axis] += to_end
@@ -55,15 +55,15 @@ def boundaries_reference(
     return result.to(faces.device)
 
 
-def _colors_continue(edge_hashes: Tensor | None, corners: Tensor, adjacent: Tensor, b: int, f: int, k: int) -> bool:
-    """Test whether the hashes of edge k of face f match those of the same edge of the adjacent face."""
+def _is_seam(edge_hashes: Tensor | None, corners: Tensor, adjacent: Tensor, b: int, f: int, k: int) -> bool:
+    """Test whether the hashes of edge k of face f differ from those of the same edge of the adjacent face."""
     if edge_hashes is None:
-        return False
+        return True
     own, g = edge_hashes[min(b, len(edge_hashes) - 1)].tolist(), int(adjacent[f, k])
     for m in range(3):
         if torch.equal(corners[g, [(m + 1) % 3, m]], corners[f, [k, (k + 1) % 3]]):
-            return own[f][k][0] != 0 and own[g][m][1] == own[f][k][0]
-    return False
+            return own[f][k][0] == 0 or own[g][m][1] != own[f][k][0]
+    return True
 
 
 class _Scan(NamedTuple):
@@ -173,7 +173,7 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
     if own < 0:
         return 0.0
 
-    # The chord in the face, and the joint one with the adjacent face behind it, which stands in; at most a pixel.
+    # The chord in the face, and the joint chord with the adjacent face behind it; at most a pixel.
     chord = joint = 1.0
     stand_in = -1
     if not scan.perspective or min(scan.depths[f]) > 0:
@@ -205,7 +205,7 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
         if continues:
             inside += offset * (colors[inner][n] - colors[before][n]) / probability
         elif stands_in:
-            # The colour that stands in, plus the face's difference from it, weighted by the rarer hits of the face.
+            # The stand-in's colour, plus the face's difference from it, weighted by the rarer hits of the face.
             inside = colors[before][n] / probability + (colors[inner][n] - colors[before][n]) / chord
         if continues_outside:
             outside += (1 - offset) * (colors[outer][n] - colors[behind][n]) / probability

@@ -16,7 +16,7 @@ def intersections_reference(
     x, y = pixel_centres(height, width)
 
     def pair(values: Tensor) -> tuple[Tensor, Tensor]:
-        """Pair the values [..., H, W] of each pixel with those of the next one to the right, or above."""
+        """Pair the values [..., H, W] of each pixel with the values of the next pixel to the right, or above."""
         return (values[..., 1:, :], values[..., :-1, :]) if axis else (values[..., :-1], values[..., 1:])
 
     # Pairs of pixels that show two faces wholly in front. Faces with a common edge meet there and do not intersect.
@@ -33,7 +33,7 @@ def intersections_reference(
     leaf = corners.clone().requires_grad_()
 
     def lead(at_x: Tensor, at_y: Tensor) -> Tensor:
-        """Compute the nearness of f minus that of g."""
+        """Compute the nearness of f minus the nearness of g."""
         return _nearness(leaf[f], at_x, at_y, perspective) - _nearness(leaf[g], at_x, at_y, perspective)
 
     here, there = lead(x, y).detach(), lead(next_x, next_y).detach()
@@ -43,13 +43,13 @@ def intersections_reference(
     t = here / (here - there)
     cut_x, cut_y = x + t * (next_x - x), y + t * (next_y - y)
     gain = ((own - other) * torch.where(t < 0.5, pulls[0], pulls[1])).sum(0)
-    # A growing lead of f moves the line towards g, by the growth over the fall of the lead from pixel to pixel.
+    # If the lead of f grows, the line moves towards g, by the growth over the decrease of the lead between the pixels.
     amount = share * gain / (here - there)
     place, last = ((cut_y + 1) * height / 2 - 0.5, height - 1) if axis else ((cut_x + 1) * width / 2 - 0.5, width - 1)
     amount = torch.where((place < 0.5) | (place > last - 0.5), 2 * amount, amount)  # as in `_move_edge`
 
-    # The line of equal depth must lie between the two centres and in both faces. Faces in one plane lead by rounding
-    # only and do not intersect.
+    # The line of equal depth must lie between the two centres and in both faces. Faces in one plane do not intersect:
+    # their leads are rounding errors.
     least = 1e-12 * _nearness(corners[f], x, y, perspective).abs()
     valid = (here > least) & (there < -least)
     f, g = f[valid], g[valid]

@@ -40,7 +40,7 @@ def sides(faces: Tensor, perspective: bool) -> Tensor:
     """Compute the visible side of faces [..., 3, 3]: 1 for counter-clockwise corners, -1 for clockwise, 0 edge on."""
     faces = faces.double()
     if perspective:
-        # The volume of the tetrahedron with the camera; corners behind the camera keep its sign right.
+        # The sign of the tetrahedron's volume with the camera. It is also right for corners behind the camera.
         return torch.linalg.det(in_camera_space(faces)).sign()
     a, b = faces[..., 1, :2] - faces[..., 0, :2], faces[..., 2, :2] - faces[..., 0, :2]
     return (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sign()
@@ -75,7 +75,7 @@ def coverage_reference(
         found = faces_at_pixels(faces[b], height, width, perspective)
         side = sides(faces[b], perspective)[:, None, None]
         drawn = found.inside & (found.depth > near) & (found.depth < far) & ((side > 0) | two_sided)
-        # Of equal depths the first wins, and back sides come after all front sides. Depths are compared as float32, so
+        # At equal depth the first face wins; back sides come after all front sides. Depths are compared as float32, so
         # that faces in one plane tie.
         depth = torch.where(drawn, found.depth.float(), math.inf)
         both = torch.cat((torch.where(side > 0, depth, math.inf), torch.where(side < 0, depth, math.inf)))
@@ -161,7 +161,7 @@ def nmr_edges_reference(
     result = torch.zeros(faces.shape, dtype=torch.float64)
     corners, side = faces.double().cpu(), sides(faces, True).cpu()
     for b in range(len(faces)):
-        # Rows, from the bottom here, give the gradient to x; columns give that to y.
+        # Rows, from the bottom here, give the gradient to x; columns give the gradient to y.
         maps = (grad[b].double().permute(1, 2, 0), image[b].double().permute(1, 2, 0), face_index[b])
         rows = [m.detach().cpu().flip(0) for m in maps]
         columns = [m.transpose(0, 1) for m in rows]
@@ -209,7 +209,7 @@ def _pull_edge(
         # Pixels from the outer one to the border pull the edge outward; the face's own pixels pull it inward.
         outward = range(outer, length if d > 0 else -1, d) if shown[u, inner] == f else range(0)
         last = 0 if d > 0 else length - 1
-        if corners[2, 2] > 0:  # a face whose third corner is behind the camera may extend to the border
+        if corners[2, 2] > 0:  # if the third corner is behind the camera, the face may extend to the border
             last = _leaves(u, (pu, pv), (qu, qv), (ru, rv), length, d)
         inward = [j for j in range(inner, last - d, -d) if shown[u, j] == f]
         for pixels, new, sign in ((list(outward), inner, d), (inward, outer, -d)):
@@ -232,7 +232,7 @@ def _leaves(u: int, p: tuple[float, float], q: tuple[float, float], r: tuple[flo
 
 
 def _own(values: Tensor, face_index: Tensor) -> Tensor:
-    """Gather the values [B, F, ...] of the face at each pixel, [B, H, W, ...]; those of face 0 where there is none."""
+    """Gather the values [B, F, ...] of the face at each pixel, [B, H, W, ...]; of face 0 if no face is visible."""
     image = torch.arange(len(values), device=values.device)[:, None, None]
     return values[image, face_index.clamp(min=0).long()]
 
@@ -271,5 +271,5 @@ def _hit(faces: Tensor, x: Tensor, y: Tensor) -> FacesAtPixels:
     # Barycentric weights of the hit point in space: ratios of areas.
     parts = (torch.linalg.cross(arms[..., [1, 2, 0], :], arms[..., [2, 0, 1], :]) * normal[..., None, :]).sum(-1)
     shares = parts / (normal * normal).sum(-1, keepdim=True)
-    # A screen-space weight is the weight in space times the corner's depth over that of the point.
+    # A screen-space weight is the weight in space times the corner's depth, over the point's depth.
     return FacesAtPixels((shares >= 0).all(-1) & (depth > 0), depth, shares * p[..., 2] / depth[..., None])

@@ -1,4 +1,4 @@
-"""Candidates for intersections: faces visible beside one that they may intersect.
+"""Candidates for intersections: faces with a visible neighbour that they may intersect.
 
 The test is cheap and visits each pixel once. Most faces fail it, and the kernel of `intersections` skips them.
 """
@@ -12,8 +12,8 @@ from ..warp.layout import PIXELS_OF_TASK
 wp.set_module_options({"enable_backward": False})
 
 
-# Two faces, each visible at one of two pixels, can meet between them only where both cover the way. Each covers it from
-# its own pixel to the first of its edges; together they must cover all of it.
+# Two faces that are visible at two neighbouring pixels can intersect between them only if together they cover the whole
+# way from one pixel to the other. Each face covers it from its own pixel to the first of its edges.
 _MAY_MEET = """
     struct Way {
         typedef wp::vec_t<3, float> vec3;
@@ -102,6 +102,6 @@ def find_candidates(
 ):
     """Mark pairs of faces that may intersect between a pixel of a task and the next one, to the right or below.
 
-    They are not adjacent on one surface, and the two pixels differ in colour.
+    Adjacent faces of one surface and pixels of equal colour are skipped.
     """
     ...

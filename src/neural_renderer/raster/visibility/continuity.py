@@ -1,9 +1,9 @@
 """Hashes of the colours along each edge, which tell whether the colour is continuous across it.
 
-Each edge of a face gets two 64-bit hashes: of the colours along it from its first corner to its second, and of those
-read the other way. An adjacent face has the same edge in the opposite direction, so the colour is continuous where the
-first hash of one face equals the second of the other. Equal hashes are nearly certain to mean equal colours; 0 never
-matches.
+Each edge of a face gets two 64-bit hashes: of the colours from its first corner to its second, and of the colours in
+the opposite order. An adjacent face has the same edge in the opposite direction, so the colour is continuous if the
+first hash of one face equals the second hash of the other. Equal hashes are nearly certain to mean equal colours; 0
+never matches.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -24,8 +24,8 @@ _THERE, _BACK = 0x2545F4914F6CDD1D, 0x5851F42D4C957F2D
 def texture_edge_hashes(textures: Tensor, light: Tensor) -> Tensor:
     """Hash the colours of texture cubes under light along each edge.
 
-    The hashes of two faces match if the light is equal and so are the texels that are blended on the edge, both to
-    about one part in 4000.
+    The hashes of two faces match if the light and the texels that are blended on the edge are equal, to about one part
+    in 4000.
 
     Args:
         textures: Cubes, [B or 1, F, T, T, T, 3] float32.
@@ -50,8 +50,8 @@ def _(textures, light):  # type: ignore[no-untyped-def]
 def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> Tensor:
     """Hash the texture coordinates along each edge.
 
-    The hashes of two faces match if the coordinates and the image are exactly equal and the light is to about one part
-    in 4000. A face without an image has a colour of its own and matches no other face.
+    The hashes of two faces match if the coordinates and the image are exactly equal, and the light is equal to about
+    one part in 4000. A face without an image matches no other face.
 
     Args:
         uv: Texture coordinates of the corners, [F, 3, 2] float32.
@@ -180,9 +180,9 @@ def colors_continue(
     f: int,
     k: int,
 ) -> bool:
-    """Test whether the hashes of edge k of face f match those of the same edge of the adjacent face.
+    """Test whether the hashes of edge k of face f match the hashes of the same edge of the adjacent face.
 
-    Hashes of one image, or of too few faces, stand for all: their last image and last face are repeated.
+    If there are fewer hashes than images or faces, the last image and the last face are repeated.
     """
     own = wp.min(b, edge_hashes.shape[0] - 1)
     last = edge_hashes.shape[1] - 1

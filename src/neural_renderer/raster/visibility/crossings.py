@@ -1,8 +1,8 @@
-"""Crossings of edges and scan lines: where they are, which pixels and faces are beside them, how far a face extends.
+"""Crossings of edges with scan lines: their positions, the pixels and faces beside them, and the chords of faces.
 
-Scan lines are the rows of an image (axis 0), which measure the motion of edges along x, or its columns (axis 1), for
-the motion along y. They are numbered by u; a position on a line is v. Both are in pixels from the bottom left, so that
-pixel centres are the integers.
+Scan lines are the rows of an image (axis 0) or its columns (axis 1). Rows measure the motion of edges along x, columns
+along y. A line has the number u, and a position on it is v, both in pixels from the bottom left; pixel centres are the
+integers.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -13,8 +13,8 @@ from .scanlines import place
 
 wp.set_module_options({"enable_backward": False})
 
-# Pixels: a crossing is weighted by the inverse of a chord, which is the probability that pixel centres show it. The
-# weight is at most 1 / LEAST_CHORD, to limit noise; this loses the gradient of a fiftieth of a pixel.
+# A crossing is weighted by the inverse of a chord in pixels, the probability that a pixel centre hits the chord. The
+# weight is at most 1 / LEAST_CHORD, to limit noise. This loses part of the gradient of shorter chords.
 LEAST_CHORD = wp.constant(0.02)
 
 
@@ -31,7 +31,7 @@ class Edge:
     axis: int
     lines: int  # number of scan lines
     length: int  # pixels of a line
-    outward: int  # 1 if v grows from the face across the edge, else -1
+    outward: int  # direction along v out of the face: 1 or -1
     pu: float
     pv: float
     pz: float

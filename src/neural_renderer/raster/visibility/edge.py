@@ -1,30 +1,30 @@
 """The derivative of an image through visibility: the estimator `gradient="edge"`.
 
-Maths. Average an image I over sub-pixel shifts of the pixel grid, and the average is a smooth function of the corners,
-although each image jumps. Its derivative has two parts (Li, Aittala, Durand and Lehtinen, "Differentiable Monte Carlo
-ray tracing through edge sampling", 2018; Reynolds' transport theorem). The operators of colour and depth have the
-derivative of the colours inside faces. The other part, an integral along the visible boundaries, is here: a boundary
-that moves sweeps over area whose colour changes from the outer to the inner one,
+Maths. An image I jumps when corners move, but its average over sub-pixel shifts of the pixel grid is a smooth function
+of the corners. The derivative of the average has two parts (Li, Aittala, Durand and Lehtinen, "Differentiable Monte
+Carlo ray tracing through edge sampling", 2018; Reynolds' transport theorem). The operators of colour and depth compute
+the first part, the derivative of the colours inside faces. This module computes the second part, an integral along the
+visible boundaries. A moving boundary sweeps over area, and the colour there changes from the outer to the inner one:
 
     dL = integral along the boundary of (outward motion) * sum over channels of (I_inner - I_outer) * dL/dI.
 
-Rows and columns of pixel centres sample the integral: a row that crosses an edge p -> q at the share s from p to q
-measures the motion (1 - s) dp_x + s dq_x along x, and a column the motion along y. For each crossing between the
-centres of two pixels, where the inner pixel shows the face and the outer one a farther face or the background:
+Rows and columns of pixel centres sample the integral. A row that crosses an edge p -> q at the share s from p to q
+measures the motion (1 - s) dp_x + s dq_x along x; a column measures the motion along y. A crossing counts if the pixel
+on its inner side shows the face and the pixel on its outer side shows a farther face or the background:
 
-- The two colours are extrapolated linearly to the crossing, where the next pixel shows the same face.
+- Each of the two colours is extrapolated linearly to the crossing if the next pixel shows the same face.
 - dL/dI is the gradient of the pixel that contains the crossing.
-- A face with a chord c < 1 pixel on the line is hit by a centre with probability c only, so the crossing has the weight
-  1 / c. Where the surface continues, the adjacent face stands in for the missed one.
-- At seams, where two faces of a surface meet in different colours, see `seams`.
+- A pixel centre hits a face whose chord c on the line is shorter than a pixel with probability c only, so the crossing
+  has the weight 1 / c. If the surface continues, the adjacent face stands in for a missed one.
+- Seams, where two faces of a surface meet in different colours, are in `seams`.
 
 Where two faces intersect, the visible boundary is the line of equal depth; see `intersections`.
 
-Pitfalls. The estimate is exact in the mean over sub-pixel shifts, but for: colours that curve within a pixel; gaps
-narrower than a pixel between two boundaries; boundaries less than a pixel from, and along, the border of the image; the
-last pixel at each end of an intersection; edges with an end behind the camera, which get no gradient; seams of faces
-that centres miss. Of random colours, seams lose a twentieth of their gradient where triangles are 2 pixels wide, a
-fifth at 1.5 and a third at 1.
+Pitfalls. The mean of the estimate over sub-pixel shifts is exact, with these exceptions: colours that curve within a
+pixel; gaps narrower than a pixel between two boundaries; boundaries along the border of the image, closer than a pixel;
+the last pixel at each end of an intersection; edges with an end behind the camera, which get no gradient; seams of
+faces that pixel centres miss. Seams between random colours lose a twentieth of their gradient if triangles are 2 pixels
+wide, a fifth at 1.5 pixels and a third at 1.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -34,9 +34,11 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from ..colors.downsample import halve, halve_backward
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import facing
 from ..warp.launch import array, copy, zeros
+from ..warp.layout import face_tasks
 from ..warp.queue import launch_lines, line_task, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
 from .continuity import colors_continue
@@ -68,8 +70,9 @@ def boundaries(
     seams: bool,
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045 (schemas are inferred from it)
     rings: Optional[Tensor] = None,  # noqa: UP045
+    halved: bool = False,
 ) -> Tensor:
-    """Return the image unchanged, and in backward send a gradient through visibility to the faces.
+    """Return the image, and in backward send a gradient through visibility to the faces.
 
     Args:
         image: Any number of channels with their background, before anti-aliasing, [B, C, H, W] float32.
@@ -77,23 +80,27 @@ def boundaries(
         face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
         two_sided: As in `coverage`.
         perspective: As in `coverage`.
-        seams: Whether colours may jump between adjacent faces of a surface, as with texture cubes and flat shading.
-            Without seams such edges have no gradient; that is right, and less noisy, for interpolated colours.
-        edge_hashes: [1 or B, F, 3, 2] int64 from `texture_edge_hashes` or `image_edge_hashes`. Edges across which the
-            hashes match are no seams. None: every edge may be a seam.
-        rings: [1 or B, F + 1, 3] int32 from `edge_rings`, of the triangles that the faces were gathered by. They save
-            the search for adjacent faces; None searches.
+        seams: Whether colours may jump between adjacent faces of a surface, as with texture cubes and flat shading. If
+            False, edges between adjacent faces have no gradient, which is right, and less noisy, for interpolated
+            colours.
+        edge_hashes: [1 or B, F, 3, 2] int64 from `texture_edge_hashes` or `image_edge_hashes`. An edge whose hashes
+            match is not a seam. None: every edge may be a seam.
+        rings: [1 or B, F + 1, 3] int32 from `edge_rings` for the vertex indices of the faces. They replace the search
+            for adjacent faces; None searches.
+        halved: Whether to average blocks of 2 x 2 pixels (anti-aliasing), which saves a copy of the image.
 
     Returns:
-        A copy of the image, [B, C, H, W] float32. Backward sends the gradient unchanged to the image, and gradients to
-        x and y of faces; where faces intersect, also to z. There is no second derivative (RuntimeError).
+        A copy of the image, [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``. Backward sends its gradient to
+        the image, and gradients to x and y of faces; where faces intersect, also to z. There is no second derivative
+        (RuntimeError).
     """
-    return copy(image)
+    return halve(image) if halved else copy(image)
 
 
 @torch.library.register_fake("neural_renderer::boundaries")
-def _(image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None):  # type: ignore[no-untyped-def]
-    return torch.empty_like(image, memory_format=torch.contiguous_format)
+def _(image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None, halved=False):  # type: ignore[no-untyped-def]
+    scale = 2 if halved else 1
+    return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
 
 
 @differentiable_once
@@ -113,7 +120,8 @@ def boundaries_backward(
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or image.numel() == 0:
         return result
-    batch, count = faces.shape[:2]
+    batch, _, height, width = image.shape
+    count = faces.shape[1]
     visible = seen_faces(face_index, count)
     adjacent = neighbors(faces, two_sided, perspective, visible, rings)
     maps = [array(image), array(grad), array(face_index)]
@@ -121,7 +129,7 @@ def boundaries_backward(
         edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=faces.device)  # 0 matches nothing
     arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), int(perspective), int(seams)]
     arguments += [array(edge_hashes), array(result, wp.vec3)]
-    launch_lines(_move, arguments, batch * count, 1, faces.device)
+    launch_lines(_move, arguments, batch * count, 1, faces.device, face_tasks(faces, height * width))
     add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
     return result
 
@@ -132,16 +140,17 @@ def _(grad, image, faces, face_index, two_sided, perspective, seams, edge_hashes
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, edge_hashes, rings = inputs
+    image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, edge_hashes, rings, ctx.halved = inputs
     ctx.save_for_backward(image, faces, face_index, edge_hashes, rings)  # callers may change the output in place
 
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
     image, faces, face_index, *rest = ctx.saved_tensors
+    grad = halve_backward(grad) if ctx.halved else grad
     to_faces = None
     if ctx.needs_input_grad[1]:
         to_faces = boundaries_backward(grad, image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, *rest)
-    return grad, to_faces, *[None] * 6
+    return grad, to_faces, *[None] * 7
 
 
 differentiable(boundaries, _backward, _save)
@@ -190,7 +199,7 @@ def edge_of_face(
     height: int,
     width: int,
 ) -> Edge:
-    """Set up edge k of face f in image b for the scan lines of one axis; from its end if the corners run clockwise."""
+    """Set up edge k of face f in image b for the scan lines of one axis; reversed if the corners run clockwise."""
     m = (k + 1) % 3
     n = (k + 2) % 3
     p = faces[b, f, k]
@@ -213,7 +222,7 @@ _HAS_MOVING_EDGE = """
     const int* next = adjacent.data + ((wp::int64)b * adjacent.shape[1] + f) * 3;
     // Most faces end here: the surface continues across all three edges.
     if (!seams && next[0] >= 0 && next[1] >= 0 && next[2] >= 0) return false;
-    // A face that all centres miss still has visible edges where an adjacent face stands in for it.
+    // A face that all pixel centres miss still has visible edges if an adjacent face stands in for it.
     const int* shown = visible.data + (wp::int64)b * visible.shape[1];
     return shown[f] || (next[0] >= 0 && shown[next[0]]) || (next[1] >= 0 && shown[next[1]])
         || (next[2] >= 0 && shown[next[2]]);
@@ -238,7 +247,7 @@ def may_move(
     k: int,
     seams: int,
 ) -> bool:
-    """Test whether edge k of a face is an outline, or a seam to a face of higher index, so that each counts once."""
+    """Test whether edge k of a face is an outline, or a seam to a face of higher index (each seam counts once)."""
     other = adjacent[b, f, k]
     if other < 0:
         return True

@@ -10,8 +10,8 @@ wp.set_module_options({"enable_backward": False})
 _GAIN = """
     #pragma clang fp contract(fast)
     const wp::int64 area = (wp::int64)image.shape[2] * image.shape[3];
-    // Take the gradient of the pixel that contains the boundary. A visible centre lies anywhere in a narrow side; then
-    // interpolate between both pixels.
+    // Use the gradient of the pixel that contains the boundary. If a side is narrow, a visible centre may lie anywhere
+    // in it; then interpolate between the two pixels.
     const float share = narrow ? offset : offset < 0.5f ? 0.0f : 1.0f;
     float sum = 0.0f;
     for (int c = 0; c < image.shape[1]; ++c) {
@@ -41,9 +41,18 @@ def color_gain(
 ) -> float:
     """Sum (inside - outside) * gradient over the channels.
 
-    before, inner_color | outer_color, behind: the pixels whose colours are blended on the two sides, by ``weights``.
-    inner | outer: the pixels beside the boundary. offset: from the centre of ``inner`` to it.
-    narrow: whether a face is narrower than a pixel here.
+    Args:
+        image: Colours.
+        grad: Gradient to the image.
+        before: Offset in memory of the pixel before ``inner_color``.
+        inner_color: Offset of the pixel with the colour inside.
+        outer_color: Offset of the pixel with the colour outside.
+        behind: Offset of the pixel behind ``outer_color``.
+        weights: Weights of these four colours: two are blended inside, two outside.
+        inner: Offset of the pixel inside the boundary.
+        outer: Offset of the pixel outside the boundary.
+        offset: Distance from the centre of ``inner`` to the boundary, in pixels.
+        narrow: Whether a face is narrower than a pixel here.
     """
     ...
 
@@ -62,8 +71,16 @@ def boundary_gain(
 ) -> float:
     """Compute the change of the loss if the boundary moves outward by a pixel at a crossing.
 
-    inner_color, outer_color: the pixels with the colours of the two sides. weight: of the crossing, above 1 if a face
-    is narrower than a pixel there. inside, outside: weights of those colours, and of the next pixels' on each side.
+    Args:
+        edge: Edge of the boundary.
+        at: Crossing.
+        inner_color: Offset in memory of the pixel with the colour inside.
+        outer_color: Offset of the pixel with the colour outside.
+        weight: Weight of the crossing; above 1 if a face is narrower than a pixel there.
+        inside: Weights of the colour inside and of the next pixel's.
+        outside: Weights of the colour outside and of the next pixel's.
+        image: Colours.
+        grad: Gradient to the image.
     """
     last = edge.length - 1
     before = wp.clamp(at.inner - edge.outward, 0, last)
@@ -87,8 +104,14 @@ def boundary_gain(
 def extrapolated(weight: float, offset: float, linear: bool) -> wp.vec2:
     """Weight the colours of the pixel beside a boundary and of the next one, to extrapolate to the boundary.
 
-    offset: from the first pixel's centre to the boundary. linear: whether both show one face, whose colour continues
-    along the slope between them; else the first pixel's colour is taken.
+    Args:
+        weight: Sum of the weights.
+        offset: Distance from the centre of the first pixel to the boundary, in pixels.
+        linear: Whether both pixels show one face, so that its colour continues along the slope between them. Otherwise
+            only the first pixel's colour is used.
+
+    Returns:
+        Weights of the first pixel and of the next one.
     """
     if linear:
         return wp.vec2(weight * (1.0 + offset), -weight * offset)

@@ -1,17 +1,18 @@
 """The gradient through visibility where faces intersect: the motion of the line at which their depths are equal.
 
-Maths. Two neighbouring pixels show two faces, and between their centres lies a point at which the nearness of both is
-equal. Nearness (see `nearness`) is linear on the screen. So with a lead a of the own face at its pixel and a lead b of
-the other face at the other pixel, the point is at the share ``t = a / (a + b)`` of the way, and it moves by
-``d(lead) / (a + b)`` pixels if a corner changes the lead there. That times the difference of the two colours and the
-gradient of the pixel that contains the point is the gradient to the corner, in x, y and z.
+Maths. Two neighbouring pixels show two faces that have the same nearness at a point between the pixel centres. Nearness
+(see `nearness`) is linear on the screen. Let a be the lead of the own face, the difference of the two nearnesses at its
+pixel, and b the lead of the other face at the other pixel. Then the point lies at ``t = a / (a + b)`` pixels from the
+first centre. It moves by ``d(lead) / (a + b)`` pixels if a corner changes the lead there. The gradient to the corner,
+in x, y and z, is this motion, times the difference of the two colours, times the gradient of the pixel that contains
+the point.
 
 Rows and columns both sample the line. Each pair is weighted by the square of the component of the line's normal along
 its axis; over the two axes the weights add to 1.
 
-Pitfalls. At the ends of an intersection, up to a pixel of its length is lost. Faces in one plane have leads of rounding
-only, and faces that share two corners meet without intersecting: neither is counted. Faces that cross the camera's
-plane and `degenerate` ones have no gradient here.
+Pitfalls. At the ends of an intersection, up to a pixel of its length is lost. Faces in one plane are skipped, because
+their leads are rounding errors. So are faces that share two corners: they meet, but do not intersect. Faces that cross
+the camera's plane and `degenerate` faces have no gradient here.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -22,7 +23,7 @@ from torch import Tensor
 from ..ops.visible_faces import next_shown
 from ..warp.geometry import degenerate, in_front, pixel_box, pixel_centre
 from ..warp.launch import array, launch, zeros
-from ..warp.layout import face_lanes, pixel_tasks
+from ..warp.layout import face_lanes, face_tasks, pixel_tasks, worth_a_thread
 from .candidates import find_candidates
 from .crossings import border_weight
 from .nearness import covers, nearness_slope, nearness_terms, total
@@ -47,15 +48,21 @@ def add_intersections(
     """
     batch, count = faces.shape[:2]
     height, width = face_index.shape[1:]
-    # Few faces are beside one that they may intersect; the others need no second look.
+    # Most faces have no neighbour that they may intersect. A cheap first pass excludes them.
     candidates = zeros((batch, count), faces.device, torch.int32)
     scene = [array(faces, wp.vec3), array(face_index), array(image), array(adjacent)]
     tasks, each = pixel_tasks(batch * height, width, faces.device)
-    launch(_find_candidates, tasks, [*scene, int(perspective), array(candidates), each], faces.device)
+    launch(
+        _find_candidates,
+        tasks,
+        [*scene, int(perspective), array(candidates), each],
+        faces.device,
+        worth_a_thread(each * width),
+    )
     lanes = face_lanes(faces, height * width)
     maps = [array(image), array(grad), array(face_index), array(candidates)]
     arguments = [array(faces, wp.vec3), *maps, int(perspective), lanes, array(result, wp.vec3)]
-    launch(_intersect, batch * count * lanes, arguments, faces.device)
+    launch(_intersect, batch * count * lanes, arguments, faces.device, face_tasks(faces, height * width))
 
 
 @wp.kernel
@@ -69,7 +76,7 @@ def _find_candidates(
     candidates: wp.array2d(dtype=int),
     each: int,
 ):
-    """Mark the candidates of the pixels of a task. Tasks may write to one place, but never different values."""
+    """Mark the candidates of the pixels of a task. Several tasks may write to one place, but all write 1."""
     find_candidates(faces, face_index, image, adjacent, perspective, candidates, first + wp.tid(), each)
 
 
@@ -86,7 +93,7 @@ def share_edge(faces: wp.array3d(dtype=wp.vec3), b: int, f: int, g: int) -> bool
 
 @wp.struct
 class Pair:
-    """Two neighbouring pixels of an image, columns and rows from the bottom left: i, j and the next one i2, j2."""
+    """Two neighbouring pixels of an image, (i, j) and (i2, j2): column and row from the bottom left."""
 
     image: int
     axis: int  # along which they are neighbours
@@ -103,9 +110,9 @@ class Intersection:
 
     exists: bool
     t: float  # from the first pixel, in pixels
-    lead: float  # of each face at its own pixel over the other face, added
-    terms: wp.vec3  # of the nearness of the own face at the point, by corner
-    own_slope: wp.vec2  # of the nearness of the own face, a pixel to the right and up
+    lead: float  # sum of the leads of both faces, each at its own pixel
+    terms: wp.vec3  # terms of the own face's nearness at the point, by corner
+    own_slope: wp.vec2  # change of the own face's nearness over a pixel to the right and up
     other_slope: wp.vec2
 
 
@@ -157,7 +164,7 @@ def find_intersection(
     own_lead = total(own_first) - total(other_first)
     other_lead = total(other_second) - total(own_second)
     found.lead = own_lead + other_lead
-    # Faces in one plane lead by rounding only.
+    # The leads of faces in one plane are rounding errors.
     if not (own_lead > 0.0 and other_lead > 0.0 and found.lead > 1.0e-6 * wp.abs(total(own_first))):
         return found
     found.t = own_lead / found.lead
@@ -263,7 +270,7 @@ def _intersect(
 ):
     """Visit the pixels of one face of one image; with several lanes, each takes every n-th row.
 
-    The other face of an intersection has a task of its own.
+    The other face of an intersection has another task.
     """
     task = first + wp.tid()
     lane = task % lanes

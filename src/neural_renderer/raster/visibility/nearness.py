@@ -24,8 +24,8 @@ def nearness(z: float, perspective: int) -> float:
 def plane_nearness(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float, perspective: int) -> float:
     """Compute the nearness of a face's plane at a screen position, clamped to the range of the corners.
 
-    Within one pixel, the plane of a face that is seen edge on takes any value; hence the clamp. A face with a corner
-    behind the camera is not clamped.
+    Within one pixel, the plane of a face seen edge-on takes any value; hence the clamp. A face with a corner behind the
+    camera is not clamped.
     """
     a = homogeneous_weights(v0, v1, v2, x, y)
     near = float(a[0] + a[1] + a[2])
@@ -66,7 +66,7 @@ def covers(terms: wp.vec3, perspective: int) -> bool:
 def nearness_slope(
     v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float, here: float, pixel: wp.vec2, perspective: int
 ) -> wp.vec2:
-    """Compute the change of a face's nearness from ``here``, at (x, y), to a pixel further right and further up."""
+    """Compute the change of a face's nearness over a pixel to the right and a pixel up; it is ``here`` at (x, y)."""
     right = total(nearness_terms(v0, v1, v2, x + pixel[0], y, perspective)) - here
     up = total(nearness_terms(v0, v1, v2, x, y + pixel[1], perspective)) - here
     return wp.vec2(right, up)

@@ -1,10 +1,10 @@
-"""Neighbours of faces: the adjacent face across each edge, with which a surface continues on the screen.
+"""Neighbours of faces: the adjacent face across each edge, where the surface continues on the screen.
 
 The adjacent face is the drawn face of lowest index that has the same two corners, equal to the last bit, and lies on
-the other side of the edge on the screen. At a border of the surface and at a fold there is none.
+the other side of the edge on the screen. An edge at a border or at a fold of the surface has no adjacent face.
 
-No topology is needed: a hash table for each image finds the faces with the same corners. With the `edge_rings` of a
-mesh, the table is only for edges that stand alone in them, such as those at doubled vertices.
+No topology is needed: a hash table for each image finds the faces with the same corners. If the mesh's `edge_rings` are
+given, the table holds only edges that are alone in their ring, such as those between duplicated vertices.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -12,14 +12,17 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.geometry import FACING, IN_FRONT, facing, in_front
+from ..warp.geometry import FACING, IN_FRONT
 from ..warp.launch import array, launch, zeros
 from ..warp.layout import in_any_order, readable
 
 wp.set_module_options({"enable_backward": False})
 
-# Further faces at one edge are ignored; without a limit a pile of equal faces would take quadratic time.
+# Most faces that are examined at one edge. Without a limit, a pile of equal faces would take quadratic time.
 MOST_EQUALS = wp.constant(8)
+
+
+_LEAST = 512  # faces that are worth another CPU thread
 
 
 def neighbors(
@@ -32,7 +35,7 @@ def neighbors(
         two_sided: As in `coverage`.
         perspective: As in `coverage`.
         visible: 1 for each visible face, [B, F + 1] int32, as from `seen_faces`. Used with ``rings`` only.
-        rings: [1 or B, F + 1, 3] int32 from `edge_rings`, of the triangles that the faces were gathered by.
+        rings: [1 or B, F + 1, 3] int32 from `edge_rings` for the vertex indices of the faces.
 
     Returns:
         [B, F, 3] int32: the face across edge k, from corner k to the next; -1 for none and for faces that are not
@@ -44,9 +47,8 @@ def neighbors(
     options = [int(two_sided), int(perspective)]
     most = 3 * count
     if rings is not None and visible is not None:
-        launch(
-            _search_rings, batch * count, [corners, array(visible), array(rings), *options, array(result)], faces.device
-        )
+        arguments = [corners, array(visible), array(rings), *options, array(result)]
+        launch(_search_rings, batch * count, arguments, faces.device, _LEAST)
         if readable(faces.device):
             most = int(rings[0, -1, 0])
     else:
@@ -60,7 +62,7 @@ def neighbors(
     lanes = max(count, 1) if in_any_order(faces.device) else 1
     alone = array(rings)
     launch(_insert_edges, batch * lanes, [corners, array(table), alone, *options, lanes], faces.device)
-    launch(_search_table, batch * count, [corners, array(table), alone, *options, array(result)], faces.device)
+    launch(_search_table, batch * count, [corners, array(table), alone, *options, array(result)], faces.device, _LEAST)
     return result
 
 
@@ -88,7 +90,7 @@ def edge_hash(p: wp.vec3, q: wp.vec3, size: int) -> int:
     ...
 
 
-_SEARCH_RINGS = """
+_DRAWN = """
     struct Drawn {
         typedef wp::vec_t<3, float> vec3;
         static CUDA_CALLABLE int facing(vec3 v0, vec3 v1, vec3 v2, int perspective) { FACING }
@@ -99,9 +101,27 @@ _SEARCH_RINGS = """
         }
         static CUDA_CALLABLE float beside(const vec3& p, const vec3& q, const vec3& r, int perspective) {
             const float side = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
-            return perspective && r[2] <= 0.0f ? -side : side;
+            return perspective && r[2] <= 0.0f ? -side : side;  // a corner behind the camera is projected opposite
         }
     };
+""".replace("FACING", FACING).replace("IN_FRONT", IN_FRONT)
+
+
+@wp.func_native(
+    _DRAWN + "const wp::vec_t<3, float> corners[3] = {v0, v1, v2}; return Drawn::is(corners, two_sided, perspective);"
+)
+def is_drawn(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, two_sided: int, perspective: int) -> bool:
+    """Test whether a face can be drawn: its side is visible, and it is not wholly behind the camera."""
+    ...
+
+
+@wp.func_native(_DRAWN + "return Drawn::beside(p, q, r, perspective);")
+def beside(p: wp.vec3, q: wp.vec3, r: wp.vec3, perspective: int) -> float:
+    """Compute a number above zero if the face of p, q and r lies to the left of p -> q on the screen."""
+    ...
+
+
+_SEARCH_RINGS = """
     const wp::int64 count = faces.shape[1], own = b < rings.shape[0] ? b : rings.shape[0] - 1;
     const int* next = rings.data + own * (count + 1) * 3;
     const int* shown = visible.data + (wp::int64)b * visible.shape[1];
@@ -130,7 +150,7 @@ _SEARCH_RINGS = """
 """
 
 
-@wp.func_native(_SEARCH_RINGS.replace("FACING", FACING).replace("IN_FRONT", IN_FRONT).replace("MOST", str(MOST_EQUALS)))
+@wp.func_native(_DRAWN + _SEARCH_RINGS.replace("MOST", str(MOST_EQUALS)))
 def search_rings(
     faces: wp.array3d(dtype=wp.vec3),
     visible: wp.array2d(dtype=int),
@@ -164,7 +184,7 @@ def _search_rings(
 
 @wp.func
 def stands_alone(rings: wp.array3d(dtype=int), b: int, f: int, k: int) -> bool:
-    """Test whether an edge has no other in its ring, so that only the table can find its neighbour."""
+    """Test whether an edge is alone in its ring, so that only the table can find its neighbour."""
     if rings.shape[0] == 0:
         return True
     return rings[wp.min(b, rings.shape[0] - 1), f, k] == 3 * f + k
@@ -174,22 +194,6 @@ def stands_alone(rings: wp.array3d(dtype=int), b: int, f: int, k: int) -> bool:
 def same(a: wp.vec3, b: wp.vec3) -> bool:
     """Test whether two corners are equal; 0 equals -0."""
     return a[0] == b[0] and a[1] == b[1] and a[2] == b[2]
-
-
-@wp.func
-def is_drawn(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, two_sided: int, perspective: int) -> bool:
-    """Test whether a face can be drawn: its side is visible, and it is not wholly behind the camera."""
-    side = facing(v0, v1, v2, perspective)
-    return in_front(v0, v1, v2, perspective) >= 0 and (side > 0 or (side < 0 and two_sided == 1))
-
-
-@wp.func
-def beside(p: wp.vec3, q: wp.vec3, r: wp.vec3, perspective: int) -> float:
-    """Compute a number above zero if the face of p, q and r lies to the left of p -> q on the screen."""
-    side = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
-    if perspective == 1 and r[2] <= 0.0:
-        side = -side  # a corner behind the camera is projected to the opposite side
-    return side
 
 
 @wp.func

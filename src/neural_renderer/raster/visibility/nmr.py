@@ -1,8 +1,8 @@
 """The paper's approximate gradient through visibility, as an operation on an image (paper, section 3.2).
 
-Forward it is the identity. Backward, each edge of a visible face is moved, in thought, along each row and column that
-it crosses, until it reaches a pixel. The pixel then changes its colour. If that lowers the loss (to first order, by the
-pixel's gradient), the edge's corners get a gradient: the decrease of the loss divided by the distance that the corner
+The forward pass is the identity. The backward pass imagines that an edge of a visible face moves along a row or column
+until it reaches a pixel, which then changes its colour. If this lowers the loss (to first order, by the pixel's
+gradient), each corner of the edge gets a gradient: the decrease of the loss, divided by the distance that the corner
 travels, summed over all pixels of the line. The gradient depends on the image alone, not on how it was shaded.
 
 Source: Kato, Ushiku and Harada, "Neural 3D Mesh Renderer", CVPR 2018, section 3.2.
@@ -13,6 +13,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from ..colors.downsample import halve, halve_backward
 from ..ops.visible_faces import seen_faces
 from ..warp.geometry import SHORTEST, facing
 from ..warp.launch import array, copy, launch, zeros
@@ -26,15 +27,23 @@ wp.set_module_options({"enable_backward": False})
 
 # CUDA threads that share a scan line: neighbours, whose pixels lie in one sector of memory.
 _LANES = 8
-# Keeps a quotient finite where a pixel lies on the edge and the corner has no share in it.
+# Keeps the quotient finite if a pixel lies on the edge and the corner's share is 0.
 TINY = 1.0e-15
-# Bytes of scan lines that are stored at once: on the CPU no more than its caches hold, or so.
+# Most bytes of scan lines that are stored at once: on the CPU about the size of its caches.
 _ROOM, _ROOM_CONCURRENT = 2**23, 2**28
 
 
 @operator
-def nmr_edges(image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool) -> Tensor:
-    """Return the image unchanged and send a gradient to the x and y of faces, by the estimator "nmr".
+def nmr_edges(
+    image: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    eps: float,
+    two_sided: bool,
+    binary: bool,
+    halved: bool = False,
+) -> Tensor:
+    """Return the image and send a gradient to the x and y of faces, by the estimator "nmr".
 
     Contrasts below about 1e-5 of the values are lost to float32 rounding, because the loss's decrease is computed as a
     difference of sums.
@@ -46,23 +55,25 @@ def nmr_edges(image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_
         eps: Added to every distance, in screen units. It bounds the gradient of pixels that touch the edge.
         two_sided: Whether faces whose corners run clockwise are drawn.
         binary: Whether the image is a silhouette of 0 and 1. The result is the same with False, but slower.
+        halved: Whether to average blocks of 2 x 2 pixels (anti-aliasing), which saves a copy of the image.
 
     Returns:
-        [B, C, H, W] float32.
+        [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``.
     """
-    return copy(image)
+    return halve(image) if halved else copy(image)
 
 
 @torch.library.register_fake("neural_renderer::nmr_edges")
-def _(image, faces, face_index, eps, two_sided, binary):  # type: ignore[no-untyped-def]
-    return torch.empty_like(image, memory_format=torch.contiguous_format)
+def _(image, faces, face_index, eps, two_sided, binary, halved=False):  # type: ignore[no-untyped-def]
+    scale = 2 if halved else 1
+    return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
 
 
 @differentiable_once
 def nmr_edges_backward(
     grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool
 ) -> Tensor:
-    """Compute the gradient of `nmr_edges` to faces, [B, F, 3, 3]; that of z is 0."""
+    """Compute the gradient of `nmr_edges` to faces, [B, F, 3, 3]; the gradient to z is 0."""
     grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
     batch, channels, height, width = image.shape
     result = zeros(faces.shape, faces.device)
@@ -70,11 +81,11 @@ def nmr_edges_backward(
         return result
     device = faces.device
 
-    # The last channels, such as an alpha that no loss looks at, may have no gradient. (To ask on a GPU is to wait.)
+    # The last channels, such as an unused alpha, may have no gradient. On a GPU this test would wait for the device.
     while not (binary or concurrent(device) or channels == 1 or bool(grad[:, channels - 1].any())):
         channels -= 1
     planes = 1 if binary else 1 + channels
-    # Zero would divide by zero where a pixel touches the edge.
+    # With eps = 0, a pixel that touches the edge would divide by zero.
     options = [int(binary), max(eps, 1e-12)]
     seen = seen_faces(face_index, faces.shape[1])
     room = _ROOM_CONCURRENT if concurrent(device) else _ROOM
@@ -106,17 +117,18 @@ def _(grad, image, faces, face_index, eps, two_sided, binary):  # type: ignore[n
 
 
 def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
-    image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary = inputs
+    image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary, ctx.halved = inputs
     ctx.save_for_backward(image, faces, face_index)  # not the output, which callers may change in place
 
 
 def _backward(ctx, grad):  # type: ignore[no-untyped-def]
     image, faces, face_index = ctx.saved_tensors
-    grad = grad.contiguous()  # once, for what comes before the image as well
+    # Contiguous, once, also for what comes before the image.
+    grad = halve_backward(grad) if ctx.halved else grad.contiguous()
     to_faces = None
     if ctx.needs_input_grad[1]:
         to_faces = nmr_edges_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary)
-    return grad, to_faces, None, None, None, None
+    return grad, to_faces, *[None] * 5
 
 
 differentiable(nmr_edges, _backward, _save)
@@ -127,8 +139,8 @@ differentiable(nmr_edges, _backward, _save)
 _EDGE = """
 struct Edge {
     typedef wp::vec_t<3, float> vec3;
-    int count, length;  // of the lines
-    int outward;  // the way along v that leads out of the face
+    int count, length;  // number and length of the lines
+    int outward;  // direction along v out of the face: 1 or -1
     float pu, qu, ru, pv, qv, rv, slope;
     bool placed, bounded;
 
@@ -141,7 +153,7 @@ struct Edge {
         pv = to_pixels(p[axis], length), qv = to_pixels(q[axis], length), rv = to_pixels(r[axis], length);
         outward = (pu < qu) == (axis == 1) ? -1 : 1;
         slope = (qv - pv) / (qu - pu);
-        // An edge that ends behind the camera has no place on the screen for its end: it gets no gradient.
+        // An edge with an end behind the camera gets no gradient, because this end has no projection.
         placed = !(fabsf(pu - qu) < SHORTEST || p[2] <= 0.0f || q[2] <= 0.0f);
         bounded = !(r[2] <= 0.0f);
     }
@@ -151,7 +163,7 @@ struct Edge {
     CUDA_CALLABLE int last_line() const {
         return (int)floorf(between(-1.0f, pu < qu ? qu : pu, (float)(count - 1)));
     }
-    // From the nearer end, so that it is exact at both ends.
+    // Computed from the nearer end, so that it is exact at both ends.
     CUDA_CALLABLE float crossing(int u) const {
         const float from_p = (float)u - pu, from_q = (float)u - qu;
         const float c = fabsf(from_p) < fabsf(from_q) ? pv + slope * from_p : qv + slope * from_q;
@@ -160,7 +172,7 @@ struct Edge {
     CUDA_CALLABLE int inside_of(float crossing) const {
         return (int)(outward > 0 ? floorf(crossing) : ceilf(crossing));
     }
-    // The last pixel before the line leaves the face through p-r or q-r; the image's if r is behind the camera.
+    // The last pixel before the line leaves the face through p-r or q-r; the image's last if r is behind the camera.
     CUDA_CALLABLE int far_side(int line) const {
         const float u = (float)line;
         float limit = rv;
@@ -184,7 +196,7 @@ _PULL = (
     const wp::int64 area = (wp::int64)height * width, planes = lines.shape[2], plane = lines.shape[3];
     const int* shown = face_index.data + b * area;
     const float* colors = image.data + b * image.shape[1] * area;
-    // From one pixel of a line to the next in memory, where row 0 is at the top, and from one line to the next.
+    // Strides in memory from one pixel of a line to the next, and from one line to the next. Row 0 is at the top.
     const int along = axis == 0 ? 1 : -width, across = axis == 0 ? -width : 1;
     ScanLine line;
     line.plane = plane, line.area = area, line.channels = (int)planes - 1;
@@ -201,14 +213,14 @@ _PULL = (
         const wp::int64 outside = inside + way * along;
         const bool seen = shown[inside] == f, facing = !(binary && shown[outside] >= 0);
         if (!seen && !facing) continue;
-        // For the edge to reach a pixel at the distance x on this line, p travels reach x / share_p, and q likewise (in
-        // screen units): their shares of the gradient, times what the pixels gain, over that and eps. The line through
-        // one corner is moved by that corner alone.
+        // The edge reaches a pixel at the distance x on this line if p travels reach * x / share_p, or q likewise, in
+        // screen units. The gradient of p is gain / (travel + eps), here expanded by share_p, which may be 0: a line
+        // through one corner is moved by that corner alone.
         const float share_p = fabsf(edge.qu - (float)u), share_q = fabsf((float)u - edge.pu);
         line.slack_p = eps * share_p + TINY, line.slack_q = eps * share_q + TINY;
         line.share_p = -(float)way * share_p, line.share_q = -(float)way * share_q;
         line.stored = lines.data + ((wp::int64)b * edge.count + u) * planes * plane + WIDE;
-        if (seen) {  // outward, to the end of what the line holds
+        if (seen) {  // outward, to the end of the line's span
             const wp::vec_t<2, int> span = spans.data[(wp::int64)b * (height + width) + (axis == 0 ? u : height + u)];
             const int low = edge.length - span[0], high = span[1] - 1;
             const int begin = way > 0 ? (low > outer ? low : outer) : (high < outer ? high : outer);
@@ -281,7 +293,7 @@ def pull_face(
     parts: int,
     alone: int,
 ):
-    """Move the edges of one face, along every n-th pixel of every n-th scan line; see `pull_edge`."""
+    """Pull the edges of one face, along every n-th pixel of every n-th scan line; see `pull_edge`."""
     v0 = faces[b, f, 0]
     v1 = faces[b, f, 1]
     v2 = faces[b, f, 2]

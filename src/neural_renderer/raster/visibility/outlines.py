@@ -1,8 +1,8 @@
 """Outlines: edges of a face with the background or a farther face across them.
 
-Pixel centres hit a face that is narrower than a pixel along a scan line with a probability equal to its chord, the
-length of the line in the face. Its crossings are weighted by the inverse. Where the surface continues behind the chord,
-a centre in the adjacent face shows the outline as well, and the chord runs through both faces.
+The chord of a face is the length of a scan line inside the face. If it is shorter than a pixel, a pixel centre hits it
+with a probability equal to its length, so the crossing is weighted by the inverse. If the surface continues behind the
+chord, a centre in the adjacent face shows the outline as well, and the chord runs through both faces.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -20,8 +20,8 @@ class Chord:
     """The part of a scan line in a face, from a crossing on; lengths in pixels, at most 1."""
 
     own: float
-    stand_in: int  # the adjacent face behind a chord of less than a pixel, whose centres may miss the face; or -1
-    joint: float  # through the face and the one that stands in
+    stand_in: int  # the adjacent face behind a chord shorter than a pixel, which centres may hit instead; or -1
+    joint: float  # through the face and the stand-in
 
 
 @wp.func
@@ -46,7 +46,7 @@ def chord_from(edge: Edge, at: Crossing, faces: wp.array3d(dtype=wp.vec3), persp
 
 @wp.func
 def is_behind_plane(edge: Edge, at: Crossing, faces: wp.array3d(dtype=wp.vec3), perspective: int) -> bool:
-    """Test whether the face at the outer pixel passes in front of the crossing: it hides the edge, or intersects."""
+    """Test whether the face at the outer pixel passes in front of the crossing and so hides or cuts the edge."""
     x = (2.0 * at.v + 1.0 - float(edge.length)) / float(edge.length)
     y = (2.0 * float(at.u) + 1.0 - float(edge.lines)) / float(edge.lines)
     if edge.axis == 1:
@@ -82,7 +82,8 @@ def outline_gain(
     inside = extrapolated(weight, at.offset, before_face == at.inner_face)
     outside = extrapolated(weight, 1.0 - at.offset, next_outside(edge, at, face_index) == at.outer_face)
     if line.stand_in >= 0 and before_face == line.stand_in and at.inner_face == edge.face:
-        # The colour that stands in, plus the face's difference from it, weighted by the rarer hits of the face alone.
+        # The stand-in's colour, plus the face's difference from it. The difference has the larger weight of the face
+        # alone, which centres hit less often.
         own_weight = 1.0 / wp.max(line.own, LEAST_CHORD)
         inside = wp.vec2(own_weight, weight - own_weight)
     inner_color = pixel_at(image, edge.image, edge.axis, at.u, at.inner)

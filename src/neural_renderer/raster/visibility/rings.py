@@ -34,15 +34,15 @@ _lock = threading.Lock()
 def edge_rings(faces: Tensor) -> Tensor:
     """Find the rings of the edges that faces share.
 
-    The rings of the last eight meshes are kept. On the CPU a mesh is recognised by its values; on CUDA, where comparing
-    values would wait for the device, by its tensor, unless that was changed in place.
+    The rings of the last eight meshes are kept. On the CPU a mesh is recognised by its values. On CUDA comparing values
+    would wait for the device, so a mesh is recognised by its tensor, unless the tensor was changed in place.
 
     Args:
         faces: Vertex indices, [F, 3] or [B or 1, F, 3] of integers. Faces of (-1, -1, -1) are padding.
 
     Returns:
-        [B or 1, F + 1, 3] int32: the next edge in the ring of each edge; the last row holds the number of edges that
-        stand alone, three times.
+        [B or 1, F + 1, 3] int32: the next edge in the ring of each edge. The last row holds the number of edges that
+        are alone in their ring, three times.
     """
     return _known_rings(faces) if is_plain((faces,)) else _edge_rings(faces)
 
@@ -59,7 +59,7 @@ def _(faces):  # type: ignore[no-untyped-def]
 
 
 def _known_rings(faces: Tensor) -> Tensor:
-    """Look the rings up among those kept, or find and keep them."""
+    """Return the kept rings of a known mesh; otherwise find and keep them."""
     with _lock:
         kept = list(_kept)
     known_by_values = readable(faces.device)

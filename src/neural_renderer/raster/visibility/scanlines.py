@@ -1,6 +1,6 @@
 """Scan lines of an image for the edge estimators: pixels stored side by side.
 
-The loops are plain C++ over memory, because that is what compilers turn into vector instructions.
+The loops are plain C++ over memory, because compilers turn those into vector instructions.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -22,9 +22,9 @@ WIDE = 16
 def empty_lines(batch: int, lines: int, length: int, planes: int, device: torch.device) -> Tensor:
     """Allocate scan lines, [batch, lines, planes, WIDE + length] float32.
 
-    Plane 0 holds the sum over channels of value times gradient; the other planes hold the gradient of each channel, of
-    which the image may have more. A silhouette has one plane: the decrease of the loss if the pixel is covered, or
-    with a negative sign, if it is uncovered.
+    Plane 0 holds the sum over channels of value times gradient. The other planes hold the gradients of the first
+    channels. A silhouette has one plane, the gains: if covering the pixel lowers the loss, the decrease; if uncovering
+    it does, minus the decrease.
     """
     shape = (batch, lines, planes, WIDE + length)
     room = torch.empty(math.prod(shape) + WIDE, dtype=torch.float32, device=device)
@@ -49,7 +49,7 @@ _COPY = """
     } else {
         EACH stored[to] = 0.0f;
         for (int c = 0; c < planes - 1; ++c, value += area, pull += area) {
-            // Summed as `_SUM` does it: a pixel of the very colour it would change to must gain nothing at all.
+            // The same sum as in `ScanLine::loss`: a pixel that has the new colour already gains exactly 0.
             float* pulls = stored + (c + 1) * plane;
             EACH {
                 stored[to] += value[from] * pull[from];
@@ -123,7 +123,7 @@ def copy_lines(
     spans: wp.array2d(dtype=wp.vec2i),
     abreast: int,
 ):
-    """Neighbouring rows, or columns, as many as are read ``abreast``; all are counted from the bottom left.
+    """Copy ``abreast`` neighbouring rows or columns of an image. Lines and pixels count from the bottom left.
 
     A line's span is from the first to the last pixel that can pull an edge outward: stored as the number of pixels from
     the first one to the end of the line, and from its start to the last one.

@@ -1,8 +1,8 @@
 """Seams: edges between two visible faces of one surface, across which the colour may jump.
 
-At a seam each face needs a colour of its own, from a pixel that shows it. Pixels beside the seam miss narrow faces;
-there, the pixel at the middle of a face stands in, or, if the face is small, the seam is weighted by the inverse of the
-probability that a pair of neighbouring pixels shows both faces.
+The gradient at a seam needs the colours of both faces, from pixels that show them. The pixels beside the seam may miss
+a narrow face. Then the pixel at the middle of the face is used. If a face is small, the seam is instead weighted by the
+inverse of the probability that two neighbouring pixels show both faces.
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
@@ -14,8 +14,8 @@ from .gains import boundary_gain, extrapolated, next_inside, next_outside
 
 wp.set_module_options({"enable_backward": False})
 
-# Pixels: faces of less area are small. Measured: below it the middle of a face is too rarely visible, above it a pair
-# of pixels too rarely shows both faces.
+# Largest area of a small face, in pixels. Measured: below it the middle of a face is rarely visible; above it a pair of
+# pixels rarely shows both faces.
 SMALL = wp.constant(1.5)
 
 
@@ -60,7 +60,7 @@ def seam_pixels(
     shows_adjacent = at.outer_face == edge.adjacent
     weight = float(1.0)
     if wp.min(area(faces, edge.image, edge.face, image), area(faces, edge.image, edge.adjacent, image)) < SMALL:
-        # A pair of centres, a pixel apart, shows both faces with this probability.
+        # The inverse of the probability that two centres, a pixel apart, show both faces.
         weight = 1.0 / wp.max(own_chord + adjacent_chord - 1.0, LEAST_CHORD)
         if not (shows_own and shows_adjacent):
             weight = 0.0
@@ -92,7 +92,7 @@ def middle_pixel(
     image: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
 ) -> wp.int64:
-    """Find a pixel that shows a face, among the 3 x 3 around its centroid; as `pixel_at`, or -1 for none."""
+    """Find a pixel that shows a face, among the 3 x 3 around its centroid: an offset as from `pixel_at`, or -1."""
     v0 = faces[b, face, 0]
     v1 = faces[b, face, 1]
     v2 = faces[b, face, 2]

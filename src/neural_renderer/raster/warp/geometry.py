@@ -13,10 +13,10 @@ coordinates", 1997).
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import warp as wp
 
-# Screen units: four roundings of a coordinate near 1, the limit of what float32 resolves.
+# Screen units: four roundings of a coordinate near 1, the resolution of float32.
 NARROWEST = wp.constant(2.0**-22)
-# Pixels: an edge with a smaller extent across the scan lines has no slope. Only on the line of pixel 0 does float32
-# resolve so little.
+# An edge with a smaller extent across the scan lines, in pixels, has no slope. Float32 resolves such extents only near
+# pixel 0.
 SHORTEST = wp.constant(1.0e-9)
 Int4 = wp.types.vector(length=4, dtype=wp.int32)
 
@@ -33,7 +33,7 @@ def to_pixels(x: float, size: int) -> float:
     return 0.5 * (float(size) * x + float(size - 1))
 
 
-# In plain C++: every kernel tests every face, and Warp's loops over components are slow.
+# Plain C++, because every kernel tests every face, and Warp's loops over components are slow.
 FACING = """
     const float left = (v2[1] - v0[1]) * (v1[0] - v0[0]), right = (v1[1] - v0[1]) * (v2[0] - v0[0]);
     const int side = (left > right) - (left < right);
@@ -76,8 +76,8 @@ IN_FRONT = """
 def in_front(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, perspective: int) -> int:
     """Classify a face: 1 in front of the camera, 0 across the camera's plane, -1 if it cannot be drawn.
 
-    In orthographic projection every face is in front. Corners beyond 1e12 cannot be drawn: float32 has no products of
-    them.
+    In orthographic projection every face is in front. Corners beyond 1e12 cannot be drawn, because their products
+    overflow float32.
     """
     ...
 

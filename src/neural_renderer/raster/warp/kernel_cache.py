@@ -13,7 +13,7 @@ from pathlib import Path
 
 import warp as wp
 
-_ROOM = 1 << 20  # bytes, more than any module takes: on a full disk LLVM ends the whole process
+_ROOM = 1 << 20  # bytes, larger than any module. On a full disk LLVM would end the whole process.
 _LEFT_BEHIND = re.compile(r"wp_neural_renderer\..*_p\d+_t\d+")
 _ATTEMPTS = 2
 _HOUR = 3600.0  # seconds; no module takes so long to compile
@@ -57,7 +57,7 @@ def _remove(folder: Path, error: Exception) -> None:
 
 def _load(kernel: wp.Kernel, device: str) -> None:
     wp.load_module(kernel.module, device=device)
-    # A file of zeros loads as well, without kernels.
+    # A file of zeros also loads, but has no kernels.
     for loaded in getattr(kernel.module, "execs", {}).values():
         if loaded.get_kernel_hooks(kernel).forward is None:
             raise RuntimeError(f"no kernel {kernel.key} in it")

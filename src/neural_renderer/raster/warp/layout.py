@@ -12,7 +12,7 @@ from torch import Tensor
 # Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
 PIECES = 4
 
-# Pixels to look at, or to draw and shade, before another CPU thread is worth waking.
+# Numbers of pixels, to scan or to draw and shade, for which it is worth waking another CPU thread.
 MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
 
 _ROWS = 16  # of a task on the CPU, where neighbouring rows share faces
@@ -50,19 +50,25 @@ def in_any_order(device: torch.device) -> bool:
 
 
 def cpu_bands(batch: int, pixels: int) -> int:
-    """Number of bands of rows per image, so that all threads have work; ``pixels`` counts its pixels and faces."""
+    """Choose a number of row bands per image that keeps all threads busy; ``pixels`` counts its pixels and faces."""
     threads = min(torch.get_num_threads(), max(1, batch * pixels // _ENOUGH_PIXELS))
     return 1 if batch % threads == 0 or batch >= PIECES * threads else 2 * threads
 
 
 def worth_a_thread(pixels: float) -> int:
-    """Number of tasks, each of so many pixels to draw or to shade, that are worth another CPU thread."""
+    """Compute how many tasks are worth another CPU thread; each draws or shades ``pixels`` pixels."""
     return max(1, int(_ENOUGH_PIXELS / max(pixels, 1.0)))
 
 
 def face_tasks(faces: Tensor, pixels: int) -> int:
-    """Number of tasks of one face each of ``faces`` [B, F, ...] that are worth another CPU thread."""
+    """Compute how many tasks are worth another CPU thread; each draws one of ``faces`` [B, F, ...]."""
     return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
+
+
+def group_tasks(count: int, device: torch.device, on_cpu: int, on_cuda: int = 1) -> tuple[int, int]:
+    """Compute the number of groups of ``count`` vertices or faces, one task each, and the size of a group."""
+    each = on_cuda if concurrent(device) else on_cpu
+    return -(-count // each), each
 
 
 def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:

@@ -13,21 +13,56 @@ import re
 from .geometry import HOMOGENEOUS, NARROWEST
 from .layout import PIXELS_OF_TASK
 
-# Least area of a face with reliable weights from the inverse matrix, over the square of its largest coordinate c in
-# pixels. The weights are made of products of up to 2 c^2, whose roundings add up to about 82 * 2^-24 c^2.
+# Least area, relative to c^2, of a face with reliable weights from the inverse matrix; c is its largest coordinate in
+# pixels. The weights are sums of products up to 2 c^2, whose rounding errors add up to about 82 * 2^-24 c^2.
 LEAST_AREA = 2.0**-17
 
+# Vectors of eight numbers, on the CPU; ``load`` and ``store`` three channels of eight pixels that lie side by side.
+VECTORS = """
+#if !defined(__CUDA_ARCH__)
+struct Vectors {
+    typedef float floats __attribute__((ext_vector_type(8)));
+    typedef int ints __attribute__((ext_vector_type(8)));
+
+    static ints ahead() { return ints{0, 1, 2, 3, 4, 5, 6, 7}; }
+    static floats none() { return floats(0.0f); }
+    static float sum(floats v) { return v[0] + v[1] + v[2] + v[3] + (v[4] + v[5] + v[6] + v[7]); }
+
+    static void load(const float* from, floats* to) {
+        floats u, v, w;
+        memcpy(&u, from, sizeof(u)), memcpy(&v, from + 8, sizeof(v)), memcpy(&w, from + 16, sizeof(w));
+        const floats a = __builtin_shufflevector(u, v, 0, 3, 6, 9, 12, 15, -1, -1);
+        const floats b = __builtin_shufflevector(u, v, 1, 4, 7, 10, 13, -1, -1, -1);
+        const floats c = __builtin_shufflevector(u, v, 2, 5, 8, 11, 14, -1, -1, -1);
+        to[0] = __builtin_shufflevector(a, w, 0, 1, 2, 3, 4, 5, 10, 13);
+        to[1] = __builtin_shufflevector(b, w, 0, 1, 2, 3, 4, 8, 11, 14);
+        to[2] = __builtin_shufflevector(c, w, 0, 1, 2, 3, 4, 9, 12, 15);
+    }
+    static void store(float* to, floats a, floats b, floats c) {
+        floats u = __builtin_shufflevector(a, b, 0, 8, -1, 1, 9, -1, 2, 10);
+        floats v = __builtin_shufflevector(a, b, -1, 3, 11, -1, 4, 12, -1, 5);
+        floats w = __builtin_shufflevector(a, b, 13, -1, 6, 14, -1, 7, 15, -1);
+        u = __builtin_shufflevector(u, c, 0, 1, 8, 3, 4, 9, 6, 7);
+        v = __builtin_shufflevector(v, c, 10, 1, 2, 11, 4, 5, 12, 7);
+        w = __builtin_shufflevector(w, c, 0, 13, 2, 3, 14, 5, 6, 15);
+        memcpy(to, &u, sizeof(u)), memcpy(to + 8, &v, sizeof(v)), memcpy(to + 16, &w, sizeof(w));
+    }
+};
+#endif
+"""
+
 FACE = f"""
+{VECTORS}
 struct Face {{
     typedef wp::vec_t<3, float> vec3;
     vec3 v[3];
     float matrix[9], inverse[3], dx[3], dy[3], to[9];
-    bool front, known;  // by the matrix
+    bool front, known;  // in front of the camera; weights known by the matrix
     int perspective, height, width;
 
     static CUDA_CALLABLE float centre(int i, int size) {{ return (float)(2 * i + 1 - size) / (float)size; }}
     static CUDA_CALLABLE float larger(float a, float b) {{ return a > b ? a : b; }}
-    // Rare, and on the CPU kept out of the loops, whose registers they would take.
+    // Rare cases. Inside the loops they would take registers, so on the CPU they are not inlined.
     #if defined(__CUDA_ARCH__)
     #define RARE CUDA_CALLABLE
     #else
@@ -35,19 +70,19 @@ struct Face {{
     #endif
     static RARE wp::vec_t<3, double> homogeneous(
         vec3 v0, vec3 v1, vec3 v2, float x, float y) {{ {HOMOGENEOUS} }}
-    // The weights by the edge functions of `coverage`: where it drew the face, they have one sign and are not all 0.
+    // The weights by the edge functions of `coverage`. At the pixels it drew, they have one sign and are not all 0.
     static RARE vec3 by_edges(vec3 v0, vec3 v1, vec3 v2, float x, float y) {{
         const vec3 w((v1[0] - x) * (v2[1] - y) - (v1[1] - y) * (v2[0] - x),
                      (v2[0] - x) * (v0[1] - y) - (v2[1] - y) * (v0[0] - x),
                      (v0[0] - x) * (v1[1] - y) - (v0[1] - y) * (v1[0] - x));
         const float whole = w[0] + w[1] + w[2], third = 1.0f / 3.0f;
-        // Divided at once: products of them with 1 / z could be too large or too small for a float.
+        // Divided at once, because their products with 1 / z could overflow or underflow.
         return whole == 0.0f ? vec3(third, third, third) : vec3(w[0] / whole, w[1] / whole, w[2] / whole);
     }}
 
-    // The matrix takes a pixel (column, row from the bottom, 1) to its weights; 0 where the edge functions must do.
-    // Weights by this inverse are how the first packages computed them: for faces far smaller than a pixel its rounding
-    // (some 1e-4 of a weight) is what existing results contain.
+    // The matrix maps a pixel (column, row from the bottom, 1) to its weights. It is 0 if edge functions are needed.
+    // The first packages computed weights by this inverse, and existing results contain its rounding errors: about 1e-4
+    // of a weight for faces far smaller than a pixel.
     CUDA_CALLABLE void set(const vec3* corners, int in_perspective, int rows, int columns) {{
         perspective = in_perspective, height = rows, width = columns;
         float x[3], y[3], far = 0.0f;
@@ -58,7 +93,7 @@ struct Face {{
             far = larger(far, larger(fabsf(x[k]), fabsf(y[k])));
             inverse[k] = perspective ? 1.0f / v[k][2] : 1.0f;
         }}
-        // A face that is seen lies before the camera or crosses its plane.
+        // A visible face lies in front of the camera or crosses its plane.
         front = !perspective | ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f));
         const float area = x[2] * (y[0] - y[1]) + x[0] * (y[1] - y[2]) + x[1] * (y[2] - y[0]);
         known = fabsf(area) > {LEAST_AREA!r}f * far * far;
@@ -71,7 +106,7 @@ struct Face {{
         }}
     }}
 
-    // Depth and weights in space of the pixel i of the row j from the bottom; those on the screen are w / whole.
+    // Depth and perspective-correct weights at pixel i of row j from the bottom. Screen-space weights are w / whole.
     CUDA_CALLABLE float at(int i, int j, vec3& weights, vec3& w, float& whole) const {{
         const float px = (float)i, py = (float)j;
         if (!front) {{
@@ -101,8 +136,8 @@ struct Face {{
         return weights[0] * v[0][2] + weights[1] * v[1][2] + weights[2] * v[2][2];
     }}
 
-    // Begin to gather. dx and dy are the slopes of the weights on the screen; they are unknown, and 0, where a weight
-    // would change by 1 over less than four roundings of a coordinate near 1.
+    // Start to gather gradients. dx and dy are the slopes of the weights on the screen. They are set to 0 if a weight
+    // changes by 1 over less than four roundings of a coordinate near 1: then they are not known.
     CUDA_CALLABLE void gather() {{
         const float area = (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
         float longest = 0.0f;
@@ -116,8 +151,8 @@ struct Face {{
         for (int k = 0; k < 9; ++k) to[k] = 0.0f;
     }}
 
-    // With the pixel fixed, moving corner m by s on the screen changes the weight w_k there by -w_m grad(w_k) . s; in
-    // perspective, depth and the weights in space are made of w_k / z_k: 1 / depth is their sum.
+    // At a fixed pixel, moving corner m by s on the screen changes the weight w_k by -w_m grad(w_k) . s. In
+    // perspective, depth and the weights in space are computed from w_k / z_k, whose sum is 1 / depth.
     CUDA_CALLABLE void pull(vec3 to_weights, float to_depth, vec3 weights, vec3 w, float whole, float z) {{
         const float part = 1.0f / whole;
         float right = 0.0f, up = 0.0f, g[3];
@@ -144,18 +179,13 @@ struct Face {{
     }}
 }};
 #if !defined(__CUDA_ARCH__)
-struct Eight {{
-    typedef float floats __attribute__((ext_vector_type(8)));
-    typedef int ints __attribute__((ext_vector_type(8)));
-    floats w[3], weights[3], part, z;  // as of Face; part is 1 / whole
+struct Eight : Vectors {{
+    floats w[3], weights[3], part, z;  // as in Face; part is 1 / whole
     floats to[9];
 
-    static ints ahead() {{ return ints{{0, 1, 2, 3, 4, 5, 6, 7}}; }}
-    static floats none() {{ return floats(0.0f); }}
-    static float sum(floats v) {{ return v[0] + v[1] + v[2] + v[3] + (v[4] + v[5] + v[6] + v[7]); }}
     static bool can(const Face& face) {{ return face.front & face.known; }}
 
-    // The pixels from i on of the row j. Where the result is not 0, the edge functions must do: use Face.
+    // Eight pixels from i on, in row j. Pixels with a result other than 0 need the edge functions: use Face for them.
     ints at(const Face& face, int i, int j) {{
         const floats x = __builtin_convertvector(ahead() + i, floats);
         for (int k = 0; k < 3; ++k) {{
@@ -165,7 +195,7 @@ struct Eight {{
         }}
         floats whole = w[0] + w[1] + w[2];
         const ints lost = whole == 0.0f;
-        // Beside the face 0 / 0 does harm, too: NaN times 0 is NaN.
+        // Avoid 0 / 0 beside the face, too: NaN times 0 is NaN.
         w[0] = lost ? none() + 1.0f : w[0], whole = lost ? none() + 1.0f : whole;
         part = 1.0f / whole;
         if (face.perspective) {{
@@ -183,7 +213,7 @@ struct Eight {{
     void gather() {{
         for (int k = 0; k < 9; ++k) to[k] = none();
     }}
-    // From the pixels that are ``here``; of the others, gradients must be finite.
+    // Sum over the pixels that are ``here``. The gradients of the others must be finite.
     void pull(const Face& face, const floats* to_weights, floats to_depth, ints here) {{
         const floats same =
             to_weights[0] * weights[0] + to_weights[1] * weights[1] + to_weights[2] * weights[2] + z * to_depth;
@@ -211,7 +241,7 @@ _ROWS = """
     #if defined(__CUDA_ARCH__)
     enum { KEPT = 1 };
     #else
-    enum { KEPT = 128 };  // the rows before show the same faces
+    enum { KEPT = 128 };  // neighbouring rows show the same faces
     #endif
     const int height = face_index.shape[1], width = face_index.shape[2];
     const wp::int64 count = faces.shape[1];
@@ -227,7 +257,7 @@ _ROWS = """
         for (int i = left; i < right; ++i) {
             const wp::int64 pixel = (wp::int64)row * width + i;
             const int f = shown[i];
-            if (f < 0) {  // as most pixels of most images: so many at once
+            if (f < 0) {  // most pixels of most images, so several are skipped at once
                 int empty = 1;
                 #if !defined(__CUDA_ARCH__)
                 for (int four[4]; i + empty + 4 <= right; empty += 4) {

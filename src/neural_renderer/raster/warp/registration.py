@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
+_PLAIN = (Tensor, nn.Parameter)
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -23,7 +25,7 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
     function itself into torch's graph.
 
     Raises:
-        RuntimeError: In a call, for derivatives in forward mode. torch would silently take them for zero.
+        RuntimeError: In a call, for derivatives in forward mode. torch would silently treat them as zero.
     """
     name = f"neural_renderer::{function.__name__}"
     torch.library.define(name, torch.library.infer_schema(function, mutates_args=()))
@@ -31,7 +33,7 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
     registered = getattr(torch.ops.neural_renderer, function.__name__).default
 
     plain: Callable[..., Any] = function
-    graph: list[Any] = []  # the `torch.autograd.Function`, once there is one
+    graph: list[Any] = []  # the `torch.autograd.Function`, set by `differentiable`
     defaults = tuple(parameter.default for parameter in inspect.signature(function).parameters.values())
 
     @functools.wraps(function)
@@ -41,10 +43,12 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
         if not is_plain(inputs):
             return registered(*inputs)
         inputs += defaults[len(inputs) :]
-        if not graph or not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
-            with torch.no_grad():
-                return plain(*inputs)
-        return graph[0].apply(*inputs)
+        if not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
+            return plain(*inputs)
+        if graph:
+            return graph[0].apply(*inputs)
+        with torch.no_grad():
+            return plain(*inputs)
 
     call.operator = registered  # type: ignore[attr-defined]
     call.graph = graph  # type: ignore[attr-defined]
@@ -90,11 +94,10 @@ def is_plain(inputs: tuple[Any, ...]) -> bool:
         or torch._C._are_functorch_transforms_active()
     ):
         return False
-    return all(
-        value.device.type != "meta" and type(value) in (Tensor, nn.Parameter) and not value.is_neg()
-        for value in inputs
-        if isinstance(value, Tensor)
-    )
+    for value in inputs:
+        if isinstance(value, Tensor) and (type(value) not in _PLAIN or value.is_meta or value.is_neg()):
+            return False
+    return True
 
 
 def _requires_grad(value: Any) -> bool:

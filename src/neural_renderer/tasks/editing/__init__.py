@@ -1,6 +1,6 @@
 """Mesh editing by gradient descent: style transfer and DeepDream."""
 
-from ..deprecated import old_names
+from ...deprecated import old_names
 from ..settings import DREAM_LAYER, STYLE_LAYERS
 from .dream import PUBLISHED_DREAM, Dream, DreamWeights
 from .edit import MeshEdit

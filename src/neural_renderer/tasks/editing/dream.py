@@ -15,12 +15,15 @@ from .deformation import Deformation
 
 @dataclass(frozen=True)
 class DreamWeights:
-    """Weights of the losses of `Dream`, relative to the dream loss, whose weight is 1.
+    """Weights of the losses of `Dream`. The weight of the dream loss is 1.
 
     Attributes:
         bend: Weight of the bending loss, ≥ 0 (`Deformation.bend`).
         variation: Weight of the total variation of the images, ≥ 0.
         edges: Weight of the variance of edge lengths, ≥ 0. The variance is relative to the initial mean square length.
+
+    Raises:
+        TypeError, ValueError: In `Dream`, a weight that is not a finite number ≥ 0.
 
     Example:
         >>> from neural_renderer.tasks.editing import DreamWeights
@@ -41,9 +44,9 @@ class Dream:
     """Objective of DeepDream: large activations of a layer, with regularisers for shape and colours.
 
     With ``relative``, the dream loss is minus the logarithm of the mean squared activation. Its gradient does not
-    depend on the scale of the network, so that one set of weights serves all networks and layers. Without it, the
-    losses are those of the published code: minus the mean squared activation, and the variance of edge lengths times
-    the number of faces.
+    depend on the scale of the network, so that one set of weights suits all networks and layers. Without it, the
+    losses follow the published code: minus the mean squared activation, and the variance of edge lengths times the
+    number of faces.
 
     Args:
         network: Feature network with the layer.
@@ -64,6 +67,10 @@ class Dream:
         >>> from neural_renderer.tasks.editing import Dream
         >>> network = vgg({"conv1_1.weight": torch.rand(8, 3, 3, 3), "conv1_1.bias": torch.zeros(8)})
         >>> dream = Dream(network, layer="conv1_1", channel=3)
+        >>> dream.background(2, torch.Generator()).shape
+        torch.Size([2, 3])
+        >>> dream.measure(torch.rand(2, 3, 64, 64), torch.ones(2, 64, 64)).shape
+        torch.Size([2])
     """
 
     name = "dream"
@@ -89,7 +96,15 @@ class Dream:
             raise ValueError(f"channel: expected one of the {channels} of {layer}, 0 to {channels - 1}, got {channel}")
 
     def background(self, count: int, generator: torch.Generator) -> Tensor:
-        """Draw a random grey, the same for all images, [count, 3]."""
+        """Choose the background behind the object: a random grey, the same for all images.
+
+        Args:
+            count: Number of images.
+            generator: Random numbers, on the CPU.
+
+        Returns:
+            [count, 3].
+        """
         return torch.rand(1, 1, generator=generator).expand(count, 3)
 
     def losses(self, images: Tensor, masks: Tensor, shape: Deformation) -> dict[str, Tensor]:
@@ -102,6 +117,9 @@ class Dream:
 
         Returns:
             Weighted losses "dream", "bend", "variation" and "edges", scalars; their sum is to be minimised.
+
+        Raises:
+            TypeError, ValueError: The images do not fit or are too small for the layer.
         """
         norm, inside = self._norms(images).mean(), (masks == 1).to(images.dtype)
         variation, edges = losses.total_variation(images, inside), shape.edge_variance
@@ -120,7 +138,18 @@ class Dream:
 
     @torch.no_grad()
     def measure(self, images: Tensor, masks: Tensor) -> Tensor:
-        """Compute the mean squared activation of the layer for each image, [B]."""
+        """Compute the mean squared activation of the layer for each image.
+
+        Args:
+            images: [B, 3, H, W] in [0, 1].
+            masks: Ignored.
+
+        Returns:
+            [B], without a gradient.
+
+        Raises:
+            TypeError, ValueError: The images do not fit or are too small for the layer.
+        """
         return self._norms(images)
 
     def _norms(self, images: Tensor) -> Tensor:

@@ -41,7 +41,7 @@ class Objective(Protocol):
     plain: Tensor
 
     def background(self, count: int, generator: torch.Generator, /) -> Tensor:
-        """Choose the backgrounds of ``count`` images, [count, 3]."""
+        """Choose the background colours of ``count`` images, [count, 3]."""
         ...
 
     def losses(self, images: Tensor, masks: Tensor, shape: Deformation, /) -> dict[str, Tensor]:
@@ -94,9 +94,12 @@ class MeshEdit:
         >>> network = vgg({"conv1_1.weight": torch.rand(8, 3, 3, 3), "conv1_1.bias": torch.zeros(8)})
         >>> style = Style(network, painting=torch.rand(3, 48, 64), size=64, layers=["conv1_1"])
         >>> edit = MeshEdit(nr.Mesh.icosphere(1), style, steps=2, size=64)
+        >>> torch.save(edit.state_dict(), "start.pt")
         >>> while not edit.done:
         ...     losses = edit.advance()
         >>> edit.mesh().save("painted.glb")
+        >>> moved, style_loss = edit.displacement()["mean"], edit.measure()
+        >>> edit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
 
     def __init__(
@@ -166,7 +169,12 @@ class MeshEdit:
         return self.step >= self.steps
 
     def mesh(self) -> Mesh | UVMesh:
-        """Return the current mesh in its own coordinates. Texels that were rarely visible are filled from others."""
+        """Make the current mesh.
+
+        Returns:
+            The mesh, in its own coordinates and of the class of the original. Texels that were rarely visible are
+            filled from those around them.
+        """
         vertices = self._vertices.detach()[self._merged] * self._scale + self._center
         if self._unpainted:
             mesh = self._paint.unpainted(vertices)
@@ -218,7 +226,11 @@ class MeshEdit:
         return {"loss": loss.item(), **{name: part.item() for name, part in parts.items()}}
 
     def measure(self) -> float:
-        """Compute the objective's main measure on eight fixed views that are not used by steps, averaged."""
+        """Compute the objective's main measure on eight fixed views that are not used by steps.
+
+        Returns:
+            The mean over these views.
+        """
         camera, light = self._views.fixed(_HELD_OUT, offset=_HELD_OUT_AZIMUTH)
         background = self._objective.background(_HELD_OUT, generator(-1, 0))
         with torch.no_grad():
@@ -230,7 +242,12 @@ class MeshEdit:
         return torch.cat(found).mean().item()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that changes from step to step."""
+        """Collect everything that changes from step to step.
+
+        Returns:
+            Numbers and tensors by name, for `load_state_dict`. Later steps may change the tensors; `torch.save` copies
+            them.
+        """
         return {
             "step": self.step,
             "vertices": self._vertices.detach(),
@@ -242,9 +259,13 @@ class MeshEdit:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from the `state_dict` of an edit of the same mesh.
+        """Resume from the state of an edit of the same mesh.
+
+        Args:
+            state: Result of `state_dict`.
 
         Raises:
+            KeyError: A name is missing.
             ValueError: More steps are taken already than this edit has.
         """
         if state["step"] > self.steps:

@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from ...io import save_animation
 from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
 from ...pictures.photograph import photograph
 from ...pictures.sheet import sheet
+from ...pictures.turntable import turntable
 from .edit import MeshEdit
 
 _FRONT = 150.0  # azimuth of the first picture, in degrees
@@ -46,12 +45,10 @@ def preview(edit: MeshEdit, size: int = 256) -> Tensor:
     return sheet([[picture.cpu() for picture in photographs(normalized_like(mesh, mesh), _PREVIEW, size)]])
 
 
-def turntable(folder: Path, mesh: Mesh | UVMesh, frames: int = 36, size: int = 320) -> None:
-    """Write ``turntable.mp4`` and ``turntable.gif``, one turn of a mesh, to a folder."""
-    angles = [_FRONT + 360 * index / frames for index in range(frames)]
-    pictures = [picture.cpu() for picture in photographs(normalized_like(mesh, mesh), angles, size)]
-    save_animation(folder / "turntable.mp4", pictures, fps=15)
-    save_animation(folder / "turntable.gif", pictures, fps=15)
+def turn(mesh: Mesh | UVMesh, frames: int = 36, size: int = 320) -> list[Tensor]:
+    """Draw one turn of a mesh, pictures [3, size, size] in [0, 1]."""
+    mesh = normalized_like(mesh, mesh)
+    return list(turntable(mesh, frames, _FRONT, size=size, **_camera_around(mesh)))
 
 
 @torch.no_grad()
@@ -68,7 +65,12 @@ def normalized_like(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
 
 def photographs(mesh: Mesh | UVMesh, angles: list[float] | tuple[float, ...], size: int) -> Iterator[Tensor]:
     """Draw a mesh around the origin from azimuths in degrees, each picture [3, size, size] with the whole mesh."""
+    view = _camera_around(mesh)
+    return (photograph(mesh, angle, size=size, **view) for angle in angles)
+
+
+def _camera_around(mesh: Mesh | UVMesh) -> dict[str, float]:
+    """Choose the arguments of `photograph` that show a whole mesh around the origin from any azimuth."""
     radius = mesh.vertices.detach().norm(dim=1).max().item()
     distance = _MARGIN * radius / math.sin(math.radians(_VIEWING_ANGLE))
-    for angle in angles:
-        yield photograph(mesh, angle, _ELEVATION, size, distance=distance, viewing_angle=_VIEWING_ANGLE)
+    return {"elevation": _ELEVATION, "distance": distance, "viewing_angle": _VIEWING_ANGLE}

@@ -38,6 +38,9 @@ class RandomViews:
         >>> cameras, light = RandomViews(light=None).sample(4, torch.Generator().manual_seed(0))
         >>> len(cameras), light
         (4, None)
+        >>> cameras, light = RandomViews().fixed(8)
+        >>> len(cameras)
+        8
     """
 
     elevation: tuple[float, float] = (20.0, 40.0)
@@ -57,19 +60,30 @@ class RandomViews:
             raise ValueError(f"light: expected two numbers of at least 0, got {self.light[0]} {self.light[1]}")
 
     def sample(self, count: int, generator: torch.Generator) -> tuple[Camera, Light | None]:
-        """Draw ``count`` random cameras and their lights, on the CPU."""
+        """Draw random cameras and their lights.
+
+        Args:
+            count: Number of cameras.
+            generator: Random numbers, on the CPU.
+
+        Returns:
+            ``count`` cameras and as many lights, on the CPU; None in place of lights if ``light`` is None.
+        """
         elevation, azimuth, light = torch.rand(3, count, generator=generator)
         low, high = self.elevation
         distance = self.distance + self.spread * torch.randn(count, generator=generator)
         return self._make(distance.clamp(min=_NEAREST), low + (high - low) * elevation, 360 * azimuth, math.tau * light)
 
     def fixed(self, count: int, offset: float = 0.0, elevation: float | None = None) -> tuple[Camera, Light | None]:
-        """Make ``count`` evenly spaced cameras at the mean distance, lit from the left behind the viewer.
+        """Make evenly spaced cameras at the mean distance, lit from the left behind the viewer.
 
         Args:
             count: Number of cameras.
             offset: Azimuth of the first camera in degrees.
             elevation: Elevation in degrees; by default the middle of the range.
+
+        Returns:
+            ``count`` cameras and as many lights, on the CPU; None in place of lights if ``light`` is None.
         """
         azimuth = 360 / count * torch.arange(count) + offset
         middle = sum(self.elevation) / 2 if elevation is None else elevation

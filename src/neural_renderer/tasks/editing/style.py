@@ -23,7 +23,7 @@ _LEAST_SIDE, _MOST_ASPECT = 16, 16  # limits of a painting's shape, in pixels an
 
 @dataclass(frozen=True)
 class StyleWeights:
-    """Weights of the losses of `Style`, relative to the style loss, whose weight is 1.
+    """Weights of the losses of `Style`. The weight of the style loss is 1.
 
     Attributes:
         content: Weight of the squared displacements of vertices, ≥ 0.
@@ -31,6 +31,9 @@ class StyleWeights:
         variation: Weight of the total variation of the images, ≥ 0.
         palette: Weight of the palette loss, ≥ 0. It penalises colours at more than 2.5 standard deviations from the
             mean of the painting (`Palette.excess`).
+
+    Raises:
+        TypeError, ValueError: In `Style`, a weight that is not a finite number ≥ 0.
 
     Example:
         >>> from neural_renderer.tasks.editing import StyleWeights
@@ -57,8 +60,8 @@ class Style:
 
     With ``relative``, all losses are means that do not depend on the scale of the network, the mesh or the image size:
     ``|G − G*|² / |G*|²``, averaged over layers and views; the mean squared displacement of vertices; the mean total
-    variation of the object's pixels. Without it, the losses are the sums of the published code, whose weights suit the
-    features of the original VGG-16.
+    variation of the object's pixels. Without it, the losses are the sums of the published code; their weights suit the
+    features of the original VGG-16 only.
 
     Args:
         network: Feature network with the layers.
@@ -83,6 +86,10 @@ class Style:
         >>> from neural_renderer.tasks.editing import Style
         >>> network = vgg({"conv1_1.weight": torch.rand(8, 3, 3, 3), "conv1_1.bias": torch.zeros(8)})
         >>> style = Style(network, painting=torch.rand(3, 48, 64), size=64, layers=["conv1_1"])
+        >>> style.background(2, torch.Generator()).shape
+        torch.Size([2, 3])
+        >>> style.measure(torch.rand(2, 3, 64, 64), torch.ones(2, 64, 64)).shape
+        torch.Size([2])
     """
 
     name = "style"
@@ -115,7 +122,14 @@ class Style:
         self.plain = self._palette.mean
 
     def background(self, count: int, _: torch.Generator) -> Tensor:
-        """Return the background behind the object: the painting's mean colour, [count, 3]."""
+        """Choose the background behind the object: the painting's mean colour.
+
+        Args:
+            count: Number of images.
+
+        Returns:
+            [count, 3].
+        """
         return self.plain.expand(count, 3)
 
     def losses(self, images: Tensor, masks: Tensor, shape: Deformation) -> dict[str, Tensor]:
@@ -128,6 +142,9 @@ class Style:
 
         Returns:
             Weighted losses "style", "content", "bend", "variation", "palette", scalars; their sum is to be minimised.
+
+        Raises:
+            TypeError, ValueError: The images do not fit or are too small for a layer.
         """
         inside = (masks == 1).to(images.dtype)
         variation, content = losses.total_variation(images, inside), shape.movement.square().sum()
@@ -145,7 +162,18 @@ class Style:
 
     @torch.no_grad()
     def measure(self, images: Tensor, masks: Tensor) -> Tensor:
-        """Compute the style loss of each image, [B]."""
+        """Compute the style loss of each image.
+
+        Args:
+            images: [B, 3, H, W] in [0, 1].
+            masks: [B, H, W] in [0, 1], silhouettes of the object.
+
+        Returns:
+            [B], without a gradient.
+
+        Raises:
+            TypeError, ValueError: The images do not fit or are too small for a layer.
+        """
         return self._distances(images, masks)
 
     def _distances(self, images: Tensor, masks: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
 """Fitting: a textured mesh from images with cameras, the texture of a known mesh, or the camera of one image."""
 
-from ..deprecated import old_names
+from ...deprecated import old_names
 from ..settings import FitWeights
 from .fit_views import Views
 from .hull import carve, object_bounds

@@ -67,7 +67,7 @@ def read_frames(path: Path, allow_outside: bool) -> tuple[dict[str, Any], list[F
         try:
             rows: list[Any] = list(csv.DictReader(read_text(path).splitlines(), skipinitialspace=True))
         except csv.Error as error:
-            raise ValueError(f"{path}: expected CSV, got a file that cannot be read as such ({error})") from None
+            raise ValueError(f"{path}: expected CSV, got a file that cannot be parsed ({error})") from None
         common: dict[str, Any] = {"views": rows}
     else:
         try:

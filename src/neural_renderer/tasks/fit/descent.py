@@ -1,4 +1,4 @@
-"""Gradient descent on values at vertices, with gradients smoothed over the surface."""
+"""Gradient descent with one step size for many numbers, and with gradients smoothed over a surface."""
 
 from __future__ import annotations
 
@@ -9,13 +9,61 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...meshes.topology import Topology
+from .conjugate_gradients import ConjugateGradients
 
-_MOMENTUM, _SECOND_MOMENT = 0.9, 0.98  # decay rates of the running means, Adam's β₁ and β₂
+_MOMENTUM = 0.9  # decay rate of the mean gradient, Adam's β₁
+_LEAST_SIZE = 1e-12  # of a gradient; smaller ones move nothing
+_SURFACE_DECAY = 0.98  # β₂ of `SmoothDescent`
 _MOST_ITERATIONS = 100  # of conjugate gradients
 
 
+class VectorAdam:
+    """Adam with one step size for all values or for each row.
+
+    `torch.optim.Adam` divides each number by a scale of its own. That would turn steps towards the diagonals of the
+    coordinate axes, and would move a vertex with a vanishing gradient as far as the others. Here a step has the
+    direction of the mean gradient.
+
+    Args:
+        decay: Decay rate of the mean square, Adam's β₂.
+        each_row: Use a step size for each row; otherwise one for all, that of the row with the largest gradient.
+    """
+
+    def __init__(self, decay: float, each_row: bool = False) -> None:
+        self._decay, self._each_row = decay, each_row
+        self._count = 0
+        self._mean: Tensor | None = None
+        self._square: Tensor | None = None
+
+    def step(self, values: Tensor, gradient: Tensor, rate: float) -> Tensor:
+        """Take one step of descent.
+
+        Args:
+            values: [N, C] floating.
+            gradient: [N, C], gradient of the loss.
+            rate: Length of the step: rows, or the fastest row, move by about this much.
+
+        Returns:
+            [N, C], the new values.
+        """
+        square = gradient.square().sum(1, keepdim=True)
+        self._count += 1
+        self._mean = _running_mean(self._mean, gradient, _MOMENTUM)
+        self._square = _running_mean(self._square, square if self._each_row else square.max(), self._decay)
+        size = (self._square / (1 - self._decay**self._count)).sqrt().clamp(min=_LEAST_SIZE)
+        return values - rate * self._mean / (1 - _MOMENTUM**self._count) / size
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the running means."""
+        return {"count": self._count, "mean": self._mean, "square": self._square}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore the running means from `state_dict`."""
+        self._count, self._mean, self._square = state["count"], state["mean"], state["square"]
+
+
 class SmoothDescent:
-    """Adam with smoothed gradients, for positions or colours [V, C] of vertices.
+    """`VectorAdam` with smoothed gradients, for positions or colours [V, C] of vertices.
 
     The gradient of a silhouette loss is non-zero at outline vertices only and would tangle the surface. It is therefore
     smoothed to ``(1 + λL)⁻² g``, with the graph Laplacian L, and all vertices share one step size. See Nicolet,
@@ -32,11 +80,9 @@ class SmoothDescent:
         order = torch.argsort(start, stable=True)
         degree = torch.bincount(start, minlength=topology.vertices)
         self._neighbors, self._first = end[order], degree.cumsum(0) - degree
-        self._degree = degree[:, None].float()
+        self._diagonal = 1 + smooth * degree[:, None].float()
         self._smooth = smooth
-        self._count = 0
-        self._mean: Tensor | None = None
-        self._scale = torch.zeros((), device=edges.device)
+        self._adam = VectorAdam(_SURFACE_DECAY)
 
     def step(self, values: Tensor, gradient: Tensor, rate: float) -> Tensor:
         """Take one step of descent.
@@ -49,42 +95,32 @@ class SmoothDescent:
         Returns:
             [V, C], the new values.
         """
-        gradient = self.blur(self.blur(gradient))
-        self._count += 1
-        self._mean = (1 - _MOMENTUM) * gradient + (_MOMENTUM * self._mean if self._mean is not None else 0)
-        self._scale = _SECOND_MOMENT * self._scale + (1 - _SECOND_MOMENT) * gradient.square().sum(1).max()
-        size = (self._scale / (1 - _SECOND_MOMENT**self._count)).sqrt().clamp(min=1e-12)
-        return values - rate * self._mean / (1 - _MOMENTUM**self._count) / size
+        return self._adam.step(values, self.blur(self.blur(gradient)), rate)
 
     def blur(self, values: Tensor, tolerance: float = 1e-3) -> Tensor:
-        """Smooth values [V, C]: solve ``(1 + λL) x = values`` by conjugate gradients with Jacobi preconditioning."""
-        diagonal = 1 + self._smooth * self._degree
-
-        def matrix_times(x: Tensor) -> Tensor:
-            total = F.embedding_bag(self._neighbors, x, self._first, mode="sum")
-            return diagonal * x - self._smooth * total
-
-        solution = values / diagonal
-        residual = values - matrix_times(solution)
+        """Smooth values [V, C]: solve ``(1 + λL) x = values`` by conjugate gradients."""
         goal = tolerance**2 * values.square().sum(0)
-        direction = scaled = residual / diagonal
-        product = (residual * scaled).sum(0)
+        solver = ConjugateGradients(self._multiply, self._diagonal, values, values / self._diagonal)
         for _ in range(_MOST_ITERATIONS):
-            if bool((residual.square().sum(0) <= goal).all()):
+            if bool((solver.residual.square().sum(0) <= goal).all()):
                 break
-            image = matrix_times(direction)
-            length = product / (direction * image).sum(0).clamp(min=1e-30)
-            solution = solution + length * direction
-            residual = residual - length * image
-            scaled = residual / diagonal
-            product, before = (residual * scaled).sum(0), product
-            direction = scaled + product / before.clamp(min=1e-30) * direction
-        return solution
+            solver.advance()
+        return solver.solution
+
+    def _multiply(self, values: Tensor) -> Tensor:
+        """Compute ``(1 + λL) values`` of [V, C]."""
+        around = F.embedding_bag(self._neighbors, values, self._first, mode="sum")
+        return self._diagonal * values - self._smooth * around
 
     def state_dict(self) -> dict[str, Any]:
         """Return the running means."""
-        return {"count": self._count, "mean": self._mean, "scale": self._scale}
+        return self._adam.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the running means from `state_dict`."""
-        self._count, self._mean, self._scale = state["count"], state["mean"], state["scale"]
+        self._adam.load_state_dict(state)
+
+
+def _running_mean(mean: Tensor | None, value: Tensor, decay: float) -> Tensor:
+    """Move a mean towards a value; it starts at 0."""
+    return (1 - decay) * value + (0 if mean is None else decay * mean)

@@ -1,21 +1,15 @@
-"""Pictures of a fit: comparisons with the views, and turntables."""
+"""Pictures of a fit: comparisons with the views, and the mesh turned upright."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...io import save_animation
 from ...meshes.mesh import Mesh
 from ...pictures.clay import CLAY
-from ...pictures.photograph import photograph
 from .fit_views import Views
 from .mesh import with_texture
-
-_FIRST_AZIMUTH = 145.0  # degrees, of a turntable
 
 
 @torch.no_grad()
@@ -48,21 +42,11 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
     return torch.cat([torch.cat(list(row), dim=2) for row in rows], dim=1).clamp(0, 1).cpu()
 
 
-def turntable(path: Path, views: Views, mesh: Mesh, frames: int = 36, size: int = 256) -> None:
-    """Write a turntable of a mesh as GIF or MP4. It turns around the coordinate axis that is up in most views.
-
-    Args:
-        path: File to write.
-        views: The views, in the world of the mesh.
-        mesh: The mesh.
-        frames: Number of pictures.
-        size: Side of the pictures in pixels.
-    """
+def upright(mesh: Mesh, views: Views) -> Mesh:
+    """Scale a mesh to [-1, 1]³, and turn the coordinate axis that is up in most of its views to +y."""
     up = F.normalize(views.camera.rotation[:, 1].mean(0) * (-1 if views.camera.K is not None else 1), dim=0)
     axis = F.one_hot(up.abs().argmax(), 3).to(up) * up[up.abs().argmax()].sign()
-    upright = Mesh(mesh.vertices @ _rotation_to_y(axis).t().to(mesh.vertices), mesh.faces, mesh.textures).normalize()
-    angles = (_FIRST_AZIMUTH + 360 * index / frames for index in range(frames))
-    save_animation(path, [photograph(upright, angle, size=size).cpu() for angle in angles], fps=15)
+    return Mesh(mesh.vertices @ _rotation_to_y(axis).t().to(mesh.vertices), mesh.faces, mesh.textures).normalize()
 
 
 def _rotation_to_y(axis: Tensor) -> Tensor:

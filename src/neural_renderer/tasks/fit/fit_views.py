@@ -40,6 +40,14 @@ class Views:
         >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
         >>> len(views), views.size, views.photos.shape
         (6, (32, 32), torch.Size([6, 3, 32, 32]))
+        >>> positions, directions = views.eyes()
+        >>> smaller = views.normalized(center=torch.zeros(3), scale=2.0)  # the sphere has radius 0.5 now
+        >>> shape = nr.icosphere(2, radius=0.5)
+        >>> smaller.draw(shape).alpha.shape
+        torch.Size([6, 32, 32])
+        >>> smaller.quality(shape)["iou"].min() > 0.99
+        tensor(True)
+        >>> views = views.to("cuda" if torch.cuda.is_available() else "cpu")
     """
 
     camera: Camera
@@ -75,19 +83,32 @@ class Views:
             camera: N cameras.
             size: Side of the images, or height and width, in pixels.
             **options: Options of `render`. The light is None unless given.
+
+        Returns:
+            The views, with photos, detached.
+
+        Raises:
+            TypeError, ValueError: As `render`, or the mesh is invisible in a view.
         """
         with torch.no_grad():
             images = render(mesh, camera, size, outputs=("rgb", "alpha"), **{"light": None, **options})
         return cls(camera, images.alpha, images.rgb)
 
     def __getitem__(self, index: Sequence[int] | slice) -> Views:
-        """Select views."""
+        """Select views by a slice or a list of numbers."""
         rows = torch.arange(len(self))[index].to(self.masks.device)
         camera = _select(self.camera, rows)
         return Views(camera, self.masks[rows], None if self.photos is None else self.photos[rows])
 
     def to(self, device: torch.device | str) -> Views:
-        """Copy the views to another device."""
+        """Copy the views to another device.
+
+        Args:
+            device: Device of the copy.
+
+        Returns:
+            The copy.
+        """
         photos = None if self.photos is None else self.photos.to(device)
         return Views(self.camera.to(device), self.masks.to(device), photos)
 
@@ -98,7 +119,10 @@ class Views:
 
         Args:
             center: [3], the new origin in the world of these cameras.
-            scale: Length of the new unit, in units of this world.
+            scale: Length of the new unit, in units of this world, > 0.
+
+        Returns:
+            The same views, with other cameras.
         """
         camera = self.camera
         origin = camera.origin - center.to(camera.origin)
@@ -111,7 +135,11 @@ class Views:
         return replace(self, camera=replace(camera, origin=origin / scale, translation=translation / scale, **lens))
 
     def eyes(self) -> tuple[Tensor, Tensor]:
-        """Compute positions [N, 3] and unit viewing directions [N, 3] of the cameras, in world space."""
+        """Compute the cameras' positions and viewing directions in world space.
+
+        Returns:
+            Positions [N, 3] and unit viewing directions [N, 3].
+        """
         rotation = self.camera.rotation
         eye = self.camera.origin - torch.einsum("bij,bi->bj", rotation, self.camera.translation)
         return eye, rotation[:, 2]
@@ -123,6 +151,12 @@ class Views:
             shape: (vertices, faces) or (vertices, faces, textures).
             outputs: As in `render`.
             gradient: Gradient estimator, "edge" or "nmr".
+
+        Returns:
+            Images of the size of the masks, N each.
+
+        Raises:
+            TypeError, ValueError: As `render`.
         """
         # The far plane lies behind objects of a size of about 1, however far away the cameras are.
         far = 4.0 * float(self.eyes()[0].norm(dim=1).max()) + 4.0
@@ -137,6 +171,9 @@ class Views:
         Returns:
             "iou" [N], IoU of silhouettes; and "psnr" [N] in decibels if both have colours. The PSNR is that of the
             whole image on black, as for NeRF's data sets.
+
+        Raises:
+            TypeError, ValueError: As `render`.
         """
         colored = self.photos is not None and len(shape) == 3
         found: dict[str, list[Tensor]] = {"iou": [], "psnr": []} if colored else {"iou": []}

@@ -75,6 +75,9 @@ def carve(views: Views, cells: int = 64) -> tuple[Tensor, Tensor]:
     Returns:
         Vertices [V, 3] float32 and faces [F, 3] int64.
 
+    Raises:
+        ValueError: No point of the grid lies inside all silhouettes.
+
     Example:
         >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
         >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
@@ -92,6 +95,8 @@ def carve(views: Views, cells: int = 64) -> tuple[Tensor, Tensor]:
         return np.where(border, 0.5, value.reshape(points.shape[:-1]))  # closed, if it reaches the border
 
     vertices, faces = isosurface(field, cells, _HALF)
+    if not len(faces):
+        raise ValueError("views: expected silhouettes that meet in [-1, 1]³, got some that do not")
     vertices, faces = large_components(vertices.to(soft.device), faces.to(soft.device))
     # The grid leaves stairs on thin parts. Descent would keep them, because it moves neighbouring vertices together.
     return SmoothDescent(Topology.of(faces), 1.0).blur(vertices), faces

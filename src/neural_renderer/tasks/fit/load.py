@@ -46,11 +46,17 @@ def load_views(
     Raises:
         FileNotFoundError: The folder, the camera file or an image does not exist.
         ValueError: A file is malformed, a key is missing, image sizes differ, an image is larger than `load_image`
-            accepts or outside of the folder without ``allow_outside``, a mask is empty, or an image has neither mask
-            nor alpha channel and ``background`` is None.
+            accepts or outside of the folder without ``allow_outside``, a mask is empty, or ``background`` is None and
+            an image has no mask and no alpha channel.
 
     Example:
-        >>> views = load_views("photos", size=128)  # doctest: +SKIP
+        >>> disc = nr.render(nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 0.0, -2.7)), 64).alpha[0]
+        >>> nr.save_image("photos/000.png", disc)
+        >>> table = "file,azimuth,elevation,distance\\n000.png,0,0,2.7\\n"
+        >>> _ = Path("photos/cameras.csv").write_text(table)
+        >>> views = load_views("photos", size=32, photos=False)
+        >>> len(views), views.size
+        (1, (32, 32))
     """
     size = validate.whole("size", size, _LEAST_SIZE)
     _check_background(background)

@@ -51,9 +51,12 @@ class MeshFit:
         >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
         >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
         >>> fit = MeshFit(views, cells=16, steps=2, texture_steps=2)
+        >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     losses = fit.advance()
         >>> fit.mesh().save("object.glb")
+        >>> iou = fit.normalize(views).quality(fit.shape)["iou"]
+        >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
 
     def __init__(
@@ -110,11 +113,22 @@ class MeshFit:
         return tuple(part.detach() for part in self._fit.shape)
 
     def normalize(self, views: Views) -> Views:
-        """Convert further views from the world of the cameras to that of ``views``."""
+        """Convert further views, such as held-out ones, from the world of the cameras to the world of ``views``.
+
+        Args:
+            views: Views in the world of the cameras.
+
+        Returns:
+            The same views, with other cameras.
+        """
         return views.normalized(self._center, self._scale)
 
     def mesh(self) -> Mesh:
-        """Return the current mesh in the world of the cameras; a mesh without colours gets the colour of clay."""
+        """Make the current mesh.
+
+        Returns:
+            The mesh, in the world of the cameras. A mesh without colours gets the colour of clay.
+        """
         vertices, faces, textures = with_texture(self.shape)
         return Mesh(vertices * self._scale + self._center, faces, textures)
 
@@ -131,11 +145,22 @@ class MeshFit:
         return self._fit.advance()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that changes from step to step."""
+        """Collect everything that changes from step to step.
+
+        Returns:
+            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
+        """
         return {"phase": self.phase, "fit": self._fit.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from the `state_dict` of a fit of the same views."""
+        """Resume from the state of a fit of the same views.
+
+        Args:
+            state: Result of `state_dict`.
+
+        Raises:
+            KeyError: A name is missing.
+        """
         self.phase = state["phase"]
         self._fit = self._start_phase(state["fit"]["vertices"], state["fit"]["faces"])
         self._fit.load_state_dict(state["fit"])

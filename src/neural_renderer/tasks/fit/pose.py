@@ -14,11 +14,12 @@ from ... import losses, validate
 from ...camera import Camera
 from ...meshes.bounds import bounding_box
 from ...rendering import render
+from .descent import VectorAdam
 from .fit_views import downscale, mask_iou
 
 _COARSE, _FINE = 64, 128  # longer side of the images in pixels, in the first two thirds of the steps and in the last
 _CAMERAS_AT_ONCE = 8  # rendered together where no gradient is needed: limits memory
-_MOMENTUM, _SECOND_MOMENT = 0.9, 0.95  # Adam's β₁ and β₂
+_DECAY = 0.95  # β₂ of the descent
 _HALF_HEIGHT = 1.2  # of the initial images, in radii of the object
 _LAST_RATE = 0.03  # step size at the end, relative to the first
 _NEAR, _FAR = 1e-2, 1e3  # clipping planes, in radii of the object
@@ -49,17 +50,21 @@ class CameraFit:
         >>> from neural_renderer.tasks.fit import CameraFit
         >>> mask = nr.render(mesh, camera, 32).alpha[0].detach()
         >>> fit = CameraFit((mesh.vertices, mesh.faces), mask, starts=2, steps=2)
+        >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     loss = fit.advance()["loss"]
-        >>> len(fit.best())
-        1
+        >>> len(fit.best()), len(fit.cameras())
+        (1, 2)
+        >>> fit.losses().shape, fit.iou().shape
+        (torch.Size([2]), torch.Size([2]))
+        >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
 
     phase = "camera"
 
     _axes: Tensor  # [S, 6]: viewing direction and up vector, not orthonormal
     _offset: Tensor  # [S, 3]: the object's centre in camera space as (x/z, y/z, log z)
-    _moments: list[list[Tensor]]  # running means of Adam, for both
+    _descents: tuple[VectorAdam, VectorAdam]  # of both; each camera has step sizes of its own
 
     def __init__(
         self,
@@ -98,23 +103,39 @@ class CameraFit:
         return self.step >= self.steps
 
     def cameras(self) -> Camera:
-        """Return the current cameras, one for each start, in the world of the mesh."""
+        """Make the current cameras.
+
+        Returns:
+            S cameras, one for each start, in the world of the mesh.
+        """
         camera = self._camera(self._axes.detach(), self._offset.detach())
         origin = camera.origin * self._scale + self._center
         return Camera(camera.rotation, origin, torch.zeros_like(origin), viewing_angle=self._angle)
 
     def best(self) -> Camera:
-        """Return the camera of least loss."""
+        """Make the camera with the least loss.
+
+        Returns:
+            One camera, in the world of the mesh.
+        """
         camera, row = self.cameras(), [int(self.losses().argmin())]
         return Camera(camera.rotation[row], camera.origin[row], camera.translation[row], viewing_angle=self._angle)
 
     def losses(self) -> Tensor:
-        """Compute the loss of each start at the fine size, [S]."""
+        """Compute the loss of each start at the fine size.
+
+        Returns:
+            [S], without a gradient.
+        """
         with torch.no_grad():
             return torch.cat([self._losses(self._axes[part], self._offset[part], _FINE) for part in self._parts()])
 
     def iou(self) -> Tensor:
-        """Compute the silhouette IoU of each start at the fine size, [S]."""
+        """Compute the silhouette IoU of each start at the fine size.
+
+        Returns:
+            [S] in [0, 1], without a gradient.
+        """
         alpha = self._silhouettes()
         return mask_iou(alpha, self._mask.expand_as(alpha))
 
@@ -129,27 +150,31 @@ class CameraFit:
         gradients = torch.autograd.grad(each.sum(), (axes, offset))
         rate = self._rate * (1 + _LAST_RATE - self.step / self.steps)
         self.step += 1
-        self._axes = self._descend(0, axes.detach(), gradients[0], rate)
-        self._offset = self._descend(1, offset.detach(), gradients[1], rate)
+        self._axes = self._descents[0].step(axes.detach(), gradients[0], rate)
+        self._offset = self._descents[1].step(offset.detach(), gradients[1], rate)
         return {"loss": each.min().item()}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that changes from step to step."""
-        return {"step": self.step, "axes": self._axes, "offset": self._offset, "moments": self._moments}
+        """Collect everything that changes from step to step.
+
+        Returns:
+            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
+        """
+        descents = [descent.state_dict() for descent in self._descents]
+        return {"step": self.step, "axes": self._axes, "offset": self._offset, "descents": descents}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from a `state_dict`."""
-        self.step, self._axes, self._offset = state["step"], state["axes"], state["offset"]
-        self._moments = state["moments"]
+        """Resume from the state of a fit of the same image.
 
-    def _descend(self, index: int, values: Tensor, gradient: Tensor, rate: float) -> Tensor:
-        """Take one step of Adam, with one step size for all numbers of a start."""
-        mean, square = self._moments[index]
-        mean = _MOMENTUM * mean + (1 - _MOMENTUM) * gradient
-        square = _SECOND_MOMENT * square + (1 - _SECOND_MOMENT) * gradient.square().sum(1, keepdim=True)
-        self._moments[index] = [mean, square]
-        size = (square / (1 - _SECOND_MOMENT**self.step)).sqrt().clamp(min=1e-12)
-        return values - rate * mean / (1 - _MOMENTUM**self.step) / size
+        Args:
+            state: Result of `state_dict`.
+
+        Raises:
+            KeyError: A name is missing.
+        """
+        self.step, self._axes, self._offset = state["step"], state["axes"], state["offset"]
+        for descent, means in zip(self._descents, state["descents"], strict=True):
+            descent.load_state_dict(means)
 
     def _place_cameras(self, starts: int, seed: int) -> None:
         """Place upright cameras in random directions, and match size and place of the silhouette."""
@@ -163,7 +188,7 @@ class CameraFit:
         self._axes = torch.cat((forward, torch.linalg.cross(right, forward)), 1).to(device)
         tangent = math.tan(math.radians(self._angle))
         self._offset = torch.tensor([0.0, 0.0, math.log(_HALF_HEIGHT / tangent + 1)], device=device).repeat(starts, 1)
-        self._moments = [[torch.zeros_like(v), torch.zeros_like(v[:, :1])] for v in (self._axes, self._offset)]
+        self._descents = VectorAdam(_DECAY, each_row=True), VectorAdam(_DECAY, each_row=True)
         area, center = _area_and_center(self._mask)
         for _ in range(2):
             areas, centers = _area_and_center(self._silhouettes())

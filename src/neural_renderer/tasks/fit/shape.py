@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ... import losses, validate
-from ...io.cubes import barycentric_grid
+from ...io.cubes import bake_corners
 from ...meshes.subdivision import split_faces
 from ...meshes.topology import Topology
 from ..settings import FitWeights
@@ -16,7 +16,7 @@ from .descent import SmoothDescent
 from .fit_views import Views, mask_iou, views_of_step
 
 _REGULARIZERS = {"laplacian": 2, "edge_length": 1, "normal_consistency": 1, "smoothness": 1}
-"""Losses on the mesh alone → exponent of the number of vertices that makes their values independent of it.
+"""Loss on the mesh → power of the number of vertices that makes its value independent of the resolution.
 
 The edge length of a mesh with V vertices is proportional to V^(-1/2), and the distance of a vertex from the mean of its
 neighbours to V^(-1).
@@ -53,9 +53,11 @@ class ShapeFit:
         >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
         >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
         >>> fit = ShapeFit(views, *nr.icosphere(2, radius=0.5), steps=2)
+        >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     numbers = fit.advance()
         >>> vertices, faces = fit.shape
+        >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
 
     _vertices: Tensor
@@ -102,7 +104,7 @@ class ShapeFit:
         """Current vertices, faces and, if vertices have colours, textures, in the form of `render`."""
         if self._colors is None:
             return self._vertices, self._faces
-        return self._vertices, self._faces, _corner_textures(self._colors, self._faces).clamp(0, 1)
+        return self._vertices, self._faces, bake_corners(self._colors[self._faces], 2).clamp(0, 1)
 
     def advance(self) -> dict[str, float]:
         """Take one step.
@@ -131,7 +133,7 @@ class ShapeFit:
         """Compute the loss and the mean silhouette IoU."""
         shape: tuple[Tensor, ...] = vertices, self._faces
         if colors is not None:
-            shape = (*shape, _corner_textures(colors, self._faces))
+            shape = (*shape, bake_corners(colors[self._faces], 2))
         images = views.draw(shape, "alpha" if colors is None else ("rgb", "alpha"), self._gradient)
         weights = self._weights
         loss = weights.silhouette * losses.silhouette_iou_loss(images.alpha, views.masks)
@@ -159,7 +161,11 @@ class ShapeFit:
         self._subdivided += 1
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that changes from step to step."""
+        """Collect everything that changes from step to step.
+
+        Returns:
+            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
+        """
         return {
             "step": self.step,
             "subdivided": self._subdivided,
@@ -171,14 +177,15 @@ class ShapeFit:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from a `state_dict`."""
+        """Resume from the state of a fit of the same views.
+
+        Args:
+            state: Result of `state_dict`.
+
+        Raises:
+            KeyError: A name is missing.
+        """
         self.step, self._subdivided = state["step"], state["subdivided"]
         self._set_shape(state["vertices"], state["faces"], state["colors"])
         self._descent.load_state_dict(state["descent"])
         self._color_descent.load_state_dict(state["color_descent"])
-
-
-def _corner_textures(colors: Tensor, faces: Tensor) -> Tensor:
-    """Make texture cubes [F, 2, 2, 2, 3] that blend the vertex colours [V, 3] of each face."""
-    weights = torch.from_numpy(barycentric_grid(2)).to(colors)
-    return torch.einsum("gk,fkc->fgc", weights, colors[faces]).reshape(len(faces), 2, 2, 2, 3)

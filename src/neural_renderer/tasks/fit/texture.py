@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -11,10 +10,10 @@ from torch import Tensor
 
 from ... import validate
 from ..texels import Texels
+from .conjugate_gradients import ConjugateGradients
 from .fit_views import Views
 
 _OUTLINE = 0.05  # weight of pixels beside an outline
-_STATE = ("_colors", "_residual", "_direction", "_product")  # of conjugate gradients
 
 
 class TextureFit:
@@ -48,10 +47,12 @@ class TextureFit:
         >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
         >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
         >>> fit = TextureFit(views, *nr.icosphere(2), steps=2)
+        >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     loss = fit.advance()["loss"]
         >>> fit.shape[2].shape
         torch.Size([320, 4, 4, 4, 3])
+        >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
 
     def __init__(
@@ -71,26 +72,13 @@ class TextureFit:
         self.step = 0
         self._vertices, self._faces = vertices.detach(), faces.long()
         self._texels = Texels.shared(self._faces, validate.whole("texture_size", size, 3))
-        self._edges = self._texels.edges()
-        self._smooth = validate.positive("smooth", smooth)
-        batch = validate.whole("batch", batch, 1)
-        self._parts = [views[start : start + batch] for start in range(0, len(views), batch)]
-        self._photos = views.photos.split(batch)
-        self._weights = [_pixel_weights(part, self._vertices, self._faces) for part in self._parts]
-        self._colors = views.photos.new_empty(self._texels.count, 3)
-        self._colors[:] = views.photos.sum((0, 2, 3)) / views.masks.sum()
-        # Jacobi preconditioner: rows of A are ≥ 0 and sum to at most 1, so that AᵀwA·1 is an upper bound of diag(AᵀwA).
-        neighbors = torch.bincount(self._edges.reshape(-1), minlength=self._texels.count)[:, None]
-        self._diagonal = self._gradient(torch.ones_like(self._colors)) + self._smooth * neighbors
-        self._target = -self._gradient(torch.zeros_like(self._colors), self._photos)
-        self._residual = self._target - self._gradient(self._colors)
-        self._direction = self._residual / self._diagonal
-        self._product = (self._residual * self._direction).sum(0)
-        pairs = zip(self._weights, self._photos, strict=True)
-        self._constant = float(
-            torch.stack([(weights[:, None] * photos.square()).sum() for weights, photos in pairs]).sum()
-        )
-        self._total = max(float(3 * torch.cat(self._weights).sum()), 1e-6)
+        smooth, batch = validate.positive("smooth", smooth), validate.whole("batch", batch, 1)
+        objective = _Objective(views, self._vertices, self._faces, self._texels, smooth, batch)
+        colors = views.photos.new_empty(self._texels.count, 3)
+        colors[:] = views.photos.sum((0, 2, 3)) / views.masks.sum()
+        self._target = -objective.gradient(torch.zeros_like(colors), photos=True)
+        self._solver = ConjugateGradients(objective.gradient, objective.diagonal(), self._target, colors)
+        self._constant, self._total = objective.constant, objective.total_weight
 
     @property
     def done(self) -> bool:
@@ -100,7 +88,7 @@ class TextureFit:
     @property
     def shape(self) -> tuple[Tensor, Tensor, Tensor]:
         """Vertices, faces and textures [F, T, T, T, 3] in [0, 1]."""
-        return self._vertices, self._faces, self._texels.cubes(self._colors).clamp(0, 1)
+        return self._vertices, self._faces, self._texels.cubes(self._solver.solution).clamp(0, 1)
 
     def advance(self) -> dict[str, float]:
         """Take one step of conjugate gradients.
@@ -108,40 +96,77 @@ class TextureFit:
         Returns:
             "loss" before the step: the objective, divided by the sum of pixel weights over pixels and channels.
         """
-        image = self._gradient(self._direction)
-        loss = self._constant - (self._colors * (self._residual + self._target)).sum().item()
-        length = self._product / (self._direction * image).sum(0).clamp(min=1e-30)
-        self._colors = self._colors + length * self._direction
-        self._residual = self._residual - length * image
-        scaled = self._residual / self._diagonal
-        product, before = (self._residual * scaled).sum(0), self._product
-        self._direction, self._product = scaled + product / before.clamp(min=1e-30) * self._direction, product
+        solver = self._solver
+        loss = self._constant - (solver.solution * (solver.residual + self._target)).sum().item()
+        solver.advance()
         self.step += 1
         return {"loss": max(loss, 0.0) / self._total}
 
-    def _gradient(self, values: Tensor, photos: Sequence[Tensor] | None = None) -> Tensor:
-        """Compute half the gradient of the objective at values [texels, 3]; without photos, of its quadratic part."""
+    def state_dict(self) -> dict[str, Any]:
+        """Collect everything that changes from step to step, and the shape.
+
+        Returns:
+            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
+        """
+        state = {"step": self.step, "vertices": self._vertices, "faces": self._faces}
+        return state | {"solver": self._solver.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Resume from the state of a fit of the same views and shape.
+
+        Args:
+            state: Result of `state_dict`.
+
+        Raises:
+            KeyError: A name is missing.
+        """
+        self.step = state["step"]
+        self._solver.load_state_dict(state["solver"])
+
+
+class _Objective:
+    """Objective of a `TextureFit`, a quadratic function of the texels.
+
+    Attributes:
+        constant: Its value at black texels.
+        total_weight: Sum of the weights of pixels, over pixels and channels.
+    """
+
+    def __init__(
+        self, views: Views, vertices: Tensor, faces: Tensor, texels: Texels, smooth: float, batch: int
+    ) -> None:
+        self._vertices, self._faces, self._texels, self._smooth = vertices, faces, texels, smooth
+        self._edges = texels.edges()
+        self._parts = [views[start : start + batch] for start in range(0, len(views), batch)]
+        self._weights = [_pixel_weights(part, vertices, faces) for part in self._parts]
+        squares = [
+            (weights[:, None] * part.photos.square()).sum()  # type: ignore[union-attr]
+            for part, weights in zip(self._parts, self._weights, strict=True)
+        ]
+        self.constant = float(torch.stack(squares).sum())
+        self.total_weight = max(float(3 * torch.cat(self._weights).sum()), 1e-6)
+
+    def gradient(self, values: Tensor, photos: bool = False) -> Tensor:
+        """Compute half the gradient at values [texels, 3]; without photos, that of the quadratic part."""
         values = values.detach().requires_grad_()
         total = torch.zeros_like(values)
-        for index, (part, weights) in enumerate(zip(self._parts, self._weights, strict=True)):
+        for part, weights in zip(self._parts, self._weights, strict=True):
             rgb = part.draw((self._vertices, self._faces, self._texels.cubes(values)), "rgb").rgb
-            error = rgb.detach() if photos is None else rgb.detach() - photos[index]
+            error = rgb.detach() - part.photos if photos else rgb.detach()  # type: ignore[operator]
             total += torch.autograd.grad(rgb, values, weights[:, None] * error)[0]
         values = values.detach()
         first, second = self._edges.unbind(1)
         difference = self._smooth * (values[first] - values[second])
         return total.index_add_(0, first, difference).index_add_(0, second, -difference)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Return everything that changes from step to step, and the shape."""
-        state = {"step": self.step, "vertices": self._vertices, "faces": self._faces}
-        return state | {name: getattr(self, name) for name in _STATE}
+    def diagonal(self) -> Tensor:
+        """Compute an upper bound [texels, 3] of the diagonal of the quadratic part.
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from a `state_dict`."""
-        self.step = state["step"]
-        for name in _STATE:
-            setattr(self, name, state[name])
+        Rows of the matrix A from texels to pixels are ≥ 0 and sum to at most 1, so that AᵀwA·1 bounds diag(AᵀwA).
+        """
+        count = self._texels.count
+        neighbors = torch.bincount(self._edges.reshape(-1), minlength=count)[:, None]
+        return self.gradient(self._vertices.new_ones(count, 3)) + self._smooth * neighbors
 
 
 def _pixel_weights(part: Views, vertices: Tensor, faces: Tensor) -> Tensor:

@@ -153,7 +153,7 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
 
 
 def packed(path: Path, header: bytes, numbers: int) -> None:
-    """An npz of zeros, with a header of its own."""
+    """Write an npz of zeros with a given header."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         magic = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little")
         archive.writestr("arr_0.npy", magic + header + bytes(numbers))
@@ -184,7 +184,7 @@ def test_nothing_is_unpacked_that_the_header_does_not_tell_of(
 
 
 def bounded(read: Any) -> Any:
-    """Reads nothing but headers."""
+    """Wrap a function that may read headers only."""
 
     def checked(member: Any, count: int = -1) -> bytes:
         data = read(member, count)

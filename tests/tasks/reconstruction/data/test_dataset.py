@@ -214,7 +214,7 @@ def test_changed_models_are_rendered_again(models: Path, tmp_path: Path) -> None
 
 
 def test_images_in_a_sibling_folder(models: Path, tmp_path: Path) -> None:
-    """As those of ShapeNetCore.v2; what is finished with them is not what is finished without."""
+    """Images outside, as in ShapeNetCore.v2: objects finished with them differ from objects finished without."""
     path = models / "ball" / "big.obj"
     path.write_text("mtllib ../paint.mtl\nusemtl paint\n" + path.read_text())
     (models / "paint.mtl").write_text("newmtl paint\nKd 0.1 0.9 0.1\n")

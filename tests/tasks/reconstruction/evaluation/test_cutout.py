@@ -59,8 +59,8 @@ def test_a_huge_picture_is_made_smaller_without_its_background() -> None:
     rgba[5:25, 1000:2001] = torch.tensor([0.9, 0.2, 0.1, 1])
     small = cut_out(rgba)
     assert small.shape == (4, 20, 2048)
-    seen = small[3] > 0.3
-    assert (small[:3, seen] - torch.tensor([[0.9], [0.2], [0.1]])).abs().max() < 0.01
+    opaque = small[3] > 0.3
+    assert (small[:3, opaque] - torch.tensor([[0.9], [0.2], [0.1]])).abs().max() < 0.01
 
 
 def test_masks_and_transparency() -> None:
@@ -108,9 +108,11 @@ def test_framed_like_the_training_data() -> None:
         assert abs(max(sides) - 44) <= 1
         assert abs(min(sides) / max(sides) - min(bottom - top, right - left) / max(bottom - top, right - left)) < 0.05
         assert abs((rows[0] + rows[-1] + 1) / 2 - 33.5) <= 1 and abs((columns[0] + columns[-1] + 1) / 2 - 32) <= 1
-        seen = image[3] > 0
-        assert (image[:3, seen].float() - torch.tensor([51, 102, 153.0])[:, None]).abs().max() <= 3  # nothing bleeds in
-        assert not image[:, ~seen].any()
+        opaque = image[3] > 0
+        assert (
+            image[:3, opaque].float() - torch.tensor([51, 102, 153.0])[:, None]
+        ).abs().max() <= 3  # nothing bleeds in
+        assert not image[:, ~opaque].any()
 
 
 def test_framed_needs_something_to_see() -> None:

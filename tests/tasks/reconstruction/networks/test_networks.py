@@ -79,7 +79,7 @@ def test_blurring() -> None:
 
 
 def test_blurred_meshes_are_smooth() -> None:
-    """Smoothing changes the prediction, but has no weights of its own."""
+    """Smoothing changes the prediction, but has no weights."""
     meshes = []
     for blur in (0.0, 3.0):
         torch.manual_seed(0)
@@ -148,13 +148,15 @@ def test_features() -> None:
     encoder = FeatureEncoder(network)
     images = torch.rand(3, 4, 64, 64, generator=torch.Generator().manual_seed(0))
     images[:, 3] = (images[:, 3] > 0.5).float()
-    seen = encoder(images)
-    assert seen.shape == (3, 512) and encoder.layer == "inception_4c" and encoder.features.layers[-1] == "inception_4c"
+    features = encoder(images)
+    assert (
+        features.shape == (3, 512) and encoder.layer == "inception_4c" and encoder.features.layers[-1] == "inception_4c"
+    )
     on_white = torch.cat((torch.where(images[:, 3:] > 0, images[:, :3], 1.0), torch.ones_like(images[:, 3:])), 1)
-    torch.testing.assert_close(encoder(on_white), seen)
+    torch.testing.assert_close(encoder(on_white), features)
     alone = encoder(images[:1])  # whatever else is in the batch
-    torch.testing.assert_close(alone, seen[:1], **rounding(25 * 512, float(seen.detach().abs().max())))
-    seen.sum().backward()
+    torch.testing.assert_close(alone, features[:1], **rounding(25 * 512, float(features.detach().abs().max())))
+    features.sum().backward()
     assert {name for name, value in encoder.named_parameters() if value.grad is not None} == {
         "learned.1.weight",
         "learned.1.bias",

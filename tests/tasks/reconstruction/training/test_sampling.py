@@ -50,15 +50,17 @@ def test_a_mirrored_object_is_what_another_view_shows() -> None:
     images = torch.from_numpy(split.images["box"])  # [1, 24, 4, 64, 64]
     views = torch.arange(24)
     batch = {"images": images.transpose(0, 1), "views": views[:, None], "flip": torch.tensor([True])}
-    _, alpha, seen = prepare_batch(batch, 1)
-    assert torch.equal(seen[:, 0], mirrored_views(views)) and torch.equal(mirrored_views(mirrored_views(views)), views)
+    _, alpha, views_drawn = prepare_batch(batch, 1)
+    assert torch.equal(views_drawn[:, 0], mirrored_views(views)) and torch.equal(
+        mirrored_views(mirrored_views(views)), views
+    )
 
     generator = torch.Generator().manual_seed(0)
     vertices, faces = nr.cube()
     torch.rand(2, 3, generator=generator), torch.rand(3, generator=generator)  # the ball's
     size, place = torch.rand(2, 3, generator=generator)
     vertices = (vertices * (0.1 + 0.15 * size) + 0.3 * (place - 0.5)) * torch.tensor([1.0, 1.0, -1.0])
-    drawn = nr.render((vertices, faces), view_camera(seen[:, 0]), 64, outputs="alpha").alpha
+    drawn = nr.render((vertices, faces), view_camera(views_drawn[:, 0]), 64, outputs="alpha").alpha
     assert drawn is not None and (drawn - alpha[:, 0]).abs().max() < 0.003  # 8 bits
 
 

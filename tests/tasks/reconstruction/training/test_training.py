@@ -54,7 +54,7 @@ def test_it_learns(tmp_path: Path, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["mesh", "voxel"])
 def test_features_of_another_network(tmp_path: Path, kind: str) -> None:
-    """Pretrained features are used, stay as they are, and are part of the checkpoint."""
+    """Pretrained features are used, do not change, and are part of the checkpoint."""
     features = googlenet(torchvision_googlenet())
     before = {name: value.clone() for name, value in features.state_dict().items()}
     options: dict[str, Any] = {"config": replace(SMALL, encoder="features"), "features": features}
@@ -168,7 +168,7 @@ def test_files_that_are_no_checkpoint(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected a checkpoint of version 1, got version 99"):
         load_model(path)
     torch.save(content | {"reconstruction": content["reconstruction"] | {"kind": "mesh"}}, path)
-    with pytest.raises(ValueError, match="expected the weights that its header describes, got others"):
+    with pytest.raises(ValueError, match="expected weights that match its header, got others"):
         load_model(path)
     content["state_dict"]["decoder.0.bias"][3] = torch.nan
     torch.save(content, path)
@@ -184,7 +184,7 @@ def test_a_header_of_a_larger_network_takes_no_memory(tmp_path: Path, lie: dict[
     content["reconstruction"]["config"] |= lie
     torch.save(content, path)
     with pytest.raises(
-        ValueError, match=r"x\.ckpt: expected the weights that its header .*at least \d+ numbers, got \d+"
+        ValueError, match=r"x\.ckpt: expected weights that match its header.*at least \d+ numbers, got \d+"
     ):
         load_model(path)
 

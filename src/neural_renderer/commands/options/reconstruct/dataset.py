@@ -16,7 +16,7 @@ class DatasetOptions:
 
     MODELS contains a folder per category, with mesh files or, as in ShapeNetCore, a folder per model with model.obj or
     models/model_normalized.obj. The y axis of models is up. OUT gets {class}_{split}_images.npz,
-    {class}_{split}_voxels.npz, dataset.json, and contact sheets. Broken models are reported and left out.
+    {class}_{split}_voxels.npz, dataset.json, and contact sheets. Broken models are reported and skipped.
 
     Example: neural-renderer reconstruct dataset models data --splits models/splits.csv
 
@@ -30,8 +30,8 @@ class DatasetOptions:
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """Folder for the data set; it is made if missing."""
     splits: Path | None = None
-    """CSV file with the columns category, model and split (train, val or test). Models that it does not list are left
-    out. Without --splits and --set, 70 % of each category are for train, 10 % for val and 20 % for test."""
+    """CSV file with the columns category, model and split (train, val or test). Models that it does not list are
+    skipped. Without --splits and --set, 70 % of each category are for train, 10 % for val and 20 % for test."""
     set: Literal["train", "val", "test"] | None = None
     """Put all models into this split."""
     views: int = 24

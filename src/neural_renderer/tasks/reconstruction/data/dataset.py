@@ -41,7 +41,7 @@ _RECIPE = 1  # version of finished objects; objects of another version are rende
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a data set. The defaults are those of the published data set; training needs them.
+    """Settings of a data set. The defaults are the published settings; training needs them.
 
     Attributes:
         views: Number of views around an object.
@@ -121,7 +121,7 @@ def make_object(path: Path, settings: Settings = Settings(), allow_outside: bool
 def make_objects(
     models: Sequence[Model], folder: Path, settings: Settings, processes: int, allow_outside: bool = False
 ) -> Iterator[tuple[Model, str | None, list[str]]]:
-    """Render and voxelise models, each into a file of its own in ``folder``; finished ones are skipped.
+    """Render and voxelise models, one file per model in ``folder``; finished models are skipped.
 
     Args:
         models: Models to process.
@@ -233,7 +233,7 @@ def _stamp(path: Path) -> tuple[int, int]:
 
 
 def _finished_notes(model: Model, folder: Path, key: str) -> list[str] | None:
-    """Return the warnings about a finished object, or None if there is none with this key."""
+    """Return the warnings about a finished object with this key, or None if it is not finished."""
     try:
         with np.load(object_file(model, folder)) as arrays:
             return arrays["notes"].tolist() if str(arrays["key"]) == key else None

@@ -106,7 +106,7 @@ def read_splits(path: Path) -> dict[tuple[str, str], str]:
     try:
         rows = list(csv.reader(read_text(existing(path)).splitlines()))
     except csv.Error as error:
-        raise ValueError(f"{path}: expected CSV, got a file that cannot be read as such ({error})") from None
+        raise ValueError(f"{path}: expected CSV, got a file that cannot be parsed ({error})") from None
     header = [cell.strip().lower() for cell in rows[0]] if rows else []
     column = {}
     for wanted, names in _COLUMNS.items():

@@ -146,8 +146,8 @@ def voxel_surface(voxels: Tensor) -> tuple[Tensor, Tensor]:
         voxels: [S, S, S] bool, in the published axes.
 
     Returns:
-        Vertices [V, 3] float32 in the reconstruction frame, and outward faces [F, 3] int64. A square has four vertices
-        of its own and two faces.
+        Vertices [V, 3] float32 in the reconstruction frame, and outward faces [F, 3] int64. A square has two faces and
+        four vertices; squares share no vertices.
     """
     size = len(voxels)
     padded = torch.zeros((size + 2,) * 3, dtype=torch.bool, device=voxels.device)

@@ -13,7 +13,7 @@ from ..data.framing import SIZE
 EXTENT = 44  # mean length of the object's longer side in the training data, in pixels
 _LOWER = 1.5  # mean distance of the object's centre below the image's centre in the training data, in pixels
 _MOST_PIXELS = 2048  # larger pictures are scaled down: their details are lost at 64 pixels anyway
-_MOST_SEARCHED = 640  # the background is fitted to a picture whose larger side has at most this many pixels
+_MOST_SEARCHED = 640  # the background is fitted to a picture scaled down to this larger side in pixels
 _SPECK = 0.02  # components smaller than this, relative to the largest one, are dropped
 _LEAST_OBJECT = 8  # pixels
 
@@ -39,7 +39,7 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
         [4, H, W] float32 in [0, 1], RGBA; colours are not multiplied by alpha.
 
     Raises:
-        ValueError: The picture shows no object, nothing but the object, or no plain background.
+        ValueError: The picture shows no object, only the object, or no plain background.
     """
     image = _limit_size(image, _MOST_PIXELS)
     rgb = image[..., :3].permute(2, 0, 1)

@@ -26,8 +26,8 @@ _AROUND, _COLUMNS = 16, 6  # views of the mesh in a picture of a prediction, and
 def best_frame(predict: Predictor, rgba: Tensor, device: torch.device | str = "cpu") -> Tensor:
     """Frame a cut-out object at the size of the best prediction.
 
-    The size of an object in the training data depends on its unknown shape. This function tries several sizes and takes
-    the one whose prediction has the most similar silhouette, from any view.
+    The size of an object in the training data depends on its unknown shape. This function tries several sizes and
+    compares the silhouettes of the predictions, from all views, with the object's. The best size is used.
 
     Args:
         predict: The method.

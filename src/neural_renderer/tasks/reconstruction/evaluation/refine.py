@@ -41,10 +41,14 @@ def refine_meshes(network: MeshNetwork, vertices: Tensor, images: Tensor, steps:
     Returns:
         [B, 642, 3] in [-½, ½], detached.
 
+    Raises:
+        TypeError, ValueError: As `render`, or the numbers of images and meshes differ.
+
     Example:
-        >>> network = load_model("trained/best.ckpt")  # doctest: +SKIP
-        >>> vertices = network.vertices(images)  # doctest: +SKIP
-        >>> vertices = refine_meshes(network, vertices, images, steps=20)  # doctest: +SKIP
+        >>> from neural_renderer.tasks.reconstruction.networks.configs import make_config
+        >>> network, images = MeshNetwork(make_config("small", ["chair"])), torch.rand(1, 4, 64, 64)
+        >>> refine_meshes(network, network.vertices(images), images, steps=1).shape
+        torch.Size([1, 642, 3])
     """
     if not steps:
         return vertices

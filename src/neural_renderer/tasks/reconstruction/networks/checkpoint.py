@@ -90,8 +90,11 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
         ValueError: The file is not a checkpoint of a reconstruction network, has another version, or is incomplete.
 
     Example:
-        >>> network = load_model("trained/best.ckpt")  # doctest: +SKIP
-        >>> vertices = network.vertices(images)  # doctest: +SKIP
+        >>> from neural_renderer.tasks.reconstruction.networks.configs import make_config
+        >>> save_model("best.ckpt", make_network("mesh", make_config("small", ["chair"])), ["chair"])
+        >>> network = load_model("best.ckpt")
+        >>> network.vertices(torch.rand(1, 4, 64, 64)).shape
+        torch.Size([1, 642, 3])
     """
     content = read_checkpoint(path)
     head, weights = content[HEADER], content["state_dict"]
@@ -104,9 +107,7 @@ def load_model(path: str | os.PathLike[str], device: torch.device | str = "cpu")
         found = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
         network.load_state_dict(found)
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError) as error:
-        raise ValueError(
-            f"{path}: expected the weights that its header describes, got others ({reason(error)})"
-        ) from None
+        raise ValueError(f"{path}: expected weights that match its header, got others ({reason(error)})") from None
     if not all(bool(value.isfinite().all()) for value in found.values()):
         raise ValueError(f"{path}: expected finite weights, got NaN or infinity")
     return network.to(device).eval().requires_grad_(False)

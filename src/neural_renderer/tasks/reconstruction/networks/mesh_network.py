@@ -33,11 +33,15 @@ class MeshNetwork(nn.Module):
         sphere: [642, 3], the undeformed sphere.
         partners: [642] int64, the mirror image of each vertex at z = 0.
 
+    Raises:
+        ValueError: The configuration's encoder needs ``features``, and they are missing or lack the layer.
+
     Example:
         >>> from neural_renderer.tasks.reconstruction.networks.configs import make_config
         >>> network = MeshNetwork(make_config("small", ["chair"]))
-        >>> network.vertices(torch.rand(1, 4, 64, 64)).shape
-        torch.Size([1, 642, 3])
+        >>> shapes = network.vertices(torch.rand(1, 4, 64, 64))
+        >>> network.silhouettes(shapes, views=torch.tensor([3])).shape
+        torch.Size([1, 64, 64])
     """
 
     kind = "mesh"
@@ -76,11 +80,32 @@ class MeshNetwork(nn.Module):
         return self._topology
 
     def vertices(self, images: Tensor) -> Tensor:
-        """Predict vertices [B, 642, 3] float32, like `forward`."""
+        """Predict vertices, like `forward`.
+
+        Args:
+            images: [B, 4, 64, 64] floating, RGBA in [0, 1].
+
+        Returns:
+            [B, 642, 3] float32 in [-½, ½].
+
+        Raises:
+            RuntimeError: The shape does not fit.
+        """
         return self(images)
 
     def silhouettes(self, shapes: Tensor, views: Tensor) -> Tensor:
-        """Render silhouettes [B, 64, 64] in [0, 1] of vertices [B, 642, 3] from views [B]."""
+        """Render silhouettes.
+
+        Args:
+            shapes: [B, 642, 3] floating, vertices.
+            views: [B] int64, number of the view of each shape, 0 to 23.
+
+        Returns:
+            [B, 64, 64] float32 in [0, 1].
+
+        Raises:
+            TypeError, ValueError: As `render`.
+        """
         config = self.config
         return render(
             (shapes, self.faces),

@@ -71,7 +71,7 @@ class VoxelDecoder(nn.Sequential):
 def rays(device: torch.device, size: int = GRID, depths: int = GRID) -> Tensor:
     """Compute sample positions on the rays of all 24 views.
 
-    Depths span the circumscribed ball of the cube [-½, ½]³, whose corners are the centres of the outermost voxels.
+    Depths span the circumscribed ball of the cube [-½, ½]³. The centres of the outermost voxels are its corners.
 
     Args:
         device: Device of the result.

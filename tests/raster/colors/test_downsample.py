@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 import torch.nn.functional as F
 
-from neural_renderer.raster.ops.downsample import halve
+from neural_renderer.raster.colors.downsample import halve
 
 
 def test_value_and_gradient_are_those_of_average_pooling(device):

@@ -5,13 +5,13 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from ..ops.visible_faces import end_of_run, seen_faces
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, launch, zeros
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .cube import CUBE
-from .visible_faces import end_of_run, seen_faces
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image, PngImagePlugin
 
-from .atlas import build_atlas
-from .atomic_write import replacing
-from .files import mesh_to_write
+from ..atlas import build_atlas
+from ..atomic_write import replacing
+from ..files import mesh_to_write
 
 
 class Part(NamedTuple):
@@ -44,7 +44,7 @@ def save_obj(
 ) -> None:
     """Write a mesh as OBJ, with ``spot.mtl`` and ``spot.png`` beside ``spot.obj``, as the first packages do.
 
-    New code uses `save_mesh`, whose image is called ``spot_texture.png``. All files are written, or none.
+    New code uses `save_mesh`, which calls the image ``spot_texture.png``. All files are written, or none.
 
     Args:
         filename: Name that ends in ``.obj``. Missing folders are made.

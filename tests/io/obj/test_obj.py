@@ -1,4 +1,4 @@
-"""OBJ files: what is read, what is refused, and what comes back after writing."""
+"""OBJ files: reading, refused files, and round trips."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import pytest
 import torch
 from PIL import Image
 
-from neural_renderer.io import load_obj, obj, polygons, save_obj
+from neural_renderer.io import load_obj, save_obj
 from neural_renderer.io.atlas import build_atlas
 from neural_renderer.io.cubes import bake_corners, barycentric_grid
 from neural_renderer.io.images import load_image
-from neural_renderer.io.mtl import read_mtl
-from neural_renderer.io.polygons import triangulate
+from neural_renderer.io.obj import polygons, reader
+from neural_renderer.io.obj.mtl import read_mtl
+from neural_renderer.io.obj.polygons import triangulate
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import icosphere
 from neural_renderer.meshes.uv_mesh import UVMesh
@@ -306,7 +307,7 @@ def test_work_grows_with_the_length_and_not_with_its_square(tmp_path, monkeypatc
 
 def test_an_image_of_many_materials_is_loaded_and_kept_once(tmp_path, monkeypatch):
     calls = []
-    monkeypatch.setattr(obj, "load_image", lambda path: calls.append(path.name) or load_image(path))
+    monkeypatch.setattr(reader, "load_image", lambda path: calls.append(path.name) or load_image(path))
     for name in ("a.png", "b.png"):
         Image.new("RGBA", (8, 8), (255, 0, 0, 255)).save(tmp_path / name)
     images = [f"{'ab'[index % 2]}.png" for index in range(10)]
@@ -315,7 +316,7 @@ def test_an_image_of_many_materials_is_loaded_and_kept_once(tmp_path, monkeypatc
     faces = "".join(f"usemtl {n}\nf 1/1 2/2 3/3\n" for n in range(10))
     path = write(tmp_path, f"mtllib m.mtl\n{TRIANGLE}{UV}{faces}")
     mesh = UVMesh.load(path)
-    assert mesh.wraps == ("repeat", "repeat", "clamp")  # what is beyond the image's borders is another image
+    assert mesh.wraps == ("repeat", "repeat", "clamp")  # beyond the borders the image repeats
     assert mesh.image_index.tolist() == [0, 1, 0, 1, 2, 1, 0, 1, 0, 1]
     assert [image.shape for image in mesh.images] == [(8, 8, 3)] * 3
     load_obj(path, load_texture=True)
@@ -405,7 +406,7 @@ def test_kinds_of_image(tmp_path, kind, image):
 
 def coloured_sphere(size: int):
     vertices, faces = icosphere(2)
-    return vertices, faces, torch.from_numpy(bake_corners((vertices[faces.long()].numpy() + 1) / 2, size))
+    return vertices, faces, bake_corners((vertices[faces.long()] + 1) / 2, size)
 
 
 @pytest.mark.parametrize(

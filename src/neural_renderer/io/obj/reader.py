@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .cubes import WRAPPINGS
-from .files import existing, fits_float32, short, warn
-from .images import load_image
+from ..cubes import WRAPPINGS
+from ..files import existing, fits_float32, short, warn
+from ..images import load_image
+from ..named_files import find_file
+from ..surface_colors import SurfaceColors
 from .mtl import Material, read_mtl
-from .named_files import find_file
 from .parse import ObjFile, read_obj
-from .surface_colors import SurfaceColors
 
 
 def load_obj(
@@ -118,7 +118,7 @@ def obj_surface_colors(
     if np.isfinite(obj.colors).any():
         surface.colors[:] = np.nan_to_num(obj.colors, nan=0.5)[obj.faces]
         has_color = True
-    order = np.argsort(obj.material, kind="stable")  # faces without a material first, then those of each material
+    order = np.argsort(obj.material, kind="stable")  # faces without a material first, then by material
     groups = np.split(order, np.searchsorted(obj.material[order], np.arange(len(obj.names))))[1:]
     for name, chosen in zip(obj.names, groups, strict=True):
         material = materials.get(name)
@@ -178,6 +178,6 @@ def _materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
 
 def _warn_missing(obj: ObjFile, what: str, name: str, allow_outside: bool) -> None:
     """Warn about a missing file; mention ``allow_outside`` if its path is absolute."""
-    unseen = Path(name).is_absolute() and not allow_outside
-    hint = " in its folder; allow_outside=True (--allow-outside) searches its path, too" if unseen else ""
+    elsewhere = Path(name).is_absolute() and not allow_outside
+    hint = " in its folder; allow_outside=True (--allow-outside) searches its path, too" if elsewhere else ""
     warn(f"{obj.path}: its {what} {short(name)} is missing{hint}")

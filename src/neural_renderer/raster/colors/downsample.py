@@ -19,7 +19,7 @@ def halve(image: Tensor) -> Tensor:
     Returns:
         [B, C, H / 2, W / 2] float32, contiguous.
     """
-    # Multiplied before the sum, which may be too large for float32.
+    # Multiply first, because the sum may overflow float32.
     rows = image[..., 0::2, :].mul(0.25).add_(image[..., 1::2, :], alpha=0.25)
     return (rows[..., 0::2] + rows[..., 1::2]).contiguous()
 

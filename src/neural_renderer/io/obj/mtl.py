@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .files import read_text, short
+from ..files import read_text, short
 
 # A pattern must not match the same text in two ways, or time grows with the square of a line's length.
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"

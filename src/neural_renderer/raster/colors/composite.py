@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..warp.launch import array, launch
 from ..warp.layout import PIXELS_OF_TASK, pixel_tasks, worth_a_thread
-from ..warp.point import fill
+from ..warp.point import VECTORS, fill
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -75,7 +75,7 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(composite, _to_inputs, _save)
 
 
-# Three channels, the usual number, have a loop of their own, which compilers turn into vector instructions.
+# Three channels, the usual number, have a separate loop, because compilers turn it into vector instructions.
 _PIXELS = """
     const int channels = image.shape[1], height = image.shape[2], width = image.shape[3], all = image.shape[0] * height;
     const wp::int64 area = (wp::int64)height * width;
@@ -104,7 +104,17 @@ _FORWARD = {
         const auto at = [&](int c, int i) { return *(const float*)(behind + c * next + i * step); };
         if (step == 0) {
             const float r = at(0, 0), g = at(1, 0), b = at(2, 0);
-            for (int i = left; i < right; ++i) {
+            int i = left;
+            #if !defined(__CUDA_ARCH__)
+            for (; i + 8 <= right; i += 8) {
+                Vectors::floats own[3];
+                Vectors::ints here;
+                Vectors::load(color + 3 * i, own), memcpy(&here, shown + i, sizeof(here));
+                own[0] = here < 0 ? r : own[0], own[1] = here < 0 ? g : own[1], own[2] = here < 0 ? b : own[2];
+                memcpy(red + i, &own[0], 32), memcpy(green + i, &own[1], 32), memcpy(blue + i, &own[2], 32);
+            }
+            #endif
+            for (; i < right; ++i) {
                 red[i] = shown[i] < 0 ? r : color[3 * i];
                 green[i] = shown[i] < 0 ? g : color[3 * i + 1];
                 blue[i] = shown[i] < 0 ? b : color[3 * i + 2];
@@ -127,7 +137,18 @@ _FORWARD = {
 }
 _BACKWARD = {
     "THREE": """
-        for (int i = left; i < right; ++i) {
+        int i = left;
+        #if !defined(__CUDA_ARCH__)
+        for (; i + 8 <= right; i += 8) {
+            Vectors::floats own[3];
+            Vectors::ints here;
+            memcpy(&own[0], red + i, 32), memcpy(&own[1], green + i, 32), memcpy(&own[2], blue + i, 32);
+            memcpy(&here, shown + i, sizeof(here));
+            for (int k = 0; k < 3; ++k) own[k] = here < 0 ? Vectors::none() : own[k];
+            Vectors::store(color + 3 * i, own[0], own[1], own[2]);
+        }
+        #endif
+        for (; i < right; ++i) {
             color[3 * i] = shown[i] < 0 ? 0.0f : red[i];
             color[3 * i + 1] = shown[i] < 0 ? 0.0f : green[i];
             color[3 * i + 2] = shown[i] < 0 ? 0.0f : blue[i];
@@ -137,7 +158,7 @@ _BACKWARD = {
 }
 
 
-@wp.func_native(fill(_PIXELS, PIXELS_OF_TASK=PIXELS_OF_TASK, **_FORWARD))
+@wp.func_native(VECTORS + fill(_PIXELS, PIXELS_OF_TASK=PIXELS_OF_TASK, **_FORWARD))
 def compose(
     colors: wp.array4d(dtype=float),
     background: wp.array4d(dtype=float),
@@ -150,7 +171,7 @@ def compose(
     ...
 
 
-@wp.func_native(fill(_PIXELS, PIXELS_OF_TASK=PIXELS_OF_TASK, **_BACKWARD))
+@wp.func_native(VECTORS + fill(_PIXELS, PIXELS_OF_TASK=PIXELS_OF_TASK, **_BACKWARD))
 def part(
     image: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),

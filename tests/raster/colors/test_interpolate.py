@@ -6,9 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from neural_renderer.raster.colors.interpolate import interpolate
 from neural_renderer.raster.ops.barycentrics import barycentrics
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.ops.interpolate import interpolate
 from tests.raster.scenes import FAR, NEAR, examples, scenes
 from tests.rounding import rounding
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .files import fits_float32, read_text, short
+from ..files import fits_float32, read_text, short
 from .polygons import triangulate
 
 

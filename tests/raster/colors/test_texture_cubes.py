@@ -7,9 +7,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from neural_renderer.raster.colors.texture_cubes import sample_textures
 from neural_renderer.raster.ops.barycentrics import barycentrics
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.ops.texture_cubes import sample_textures
 from neural_renderer.raster.reference.operators import sample_textures_reference
 from tests.raster.scenes import FAR, NEAR, examples, scenes
 from tests.rounding import relative, rounding
@@ -64,7 +64,7 @@ def test_random_scenes(device, scene, size, shared_textures, shared_light, eps):
 
 @pytest.mark.parametrize("perspective", [True, False])
 def test_textures_lie_flat_in_space(device, perspective):
-    """A cube that holds the position in space as its colour gives back the position of what is seen at each pixel."""
+    """Cubes with positions in space as colours return the position of the visible point at each pixel."""
     screen = torch.tensor([[[[-0.9, -0.8, 1.0], [0.9, -0.7, 4.0], [0.0, 0.9, 2.0]]]], device=device)
     divisor = screen[..., 2:] if perspective else 1
     world = torch.cat((screen[..., :2] * divisor, screen[..., 2:]), -1)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.nn import functional
 
-from neural_renderer.raster.ops.mipmaps import level_sizes, pyramid, sample_mipmaps
+from neural_renderer.raster.colors.mipmaps import level_sizes, pyramid, sample_mipmaps
 from tests.raster.scenes import examples
 from tests.rounding import rounding
 
@@ -75,7 +75,7 @@ def reference(texels, height, width, uv, face_index, mipmaps, repeat):
 def test_reference(seed, size, channels, shared, mipmaps, repeat):
     generator = torch.Generator().manual_seed(seed)
     image = torch.rand(1 if shared else 2, channels, *size, generator=generator)
-    # Away from texels' centres, where what blending gains jumps.
+    # Away from the centres of texels, where the slope of the blend jumps.
     uv = (
         0.2 * torch.rand(2, 5, 6, 1, 1, generator=generator)
         + torch.rand(2, 1, 1, 2, generator=generator)[:, :, :, None]

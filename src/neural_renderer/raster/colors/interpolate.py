@@ -5,12 +5,12 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from ..ops.visible_faces import end_of_run, seen_faces
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, launch, zeros
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
-from .visible_faces import end_of_run, seen_faces
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -20,7 +20,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
     """Interpolate attributes by the barycentric weights of each pixel; differentiable in attributes and faces.
 
-    Weights are those of `barycentrics`. They are computed anew, here and in backward: faster than storing them.
+    The weights of `barycentrics` are computed again, here and in the backward pass; storing them would be slower.
 
     Args:
         attributes: Values at the corners, [B or 1, F, 3, C] float32.
@@ -98,21 +98,23 @@ _SHOWN = (
                 to[c] = weights[0] * from[c] + weights[1] * from[channels + c] + weights[2] * from[2 * channels + c];
 """
 )
-# Three channels, the usual number, have a loop of constant length, which compilers unroll.
+# Three channels, the usual number, are stored at once.
 _RUN = (
     _FROM
     + """
-            const auto mix = [&](int channels) {
+            const auto mixed = [&](int c, int channels) {
+                return eight.weights[0] * from[c] + eight.weights[1] * from[channels + c]
+                    + eight.weights[2] * from[2 * channels + c];
+            };
+            if (channels == 3 && i + 8 <= width) Eight::store(to, mixed(0, 3), mixed(1, 3), mixed(2, 3));
+            else {
                 for (int c = 0; c < channels; ++c) {
-                    const Eight::floats mixed = eight.weights[0] * from[c] + eight.weights[1] * from[channels + c]
-                        + eight.weights[2] * from[2 * channels + c];
                     float values[8];
-                    memcpy(values, &mixed, sizeof(values));
+                    const Eight::floats channel = mixed(c, channels);
+                    memcpy(values, &channel, sizeof(values));
                     for (int n = 0; n < run; ++n) to[n * channels + c] = values[n];
                 }
-            };
-            if (channels == 3) mix(3);
-            else mix(channels);
+            }
 """
 )
 _EMPTY = "memset(result.data + pixel * channels, 0, (wp::int64)empty * channels * sizeof(float));"
@@ -169,16 +171,21 @@ _UNMIX = over_face(
     """,
     eight="""
                 Eight::floats to_weights[3] = {Eight::none(), Eight::none(), Eight::none()};
-                for (int c = 0; c < channels; ++c) {
-                    const float* g = grad.data + (row + at) * channels + c;
-                    Eight::floats pull = {g[0], g[channels], g[2 * channels], g[3 * channels], g[4 * channels],
-                                          g[5 * channels], g[6 * channels], g[7 * channels]};
-                    pull = here ? pull : Eight::none();
+                const float* g = grad.data + (row + at) * channels;
+                Eight::floats pulls[8];
+                if (channels == 3) Eight::load(g, pulls);
+                else for (int c = 0; c < channels; ++c, ++g)
+                    pulls[c] = Eight::floats{g[0], g[channels], g[2 * channels], g[3 * channels], g[4 * channels],
+                                             g[5 * channels], g[6 * channels], g[7 * channels]};
+                const auto add = [&](int c, int channels) {
+                    const Eight::floats pull = here ? pulls[c] : Eight::none();
                     for (int k = 0; k < 3; ++k) {
                         sums[3 * c + k] += eight.weights[k] * pull;
                         to_weights[k] += from[k * channels + c] * pull;
                     }
-                }
+                };
+                if (channels == 3) add(0, 3), add(1, 3), add(2, 3);
+                else for (int c = 0; c < channels; ++c) add(c, channels);
                 if (faces_too) eight.pull(face, to_weights, Eight::none(), here);
     """,
     eight_end="""
@@ -207,9 +214,9 @@ def unmix_face(
     to_attributes: wp.array4d(dtype=float),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """Sum the gradients of a face's pixels in a box; ``own``: the image of its attributes.
+    """Sum the gradients of a face's pixels in a box; its attributes belong to image ``own``.
 
-    ``alone``: no other task writes what this one does.
+    ``alone`` means that no other task writes to the same places.
     """
     ...
 

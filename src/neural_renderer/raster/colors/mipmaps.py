@@ -170,12 +170,10 @@ struct Texture {
             }
         }
     };
-    // One level: the place of its first texel, and the sides.
+    // One level around a point: the place of its first texel, and the sides.
     struct Level {
         wp::int64 first, width;
         Side x, y;
-        CUDA_CALLABLE Level(const Texture& all, vec2 uv, int n, wp::int64 before, int wide, int high)
-            : first(before), width(wide), x(uv[0], wide, all.repeat), y(1.0f - uv[1], high, all.repeat) {}
         CUDA_CALLABLE wp::int64 texel(int down, int right) const {
             return first + y.texel[down] * width + x.texel[right];
         }
@@ -187,7 +185,7 @@ struct Texture {
             before += (wp::int64)wide * high;
             wide = wide > 1 ? wide >> 1 : 1, high = high > 1 ? high >> 1 : 1;
         }
-        return Level(*this, uv, n, before, wide, high);
+        return {before, wide, Side(uv[0], wide, repeat), Side(1.0f - uv[1], high, repeat)};
     }
 };
 """
@@ -225,19 +223,27 @@ _ROWS = (
 """
 )
 
-_BLEND = """
-                for (int corner = 0; corner < 4; ++corner) {
-                    const int down = corner >> 1, right = corner & 1;
-                    const float part = share * level.y.part[down] * level.x.part[right];
-                    const float* texel = image + level.texel(down, right) * channels;
-                    for (int c = 0; c < channels; ++c) color[c] += part * texel[c];
-                }
+_TEXELS = """
+                const float *x = level.x.part, *y = level.y.part;
+                const float* __restrict__ above[2] = {image + level.texel(0, 0) * channels,
+                                                      image + level.texel(0, 1) * channels};
+                const float* __restrict__ below[2] = {image + level.texel(1, 0) * channels,
+                                                      image + level.texel(1, 1) * channels};
 """
+_BLEND = (
+    _TEXELS
+    + """
+                const float up = share * y[0], down = share * y[1];
+                for (int c = 0; c < channels; ++c)
+                    color[c] += up * (x[0] * above[0][c] + x[1] * above[1][c])
+                        + down * (x[0] * below[0][c] + x[1] * below[1][c]);
+"""
+)
 _BLEND_ROWS = fill(
     _ROWS,
     PIXELS_OF_TASK=PIXELS_OF_TASK.replace("width", "columns"),
     BEGIN="""
-            float* color = result.data + pixel * channels;
+            float* __restrict__ color = result.data + pixel * channels;
             for (int c = 0; c < channels; ++c) color[c] = 0.0f;
     """,
     LEVEL=_BLEND,
@@ -278,23 +284,25 @@ def _forward(
     blend_rows(texels, height, width, levels, uv, face_index, repeat, result, first + wp.tid(), each)
 
 
-_SCATTER = """
-                float gain[2][2];  // of each texel: what the loss gains with it
-                for (int corner = 0; corner < 4; ++corner) {
-                    const int down = corner >> 1, right = corner & 1;
-                    const float part = share * level.y.part[down] * level.x.part[right];
-                    const wp::int64 texel = level.texel(down, right) * channels;
-                    float sum = 0.0f;
-                    for (int c = 0; c < channels; ++c) {
-                        sum += pull[c] * image[texel + c];
-                        if (texels_too) ADD(to_image + texel + c, part * pull[c]);
-                    }
-                    gain[down][right] = share * sum;
+_SCATTER = (
+    _TEXELS
+    + """
+                float gain[4] = {0.0f, 0.0f, 0.0f, 0.0f};  // of each texel: what the loss gains with it
+                for (int c = 0; c < channels; ++c) {
+                    const float g = share * pull[c];
+                    gain[0] += g * above[0][c], gain[1] += g * above[1][c];
+                    gain[2] += g * below[0][c], gain[3] += g * below[1][c];
+                    if (!texels_too) continue;
+                    float* to = to_image + c;
+                    ADD(to + (above[0] - image), g * y[0] * x[0]);
+                    ADD(to + (above[1] - image), g * y[0] * x[1]);
+                    ADD(to + (below[0] - image), g * y[1] * x[0]);
+                    ADD(to + (below[1] - image), g * y[1] * x[1]);
                 }
-                const float *x = level.x.part, *y = level.y.part;
-                to_x += (y[0] * (gain[0][1] - gain[0][0]) + y[1] * (gain[1][1] - gain[1][0])) * level.x.slope;
-                to_y += (x[0] * (gain[1][0] - gain[0][0]) + x[1] * (gain[1][1] - gain[0][1])) * level.y.slope;
+                to_x += (y[0] * (gain[1] - gain[0]) + y[1] * (gain[3] - gain[2])) * level.x.slope;
+                to_y += (x[0] * (gain[2] - gain[0]) + x[1] * (gain[3] - gain[1])) * level.y.slope;
 """
+)
 _SCATTER_ROWS = """
     #if defined(__CUDA_ARCH__)
     #define ADD(to, value) wp::atomic_add(to, value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from neural_renderer.raster.ops.composite import composite
+from neural_renderer.raster.colors.composite import composite
 
 
 def scene(device, channels, shape):
@@ -24,7 +24,7 @@ def test_values_and_gradients(device, channels, shape):
     image = composite(colors, whole, index)
     expected = torch.where((index >= 0)[:, None], colors.permute(0, 3, 1, 2), whole)
     assert torch.equal(image, expected)
-    # Of whole numbers, whose sums are exact in any order; and not laid out in memory as they are numbered.
+    # Whole numbers, because their sums are exact in any order; the tensor is not contiguous.
     grad = torch.arange(expected.numel(), device=device).float().view(5, 11, 2, channels).permute(2, 3, 0, 1)
     ours = torch.autograd.grad(image, (colors, behind), grad)
     theirs = torch.autograd.grad(expected, (colors, behind), grad)

@@ -1,0 +1,63 @@
+"""Vertices on the screen, for the rasteriser: by one operator where cameras have no distortion."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from .. import validate
+from ..constants import on_device
+from ..raster.ops.pinhole import pinhole
+from ..raster.warp.registration import is_plain
+from .camera import Camera
+from .lens import viewing_angle
+from .parameters import batch_of, batch_size, scalar
+
+
+def screen_positions(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
+    """Project vertices as ``camera(vertices, aspect)``, with the same values; for callers with first derivatives only.
+
+    Args:
+        camera: B cameras.
+        vertices: [V, 3] or [B, V, 3] floating, in the world.
+        aspect: Width / height of the image.
+
+    Returns:
+        [B, V, 3], as `Camera.__call__`.
+
+    Raises:
+        TypeError, ValueError: As `Camera.__call__`.
+    """
+    is_simple = type(camera) is Camera and camera.K is None
+    if not is_simple or getattr(vertices, "dtype", None) != torch.float32 or not is_plain((vertices, camera.rotation)):
+        return camera(vertices, aspect=aspect)
+    validate.vertices(vertices)
+    rotation, origin = on_device(camera.rotation, vertices), on_device(camera.origin, vertices)
+    views, meshes = rotation.shape[0], batch_of(vertices, 2)
+    if meshes != 1:
+        batch_size(vertices=meshes, camera=views)
+    width = _width(camera, vertices.device, max(views, meshes))
+    points = vertices if vertices.dim() == 3 else vertices[None]
+    return pinhole(points, rotation, origin, width, aspect, camera.perspective)
+
+
+def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
+    """Return the tangent of half the field of view, or the scale of an orthographic camera, [1 or B] float32."""
+    is_angle = camera.viewing_angle is not None
+    if is_angle:
+        name, width = "angle", viewing_angle("angle", camera.viewing_angle, torch.float32, device)
+    else:
+        name, width = "scale", scalar("scale", camera.scale, torch.float32, device)
+    if not isinstance(width, Tensor):
+        return _constant(width, is_angle, device)
+    batch_size(vertices=images, **{name: batch_of(width, 0)})
+    return (torch.tan(torch.deg2rad(width)) if is_angle else width).reshape(-1)
+
+
+@lru_cache(maxsize=64)
+def _constant(width: float, is_angle: bool, device: torch.device) -> Tensor:
+    with torch.inference_mode(False):
+        value = torch.tensor([width], dtype=torch.float32)
+        return (torch.tan(torch.deg2rad(value)) if is_angle else value).to(device)
