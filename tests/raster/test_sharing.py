@@ -43,7 +43,7 @@ def test_large_faces_keep_no_thread_busy_for_long(emulated_cuda, counter, output
 
 
 @pytest.mark.parametrize(
-    ("output", "gradient", "most"), [("alpha", "nmr", 10), ("alpha", "edge", 12), ("rgb", "nmr", 14)]
+    ("output", "gradient", "most"), [("alpha", "nmr", 12), ("alpha", "edge", 14), ("rgb", "nmr", 17)]
 )
 def test_launches_of_a_step(emulated_cuda, counter, output, gradient, most):
     vertices, faces = nr.icosphere(1)

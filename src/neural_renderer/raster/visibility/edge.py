@@ -318,22 +318,23 @@ def _move(
     threads: int,
 ):
     """Move the edges of one face of one image, or some lines of them; see `launch_lines`."""
+    own = (first + wp.tid()) // lanes
+    if threads == 0 and not has_moving_edge(visible, adjacent, own // faces.shape[1], own % faces.shape[1], seams):
+        return
     thread = wp.int64(first + wp.tid())
     end = thread + wp.int64(1)
     if threads > 0:
         end = queued_threads(total)
     alone = int(queue.shape[0] == 0)
     while thread < end:
-        face = int(thread)
-        if threads > 0 or has_moving_edge(visible, adjacent, face // faces.shape[1], face % faces.shape[1], seams):
-            face, _lane, part, parts = line_task(
-                faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 4
-            )
-            if face >= 0:
-                b = face // faces.shape[1]
-                f = face % faces.shape[1]
-                move_face(
-                    faces, image, grad, face_index, adjacent, perspective, seams, edge_hashes, result, b, f, part,
-                    parts, alone,
-                )  # fmt: skip
+        face, _lane, part, parts = line_task(
+            faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 4
+        )
+        if face >= 0:
+            b = face // faces.shape[1]
+            f = face % faces.shape[1]
+            move_face(
+                faces, image, grad, face_index, adjacent, perspective, seams, edge_hashes, result, b, f, part,
+                parts, alone,
+            )  # fmt: skip
         thread += wp.int64(wp.max(threads, 1))

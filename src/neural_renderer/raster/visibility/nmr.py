@@ -92,15 +92,14 @@ def nmr_edges_backward(
     at_once = max(1, min(batch, room // (8 * planes * height * width)))
     rows = empty_lines(at_once, height, width, planes, device)
     columns = empty_lines(at_once, width, height, planes, device)
-    spans = zeros((at_once, height + width, 2), device, torch.int32)
+    spans = torch.empty((at_once, height + width, 2), dtype=torch.int32, device=device)
     lines = [array(rows), array(columns), array(spans, wp.vec2i)]
     for first in range(0, batch, at_once):
         here = slice(first, first + at_once)
         images = min(at_once, batch - first)
         shown = array(image[here])
         if concurrent(device):
-            if first > 0:
-                spans.zero_()
+            spans.zero_()
             tasks, each = pixel_tasks(images * height, width, device)
             launch(copy_pixels, tasks, [shown, array(grad[here]), *lines, each], device)
         else:
@@ -347,22 +346,23 @@ def _pull(
     threads: int,
 ):
     """Move the edges of one face of one image, or some pixels of some lines of them; see `launch_lines`."""
+    own = (first + wp.tid()) // lanes
+    if threads == 0 and seen[own // faces.shape[1], own % faces.shape[1]] == 0:
+        return
     thread = wp.int64(first + wp.tid())
     end = thread + wp.int64(1)
     if threads > 0:
         end = queued_threads(total)
     alone = int(queue.shape[0] == 0)
     while thread < end:
-        face = int(thread) // lanes
-        if threads > 0 or seen[face // faces.shape[1], face % faces.shape[1]] != 0:
-            face, lane, part, parts = line_task(
-                faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 16
-            )
-            if face >= 0:
-                b = face // faces.shape[1]
-                f = face % faces.shape[1]
-                pull_face(
-                    faces, image, face_index, rows, columns, spans, binary, eps, result, b, f, lane, lanes, part, parts,
-                    alone,
-                )  # fmt: skip
+        face, lane, part, parts = line_task(
+            faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 16
+        )
+        if face >= 0:
+            b = face // faces.shape[1]
+            f = face % faces.shape[1]
+            pull_face(
+                faces, image, face_index, rows, columns, spans, binary, eps, result, b, f, lane, lanes, part, parts,
+                alone,
+            )  # fmt: skip
         thread += wp.int64(wp.max(threads, 1))

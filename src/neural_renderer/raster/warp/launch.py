@@ -185,7 +185,7 @@ def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
     dims = tensor.dim() - (0 if dtype is None else _inner_dims(dtype))
     shape = tensor.shape[:dims]
     strides = [bytes_each * step for step in tensor.stride()[:dims]]
-    if tensor.numel() > MOST_BYTES // 16:  # a stride along an axis of length 1 is never used
+    if strided or (strides and strides[0] > MOST_BYTES):  # a stride along an axis of length 1 is never used
         strides = [0 if size == 1 else stride for size, stride in zip(shape, strides, strict=True)]
         if max(strides, default=0) > MOST_BYTES:
             raise ValueError(

@@ -21,9 +21,13 @@ _MOST_TASKS = 2**31 - 1  # of one launch
 # C++ statements that find the pixels of a ``task`` of ``each`` rows (see `pixel_tasks`) in maps of ``all`` rows of
 # ``width`` pixels: the pixels [left, right) of the rows [first, last).
 PIXELS_OF_TASK = """
+    #if defined(__CUDA_ARCH__)
     const int first = each ? task * each : task / width;
-    const int last = each == 0 ? first + 1 : first + each < all ? first + each : all;
     const int left = each ? 0 : task % width, right = each ? width : left + 1;
+    #else  // whole rows alone: compilers make better loops of them
+    const int first = task * each, left = 0, right = width;
+    #endif
+    const int last = each == 0 ? first + 1 : first + each < all ? first + each : all;
 """
 
 # Tests set it, to run the layout of CUDA, and its code, on a processor; see `emulator` in `launch`.
@@ -74,10 +78,9 @@ def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
         The number of tasks, and the rows of each. 0 stands for a single pixel, as on CUDA, where the threads of a warp
         then read and write side by side.
     """
-    if concurrent(device) and rows * width <= _MOST_TASKS:
-        return rows * width, 0
-    each = 1 if concurrent(device) else _ROWS
-    return -(-rows // each), each
+    if not concurrent(device):
+        return -(-rows // _ROWS), _ROWS
+    return (rows * width, 0) if rows * width <= _MOST_TASKS else (rows, 1)
 
 
 def run_tasks(rows: int, width: int) -> tuple[int, int]:

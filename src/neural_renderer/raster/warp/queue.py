@@ -33,7 +33,10 @@ def empty_queue(faces: int, device: torch.device) -> tuple[Tensor, Tensor]:
     return torch.empty((faces, 2), dtype=torch.int64, device=device), zeros((2,), device, torch.int32).view(torch.int64)
 
 
-_no_queue = functools.cache(functools.partial(empty_queue, 0))
+@functools.cache
+def _no_queue(device: torch.device) -> list[Any]:
+    """Make the arguments that stand for a queue where there is none."""
+    return [*map(array, empty_queue(0, device)), 1, 0]
 
 
 def launch_lines(
@@ -51,8 +54,7 @@ def launch_lines(
         least: As of `launch`.
     """
     if not in_any_order(device):
-        queue, total = _no_queue(device)
-        launch(kernel, faces, [*arguments, array(queue), array(total), 1, 0], device, least)
+        launch(kernel, faces, [*arguments, *_no_queue(device)], device, least)
         return
     queue, total = map(array, empty_queue(faces, device))
     launch(kernel, faces * lanes, [*arguments, queue, total, lanes, 0], device)
