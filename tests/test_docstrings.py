@@ -87,6 +87,8 @@ def public() -> dict[str, tuple[Any, Any]]:
             left_out = options.get("exclude-members", "").split(", ")
             for member in members:
                 method = inspect.getattr_static(thing, member)
+                if hasattr(method, "is_old_name"):
+                    continue
                 if member not in left_out and (
                     isinstance(method, (classmethod, property)) or inspect.isroutine(method)
                 ):

@@ -52,7 +52,7 @@ RASTER = [
     "cubes",
     "rasterize",
 ]
-RECONSTRUCTION = ["data", "networks", "evaluation", "training"]
+RECONSTRUCTION = ["data", "networks", "evaluation", "training", "checkpoint", "refine"]  # the last two: old names
 
 
 def imports(path: Path) -> Iterator[tuple[str, ...]]:

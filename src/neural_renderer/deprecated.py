@@ -70,6 +70,7 @@ def old_method(old: str, new: str) -> Callable[..., Any]:
         return getattr(self, new)(*arguments, **named)
 
     call.__name__, call.__doc__ = old, f"Call `{new}`, the new name of this method."
+    call.is_old_name = True  # type: ignore[attr-defined]
     return call
 
 

@@ -9,7 +9,7 @@ import torch
 from neural_renderer.raster.colors.texture_cubes import sample_textures
 from neural_renderer.raster.ops.barycentrics import barycentrics
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.visibility.nmr import nmr_edges
+from neural_renderer.raster.visibility.nmr import nmr_gradient
 from tests.paths import GOLDEN
 
 CASES = ("offscreen", "soup_all", "soup_alpha", "soup_depth", "soup_rgb", "tiny_faces")
@@ -58,7 +58,8 @@ def test_case(device, case):
         loss = (
             loss
             + (
-                nmr_edges(image, faces, index, eps, False, len(images) == 1 and "alpha" in data) * torch.cat(grads, 1)
+                nmr_gradient(image, faces, index, eps, False, len(images) == 1 and "alpha" in data)
+                * torch.cat(grads, 1)
             ).sum()
         )
     if "depth" in data:

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from ..meshes.primitives import icosphere
 from ..raster import rasterize_images, vertices_to_faces
-from ..raster.reference.operators import coverage_reference, nmr_edges_reference
+from ..raster.reference.operators import coverage_reference, nmr_gradient_reference
 from ..version import __version__
 from .options.info import InfoOptions
 
@@ -94,7 +94,7 @@ def _check_sphere(device: torch.device) -> list[str]:
     corners = faces.detach().cpu()
     face_index = coverage_reference(corners, 24, 24, 0.1, 100.0, False, True)
     alpha = (face_index >= 0).float()
-    expected = nmr_edges_reference(weight.cpu()[:, None], alpha[:, None], corners, face_index, 1e-3, False).float()
+    expected = nmr_gradient_reference(weight.cpu()[:, None], alpha[:, None], corners, face_index, 1e-3, False).float()
     problems = []
     if _differs(images.alpha, alpha, 0):
         problems.append(_difference("sphere", images.alpha, alpha, 0))

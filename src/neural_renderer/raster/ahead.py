@@ -18,13 +18,13 @@ from .ops.corners import gather_corners
 from .ops.coverage import coverage
 from .ops.flat_light import flat_light
 from .ops.pinhole import pinhole
-from .ops.visible_faces import seen_faces
+from .ops.visible_faces import visible_faces
 from .settings import Settings
 from .visibility.continuity import texture_edge_hashes
-from .visibility.edge import boundaries
+from .visibility.edge import edge_gradient
 from .visibility.intersections import add_intersections
 from .visibility.neighbors import neighbors
-from .visibility.nmr import nmr_edges
+from .visibility.nmr import nmr_gradient
 from .visibility.scanlines import empty_lines
 from .warp.launch import load_ahead
 from .warp.registration import is_plain
@@ -37,8 +37,8 @@ IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels)
 SCENE: Functions = (pinhole, flat_light)
 _ALWAYS: Functions = (coverage, gather_corners)
 _VISIBILITY: dict[str, Functions] = {
-    "nmr": (nmr_edges, empty_lines, seen_faces),
-    "edge": (boundaries, add_intersections, neighbors, seen_faces),
+    "nmr": (nmr_gradient, empty_lines, visible_faces),
+    "edge": (edge_gradient, add_intersections, neighbors, visible_faces),
 }
 
 

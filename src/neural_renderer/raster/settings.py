@@ -15,8 +15,8 @@ from torch import Tensor
 from .. import validate
 from .colors.downsample import halve
 from .ops.coverage import coverage
-from .visibility.edge import boundaries
-from .visibility.nmr import nmr_edges
+from .visibility.edge import edge_gradient
+from .visibility.nmr import nmr_gradient
 from .visibility.rings import edge_rings
 
 GRADIENTS = ("nmr", "edge")
@@ -134,15 +134,15 @@ class Settings:
         edge_hashes: Callable[[], Tensor] | None = None,
         rings: Tensor | None = None,
     ) -> Tensor:
-        """Average an image for anti-aliasing, and attach the gradient through visibility: `nmr_edges` or `boundaries`.
+        """Average an image for anti-aliasing, and attach the gradient: `nmr_gradient` or `edge_gradient`.
 
         Args:
             image: Image with its background, before anti-aliasing, [B, C, H, W] float32.
             corners: Screen-space corners, [B, F, 3, 3] float32.
             face_index: Visible face of each pixel, [B, H, W] int32.
-            seams: Whether colours may jump between adjacent faces; see `boundaries`.
-            binary: Whether the image is the silhouette; see `nmr_edges`.
-            edge_hashes: Function that returns the hashes for `boundaries`; called only if they are needed.
+            seams: Whether colours may jump between adjacent faces; see `edge_gradient`.
+            binary: Whether the image is the silhouette; see `nmr_gradient`.
+            edge_hashes: Function that returns the hashes for `edge_gradient`; called only if they are needed.
             rings: As from `rings`.
 
         Returns:
@@ -153,12 +153,12 @@ class Settings:
             return halve(image) if halved else image
         if self.gradient == "edge":
             hashes = edge_hashes() if edge_hashes is not None and seams else None
-            return boundaries(
+            return edge_gradient(
                 image, corners, face_index, self.two_sided, self.perspective, seams, hashes, rings, halved
             )
         if not self.perspective:  # an orthographic camera has no plane that corners can lie behind
             corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
-        return nmr_edges(image, corners, face_index, self.eps, self.two_sided, binary, halved)
+        return nmr_gradient(image, corners, face_index, self.eps, self.two_sided, binary, halved)
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Comparison of the kernels of `boundaries` with the reference, and surfaces to compare them on."""
+"""Comparison of the kernels of `edge_gradient` with the reference, and surfaces to compare them on."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.reference.edge import boundaries_reference
-from neural_renderer.raster.visibility.edge import boundaries
+from neural_renderer.raster.reference.edge import edge_gradient_reference
+from neural_renderer.raster.visibility.edge import edge_gradient
 from tests.raster.scenes import FAR, NEAR
 
 
 def send_gradient(grad, image, faces, index, two_sided, perspective, seams, edge_hashes=None):
     faces, image = faces.clone().requires_grad_(), image.clone().requires_grad_()
-    output = boundaries(image, faces, index, two_sided, perspective, seams, edge_hashes)
+    output = edge_gradient(image, faces, index, two_sided, perspective, seams, edge_hashes)
     assert torch.equal(output, image)
     output.backward(grad)
     assert torch.equal(image.grad, grad)
@@ -43,8 +43,8 @@ def compare(
         grad, image, faces.to(device), index, *options, None if edge_hashes is None else edge_hashes.to(device)
     ).cpu()
     maps = [grad.cpu(), image.cpu()]
-    expected = boundaries_reference(*maps, faces, index.cpu(), *options, edge_hashes)
-    others = [boundaries_reference(*maps, jittered(faces, n), index.cpu(), *options, edge_hashes) for n in range(4)]
+    expected = edge_gradient_reference(*maps, faces, index.cpu(), *options, edge_hashes)
+    others = [edge_gradient_reference(*maps, jittered(faces, n), index.cpu(), *options, edge_hashes) for n in range(4)]
     spread = torch.stack([(other - expected).abs().flatten(2).amax(2) for other in others]).amax(0)
     size = expected.abs().flatten(2).amax(2)
     difference = (found - expected).abs().flatten(2).amax(2)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from neural_renderer.raster.ops.coverage import coverage, silhouette
-from neural_renderer.raster.reference.operators import nmr_edges_reference
-from neural_renderer.raster.visibility.nmr import nmr_edges
+from neural_renderer.raster.reference.operators import nmr_gradient_reference
+from neural_renderer.raster.visibility.nmr import nmr_gradient
 from neural_renderer.raster.warp.layout import concurrent
 from tests.raster.scenes import FAR, NEAR, Scene, examples, scenes
 from tests.rounding import rounding
@@ -20,7 +20,7 @@ KINDS = ("plain", "plain", "tiny", "huge", "outside", "point", "line", "copy", "
 def gradient(image, faces, index, eps, two_sided, binary, grad):
     faces = faces.clone().requires_grad_()
     image = image.clone().requires_grad_()
-    output = nmr_edges(image, faces, index, eps, two_sided, binary)
+    output = nmr_gradient(image, faces, index, eps, two_sided, binary)
     assert torch.equal(output, image)
     output.backward(grad)
     assert torch.equal(image.grad, grad)
@@ -72,7 +72,7 @@ def test_random_scenes(device, scene, channels, eps, ones):
     index = coverage(faces.to(device), scene.height, scene.width, NEAR, FAR, scene.two_sided, scene.perspective)
     image = (index >= 0).float()[:, None] if ones else scene.noise(len(index), channels, *index.shape[1:]).to(device)
     grad = scene.noise(*image.shape).flip(0).to(device)
-    expected = nmr_edges_reference(grad, image, faces, index, eps, scene.two_sided)
+    expected = nmr_gradient_reference(grad, image, faces, index, eps, scene.two_sided)
     size = expected.abs().flatten(2).amax(2)
     # Pulls outward and inward partly cancel: twice the share.
     error = (2 * share_in_doubt(faces, scene.height, scene.width, eps) + 1e-5) * size + 1e-5
@@ -94,7 +94,7 @@ def test_most_gradients_agree_closely(device):
         index = coverage(faces.to(device), 24, 31, NEAR, FAR, scene.two_sided, True)
         image, grad = (scene.noise(2, 1, 3, *index.shape[1:])).to(device)
         found = gradient(image, faces.to(device), index, 1e-3, scene.two_sided, False, grad)
-        expected = nmr_edges_reference(grad, image, faces, index, 1e-3, scene.two_sided)
+        expected = nmr_gradient_reference(grad, image, faces, index, 1e-3, scene.two_sided)
         drawn = expected.abs().flatten(2).amax(2) > 0
         clear = drawn & (share_in_doubt(faces, 24, 31, 1e-3) < 2e-3)
         difference = (found - expected).norm(dim=(2, 3)) / expected.norm(dim=(2, 3))
@@ -135,7 +135,7 @@ def test_centres_exactly_on_edges(device, side, binary):
             grad = torch.randn(image.shape, generator=torch.Generator().manual_seed(seed)).to(device)
             for x, y in ((side * faces[0, 0, :, :2] + side - 1) / 2).int().tolist():
                 grad[0, 0, side - 1 - y, x] = 0  # for the corners see the next test
-            expected = nmr_edges_reference(grad, image, faces, index, 1e-3, True)
+            expected = nmr_gradient_reference(grad, image, faces, index, 1e-3, True)
             found = gradient(image, faces.to(device), index, 1e-3, True, binary, grad)
             # Terms of the size 1 / eps that cancel leave their float32 rounding.
             torch.testing.assert_close(found.double(), expected, rtol=1e-5, atol=6e-7 / 1e-3)
@@ -146,7 +146,7 @@ def test_centres_exactly_on_corners(device):
     for faces in on_pixels(8):
         index = coverage(faces.to(device), 8, 8, NEAR, FAR, True, True)
         image = (index >= 0).float()[:, None]
-        expected = nmr_edges_reference(image, image, faces, index, 1e-3, True)
+        expected = nmr_gradient_reference(image, image, faces, index, 1e-3, True)
         found = gradient(image, faces.to(device), index, 1e-3, True, False, image)
         torch.testing.assert_close(found.double(), expected, rtol=1e-5, atol=1e-4)
 
@@ -156,7 +156,7 @@ def crossing_case(scene, device, sign):
     index = coverage(faces.to(device), scene.height, scene.width, NEAR, FAR, scene.two_sided, True)
     image = (index >= 0).float()[:, None]
     grad = sign * scene.noise(*image.shape).abs().to(device)
-    expected = nmr_edges_reference(grad, image, faces, index, 1e-3, scene.two_sided)
+    expected = nmr_gradient_reference(grad, image, faces, index, 1e-3, scene.two_sided)
     found = gradient(image, faces.to(device), index, 1e-3, scene.two_sided, True, grad)
     share = 10 * share_in_doubt(faces, scene.height, scene.width, 1e-3) + 1e-5
     difference = (found - expected).abs().flatten(2).amax(2)

@@ -5,7 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..ops.visible_faces import end_of_run, seen_faces
+from ..ops.visible_faces import end_of_run, visible_faces
 from ..warp.geometry import in_front, pixel_box
 from ..warp.launch import array, launch, zeros
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
@@ -97,7 +97,7 @@ def sample_textures_backward(
     else:
         # One task sums the gradient to textures that images share, image by image.
         images = 1 if textures.shape[0] < batch else batch
-        arguments += [array(seen_faces(face_index, faces.shape[1])), images]
+        arguments += [array(visible_faces(face_index, faces.shape[1])), images]
         launch(_backward, images * faces.shape[1], arguments, faces.device, face_tasks(faces, height * width))
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_faces
 
@@ -320,7 +320,7 @@ def _backward(
     to_textures: wp.array3d(dtype=wp.vec3),
     to_light: wp.array3d(dtype=wp.vec3),
     to_faces: wp.array3d(dtype=wp.vec3),
-    seen: wp.array2d(dtype=int),
+    visible: wp.array2d(dtype=int),
     images: int,
 ):
     """Visit the pixels that show one face, in one image or in all."""
@@ -334,7 +334,7 @@ def _backward(
         from_image = 0
         to_image = faces.shape[0]
     for b in range(from_image, to_image):
-        if seen[b, f] == 0:
+        if visible[b, f] == 0:
             continue
         v0 = faces[b, f, 0]
         v1 = faces[b, f, 1]

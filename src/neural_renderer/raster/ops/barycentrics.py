@@ -10,7 +10,7 @@ from ..warp.launch import array, launch, zeros
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
-from .visible_faces import end_of_run, seen_faces
+from .visible_faces import end_of_run, visible_faces
 
 # Without fused multiply-adds, weights by edge functions are the values that `coverage` computes.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -73,7 +73,7 @@ def barycentrics_backward(
         tasks, run = run_tasks(batch * height, width)
         launch(_backward_runs, tasks, [*arguments, run], faces.device)
     else:
-        arguments.append(array(seen_faces(face_index, faces.shape[1])))
+        arguments.append(array(visible_faces(face_index, faces.shape[1])))
         launch(_backward, batch * faces.shape[1], arguments, faces.device, face_tasks(faces, height * width))
     return result
 
@@ -193,13 +193,13 @@ def _backward(
     grad_depth: wp.array3d(dtype=float),
     perspective: int,
     result: wp.array3d(dtype=wp.vec3),
-    seen: wp.array2d(dtype=int),
+    visible: wp.array2d(dtype=int),
 ):
     """Visit the pixels that show one face of one image."""
     task = first + wp.tid()
     b = task // faces.shape[1]
     f = task % faces.shape[1]
-    if seen[b, f] == 0:
+    if visible[b, f] == 0:
         return
     v0 = faces[b, f, 0]
     v1 = faces[b, f, 1]

@@ -11,7 +11,7 @@ from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, pixel_tasks
 wp.set_module_options({"enable_backward": False})
 
 
-def seen_faces(face_index: Tensor, count: int) -> Tensor:
+def visible_faces(face_index: Tensor, count: int) -> Tensor:
     """Mark the visible faces. The tensor keeps its mask, which several operators of a backward pass need.
 
     Args:
@@ -23,31 +23,31 @@ def seen_faces(face_index: Tensor, count: int) -> Tensor:
     """
     stream = stream_of(face_index.device)
     if stream is None or face_index.is_inference():
-        return _seen_faces(face_index, count)
+        return _visible_faces(face_index, count)
     key = (face_index._version, count, stream)
-    kept = face_index.__dict__.get("_seen")
+    kept = face_index.__dict__.get("_visible")
     if kept is None or kept[0] != key:
-        kept = face_index.__dict__["_seen"] = (key, _seen_faces(face_index, count))
+        kept = face_index.__dict__["_visible"] = (key, _visible_faces(face_index, count))
     mask: Tensor = kept[1]
     return mask
 
 
-def _seen_faces(face_index: Tensor, count: int) -> Tensor:
-    seen = zeros((len(face_index), count + 1), face_index.device, torch.int32)
+def _visible_faces(face_index: Tensor, count: int) -> Tensor:
+    visible = zeros((len(face_index), count + 1), face_index.device, torch.int32)
     batch, height, width = face_index.shape
     tasks, each = pixel_tasks(batch * height, width, face_index.device)
     many = MANY_PIXELS // max(each * width, 1)
-    launch(_mark, tasks, [array(face_index), array(seen), each], face_index.device, many)
-    return seen
+    launch(_mark, tasks, [array(face_index), array(visible), each], face_index.device, many)
+    return visible
 
 
 _MARK = f"""
     const int height = face_index.shape[1], width = face_index.shape[2], all = face_index.shape[0] * height;
-    const int entries = seen.shape[1], none = entries - 1;
+    const int entries = visible.shape[1], none = entries - 1;
     {PIXELS_OF_TASK}
     for (int row = first; row < last; ++row) {{
         const int* shown = face_index.data + (wp::int64)row * width;
-        int* own = seen.data + (wp::int64)(row / height) * entries;
+        int* own = visible.data + (wp::int64)(row / height) * entries;
         // Written without a test: faces of neighbouring pixels differ too often for a predictable branch.
         for (int i = left; i < right; ++i) own[shown[i] < 0 ? none : shown[i]] = 1;
     }}
@@ -55,15 +55,15 @@ _MARK = f"""
 
 
 @wp.func_native(_MARK)
-def mark(face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int), task: int, each: int):
+def mark(face_index: wp.array3d(dtype=int), visible: wp.array2d(dtype=int), task: int, each: int):
     """Mark the faces of the pixels of a task. In plain C++ for its speed."""
     ...
 
 
 @wp.kernel
-def _mark(first: int, face_index: wp.array3d(dtype=int), seen: wp.array2d(dtype=int), each: int):
+def _mark(first: int, face_index: wp.array3d(dtype=int), visible: wp.array2d(dtype=int), each: int):
     """Mark the faces of the pixels of a task. Several tasks may write to one place, but all write 1."""
-    mark(face_index, seen, first + wp.tid(), each)
+    mark(face_index, visible, first + wp.tid(), each)
 
 
 _END_OF_RUN = """

@@ -1,4 +1,4 @@
-"""Float64 reference of the estimator "edge", `boundaries`, formula by formula.
+"""Float64 reference of the estimator "edge", `edge_gradient`, formula by formula.
 
 The maths is in `raster/visibility/edge.py`. Time grows with faces times the side of the image: use small scenes.
 """
@@ -20,7 +20,7 @@ LEAST_CHORD = 0.02  # pixels; the weight of a crossing is at most the inverse
 SMALL = 1.5  # largest area of a small face in pixels
 
 
-def boundaries_reference(
+def edge_gradient_reference(
     grad: Tensor,
     image: Tensor,
     faces: Tensor,
@@ -30,11 +30,11 @@ def boundaries_reference(
     seams: bool,
     edge_hashes: Tensor | None = None,
 ) -> Tensor:
-    """Compute the gradient to the faces, [B, F, 3, 3] float64; see `boundaries`.
+    """Compute the gradient to the faces, [B, F, 3, 3] float64; see `edge_gradient`.
 
     Args:
         grad: Gradient to the image, [B, C, H, W].
-        image, faces, face_index, two_sided, perspective, seams, edge_hashes: As in `boundaries`.
+        image, faces, face_index, two_sided, perspective, seams, edge_hashes: As in `edge_gradient`.
     """
     result = torch.zeros(faces.shape, dtype=torch.float64)
     adjacent = neighbors_reference(faces, two_sided, perspective).cpu()

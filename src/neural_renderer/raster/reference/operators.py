@@ -149,14 +149,14 @@ def gather_corners_reference(vertices: Tensor, faces: Tensor) -> Tensor:
     return torch.where(valid, vertices.double()[image, torch.where(valid[..., 0], faces, 0)], math.nan)
 
 
-def nmr_edges_reference(
+def nmr_gradient_reference(
     grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool
 ) -> Tensor:
-    """Compute the gradient of the paper's estimator to the faces, [B, F, 3, 3] float64; see `nmr_edges`.
+    """Compute the gradient of the paper's estimator to the faces, [B, F, 3, 3] float64; see `nmr_gradient`.
 
     Args:
         grad: Gradient to the image, [B, C, H, W].
-        image, faces, face_index, eps, two_sided: As in `nmr_edges`.
+        image, faces, face_index, eps, two_sided: As in `nmr_gradient`.
     """
     result = torch.zeros(faces.shape, dtype=torch.float64)
     corners, side = faces.double().cpu(), sides(faces, True).cpu()
@@ -189,7 +189,7 @@ def _pull_edge(
         f: Face of the edge.
         corners: p, q and the third corner, [3, 3].
         axis: 0 if lines are rows, 1 if they are columns.
-        eps: As in `nmr_edges`.
+        eps: As in `nmr_gradient`.
     """
     lines, length = shown.shape
     (pu, pv), (qu, qv), (ru, rv) = (

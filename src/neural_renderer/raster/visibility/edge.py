@@ -35,7 +35,7 @@ import warp as wp
 from torch import Tensor
 
 from ..colors.downsample import halve, halve_backward
-from ..ops.visible_faces import seen_faces
+from ..ops.visible_faces import visible_faces
 from ..warp.geometry import facing
 from ..warp.launch import array, copy, zeros
 from ..warp.layout import face_tasks
@@ -61,7 +61,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @operator
-def boundaries(
+def edge_gradient(
     image: Tensor,
     faces: Tensor,
     face_index: Tensor,
@@ -97,14 +97,14 @@ def boundaries(
     return halve(image) if halved else copy(image)
 
 
-@torch.library.register_fake("neural_renderer::boundaries")
+@torch.library.register_fake("neural_renderer::edge_gradient")
 def _(image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None, halved=False):  # type: ignore[no-untyped-def]
     scale = 2 if halved else 1
     return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
 
 
 @differentiable_once
-def boundaries_backward(
+def edge_gradient_backward(
     grad: Tensor,
     image: Tensor,
     faces: Tensor,
@@ -115,14 +115,14 @@ def boundaries_backward(
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045
     rings: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
-    """Compute the gradient [B, F, 3, 3] float32 that `boundaries` sends to its faces; arguments as there."""
+    """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces; arguments as there."""
     grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or image.numel() == 0:
         return result
     batch, _, height, width = image.shape
     count = faces.shape[1]
-    visible = seen_faces(face_index, count)
+    visible = visible_faces(face_index, count)
     adjacent = neighbors(faces, two_sided, perspective, visible, rings)
     maps = [array(image), array(grad), array(face_index)]
     if edge_hashes is None:
@@ -134,7 +134,7 @@ def boundaries_backward(
     return result
 
 
-@torch.library.register_fake("neural_renderer::boundaries_backward")
+@torch.library.register_fake("neural_renderer::edge_gradient_backward")
 def _(grad, image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None):  # type: ignore[no-untyped-def]
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
@@ -149,11 +149,12 @@ def _backward(ctx, grad):  # type: ignore[no-untyped-def]
     grad = halve_backward(grad) if ctx.halved else grad
     to_faces = None
     if ctx.needs_input_grad[1]:
-        to_faces = boundaries_backward(grad, image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, *rest)
+        options = (ctx.two_sided, ctx.perspective, ctx.seams, *rest)
+        to_faces = edge_gradient_backward(grad, image, faces, face_index, *options)
     return grad, to_faces, *[None] * 7
 
 
-differentiable(boundaries, _backward, _save)
+differentiable(edge_gradient, _backward, _save)
 
 
 @wp.func

@@ -34,7 +34,7 @@ def neighbors(
         faces: Screen-space corners, [B, F, 3, 3] float32.
         two_sided: As in `coverage`.
         perspective: As in `coverage`.
-        visible: 1 for each visible face, [B, F + 1] int32, as from `seen_faces`. Used with ``rings`` only.
+        visible: 1 for each visible face, [B, F + 1] int32, as from `visible_faces`. Used with ``rings`` only.
         rings: [1 or B, F + 1, 3] int32 from `edge_rings` for the vertex indices of the faces.
 
     Returns:

@@ -14,7 +14,7 @@ import warp as wp
 from torch import Tensor
 
 from ..colors.downsample import halve, halve_backward
-from ..ops.visible_faces import seen_faces
+from ..ops.visible_faces import visible_faces
 from ..warp.geometry import SHORTEST, facing
 from ..warp.launch import array, copy, launch, zeros
 from ..warp.layout import concurrent, face_tasks, pixel_tasks, worth_a_thread
@@ -34,7 +34,7 @@ _ROOM, _ROOM_CONCURRENT = 2**23, 2**28
 
 
 @operator
-def nmr_edges(
+def nmr_gradient(
     image: Tensor,
     faces: Tensor,
     face_index: Tensor,
@@ -63,17 +63,17 @@ def nmr_edges(
     return halve(image) if halved else copy(image)
 
 
-@torch.library.register_fake("neural_renderer::nmr_edges")
+@torch.library.register_fake("neural_renderer::nmr_gradient")
 def _(image, faces, face_index, eps, two_sided, binary, halved=False):  # type: ignore[no-untyped-def]
     scale = 2 if halved else 1
     return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
 
 
 @differentiable_once
-def nmr_edges_backward(
+def nmr_gradient_backward(
     grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool
 ) -> Tensor:
-    """Compute the gradient of `nmr_edges` to faces, [B, F, 3, 3]; the gradient to z is 0."""
+    """Compute the gradient of `nmr_gradient` to faces, [B, F, 3, 3]; the gradient to z is 0."""
     grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
     batch, channels, height, width = image.shape
     result = zeros(faces.shape, faces.device)
@@ -87,7 +87,7 @@ def nmr_edges_backward(
     planes = 1 if binary else 1 + channels
     # With eps = 0, a pixel that touches the edge would divide by zero.
     options = [int(binary), max(eps, 1e-12)]
-    seen = seen_faces(face_index, faces.shape[1])
+    visible = visible_faces(face_index, faces.shape[1])
     room = _ROOM_CONCURRENT if concurrent(device) else _ROOM
     at_once = max(1, min(batch, room // (8 * planes * height * width)))
     rows = empty_lines(at_once, height, width, planes, device)
@@ -105,13 +105,20 @@ def nmr_edges_backward(
         else:
             tasks = images * (-(-height // WIDE) - (-width // WIDE))
             launch(copy_lines, tasks, [shown, array(grad[here]), *lines, WIDE], device, worth_a_thread(WIDE * width))
-        arguments = [array(faces[here], wp.vec3), shown, array(face_index[here]), *lines, array(seen[here]), *options]
+        arguments = [
+            array(faces[here], wp.vec3),
+            shown,
+            array(face_index[here]),
+            *lines,
+            array(visible[here]),
+            *options,
+        ]
         arguments.append(array(result[here], wp.vec3))
         launch_lines(_pull, arguments, images * faces.shape[1], _LANES, device, face_tasks(faces, height * width))
     return result
 
 
-@torch.library.register_fake("neural_renderer::nmr_edges_backward")
+@torch.library.register_fake("neural_renderer::nmr_gradient_backward")
 def _(grad, image, faces, face_index, eps, two_sided, binary):  # type: ignore[no-untyped-def]
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
@@ -127,11 +134,11 @@ def _backward(ctx, grad):  # type: ignore[no-untyped-def]
     grad = halve_backward(grad) if ctx.halved else grad.contiguous()
     to_faces = None
     if ctx.needs_input_grad[1]:
-        to_faces = nmr_edges_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary)
+        to_faces = nmr_gradient_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary)
     return grad, to_faces, *[None] * 5
 
 
-differentiable(nmr_edges, _backward, _save)
+differentiable(nmr_gradient, _backward, _save)
 
 
 # An edge p -> q of a counter-clockwise face with third corner r, and the scan lines that it crosses: rows for axis 0,
@@ -211,8 +218,8 @@ _PULL = (
         if ((inner < outer ? inner : outer) < 0 || (inner < outer ? outer : inner) >= edge.length) continue;
         const wp::int64 inside = (wp::int64)(height - 1) * width + (wp::int64)u * across + (wp::int64)inner * along;
         const wp::int64 outside = inside + way * along;
-        const bool seen = shown[inside] == f, facing = !(binary && shown[outside] >= 0);
-        if (!seen && !facing) continue;
+        const bool visible = shown[inside] == f, facing = !(binary && shown[outside] >= 0);
+        if (!visible && !facing) continue;
         // The edge reaches a pixel at the distance x on this line if p travels reach * x / share_p, or q likewise, in
         // screen units. The gradient of p is gain / (travel + eps), here expanded by share_p, which may be 0: a line
         // through one corner is moved by that corner alone.
@@ -220,7 +227,7 @@ _PULL = (
         line.slack_p = eps * share_p + TINY, line.slack_q = eps * share_q + TINY;
         line.share_p = -(float)way * share_p, line.share_q = -(float)way * share_q;
         line.stored = lines.data + ((wp::int64)b * edge.count + u) * planes * plane + WIDE;
-        if (seen) {  // outward, to the end of the line's span
+        if (visible) {  // outward, to the end of the line's span
             const wp::vec_t<2, int> span = spans.data[(wp::int64)b * (height + width) + (axis == 0 ? u : height + u)];
             const int low = edge.length - span[0], high = span[1] - 1;
             const int begin = way > 0 ? (low > outer ? low : outer) : (high < outer ? high : outer);
@@ -336,7 +343,7 @@ def _pull(
     rows: wp.array4d(dtype=float),
     columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
-    seen: wp.array2d(dtype=int),
+    visible: wp.array2d(dtype=int),
     binary: int,
     eps: float,
     result: wp.array3d(dtype=wp.vec3),
@@ -347,7 +354,7 @@ def _pull(
 ):
     """Move the edges of one face of one image, or some pixels of some lines of them; see `launch_lines`."""
     own = (first + wp.tid()) // lanes
-    if threads == 0 and seen[own // faces.shape[1], own % faces.shape[1]] == 0:
+    if threads == 0 and visible[own // faces.shape[1], own % faces.shape[1]] == 0:
         return
     thread = wp.int64(first + wp.tid())
     end = thread + wp.int64(1)
