@@ -65,7 +65,7 @@ def sample_mipmaps(
 
 
 @torch.library.register_fake("neural_renderer::sample_mipmaps")
-def _(texels, height, width, uv, face_index, mipmaps, repeat):  # type: ignore[no-untyped-def]
+def _(texels, height, width, uv, face_index, mipmaps, repeat):
     return uv.new_empty((*face_index.shape, texels.shape[2]))
 
 
@@ -100,21 +100,21 @@ def sample_mipmaps_backward(
 
 
 @torch.library.register_fake("neural_renderer::sample_mipmaps_backward")
-def _(grad, texels, height, width, uv, face_index, mipmaps, repeat, texels_too):  # type: ignore[no-untyped-def]
+def _(grad, texels, height, width, uv, face_index, mipmaps, repeat, texels_too):
     return texels.new_empty(texels.shape if texels_too else (0, 0, 0)), uv.new_empty(uv.shape)
 
 
-def _arguments(texels, height, width, uv, face_index, mipmaps, repeat):  # type: ignore[no-untyped-def]
+def _arguments(texels, height, width, uv, face_index, mipmaps, repeat):
     levels = max(height, width).bit_length() if mipmaps else 1
     return [array(texels), height, width, levels, array(uv, wp.vec2), array(face_index), int(repeat)]
 
 
-def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+def _save(ctx, inputs, output):
     texels, ctx.height, ctx.width, uv, face_index, ctx.mipmaps, ctx.repeat = inputs
     ctx.save_for_backward(texels, uv, face_index)
 
 
-def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
+def _to_inputs(ctx, grad):
     texels, uv, face_index = ctx.saved_tensors
     texels_too, uv_too = ctx.needs_input_grad[0], ctx.needs_input_grad[3]
     to_texels, to_uv = sample_mipmaps_backward(
