@@ -214,9 +214,9 @@ def unmix_face(
     to_attributes: wp.array4d(dtype=float),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """Sum the gradients of a face's pixels in a box; its attributes belong to image ``own``.
+    """Sum the gradients of a face's pixels in a box.
 
-    ``alone`` means that no other task writes to the same places.
+    ``own`` is the index of the image in ``attributes``; ``alone`` means that no other task writes to the same places.
     """
     ...
 

@@ -126,7 +126,7 @@ def _to_inputs(ctx, grad):
 differentiable(sample_mipmaps, _to_inputs, _save)
 
 
-# One texture with its mipmaps; a level's columns and rows of texels around a point, and their weights.
+# C++ structs: a texture with mipmaps; the texels of one level around a point, and their weights.
 _TEXTURE = """
 struct Texture {
     typedef wp::vec_t<2, float> vec2;
@@ -287,7 +287,7 @@ def _forward(
 _SCATTER = (
     _TEXELS
     + """
-                float gain[4] = {0.0f, 0.0f, 0.0f, 0.0f};  // of each texel: what the loss gains with it
+                float gain[4] = {0.0f, 0.0f, 0.0f, 0.0f};  // gradient with respect to each texel's weight
                 for (int c = 0; c < channels; ++c) {
                     const float g = share * pull[c];
                     gain[0] += g * above[0][c], gain[1] += g * above[1][c];

@@ -1,4 +1,4 @@
-"""Ambient and directional light on both sides of faces, as one operator: what `Light` computes in fifty of torch's."""
+"""Ambient and directional light on both sides of faces, fused; replaces about 50 torch operations of `Light`."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -205,7 +205,7 @@ def unlight_faces(
     to_corners: wp.array4d(dtype=float),
     sums: wp.array3d(dtype=float),
 ):
-    """Compute the gradients of the faces [begin, end) in image b, added to those of the image ``own`` of meshes."""
+    """Compute the gradients of the faces [begin, end) in image b, accumulated into mesh ``own`` if ``add``."""
 
 
 @wp.kernel
