@@ -193,7 +193,7 @@ def color_rows(
     task: int,
     each: int,
 ):
-    """Color the pixels of a task."""
+    """Colour the pixels of a task."""
     ...
 
 
