@@ -57,8 +57,8 @@ RECONSTRUCTION = ["data", "networks", "evaluation", "training"]
 
 def imports(path: Path) -> Iterator[tuple[str, ...]]:
     """Collect the paths of the modules that a file imports, without imports for type checkers."""
-    # Imports by string are not seen. One of them runs upwards: `compat/old_modules.py` loads members of old modules from
-    # `interface`, at their first use.
+    # Imports by string are not seen. One of them runs upwards: `compat/old_modules.py` loads members of old modules at
+    # their first use, from `interface`.
     package = path.relative_to(SOURCE).parent.parts
     tree = ast.parse(path.read_text(encoding="utf-8"))
     typing_only = {
