@@ -8,8 +8,8 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.raster.colors import texture_cubes as textures
 from neural_renderer.raster.ops import barycentrics, corners, coverage
-from neural_renderer.raster.ops import texture_cubes as textures
 from neural_renderer.raster.visibility import nmr as edges
 from tests.programs import run_python
 from tests.raster.scenes import FAR, FRONT, NEAR, Scene
