@@ -22,7 +22,7 @@ test-all: $(VENV)/installed
 # Without the statistics over hundreds of images, which see no more of it and take long.
 test-cuda-emulated: $(VENV)/installed
 	$(BIN)/python -m pytest --emulated-cuda races tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
-		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/tasks/reconstruction/data/test_voxels.py \
+		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/tasks/reconstruction/data/test_voxelize.py \
 		--ignore tests/raster/visibility/test_gradient_quality.py \
 		--deselect tests/raster/visibility/test_intersections.py::test_mean_gradient_is_a_central_difference
 
@@ -55,7 +55,7 @@ package: $(VENV)/installed
 	done
 	mkdir build/sdist && tar -xzf dist/*.tar.gz --strip-components 1 -C build/sdist
 	build/package/bin/python -m pip install --quiet --constraint constraints.txt "build/sdist[dev]"
-	cd build/sdist && ../package/bin/python -m pytest tests/raster tests/io tests/test_render.py
+	cd build/sdist && ../package/bin/python -m pytest tests/raster tests/io tests/test_rendering.py
 
 # The site, in out/docs/html. Notebooks run again only when their own cells change: `make clean` runs all of them.
 docs: $(VENV)/docs

@@ -177,7 +177,7 @@ def hardware(device: str) -> dict[str, object]:
         name = models[0] if models else name
     if device != "cpu":
         name = torch.cuda.get_device_name(device)
-    return {"name": name, "cores": os.cpu_count(), "system": platform.platform(terse=True)}
+    return {"name": name, "cores": os.cpu_count(), "system": platform.system()}
 
 
 def versions() -> dict[str, str]:

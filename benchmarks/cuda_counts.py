@@ -1,14 +1,18 @@
-"""What a GPU would have to do for one step, counted without one: ``python -m benchmarks.cuda_counts``.
+"""Estimate a GPU step without a GPU: ``python -m benchmarks.cuda_counts``.
 
-The kernels' CUDA code runs on a processor (`tests/cuda_emulation`), which counts memory operations. Printed for each
-scene and kernel: launches; threads; memory operations; the longest thread against the mean of those that do anything
-(a launch ends with its longest thread); busy lanes (the others of a warp wait for its longest); bytes moved between
-warps and the cache, in sectors of 32 bytes, once for each warp; these against the sectors of the launch, once each,
-which is the least possible; and an estimate of the time on an H200. Operations of torch itself are not counted.
+The kernels' CUDA code runs on a processor (`tests/cuda_emulation`), which counts memory operations. Operations of torch
+itself are not counted. The columns, for each scene and kernel:
 
-The estimate is made of data sheets, not of runs: for each launch `OVERHEAD`, plus the longest of four times: the
-launch's sectors at the memory's bandwidth, the warps' sectors at the cache's, one memory operation of a warp a clock on
-each multiprocessor, and the operations of the longest thread one after another, four of them on the way at once.
+- launches, threads, operations: their numbers; operations are those on memory.
+- longest: operations of the longest thread, relative to the mean of the threads that do anything. A launch ends with
+  its longest thread.
+- busy: fraction of the lanes that work. The other lanes of a warp wait for its longest thread.
+- MB moved: between warps and the cache, in sectors of 32 bytes, each counted once for each warp.
+- to least: these, relative to the sectors of the launch, each counted once.
+- H200 ms: estimated time on an H200, computed from data sheets and not yet checked on hardware. Each launch takes
+  `OVERHEAD`, plus the longest of four times: the launch's sectors at the memory's bandwidth; the warps' sectors at the
+  cache's bandwidth; one memory operation of a warp per clock on each multiprocessor; the operations of the longest
+  thread in sequence, four of them in flight.
 """
 
 from __future__ import annotations
@@ -40,7 +44,7 @@ def sphere(batch: int, level: int) -> tuple[tuple[torch.Tensor, ...], nr.Camera]
 
 
 def backdrop(level: int) -> tuple[tuple[torch.Tensor, ...], nr.Camera]:
-    """A fine mesh before four large triangles, whose size says nothing of that of the others."""
+    """Place a fine mesh in front of four large triangles."""
     (vertices, faces, textures), camera = sphere(1, level)
     wall = camera.rotation[0].T @ torch.tensor([[-4.0, -4, 2], [4, -4, 2], [4, 4, 2], [-4, 4, 2], [0, 0, 2]]).T
     fan = torch.tensor([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]) + len(vertices)

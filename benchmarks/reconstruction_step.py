@@ -2,7 +2,7 @@
 
 python -m benchmarks.reconstruction_step DATA --config paper --model mesh
 
-On a shared machine: OMP_NUM_THREADS=1 python -m benchmarks.reconstruction_step DATA --processor
+With other programs running: OMP_NUM_THREADS=1 python -m benchmarks.reconstruction_step DATA --processor
 """
 
 from __future__ import annotations

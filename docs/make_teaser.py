@@ -7,7 +7,7 @@ from PIL import Image
 
 from neural_renderer import Mesh
 from neural_renderer.commands.demo import around, ball
-from neural_renderer.commands.demo_models import duck, knot
+from neural_renderer.meshes.demo_models import duck, knot
 from neural_renderer.pictures.clay import clay_mesh
 from neural_renderer.pictures.photograph import lowest_point, photograph
 from neural_renderer.pictures.sheet import sheet

@@ -11,7 +11,7 @@ import pytest
 
 from tests.paths import ROOT
 
-# Files of other programs, and outputs, are none of ours.
+# Files of other programs, and outputs, are not ours.
 OURS = ("*.*", ".github/**/*.*", "src/**/*.py", "tests/*.py", "docs/**/*.md", "docs/*.py", "examples/**/*.md")
 OURS = (*OURS, "benchmarks/*.py", "benchmarks/*.md")
 OF_THE_PROJECT = re.compile(r"https?://(?!github\.com/hiroharu-kato/)[^\s)>\"']*neural[-_]renderer", re.IGNORECASE)

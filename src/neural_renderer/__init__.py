@@ -12,7 +12,7 @@ Where to look; `help(nr.render)` and so on explain each name:
     your shader  fragments, which returns Fragments; sample_texture, vertex_normals, fill_gutters
     losses       the modules losses and metrics
     files        load_mesh, save_mesh, load_image, save_image, save_animation
-    old code     Renderer, rasterize, look_at, load_obj, Adam, …: the names of the first `neural_renderer` packages
+    old code     Renderer, look_at, look, load_obj, Adam, …: the names of the first `neural_renderer` packages
 
 `neural_renderer.tasks` contains the tasks of the command line: fit, editing and reconstruction. The method is described
 in "Neural 3D Mesh Renderer" (Kato, Ushiku and Harada, CVPR 2018).

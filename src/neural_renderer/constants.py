@@ -1,4 +1,4 @@
-"""Numbers that are copied to a GPU, or read from it, once: each time, the program would wait for the GPU."""
+"""Cache of constants on the GPU, and of numbers read from it: each copy would wait for the GPU."""
 
 from __future__ import annotations
 

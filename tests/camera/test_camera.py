@@ -358,9 +358,9 @@ LENS, TURN, BACK = np.array([[8.0, 0, 4], [0, 8, 4], [0, 0, 1]]), np.eye(3), (0.
             (np.stack((LENS, LENS[[2, 1, 0]])), TURN, BACK, None, 8),
             r"^K: expected the third row \(0, 0, 1\), got \(8.0, 0.0, 4.0\)",
         ),
-        ((LENS, 2 * TURN, BACK, None, 8), r"^R: expected a rotation, with R Rᵀ = 1, got R Rᵀ off by 3"),
-        ((LENS, np.stack((TURN, 0.9 * TURN)), BACK, None, 8), r"^R: expected a rotation, .*off by 0.19"),
-        ((LENS, np.diag((1, 1, -1)), BACK, None, 8), r"^R: expected a rotation, got a reflection"),
+        ((LENS, 2 * TURN, BACK, None, 8), r"^R: expected a rotation matrix \(R Rᵀ = I\), got a deviation of 3"),
+        ((LENS, np.stack((TURN, 0.9 * TURN)), BACK, None, 8), r"^R: expected a rotation matrix .*deviation of 0.19"),
+        ((LENS, np.diag((1, 1, -1)), BACK, None, 8), r"^R: expected a rotation matrix, got a reflection"),
         ((LENS, TURN, (0.0, 3.0), None, 8), r"^t: expected shape \[3\]"),
         ((LENS, TURN, [[0.0], [0.0], [3.0]], None, 8), r"^t: expected shape \[3\]"),
         ((LENS, TURN, [[[0.0], [0.0], [3.0]]], None, 8), r"^t: expected shape \[3\], \[B, 3\] or \[B, 1, 3\]"),
@@ -388,8 +388,8 @@ def test_rotations_may_be_rounded():
         assert (
             len(Camera.projection(LENS, rounded, BACK, orig_size=8)) == len(Camera.weak_perspective(1.0, rounded)) == 20
         )
-    for wrong, message in ((2 * R, "off by 3"), (-R, "a reflection")):
-        with pytest.raises(ValueError, match=f"^R: expected a rotation, .*{message}"):
+    for wrong, message in ((2 * R, "a deviation of 3"), (-R, "a reflection")):
+        with pytest.raises(ValueError, match=f"^R: expected a rotation matrix.*{message}"):
             Camera.weak_perspective(1.0, wrong)
     for scale in (0.0, -1.0, torch.tensor([1.0, 0.0])):
         with pytest.raises(ValueError, match=r"^scale: expected a number above 0"):

@@ -42,6 +42,17 @@ def test_help_of_each_command(command: str, capsys: pytest.CaptureFixture[str]) 
     assert f"Example: neural-renderer {command}" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    "command", ["render MESH", "fit IMAGES", "style MESH PAINTING", "dream MESH", "reconstruct train DATA OUT"]
+)
+def test_usage_names_the_arguments(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """The text of the help calls them by the same names."""
+    words = command.split()
+    assert cli.main([word for word in words if word.islower()] + ["--help"]) == 0
+    usage = capsys.readouterr().out.partition("\n\n")[0]
+    assert usage.rpartition("]")[2].split() == [word for word in words if word.isupper()]
+
+
 def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([]) == 0
     out = capsys.readouterr().out

@@ -242,6 +242,10 @@ def test_files_that_are_refused(tmp_path: Path) -> None:
         torch.save(content, tmp_path / f"{name}.pth")
         with pytest.raises(ValueError, match=rf"{name}.pth: .*{sentence}"):
             load_features(tmp_path / f"{name}.pth")
+    for name, content in (("text", b"text"), ("empty", b"")):
+        (tmp_path / f"{name}.pth").write_bytes(content)
+        with pytest.raises(ValueError, match=rf"{name}.pth: .* got a file that cannot be read \(unknown format\)$"):
+            load_features(tmp_path / f"{name}.pth")
     with pytest.raises(FileNotFoundError, match="expected a file"):
         load_features(tmp_path / "missing.pth")
 

@@ -168,9 +168,9 @@ def check_rotation(R: Tensor) -> None:
     off = (product.sum(-1) - torch.eye(3, dtype=turns.dtype, device=turns.device)).abs().amax((1, 2))
     mirrors = torch.linalg.det(turns) < 0
     if bool((off > _TOLERANCE).any()):
-        raise ValueError(f"R: expected a rotation, with R Rᵀ = 1, got R Rᵀ off by {float(off.max()):.2g}")
+        raise ValueError(f"R: expected a rotation matrix (R Rᵀ = I), got a deviation of {float(off.max()):.2g}")
     if bool(mirrors.any()):
-        raise ValueError("R: expected a rotation, got a reflection (determinant -1)")
+        raise ValueError("R: expected a rotation matrix, got a reflection (determinant -1)")
 
 
 def pixels_to_screen(

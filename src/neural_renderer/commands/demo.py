@@ -12,6 +12,7 @@ from torch import Tensor
 from ..camera import Camera, get_points_from_angles
 from ..io import save_animation, save_image
 from ..io.obj.writer import check_own
+from ..meshes.demo_models import duck, knot
 from ..meshes.mesh import Mesh
 from ..meshes.primitives import icosphere
 from ..pictures.clay import clay_mesh
@@ -20,7 +21,6 @@ from ..pictures.sheet import sheet
 from ..pictures.turntable import FIRST_AZIMUTH, turntable
 from ..tasks.fit import ShapeFit, TextureFit, Views
 from .common import check_counts, choose_device, say
-from .demo_models import duck, knot
 from .options.demo import DemoOptions
 
 _AZIMUTHS = (FIRST_AZIMUTH, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, in degrees

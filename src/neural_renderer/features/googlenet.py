@@ -81,7 +81,7 @@ class LocalResponse(nn.Module):
     """Local response normalisation x / (1 + 1e-4 · mean of x² over 5 neighbouring channels)^0.75."""
 
     def forward(self, values: Tensor) -> Tensor:
-        """Normalize values [B, C, H, W]."""
+        """Normalise values [B, C, H, W]."""
         return _LocalResponse.apply(values)  # type: ignore[no-untyped-call]
 
 

@@ -144,7 +144,7 @@ class Normalize(nn.Module):
         self._bgr = bgr
 
     def forward(self, images: Tensor) -> Tensor:
-        """Normalize images [B, 3, H, W] of any floating dtype."""
+        """Normalise images [B, 3, H, W] of any floating dtype."""
         images = images.flip(1) if self._bgr else images
         return images * self._gain - self._offset
 

@@ -129,6 +129,6 @@ def why_not_loaded(error: Exception) -> str:
     words = str(error).strip()
     if "unsupported global" in words.lower() or "unsupported class" in words.lower():
         return "it holds Python objects that could run code"
-    if "Weights only load failed" in words or words.isdigit():
-        return "not a PyTorch checkpoint"
+    if "Weights only load failed" in words or isinstance(error, (LookupError, EOFError)):
+        return "unknown format"
     return words.partition(". ")[0].splitlines()[0][:_LONGEST_REASON] if words else type(error).__name__

@@ -15,7 +15,7 @@ from typing import Any
 import imageio_ffmpeg
 import numpy as np
 import torch
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
 from .. import validate
@@ -95,10 +95,10 @@ def _reading(where: str) -> Iterator[None]:
     """Convert all errors of Pillow on damaged files to ValueError."""
     try:
         yield
+    except UnidentifiedImageError as error:
+        raise ValueError(f"{where}: expected a picture, got a file of an unknown format") from error
     except Exception as error:  # Pillow raises errors of many classes
-        raise ValueError(
-            f"{where}: expected a picture, got a file that cannot be read as one ({reason(error)})"
-        ) from error
+        raise ValueError(f"{where}: expected a picture, got one that cannot be read ({reason(error)})") from error
 
 
 def save_image(path: str | os.PathLike[str], image: Tensor | np.ndarray) -> None:

@@ -65,7 +65,7 @@ class Mesh(nn.Module):
     ) -> None:
         super().__init__()
         if isinstance(vertices, (str, os.PathLike)):
-            # In this form the second and third positions are texture_size and normalization.
+            # In this form the second and third positions are `texture_size` and `normalization`.
             texture_size = texture_size if faces is None else faces
             normalization = normalization if textures is None else textures
             vertices, faces, *_ = load_obj(vertices, normalization)

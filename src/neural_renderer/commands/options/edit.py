@@ -13,7 +13,7 @@ import tyro
 class EditOptions:
     """Options of both commands. The preset replaces None."""
 
-    mesh: tyro.conf.Positional[Path]
+    mesh: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]
     """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the results; it is made if missing."""

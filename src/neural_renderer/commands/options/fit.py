@@ -27,12 +27,13 @@ class FitOptions:
     Ctrl-C ends the fit and writes the current result; --resume continues it.
     """
 
-    images: tyro.conf.Positional[Path]
+    images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGES")]
     """Folder of the images, or their camera file; one image for --recover camera."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the results; it is made if missing."""
     recover: Literal["shape", "texture", "camera"] = "shape"
-    """Unknown to recover. shape: the shape, then the texture if there are photos; texture: the texture only; camera."""
+    """What to recover. shape: the shape, then the texture if there are photos; texture: the texture of a known mesh;
+    camera: the camera of one image."""
     mesh: Path | None = None
     """Initial mesh, or the known mesh for --recover texture or camera, in the world of the cameras."""
     start: Literal["hull", "sphere"] = "hull"

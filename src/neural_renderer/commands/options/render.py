@@ -18,7 +18,7 @@ class RenderOptions:
     Example: neural-renderer render bunny.obj -o bunny.gif --turntable 60
     """
 
-    mesh: tyro.conf.Positional[Path]
+    mesh: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]
     """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Picture to write: .png or .jpg; .gif or .mp4 for a turntable. Must not be a texture of the mesh."""

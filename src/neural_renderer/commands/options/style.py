@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -29,7 +30,7 @@ class StyleOptions(EditOptions):
     Ctrl-C ends the run and writes the current result; --resume continues it.
     """
 
-    painting: tyro.conf.Positional[Path]
+    painting: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PAINTING")]
     """Picture with the style: PNG, JPEG or any other format that Pillow reads."""
     content: float | None = None
     """Weight of the content loss. It keeps vertices near their initial positions. By default the preset's."""

@@ -35,7 +35,7 @@ def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
 
 
 @torch.library.register_fake("neural_renderer::composite")
-def _(colors, background, face_index):  # type: ignore[no-untyped-def]
+def _(colors, background, face_index):
     batch, height, width = face_index.shape
     return colors.new_empty((batch, colors.shape[3], height, width))
 
@@ -52,18 +52,18 @@ def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
 
 
 @torch.library.register_fake("neural_renderer::composite_backward")
-def _(grad, face_index):  # type: ignore[no-untyped-def]
+def _(grad, face_index):
     batch, channels, height, width = grad.shape
     return grad.new_empty((batch, height, width, channels))
 
 
-def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+def _save(ctx, inputs, output):
     _, background, face_index = inputs
     ctx.behind = background.shape
     ctx.save_for_backward(face_index)
 
 
-def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
+def _to_inputs(ctx, grad):
     face_index = ctx.saved_tensors[0]
     to_colors = composite_backward(grad, face_index) if ctx.needs_input_grad[0] else None
     to_background = None

@@ -40,7 +40,7 @@ def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspecti
 
 
 @torch.library.register_fake("neural_renderer::interpolate")
-def _(attributes, faces, face_index, perspective):  # type: ignore[no-untyped-def]
+def _(attributes, faces, face_index, perspective):
     return faces.new_empty((*face_index.shape, attributes.shape[3]))
 
 
@@ -67,16 +67,16 @@ def interpolate_backward(
 
 
 @torch.library.register_fake("neural_renderer::interpolate_backward")
-def _(grad, attributes, faces, face_index, perspective, faces_too):  # type: ignore[no-untyped-def]
+def _(grad, attributes, faces, face_index, perspective, faces_too):
     return attributes.new_empty(attributes.shape), faces.new_empty(faces.shape if faces_too else (0, 0, 3, 3))
 
 
-def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+def _save(ctx, inputs, output):
     *tensors, ctx.perspective = inputs
     ctx.save_for_backward(*tensors)
 
 
-def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
+def _to_inputs(ctx, grad):
     faces_too = ctx.needs_input_grad[1]
     to_attributes, to_faces = interpolate_backward(grad, *ctx.saved_tensors, ctx.perspective, faces_too)
     return to_attributes, to_faces if faces_too else None, None, None
@@ -214,9 +214,9 @@ def unmix_face(
     to_attributes: wp.array4d(dtype=float),
     to_faces: wp.array3d(dtype=wp.vec3),
 ):
-    """Sum the gradients of a face's pixels in a box; its attributes belong to image ``own``.
+    """Sum the gradients of a face's pixels in a box.
 
-    ``alone`` means that no other task writes to the same places.
+    ``own`` is the index of the image in ``attributes``; ``alone`` means that no other task writes to the same places.
     """
     ...
 

@@ -38,7 +38,7 @@ def light_pixels(image: Tensor, light: Tensor, faces: Tensor, face_index: Tensor
 
 
 @torch.library.register_fake("neural_renderer::light_pixels")
-def _(image, light, faces, face_index, perspective):  # type: ignore[no-untyped-def]
+def _(image, light, faces, face_index, perspective):
     return torch.empty_like(image, memory_format=torch.contiguous_format)
 
 
@@ -60,16 +60,16 @@ def light_pixels_backward(
 
 
 @torch.library.register_fake("neural_renderer::light_pixels_backward")
-def _(grad, image, light, faces, face_index, perspective):  # type: ignore[no-untyped-def]
+def _(grad, image, light, faces, face_index, perspective):
     return torch.empty_like(grad, memory_format=torch.contiguous_format), torch.empty_like(light)
 
 
-def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+def _save(ctx, inputs, output):
     *tensors, ctx.perspective = inputs
     ctx.save_for_backward(*tensors)
 
 
-def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
+def _to_inputs(ctx, grad):
     to_image, to_light = light_pixels_backward(grad, *ctx.saved_tensors, ctx.perspective)
     return to_image, to_light, None, None, None
 

@@ -65,7 +65,7 @@ def sample_mipmaps(
 
 
 @torch.library.register_fake("neural_renderer::sample_mipmaps")
-def _(texels, height, width, uv, face_index, mipmaps, repeat):  # type: ignore[no-untyped-def]
+def _(texels, height, width, uv, face_index, mipmaps, repeat):
     return uv.new_empty((*face_index.shape, texels.shape[2]))
 
 
@@ -100,21 +100,21 @@ def sample_mipmaps_backward(
 
 
 @torch.library.register_fake("neural_renderer::sample_mipmaps_backward")
-def _(grad, texels, height, width, uv, face_index, mipmaps, repeat, texels_too):  # type: ignore[no-untyped-def]
+def _(grad, texels, height, width, uv, face_index, mipmaps, repeat, texels_too):
     return texels.new_empty(texels.shape if texels_too else (0, 0, 0)), uv.new_empty(uv.shape)
 
 
-def _arguments(texels, height, width, uv, face_index, mipmaps, repeat):  # type: ignore[no-untyped-def]
+def _arguments(texels, height, width, uv, face_index, mipmaps, repeat):
     levels = max(height, width).bit_length() if mipmaps else 1
     return [array(texels), height, width, levels, array(uv, wp.vec2), array(face_index), int(repeat)]
 
 
-def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+def _save(ctx, inputs, output):
     texels, ctx.height, ctx.width, uv, face_index, ctx.mipmaps, ctx.repeat = inputs
     ctx.save_for_backward(texels, uv, face_index)
 
 
-def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
+def _to_inputs(ctx, grad):
     texels, uv, face_index = ctx.saved_tensors
     texels_too, uv_too = ctx.needs_input_grad[0], ctx.needs_input_grad[3]
     to_texels, to_uv = sample_mipmaps_backward(
@@ -126,7 +126,7 @@ def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
 differentiable(sample_mipmaps, _to_inputs, _save)
 
 
-# One texture with its mipmaps; a level's columns and rows of texels around a point, and their weights.
+# C++ structs: a texture with mipmaps; the texels of one level around a point, and their weights.
 _TEXTURE = """
 struct Texture {
     typedef wp::vec_t<2, float> vec2;
@@ -287,7 +287,7 @@ def _forward(
 _SCATTER = (
     _TEXELS
     + """
-                float gain[4] = {0.0f, 0.0f, 0.0f, 0.0f};  // of each texel: what the loss gains with it
+                float gain[4] = {0.0f, 0.0f, 0.0f, 0.0f};  // gradient with respect to each texel's weight
                 for (int c = 0; c < channels; ++c) {
                     const float g = share * pull[c];
                     gain[0] += g * above[0][c], gain[1] += g * above[1][c];

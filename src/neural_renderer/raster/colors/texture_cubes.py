@@ -55,7 +55,7 @@ def sample_textures(
 
 
 @torch.library.register_fake("neural_renderer::sample_textures")
-def _(textures, light, background, faces, face_index, eps, perspective):  # type: ignore[no-untyped-def]
+def _(textures, light, background, faces, face_index, eps, perspective):
     batch, height, width = face_index.shape
     return faces.new_empty((batch, 3, height, width))
 
@@ -103,23 +103,23 @@ def sample_textures_backward(
 
 
 @torch.library.register_fake("neural_renderer::sample_textures_backward")
-def _(grad, textures, light, faces, face_index, eps, perspective, light_too, faces_too):  # type: ignore[no-untyped-def]
+def _(grad, textures, light, faces, face_index, eps, perspective, light_too, faces_too):
     to_faces = faces.new_empty(faces.shape if faces_too else (0, 0, 3, 3))
     return textures.new_empty(textures.shape), light.new_empty(light.shape), to_faces
 
 
-def _arguments(textures, light, faces, face_index, eps, perspective):  # type: ignore[no-untyped-def]
+def _arguments(textures, light, faces, face_index, eps, perspective):
     cubes = array(textures.reshape(*textures.shape[:2], textures.shape[2] ** 3, 3), wp.vec3)
     maps = [array(light, wp.vec3), array(faces, wp.vec3), array(face_index)]
     return [cubes, *maps, textures.shape[2], eps, int(perspective)]
 
 
-def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+def _save(ctx, inputs, output):
     textures, light, _, faces, face_index, ctx.eps, ctx.perspective = inputs
     ctx.save_for_backward(textures, light, faces, face_index)
 
 
-def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
+def _to_inputs(ctx, grad):
     to_textures = to_light = to_background = to_faces = None
     textures_too, light_too, faces_too = (ctx.needs_input_grad[k] for k in (0, 1, 3))
     if textures_too or light_too or faces_too:
@@ -193,7 +193,7 @@ def color_rows(
     task: int,
     each: int,
 ):
-    """Color the pixels of a task."""
+    """Colour the pixels of a task."""
     ...
 
 

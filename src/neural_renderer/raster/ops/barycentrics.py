@@ -51,7 +51,7 @@ def barycentrics(
 
 
 @torch.library.register_fake("neural_renderer::barycentrics")
-def _(faces, face_index, near, far, perspective):  # type: ignore[no-untyped-def]
+def _(faces, face_index, near, far, perspective):
     shape = face_index.shape
     return faces.new_empty((*shape, 3)), faces.new_empty(shape)
 
@@ -79,16 +79,16 @@ def barycentrics_backward(
 
 
 @torch.library.register_fake("neural_renderer::barycentrics_backward")
-def _(grad_weights, grad_depth, faces, face_index, perspective):  # type: ignore[no-untyped-def]
+def _(grad_weights, grad_depth, faces, face_index, perspective):
     return faces.new_empty(faces.shape)
 
 
-def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+def _save(ctx, inputs, output):
     faces, face_index, _, _, ctx.perspective = inputs
     ctx.save_for_backward(faces, face_index)
 
 
-def _to_corners(ctx, grad_weights, grad_depth):  # type: ignore[no-untyped-def]
+def _to_corners(ctx, grad_weights, grad_depth):
     grad = barycentrics_backward(grad_weights, grad_depth, *ctx.saved_tensors, ctx.perspective)
     return grad, None, None, None, None
 

@@ -34,7 +34,7 @@ def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 @torch.library.register_fake("neural_renderer::gather_corners")
-def _(vertices, faces):  # type: ignore[no-untyped-def]
+def _(vertices, faces):
     return vertices.new_empty((vertices.shape[0], *faces.shape[1:], vertices.shape[2]))
 
 
@@ -58,17 +58,17 @@ def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
 
 
 @torch.library.register_fake("neural_renderer::gather_corners_backward")
-def _(grad, faces, count):  # type: ignore[no-untyped-def]
+def _(grad, faces, count):
     return grad.new_empty((grad.shape[0], count, grad.shape[3]))
 
 
-def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+def _save(ctx, inputs, output):
     vertices, faces = inputs
     ctx.count = vertices.shape[1]
     ctx.save_for_backward(faces)
 
 
-def _to_vertices(ctx, grad):  # type: ignore[no-untyped-def]
+def _to_vertices(ctx, grad):
     return gather_corners_backward(grad, ctx.saved_tensors[0], ctx.count), None
 
 

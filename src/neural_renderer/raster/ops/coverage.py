@@ -65,13 +65,13 @@ def silhouette(face_index: Tensor) -> Tensor:
 
 
 @torch.library.register_fake("neural_renderer::silhouette")
-def _(face_index):  # type: ignore[no-untyped-def]
+def _(face_index):
     batch, height, width = face_index.shape
     return face_index.new_empty((batch, 1, height, width), dtype=torch.float32)
 
 
 @torch.library.register_fake("neural_renderer::coverage")
-def _(faces, height, width, near, far, two_sided, perspective):  # type: ignore[no-untyped-def]
+def _(faces, height, width, near, far, two_sided, perspective):
     return faces.new_empty((faces.shape[0], height, width), dtype=torch.int32)
 
 

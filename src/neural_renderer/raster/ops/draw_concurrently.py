@@ -1,4 +1,4 @@
-"""Drawing faces on CUDA, for `coverage`: all at once, into keys of depth and index of which the least one is visible.
+"""Draw all faces in parallel on CUDA; an atomic minimum of keys of depth and index finds the visible face.
 
 A thread draws a small face, and many share a large one; see `raster/warp/queue.py`.
 """

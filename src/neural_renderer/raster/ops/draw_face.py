@@ -120,7 +120,7 @@ def draw_into_keys(
     lane: int,
     lanes: int,
 ):
-    """Draw a face in front of the camera into every n-th pixel of the rows of its box, on CUDA, amid others."""
+    """Draw a face in front of the camera, concurrently with others, on CUDA: every n-th pixel of its box's rows."""
     ...
 
 

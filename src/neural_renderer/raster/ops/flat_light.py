@@ -1,4 +1,4 @@
-"""Ambient and directional light on both sides of faces, as one operator: what `Light` computes in fifty of torch's."""
+"""Ambient and directional light on both sides of faces, fused; replaces about 50 torch operations of `Light`."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
@@ -41,7 +41,7 @@ def flat_light(corners: Tensor, ambient: Tensor, directional: Tensor, direction:
 
 
 @torch.library.register_fake("neural_renderer::flat_light")
-def _(corners, ambient, directional, direction, mirrored):  # type: ignore[no-untyped-def]
+def _(corners, ambient, directional, direction, mirrored):
     return corners.new_empty((_batch(corners, ambient, directional, direction), 2, corners.shape[1], 3))
 
 
@@ -69,7 +69,7 @@ def flat_light_backward(
 
 
 @torch.library.register_fake("neural_renderer::flat_light_backward")
-def _(grad, corners, ambient, directional, direction, mirrored):  # type: ignore[no-untyped-def]
+def _(grad, corners, ambient, directional, direction, mirrored):
     return corners.new_empty(corners.shape), grad.new_empty((len(grad), _SUMS))
 
 
@@ -77,16 +77,16 @@ def _batch(*tensors: Tensor) -> int:
     return 0 if any(len(tensor) == 0 for tensor in tensors) else max(len(tensor) for tensor in tensors)
 
 
-def _arguments(corners, ambient, directional, direction, mirrored):  # type: ignore[no-untyped-def]
+def _arguments(corners, ambient, directional, direction, mirrored):
     return [array(corners), array(ambient), array(directional), array(direction), int(mirrored)]
 
 
-def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+def _save(ctx, inputs, output):
     *tensors, ctx.mirrored = inputs
     ctx.save_for_backward(*tensors)
 
 
-def _to_inputs(ctx, grad):  # type: ignore[no-untyped-def]
+def _to_inputs(ctx, grad):
     to_corners, to_light = flat_light_backward(grad, *ctx.saved_tensors, ctx.mirrored)
     results = [to_corners, None, None, None]
     for k, tensor in enumerate(ctx.saved_tensors[1:], 1):
@@ -205,7 +205,7 @@ def unlight_faces(
     to_corners: wp.array4d(dtype=float),
     sums: wp.array3d(dtype=float),
 ):
-    """Compute the gradients of the faces [begin, end) in image b, added to those of the image ``own`` of meshes."""
+    """Compute the gradients of the faces [begin, end) in image b, accumulated into mesh ``own`` if ``add``."""
 
 
 @wp.kernel

@@ -1,4 +1,4 @@
-"""Voxelization: the voxels that the surface of a mesh passes through, and those that it encloses."""
+"""Voxelisation: the voxels that the surface of a mesh passes through, and those that it encloses."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import math

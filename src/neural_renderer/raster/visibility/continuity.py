@@ -42,7 +42,7 @@ def texture_edge_hashes(textures: Tensor, light: Tensor) -> Tensor:
 
 
 @torch.library.register_fake("neural_renderer::texture_edge_hashes")
-def _(textures, light):  # type: ignore[no-untyped-def]
+def _(textures, light):
     batch = max(textures.shape[0], light.shape[0])
     return textures.new_empty((batch, textures.shape[1], 3, 2), dtype=torch.int64)
 

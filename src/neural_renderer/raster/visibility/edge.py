@@ -139,12 +139,12 @@ def _(grad, image, faces, face_index, two_sided, perspective, seams, edge_hashes
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
-def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+def _save(ctx, inputs, output):
     image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, edge_hashes, rings, ctx.halved = inputs
     ctx.save_for_backward(image, faces, face_index, edge_hashes, rings)  # callers may change the output in place
 
 
-def _backward(ctx, grad):  # type: ignore[no-untyped-def]
+def _backward(ctx, grad):
     image, faces, face_index, *rest = ctx.saved_tensors
     grad = halve_backward(grad) if ctx.halved else grad
     to_faces = None

@@ -4,8 +4,8 @@ The loops are plain C++ over memory, because that is what compilers turn into ve
 come out scalar.
 """
 
-# Sums along stored scan lines of what pixels gain by the colour that they would get if an edge were moved to them, over
-# the travel of each of the edge's two corners, which is reach * distance + slack, times the corner's share.
+# For each pixel of a scan line: the decrease of the loss if the edge moved there, divided by the travel of a corner,
+# which is reach * distance + slack. The pixels are summed for both corners, and multiplied by each corner's share.
 # Operands may be fused as in `_COPY`: an exact zero stays one.
 SCAN_LINE = """
 struct ScanLine {
@@ -34,13 +34,13 @@ struct ScanLine {
         return four[0] + four[2] + (four[1] + four[3]);
     }
     #endif
-    const float* stored;  // of the line's first pixel; a plane further is the gradient of the first channel
-    wp::int64 plane, area;
-    int channels;  // 0 where what is stored are the gains themselves
-    const float* color;  // the first channel's; the next is an area further
+    const float* stored;  // the line's first pixel; the gradients of the channels follow, `plane` apart
+    wp::int64 plane, area;  // strides from channel to channel: of stored gradients, of colours
+    int channels;  // 0 if the gains themselves are stored
+    const float* color;  // the first channel's
     float reach, share_p, share_q, slack_p, slack_q;
-    floats to_p, to_q;  // what came together
-    float also_to_p, also_to_q;
+    floats to_p, to_q;  // sums, as vectors
+    float also_to_p, also_to_q;  // sums of single pixels
 
     // The usual three channels are spelled out, so that their colours stay in registers.
     CUDA_CALLABLE floats loss(const float* pull, float red, float green, float blue) const {
@@ -54,8 +54,8 @@ struct ScanLine {
         return lost;
     }
 
-    // Over ``count`` pixels from ``begin`` on in the direction ``way``, of which the first is at that distance from the
-    // edge. Beyond them only zeros may be stored.
+    // `count` pixels from `begin` on, in direction `way`; `distance` is from the edge to the first. Values stored after
+    // them must be 0.
     CUDA_CALLABLE void outward(int begin, int way, int count, float distance) {
         #pragma clang fp contract(fast)
         const float red = color[0], green = channels < 3 ? 0.0f : color[area];

@@ -123,14 +123,14 @@ def _(grad, image, faces, face_index, eps, two_sided, binary):  # type: ignore[n
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
-def _save(ctx, inputs, output):  # type: ignore[no-untyped-def]
+def _save(ctx, inputs, output):
     image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary, ctx.halved = inputs
     ctx.save_for_backward(image, faces, face_index)  # not the output, which callers may change in place
 
 
-def _backward(ctx, grad):  # type: ignore[no-untyped-def]
+def _backward(ctx, grad):
     image, faces, face_index = ctx.saved_tensors
-    # Contiguous, once, also for what comes before the image.
+    # Make it contiguous once; earlier operators need it, too.
     grad = halve_backward(grad) if ctx.halved else grad.contiguous()
     to_faces = None
     if ctx.needs_input_grad[1]:

@@ -53,7 +53,7 @@ def _edge_rings(faces: Tensor) -> Tensor:
 
 
 @torch.library.register_fake("neural_renderer::_edge_rings")
-def _(faces):  # type: ignore[no-untyped-def]
+def _(faces):
     batch, count = (1, *faces.shape)[-3:-1]
     return faces.new_empty((batch, count + 1, 3), dtype=torch.int32)
 

@@ -14,8 +14,8 @@ from ..warp.layout import PIXELS_OF_TASK, concurrent
 
 wp.set_module_options({"enable_backward": False})
 
-# Pixels of a scan line that the CPU handles at once; there, as many zeros are before each stored line and behind the
-# last.
+# Pixels of a scan line that the CPU handles at once. There, WIDE zeros pad each stored line in front, and the last one
+# at its end, too.
 WIDE = 16
 
 
@@ -225,7 +225,7 @@ def copy_pixels(
 
 @wp.func
 def place(axis: int, u: int, v: int, height: int):
-    """Row (from the top) and column of the pixel v on scan line u."""
+    """Convert pixel v of scan line u to (row from the top, column)."""
     if axis == 0:
         return height - 1 - u, v
     return height - 1 - v, u

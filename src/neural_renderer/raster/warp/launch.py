@@ -177,7 +177,7 @@ def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
         strided: Whether the kernel respects strides.
 
     Raises:
-        ValueError: From one image to the next, or one channel, it is further than a stride in 32 bits can tell.
+        ValueError: A stride exceeds 32 bits.
     """
     if not strided or tensor.numel() == 0:  # the strides of an empty tensor are arbitrary
         tensor = tensor.contiguous()

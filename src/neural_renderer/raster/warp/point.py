@@ -386,7 +386,7 @@ def over_face(
 
     Args:
         one: Statements for a pixel i, row + i in memory, with face, weights, on_screen, whole and z.
-        eight: The same for eight pixels from ``at`` on, of which those that are ``here`` show the face, with ``eight``.
+        eight: The same for eight pixels from ``at`` on, with ``eight``; ``here`` marks the lanes that show the face.
         begin, end: Statements before and after.
         eight_begin, eight_end: Statements before and after pixels are taken in eights. If that fails half-way, all
             pixels are taken one by one, and ``eight_end`` is left out.

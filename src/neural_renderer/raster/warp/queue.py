@@ -19,7 +19,7 @@ from .layout import in_any_order
 # Threads of a launch whose work is known on the device only: about as many as a large GPU runs at once.
 MOST_THREADS = 1 << 18
 
-# A face counts so much in the total, and each of its threads 1.
+# The lower 36 bits of the total count threads, the upper bits count faces.
 _FACE = wp.constant(1 << 36)
 
 
@@ -27,8 +27,8 @@ def empty_queue(faces: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """Make an empty queue.
 
     Returns:
-        The queue, [faces, 2] int64, of which each entry is the number of a face and that of its first thread among the
-        threads of all. The total, [1] int64: threads, plus faces times 2^36.
+        The queue, [faces, 2] int64; each entry is a face number and the index of the face's first thread. The total,
+        [1] int64: threads, plus faces times 2^36.
     """
     return torch.empty((faces, 2), dtype=torch.int64, device=device), zeros((2,), device, torch.int32).view(torch.int64)
 
@@ -64,7 +64,7 @@ def launch_lines(
 
 @wp.func
 def enqueue(queue: wp.array2d(dtype=wp.int64), total: wp.array1d(dtype=wp.int64), face: int, threads: int):
-    """Put a face into the queue, for so many threads. Both are counted at once, so entries are in order of threads."""
+    """Put a face into the queue, with its number of threads. One addition counts both, so threads ascend by entry."""
     before = wp.atomic_add(total, 0, wp.int64(_FACE) + wp.int64(threads))
     place = int(before / wp.int64(_FACE))
     queue[place, 0] = wp.int64(face)

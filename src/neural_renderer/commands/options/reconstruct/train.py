@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -29,9 +29,9 @@ class TrainOptions:
     Ctrl-C ends the training after the current step and keeps it.
     """
 
-    data: tyro.conf.Positional[Path]
+    data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
     """Folder of the data set."""
-    out: tyro.conf.Positional[Path]
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """Folder for the results; it is made if missing."""
     model: ModelName = "mesh"
     """Network. mesh: deform a sphere (the paper's method); voxel: predict voxels (the baseline of Yan et al. 2016)."""
@@ -43,7 +43,7 @@ class TrainOptions:
     steps: int | None = None
     """Number of steps (at least 1); by default the configuration's."""
     minutes: float | None = None
-    """Time limit. The schedule of the learning rate is fitted into it."""
+    """Time limit. The learning-rate schedule ends at this time."""
     features: str | None = None
     """Replace the configuration's encoder by a frozen recognition network: googlenet (downloaded once), or a file of
     weights. This helps most with few training objects."""
