@@ -38,8 +38,9 @@ class Mesh(nn.Module):
         textures: [F, T, T, T, 3] floating, or None.
         texture_size: T if there are no textures, ≥ 1.
         normalization: For an OBJ file: centre its bounding box at the origin and scale its longest side to [−1, 1].
-        vertex_colors: [V, 3] floating, RGB in [0, 1], in place of textures. They are baked into the texture; between
-            its texels, colours differ slightly from a linear interpolation. `Fragments.interpolate` is exact.
+        vertex_colors: [V, 3] floating, RGB in [0, 1], in place of textures. They are baked into the texture, and
+            drawn up to 3 % (T = 4) of the corners' difference off a linear interpolation; `Fragments.interpolate` is
+            exact.
         face_colors: [F, 3] floating, RGB in [0, 1], in place of textures.
 
     Attributes:
