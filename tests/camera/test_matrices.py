@@ -174,7 +174,14 @@ def test_cameras_of_a_batch(kind) -> None:
     expected = camera(points)
     chosen = torch.tensor([2, 0])
     choices = {0: [0], -1: [2]} | {2: [2]}
-    for index, rows in [*choices.items(), (slice(1, None), [1, 2]), ([0, 2], [0, 2]), (chosen, [2, 0])]:
+    for index, rows in [
+        *choices.items(),
+        (slice(1, None), [1, 2]),
+        (slice(None, None, -1), [2, 1, 0]),
+        (range(2), [0, 1]),
+        ([0, 2], [0, 2]),
+        (chosen, [2, 0]),
+    ]:
         assert torch.equal(camera[index](points), expected[rows])
     assert torch.equal(camera[torch.tensor([True, False, True])](points), expected[[0, 2]])
     assert len(list(camera)) == 3 and all(len(one) == 1 for one in camera)

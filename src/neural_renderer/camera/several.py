@@ -28,6 +28,8 @@ def chosen(camera: Camera, index: Any) -> dict[str, Any]:
     if isinstance(index, bool) or (isinstance(index, Tensor) and index.ndim == 0 and index.dtype == torch.bool):
         raise TypeError("index: expected a number, a slice, a list or a tensor, got a bool")
     rows = torch.arange(len(camera), device=camera.rotation.device)
+    if isinstance(index, (slice, range)):  # torch knows no negative steps
+        index = list(range(len(camera))[index]) if isinstance(index, slice) else list(index)
     try:
         rows = torch.atleast_1d(rows[index])
     except (TypeError, IndexError) as error:
