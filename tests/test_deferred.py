@@ -108,3 +108,67 @@ def test_seams_between_faces_of_different_colour(device):
     # A vertex gathers at most about 48² terms; cubes interpolate colours that differ in their last bits.
     torch.testing.assert_close(with_seams, expected, rtol=0, atol=48**2 * EPS * float(expected.abs().max()))
     assert (without - expected).norm() > 0.3 * expected.norm()
+
+
+def test_meshes_of_different_sizes(device):
+    """A list is drawn as each mesh alone, and all that follows takes what `batch` makes."""
+    meshes = [nr.Mesh.icosphere(1, 0.8).to(device), nr.Mesh.icosphere(2).to(device)]
+    camera = nr.Camera.look_at((0.3, 1.0, -2.5), viewing_angle=30).to(device)
+    fragments = nr.fragments(meshes, camera, 24)
+    vertices, _, _ = nr.batch(meshes)
+    points = fragments.interpolate(vertices)
+    image = fragments.composite(points, background=(0.0, 0.5, 1.0))
+    for i, mesh in enumerate(meshes):
+        alone = nr.fragments(mesh, camera, 24)
+        assert torch.equal(fragments.face_index[i], alone.face_index[0])
+        assert torch.equal(points[i], alone.interpolate(mesh.vertices)[0])
+        assert torch.equal(image[i], alone.composite(alone.interpolate(mesh.vertices), (0.0, 0.5, 1.0))[0])
+        assert torch.equal(fragments.visible_faces()[i, : mesh.num_faces], alone.visible_faces()[0])
+        assert torch.equal(fragments.visible_vertices()[i, : mesh.num_vertices], alone.visible_vertices()[0])
+    assert not fragments.visible_faces()[0, meshes[0].num_faces :].any()
+    image.sum().backward()
+    assert all(mesh.vertices.grad.any() for mesh in meshes)
+
+
+def test_attributes_of_corners(device):
+    mesh, _, fragments = scene(device)
+    corners = torch.rand(mesh.num_faces, 3, 5, device=device, requires_grad=True)
+    own = torch.arange(3 * mesh.num_faces, device=device).view(-1, 3)
+    expected = fragments.interpolate(corners.reshape(-1, 5), own)
+    for given in (corners, corners[None], corners.expand(2, -1, -1, -1)):
+        assert torch.equal(fragments.interpolate(given), expected)
+    weight = torch.rand(expected.shape, device=device)
+    (found,) = torch.autograd.grad((fragments.interpolate(corners) * weight).sum(), corners)
+    (wanted,) = torch.autograd.grad((expected * weight).sum(), corners)
+    # Sums over the pixels of a face, of numbers up to 1.
+    torch.testing.assert_close(found, wanted, **rounding(400, 1))
+    with pytest.raises(ValueError, match="triangles: expected None"):
+        fragments.interpolate(corners[None], own)
+    with pytest.raises(ValueError, match=r"attributes: expected shape \[B, 320, 3, C\]"):
+        fragments.interpolate(corners[None, 1:])
+    with pytest.raises(ValueError, match="attributes: expected a batch of 1 or 2, got 3"):
+        fragments.interpolate(corners.expand(3, -1, -1, -1))
+
+
+def test_visible_faces_and_vertices(device):
+    mesh, _, fragments = scene(device)
+    for i in range(2):
+        shown = sorted(set(fragments.face_index[i].flatten().tolist()) - {-1})
+        assert torch.nonzero(fragments.visible_faces()[i]).flatten().tolist() == shown
+        used = sorted(set(mesh.faces[shown].flatten().tolist()))
+        assert torch.nonzero(fragments.visible_vertices(200)[i]).flatten().tolist() == used
+    assert fragments.visible_vertices(200).shape == (2, 200) and fragments.visible_vertices().shape == (2, 162)
+    with pytest.raises(ValueError, match="count: expected at least 162, got 100"):
+        fragments.visible_vertices(100)
+
+
+def test_a_background_with_channels_last_is_told(device):
+    mesh, camera, fragments = scene(device)
+    for shape in ((40, 56, 3), (2, 40, 56, 3)):
+        behind = torch.zeros(shape, device=device)
+        for call in (
+            lambda behind=behind: nr.render(mesh, camera, (40, 56), background=behind),
+            lambda behind=behind: fragments.composite(fragments.interpolate(mesh.vertices), behind),
+        ):
+            with pytest.raises(ValueError, match=r"background: expected channels first, \[3, 40, 56\], got .*movedim"):
+                call()

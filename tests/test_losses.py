@@ -210,3 +210,42 @@ def test_the_old_name_of_the_silhouette_loss_warns() -> None:
     s, t = torch.rand(2, 1, 4, 4)
     with pytest.warns(DeprecationWarning, match="silhouette_iou_loss"):
         assert torch.equal(losses.silhouette_iou(s, t), losses.silhouette_iou_loss(s, t))
+
+
+REDUCED = {
+    "silhouette_iou_loss": lambda n: (torch.rand(n, 4, 5).double(), torch.rand(n, 4, 5).double()),
+    "photometric": lambda n: (torch.rand(n, 3, 4, 5).double(), torch.rand(n, 3, 4, 5).double()),
+    "photometric, mask": lambda n: (*torch.rand(2, n, 3, 4, 5).double(), torch.rand(n, 4, 5)),
+    "total_variation": lambda n: (torch.rand(n, 3, 4, 5).double(),),
+    "total_variation, mask": lambda n: (torch.rand(n, 3, 4, 5).double(), torch.rand(n, 4, 5)),
+    "laplacian": lambda n: (vertices(n, 4), TETRAHEDRON),
+    "edge_length": lambda n: (vertices(n, 4), TETRAHEDRON),
+    "normal_consistency": lambda n: (vertices(n, 4), TETRAHEDRON),
+    "smoothness": lambda n: (vertices(n, 4), TETRAHEDRON),
+}
+
+
+@pytest.mark.parametrize("name", REDUCED)
+def test_losses_of_each_image(name):
+    """ "none" gives what the loss of each image alone is; the others are its mean and sum."""
+    loss, given = getattr(losses, name.partition(",")[0]), REDUCED[name](3)
+    each = loss(*given, reduction="none")
+    alone = [loss(*(part if part is TETRAHEDRON else part[i : i + 1] for part in given)) for i in range(3)]
+    torch.testing.assert_close(each, torch.stack(alone))
+    torch.testing.assert_close(loss(*given, reduction="sum"), each.sum())
+    if name != "photometric, mask":
+        torch.testing.assert_close(loss(*given, reduction="mean"), each.mean())
+    default = "sum" if "variation" in name else "mean"
+    assert torch.equal(loss(*given), loss(*given, reduction=default))
+    nothing = [part if part is TETRAHEDRON else part[:0] for part in given]
+    assert loss(*nothing, reduction="none").shape == (0,) and loss(*nothing, reduction="mean") == 0
+    if given[-1] is TETRAHEDRON:
+        assert loss(given[0][0], TETRAHEDRON, reduction="none").shape == ()
+    with pytest.raises(ValueError, match="reduction: expected 'none', 'mean' or 'sum', got 'median'"):
+        loss(*given, reduction="median")
+
+
+def test_a_masked_mean_is_over_all_pixels():
+    image, target, mask = torch.rand(2, 3, 4, 5), torch.rand(2, 3, 4, 5), torch.rand(2, 4, 5)
+    expected = ((image - target).square().mean(1) * mask).sum() / mask.sum()
+    torch.testing.assert_close(losses.photometric(image, target, mask), expected)

@@ -14,6 +14,8 @@ import tyro
 from rich.console import Console
 from rich.text import Text
 
+from .version import __version__
+
 # Command → summary. The options of the command `render` are the class `RenderOptions` in `commands.options.render`; the
 # function `run(options)` in `commands.render` returns the exit code, and likewise for other commands. A command is
 # imported when it runs, so that help and messages about wrong options do not wait for the import of torch.
@@ -28,7 +30,8 @@ COMMANDS = {
 }
 _GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
 
-_DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command.
+_DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
+--version shows the version.
 
 Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 130 interrupted. With --debug after the command, or
 NEURAL_RENDERER_DEBUG=1 in the environment, an error shows its traceback."""
@@ -39,6 +42,9 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if args is None else args)
     debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
+    if arguments[0] == "--version":
+        sys.stdout.write(f"neural-renderer {__version__}\n")
+        return 0
     try:
         with _plain_warnings():
             module, options = _parse(arguments)

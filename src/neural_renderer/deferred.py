@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from . import validate
@@ -50,12 +51,14 @@ class Fragments(VisibleFaces):
 
     @validate.checked_together
     def interpolate(self, attributes: Tensor, triangles: Tensor | None = None) -> Tensor:
-        """Interpolate attributes of vertices at every pixel, perspective-correct.
+        """Interpolate attributes of vertices, or of the corners of faces, at every pixel, perspective-correct.
 
-        Gradients reach the attributes and, through the weights, vertices and camera (``gradient="edge"``).
+        The result has the fragments' size: twice the size asked for under anti-aliasing. Gradients reach the attributes
+        and, through the weights, vertices and camera (``gradient="edge"``).
 
         Args:
-            attributes: [V, C] or [B, V, C] floating, any number of channels.
+            attributes: [V, C] or [B, V, C] floating for vertices, any number of channels; [F, 3, C] or [B, F, 3, C] for
+                corners. If F is 1 or B, three dimensions mean [B, V, C]; [1, F, 3, C] means corners.
             triangles: Per-face indices into ``attributes``, [F, 3] or [B, F, 3] integer, if they are indexed separately
                 from vertices (e.g. texture coordinates). Default: the faces of the mesh.
 
@@ -71,23 +74,86 @@ class Fragments(VisibleFaces):
             >>> fragments.interpolate(torch.rand(len(mesh.vertices), 8)).shape  # 8 channels, at twice the size
             torch.Size([1, 128, 128, 8])
         """
-        shape = ("V", "C") if getattr(attributes, "ndim", 3) == 2 else ("B", "V", "C")
-        validate.floating("attributes", attributes, shape)
+        dims = getattr(attributes, "ndim", 3)
+        batch, count = self.corners.shape[:2]
+        if dims == 4 or (dims == 3 and triangles is None and self._has_corners(attributes)):
+            return self._interpolate_corners(attributes, triangles)
+        validate.floating("attributes", attributes, ("V", "C") if dims == 2 else ("B", "V", "C"))
         triangles = self.triangles if triangles is None else checked_faces(triangles)
         validate.same_device(attributes=attributes, triangles=triangles, faces=self.corners)
         validate.finite("attributes", attributes)
         attributes = attributes if attributes.dim() == 3 else attributes[None]
         triangles = triangles if triangles.dim() == 3 else triangles[None]
-        batch, count = self.corners.shape[:2]
         if attributes.shape[0] not in (1, batch) or triangles.shape[0] not in (1, batch):
             raise ValueError(
                 f"attributes: expected a batch of 1 or {batch}, got {len(attributes)}, {len(triangles)} triangles"
             )
         if triangles.shape[1] != count:
             raise ValueError(f"triangles: expected {count} like the mesh's faces, got {triangles.shape[1]}")
-        validate.in_range("triangles", triangles, attributes.shape[1])
+        validate.in_range("triangles", triangles, attributes.shape[1], padded=True)
         own = gather_corners(attributes.float().expand(max(len(attributes), len(triangles)), -1, -1), triangles.int())
         return interpolate(own, self.corners, self.face_index, self.settings.perspective)
+
+    def visible_faces(self) -> Tensor:
+        """Find the faces that each image shows in at least one pixel.
+
+        Returns:
+            [B, F] bool.
+
+        Example:
+            >>> fragments = nr.fragments(mesh, camera, 64)
+            >>> seen = mesh.submesh(fragments.visible_faces().any(0))  # the half that the camera sees
+            >>> 100 < seen.num_faces < 200
+            True
+        """
+        batch, count = self.corners.shape[:2]
+        shown = self.corners.new_zeros((batch, count + 1), dtype=torch.bool)
+        shown.scatter_(1, self.face_index.long().flatten(1) % (count + 1), True)  # −1 becomes the extra entry
+        return shown[:, :count]
+
+    def visible_vertices(self, count: int | None = None) -> Tensor:
+        """Find the vertices of the faces that each image shows (`visible_faces`).
+
+        Args:
+            count: Number of vertices V. None is the largest index of a face + 1.
+
+        Returns:
+            [B, V] bool.
+
+        Raises:
+            TypeError, ValueError: ``count`` is not a whole number, or less than an index + 1.
+
+        Example:
+            >>> fragments = nr.fragments(mesh, camera, 64)
+            >>> fragments.visible_vertices(mesh.num_vertices).shape
+            torch.Size([1, 162])
+        """
+        shown = self.visible_faces()
+        triangles = self.triangles.long().expand(len(shown), -1, -1)
+        most = int(triangles.max()) + 1 if triangles.numel() else 0
+        count = validate.whole("count", most if count is None else count, most)
+        # Padded faces (−1, −1, −1) are never visible, and go to the extra entry.
+        result = shown.new_zeros(len(shown), count + 1).int()
+        result.scatter_add_(1, (triangles % (count + 1)).flatten(1), shown.repeat_interleave(3, 1).int())
+        return result[:, :count] > 0
+
+    def _has_corners(self, attributes: Tensor) -> bool:
+        """Tell whether attributes of three dimensions are [F, 3, C]."""
+        batch, count = self.corners.shape[:2]
+        return attributes.shape[:2] == (count, 3) and count not in (1, batch)
+
+    def _interpolate_corners(self, attributes: Tensor, triangles: Tensor | None) -> Tensor:
+        """Interpolate attributes [F, 3, C] or [1 or B, F, 3, C]."""
+        batch, count = self.corners.shape[:2]
+        if triangles is not None:
+            raise ValueError("triangles: expected None for attributes of corners, [F, 3, C]")
+        attributes = attributes if attributes.dim() == 4 else attributes[None]
+        validate.floating("attributes", attributes, ("B", count, 3, "C"))
+        if attributes.shape[0] not in (1, batch):
+            raise ValueError(f"attributes: expected a batch of 1 or {batch}, got {len(attributes)}")
+        validate.same_device(attributes=attributes, faces=self.corners)
+        validate.finite("attributes", attributes)
+        return interpolate(attributes.float().contiguous(), self.corners, self.face_index, self.settings.perspective)
 
     @validate.checked_together
     def composite(self, colors: Tensor, background: Any = 0.0, *, seams: bool = False) -> Tensor:
@@ -126,7 +192,7 @@ class Fragments(VisibleFaces):
 
 @validate.checked_together
 def fragments(
-    mesh: Mesh | UVMesh | tuple[Tensor, Tensor],
+    mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
     camera: Camera,
     size: int | tuple[int, int] = 256,
     *,
@@ -140,8 +206,8 @@ def fragments(
     """Rasterise a mesh from every camera of a batch, for deferred shading.
 
     Args:
-        mesh: `Mesh`, `UVMesh`, or (vertices, faces) with vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or
-            [B, F, 3] integer.
+        mesh: `Mesh`; a list of them, of any sizes, one per image (see `batch`); `UVMesh`; or (vertices, faces) with
+            vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or [B, F, 3] integer.
         camera, size, near, far, anti_aliasing, two_sided, gradient, eps: As in `render`.
 
     Returns:

@@ -13,6 +13,7 @@ from .meshes.batch import batch, join
 from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals
 from .meshes.primitives import cube, icosphere, torus
+from .meshes.sampling import SurfacePoints, sample_points
 from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
@@ -34,6 +35,7 @@ __all__ = [
     "Rasterize",
     "Renderer",
     "SphericalHarmonicLight",
+    "SurfacePoints",
     "UVMesh",
     "__version__",
     "batch",
@@ -62,6 +64,7 @@ __all__ = [
     "rasterize_rgbad",
     "rasterize_silhouettes",
     "render",
+    "sample_points",
     "sample_texture",
     "save_animation",
     "save_image",

@@ -1,8 +1,9 @@
 """Losses on images and on meshes.
 
-Each loss returns a scalar tensor and is differentiable in its floating arguments. Half-precision input is summed in
-float32, because a sum over an image overflows float16. The loss of an empty batch is 0. NaN in an image gives a NaN
-loss; NaN in vertices raises ValueError while values are checked (`check_values`).
+Each loss returns a scalar tensor, or with ``reduction="none"`` one number for each image or mesh of the batch. It is
+differentiable in its floating arguments. Half-precision input is summed in float32, because a sum over an image
+overflows float16. The loss of an empty batch is 0. NaN in an image gives a NaN loss; NaN in vertices raises ValueError
+while values are checked (`check_values`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from .meshes.normals import face_normals
 from .meshes.topology import Topology
 
 
-def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tensor:
+def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *, reduction: str = "mean") -> Tensor:
     """Compute 1 − IoU of soft silhouettes, averaged over the batch.
 
     The loss of one image is 1 − Σ(s·ŝ) / Σ(s + ŝ − s·ŝ). It is 0 for equal silhouettes and 1 for disjoint ones. The
@@ -27,12 +28,13 @@ def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6) ->
         predicted: [B, H, W] floating, in [0, 1].
         target: [B, H, W] of any dtype, in [0, 1].
         eps: Smallest union, in pixels. Two empty silhouettes have loss 0 and no gradient.
+        reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each image.
 
     Returns:
-        Scalar tensor in [0, 1].
+        Scalar tensor in [0, 1]; [B] for "none".
 
     Raises:
-        TypeError, ValueError: A type, shape or device does not fit.
+        TypeError, ValueError: A type, shape or device does not fit, or the reduction is unknown.
 
     Example:
         >>> square = torch.zeros(1, 8, 8)
@@ -45,7 +47,8 @@ def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6) ->
     intersection = (predicted * target).sum((1, 2))
     union = (predicted + target - predicted * target).sum((1, 2))
     iou = intersection / union.clamp(min=eps)
-    return _mean(1 - torch.where(union <= eps, torch.ones_like(iou), iou))  # this way round NaN stays NaN
+    each = 1 - torch.where(union <= eps, torch.ones_like(iou), iou)  # this way round NaN stays NaN
+    return _reduced(each, reduction)
 
 
 def silhouette_iou(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tensor:
@@ -71,19 +74,21 @@ def silhouette_iou(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tens
     return silhouette_iou_loss(predicted, target, eps)
 
 
-def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None) -> Tensor:
+def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None, *, reduction: str = "mean") -> Tensor:
     """Compute the mean squared difference of images over pixels and channels.
 
     Args:
         image: [B, C, H, W] floating.
         target: [B, C, H, W].
         mask: [B, H, W] pixel weights of a weighted mean, or None for equal weights. The loss is 0 if all weights are 0.
+        reduction: "none" for a loss [B] of each image, "sum" for their sum, or "mean" over all pixels of the batch,
+            where images of more weight count more.
 
     Returns:
-        Scalar tensor, ≥ 0.
+        Scalar tensor, ≥ 0; [B] for "none".
 
     Raises:
-        TypeError, ValueError: A type, shape or device does not fit.
+        TypeError, ValueError: A type, shape or device does not fit, or the reduction is unknown.
 
     Example:
         >>> photometric(torch.ones(1, 3, 8, 8), torch.zeros(1, 3, 8, 8))
@@ -92,24 +97,30 @@ def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None) -> Te
     image = _wide(validate.floating("image", image, ("B", "C", "H", "W")))
     squared = (image - _like("target", target, image)).square()
     if mask is None:
-        return _mean(squared)
+        # The mean of an image without pixels is 0.
+        return _reduced(squared.sum((1, 2, 3)) / max(squared[0].numel() if len(squared) else 1, 1), reduction)
     weight = _like("mask", mask, image[:, 0])
-    return (squared.mean(1) * weight).sum() / weight.sum().clamp(min=1e-6)
+    total, area = (squared.mean(1) * weight).sum((1, 2)), weight.sum((1, 2))
+    if reduction == "mean":
+        return total.sum() / area.sum().clamp(min=1e-6)
+    return _reduced(total / area.clamp(min=1e-6), reduction)
 
 
-def total_variation(images: Tensor, mask: Tensor | None = None) -> Tensor:
+def total_variation(images: Tensor, mask: Tensor | None = None, *, reduction: str = "sum") -> Tensor:
     """Sum the squared differences between each pixel and its right and lower neighbours.
 
     Args:
         images: [B, C, H, W] floating.
         mask: [B, H, W] pixel weights, or None for equal weights. A difference gets the weight of its left or upper
             pixel.
+        reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each image.
 
     Returns:
-        Scalar tensor: a sum over pixels, channels and images, not a mean, as in the published style transfer.
+        Scalar tensor; [B] for "none". By default a sum over pixels, channels and images, as in the published style
+        transfer.
 
     Raises:
-        TypeError, ValueError: A type, shape or device does not fit.
+        TypeError, ValueError: A type, shape or device does not fit, or the reduction is unknown.
 
     Example:
         >>> image = torch.zeros(1, 1, 4, 4)
@@ -123,23 +134,24 @@ def total_variation(images: Tensor, mask: Tensor | None = None) -> Tensor:
     if mask is not None:
         weight = _like("mask", mask, images[:, 0])[:, None]
         right, down = right * weight[..., :, :-1], down * weight[..., :-1, :]
-    return right.sum() + down.sum()
+    return _reduced(right.sum((1, 2, 3)) + down.sum((1, 2, 3)), reduction)
 
 
-def laplacian(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
+def laplacian(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "mean") -> Tensor:
     """Compute the uniform Laplacian loss: the mean squared distance of vertices to the centroid of their neighbours.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
         faces: [F, 3] whole numbers of any real dtype, or a `Topology` built from them once. torch.compile needs a
             `Topology`.
+        reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
 
     Returns:
-        Scalar tensor: the mean over vertices and batch. A vertex without edges adds 0. Cost O(E).
+        Scalar tensor; [B] for "none": the mean over vertices. A vertex without edges adds 0. Cost O(E).
 
     Raises:
-        TypeError, ValueError: A type, shape or device does not fit; while values are checked, also a face index out of
-            range or a vertex that is not finite.
+        TypeError, ValueError: A type, shape or device does not fit, or the reduction is unknown; while values are
+            checked, also a face index out of range or a vertex that is not finite.
 
     Example:
         >>> sphere = nr.Mesh.icosphere(2)
@@ -151,18 +163,19 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
     ones = torch.ones_like(start, dtype=vertices.dtype)
     degree = ones.new_zeros(vertices.shape[-2]).index_add(0, start, ones)[:, None]
     offset = (total / degree.clamp(min=1) - vertices) * (degree > 0)
-    return offset.square().sum() / max(offset.numel() // 3, 1)
+    return _reduced(offset.square().sum((-2, -1)) / max(offset.shape[-2], 1), reduction)
 
 
-def edge_length(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
+def edge_length(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "mean") -> Tensor:
     """Compute the mean squared edge length.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
         faces: [F, 3] whole numbers, or a `Topology`; see `laplacian`.
+        reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
 
     Returns:
-        Scalar tensor, ≥ 0: the mean over edges and batch.
+        Scalar tensor, ≥ 0; [B] for "none": the mean over edges.
 
     Raises:
         TypeError, ValueError: As `laplacian`.
@@ -175,10 +188,10 @@ def edge_length(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
     vertices, topology = _prepared(vertices, faces)
     start, end = topology.edges.unbind(1)
     edge = vertices.index_select(-2, end) - vertices.index_select(-2, start)
-    return edge.square().sum() / max(edge.numel() // 3, 1)
+    return _reduced(edge.square().sum((-2, -1)) / max(edge.shape[-2], 1), reduction)
 
 
-def normal_consistency(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
+def normal_consistency(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "mean") -> Tensor:
     """Compute the mean of 1 − cos φ over edges; φ is the angle between the normals of the two adjacent faces.
 
     The loss of a flat surface is 0. The winding of faces does not matter.
@@ -186,9 +199,10 @@ def normal_consistency(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
         faces: [F, 3] whole numbers, or a `Topology`; see `laplacian`.
+        reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
 
     Returns:
-        Scalar tensor in [0, 2]: the mean over edges and batch.
+        Scalar tensor in [0, 2]; [B] for "none": the mean over edges.
 
     Raises:
         TypeError, ValueError: As `laplacian`.
@@ -199,10 +213,10 @@ def normal_consistency(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
         tensor(0.6667)
     """
     bend = _bend(vertices, faces)
-    return bend.sum() / max(bend.numel(), 1)
+    return _reduced(bend.sum(-1) / max(bend.shape[-1], 1), reduction)
 
 
-def smoothness(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
+def smoothness(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "mean") -> Tensor:
     """Sum (cos θ + 1)² over edges and average over the batch: the paper's smoothness loss (section 4.1).
 
     θ is the dihedral angle, 180° on a flat surface.
@@ -210,9 +224,10 @@ def smoothness(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
         faces: [F, 3] whole numbers, or a `Topology`; see `laplacian`.
+        reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
 
     Returns:
-        Scalar tensor, ≥ 0: a sum over edges, a mean over the batch.
+        Scalar tensor, ≥ 0; [B] for "none": a sum over edges, by default a mean over the batch.
 
     Raises:
         TypeError, ValueError: As `laplacian`.
@@ -223,7 +238,7 @@ def smoothness(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
         tensor(12.)
     """
     bend = _bend(vertices, faces)
-    return bend.square().sum() / max(bend.shape[0] if bend.ndim == 2 else 1, 1)
+    return _reduced(bend.square().sum(-1), reduction)
 
 
 def _bend(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
@@ -250,9 +265,15 @@ def _wide(value: Tensor) -> Tensor:
     return value.to(torch.promote_types(value.dtype, torch.float32))
 
 
-def _mean(value: Tensor) -> Tensor:
-    """Average; 0 for an empty tensor."""
-    return value.mean() if value.numel() else value.sum()
+def _reduced(each: Tensor, reduction: str) -> Tensor:
+    """Reduce the losses [B], or [] of a single mesh; the mean and the sum of none are 0."""
+    if reduction == "none":
+        return each
+    if reduction == "sum":
+        return each.sum()
+    if reduction == "mean":
+        return each.mean() if each.numel() else each.sum()
+    raise ValueError(f"reduction: expected 'none', 'mean' or 'sum', got {reduction!r}")
 
 
 def _like(name: str, value: Tensor, other: Tensor) -> Tensor:

@@ -59,6 +59,11 @@ def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(name in out and summary in out for name, summary in cli.COMMANDS.items())
 
 
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"neural-renderer {nr.__version__}\n"
+
+
 @pytest.mark.parametrize("arguments", [["nonsense"], ["render"], ["render", "a.obj", "-o", "b.png", "--size", "big"]])
 def test_wrong_usage_is_2(arguments: list[str]) -> None:
     assert cli.main(arguments) == 2
@@ -68,7 +73,7 @@ QUICK = """
 import sys
 from neural_renderer import cli
 from neural_renderer.commands.reconstruct import COMMANDS as reconstruct
-asked = [[], ["nonsense"], ["reconstruct"], ["reconstruct", "nonsense"]]
+asked = [[], ["--version"], ["nonsense"], ["reconstruct"], ["reconstruct", "nonsense"]]
 for command in [[name] for name in cli.COMMANDS] + [["reconstruct", name] for name in reconstruct]:
     asked += [[*command, "--help"], [*command, "--nonsense"]]
 for arguments in asked:

@@ -8,6 +8,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from neural_renderer.io import load_obj, save_obj
 from neural_renderer.meshes.mesh import Mesh
@@ -39,9 +40,68 @@ def test_given_textures_are_kept_and_copied():
     assert repr(mesh) == "Mesh(8 vertices, 12 faces, textures of 3³, cpu)"
 
 
-def test_without_textures_they_are_noise():
+def test_without_textures_a_mesh_is_white_and_a_file_is_noise(tmp_path):
     mesh = Mesh(*(x.numpy() for x in icosphere(2)), texture_size=4)
-    assert mesh.textures.shape == (320, 4, 4, 4, 3) and abs(mesh.textures.std().item() - 0.05) < 0.002
+    assert mesh.textures.shape == (320, 4, 4, 4, 3) and (mesh.textures == 1).all()
+    save_obj(tmp_path / "sphere.obj", *icosphere(2))
+    noise = Mesh(tmp_path / "sphere.obj", 4)
+    # 61440 normal numbers: their deviation is known to 0.05 / √(2 · 61440) = 0.00014.
+    assert noise.textures.shape == (320, 4, 4, 4, 3) and abs(noise.textures.std().item() - 0.05) < 0.002
+
+
+def test_colours_of_vertices_and_faces():
+    vertices, faces = icosphere(2)
+    colors = torch.rand(len(vertices), 3, generator=torch.Generator().manual_seed(0))
+    mesh = Mesh(vertices, faces, vertex_colors=colors.numpy(), texture_size=3)
+    last = mesh.textures.detach()
+    for corner, texel in enumerate([(2, 0, 0), (0, 2, 0), (0, 0, 2)]):
+        torch.testing.assert_close(last[(slice(None), *texel)], colors[faces.long()][:, corner])
+    torch.testing.assert_close(last[:, 1, 1, 1], colors[faces.long()].mean(1))
+    paint = torch.rand(len(faces), 3, generator=torch.Generator().manual_seed(1))
+    flat = Mesh(vertices, faces, face_colors=paint, texture_size=1)
+    assert torch.equal(flat.textures.reshape(-1, 3), paint)
+    for wrong, sentence in [
+        ({"vertex_colors": colors, "face_colors": paint}, "face_colors: expected one of"),
+        ({"vertex_colors": colors, "textures": flat.textures}, "textures: expected one of"),
+        ({"vertex_colors": paint}, r"vertex_colors: expected shape \[162, 3\]"),
+        ({"face_colors": colors}, r"face_colors: expected shape \[320, 3\]"),
+    ]:
+        with pytest.raises(ValueError, match=sentence):
+            Mesh(vertices, faces, **wrong)
+
+
+def test_submesh_and_merged_vertices_agree_with_trimesh():
+    vertices, faces = icosphere(2)
+    soup = vertices[faces.long()].reshape(-1, 3)
+    mesh = Mesh(soup, torch.arange(len(soup)).reshape(-1, 3), torch.rand(len(faces), 2, 2, 2, 3))
+    mesh.set_lr(0.5, 2.0)
+    merged = mesh.merge_vertices()
+    theirs = trimesh.Trimesh(soup.numpy(), np.arange(len(soup)).reshape(-1, 3), process=False)
+    theirs.merge_vertices()
+    assert merged.num_vertices == len(theirs.vertices) == 162
+    assert torch.equal(merged.vertices[merged.faces.long()], mesh.vertices[mesh.faces.long()])
+    assert torch.equal(merged.textures, mesh.textures) and merged.vertices.lr == 0.5
+    assert merged.faces[0].tolist() == [0, 1, 2]  # the first of each place, in order
+    moved = Mesh(soup + 1e-4 * torch.rand(soup.shape), mesh.faces)
+    assert moved.merge_vertices().num_vertices == len(soup) and moved.merge_vertices(0.1).num_vertices < 400
+    index = [5, 7, 300]
+    part = merged.submesh(index)
+    theirs = theirs.submesh([index], append=True, repair=False)
+    assert part.num_vertices == len(theirs.vertices) and part.num_faces == 3
+    assert torch.equal(part.vertices[part.faces.long()], merged.vertices[merged.faces[index].long()])
+    assert torch.equal(part.textures, merged.textures[index]) and part.textures.lr == 2.0
+    mask = torch.zeros(320, dtype=torch.bool)
+    mask[index] = True
+    assert torch.equal(merged.submesh(mask).faces, part.faces)
+    for wrong, sentence in [
+        ([], "at least one face"),
+        ([320], r"indices in \[0, 320\)"),
+        (mask[1:], "a bool for each"),
+    ]:
+        with pytest.raises(ValueError, match=f"index: expected {sentence}"):
+            merged.submesh(wrong)
+    with pytest.raises(ValueError, match="tolerance: expected"):
+        merged.merge_vertices(-1)
 
 
 def test_old_forms(file):

@@ -231,3 +231,51 @@ def test_what_can_be_neither_saved_nor_drawn(board, tmp_path):
     with pytest.raises(OSError, match=r"folder\.obj"):
         mesh.save(tmp_path / "folder.obj")
     assert not (tmp_path / "folder.mtl").exists() and not list(tmp_path.glob("folder_*"))
+
+
+def test_one_image_in_three_forms_of_coordinates():
+    vertices, faces = nr.icosphere(1)
+    image = torch.rand(8, 8, 3, requires_grad=True)
+    uv = torch.rand(len(vertices), 2)
+    corners = uv[faces.long()]
+    full = nr.UVMesh(
+        vertices, faces, corners, torch.zeros(80, dtype=torch.int64), (image,), torch.ones(80, 3, 3), ("clamp",)
+    )
+    camera = nr.Camera.look_at((0.0, 0.0, -2.5))
+    expected = nr.render(full, camera, 16).rgb
+    pair = (corners.reshape(-1, 2), torch.arange(240).reshape(80, 3))
+    for form in (uv, corners, pair, uv.numpy()):
+        mesh = nr.UVMesh(vertices, faces, form, image, wrap="clamp")
+        assert torch.equal(nr.render(mesh, camera, 16).rgb, expected)
+    named = nr.UVMesh(vertices.numpy(), faces.long().numpy(), uv, image=image)
+    assert named.wraps == ("repeat",) and named.images[0] is image and named.faces.dtype == torch.int32
+    assert dataclasses.replace(named, wraps=("clamp",)).uv is named.uv
+    nr.render(named, camera, 16).rgb.sum().backward()
+    assert image.grad.any()
+    part = named.submesh([3, 4])
+    assert torch.equal(part.vertices[part.faces.long()], vertices[faces[[3, 4]].long()])
+    assert torch.equal(part.uv, corners[[3, 4]]) and part.image_index.tolist() == [0, 0]
+    soup = nr.UVMesh(vertices[faces.long()].reshape(-1, 3), pair[1], corners, image)
+    merged = soup.merge_vertices()
+    assert len(merged.vertices) == 42 and torch.equal(merged.uv, corners)
+    assert torch.equal(merged.vertices[merged.faces.long()], vertices[faces.long()])
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"image": torch.rand(3, 8, 9)}, r"image: expected \[H, W, 3\], got .* channels first"),
+        ({"image": torch.rand(8, 8)}, r"image: expected shape \[H, W, 3\]"),
+        ({"uv": torch.rand(7, 2)}, r"uv: expected shape \[8, 2\]"),
+        ({"uv": torch.rand(7, 3, 2)}, r"uv: expected shape \[12, 3, 2\]"),
+        ({"uv": (torch.rand(7, 2), torch.full((12, 3), 7))}, r"uv: expected indices in \[0, 7\)"),
+        ({"faces": torch.full((12, 3), 8)}, "faces: expected indices"),
+        ({"wrap": "mirror"}, "wrap: expected"),
+        ({"image_index": torch.zeros(12, dtype=torch.int64)}, "image: expected only one of image and image_index"),
+    ],
+)
+def test_what_does_not_fit_one_image(change, sentence):
+    vertices, faces = nr.cube()
+    given = {"vertices": vertices, "faces": faces, "uv": torch.rand(8, 2), "image": torch.rand(8, 8, 3)}
+    with pytest.raises(ValueError, match=sentence):
+        nr.UVMesh(**(given | change))

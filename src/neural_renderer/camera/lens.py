@@ -184,19 +184,24 @@ def pixels_to_screen(
     near = _away_from_zero(z + eps)
     x, y = points[..., 0] / near, points[..., 1] / near
     if dist_coeffs is not None:
-        k1, k2, p1, p2, k3 = dist_coeffs[..., None].unbind(-2)
-        # The squares and r⁶ of points beside the camera would overflow. No image shows those points.
-        a, b = x.clamp(-_FARTHEST, _FARTHEST), y.clamp(-_FARTHEST, _FARTHEST)
-        r2 = a * a + b * b
-        bounded = r2.clamp(max=_WIDEST)
-        radial = 1 + bounded * (k1 + bounded * (k2 + bounded * k3))
-        x, y = (
-            x * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a),
-            y * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b,
-        )
+        x, y = distorted(x, y, dist_coeffs)
     u, v, _ = rotate(K, torch.stack((x, y, torch.ones_like(x)), dim=-1)).unbind(-1)
     height, width = size
     return torch.stack(torch.broadcast_tensors(2 * u / width - 1, 1 - 2 * v / height, z), dim=-1)
+
+
+def distorted(x: Tensor, y: Tensor, dist_coeffs: Tensor) -> tuple[Tensor, Tensor]:
+    """Distort coordinates [..., V] at depth 1 (step 3 of `projection`) by (k1, k2, p1, p2, k3) [..., 5]."""
+    k1, k2, p1, p2, k3 = dist_coeffs[..., None].unbind(-2)
+    # The squares and r⁶ of points beside the camera would overflow. No image shows those points.
+    a, b = x.clamp(-_FARTHEST, _FARTHEST), y.clamp(-_FARTHEST, _FARTHEST)
+    r2 = a * a + b * b
+    bounded = r2.clamp(max=_WIDEST)
+    radial = 1 + bounded * (k1 + bounded * (k2 + bounded * k3))
+    return (
+        x * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a),
+        y * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b,
+    )
 
 
 def image_size(orig_size: Any) -> tuple[float, float]:

@@ -11,29 +11,37 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
+from ..io.cubes import bake_corners
 from ..io.formats import load_mesh
 from ..io.mesh_writer import save_mesh
 from ..io.obj import load_obj
 from . import primitives
 from .bounds import bounding_box
+from .pieces import chosen_faces, merged_vertices, used_vertices
 
 
 class Mesh(nn.Module):
     """Triangle mesh as a `torch.nn.Module`: vertices and textures are parameters, faces are a buffer.
 
-    `load`, `fromobj` and `icosphere` make a mesh, `save` writes it, `normalize` centres and scales it. `get_batch` and
-    `set_lr` are methods of the first packages. All other methods are those of `torch.nn.Module`: `to`, `parameters`, ….
+    `load`, `fromobj` and `icosphere` make a mesh, `save` writes it, `normalize` centres and scales it, `submesh` and
+    `merge_vertices` change its faces. `get_batch` and `set_lr` are methods of the first packages. All other methods are
+    those of `torch.nn.Module`: `to`, `parameters`, ….
 
-    ``Mesh(vertices, faces, textures)`` copies its arguments. ``Mesh("teapot.obj", texture_size, normalization)`` reads
-    the shape from an OBJ file and ignores its colours. Without textures, a mesh gets normal noise of standard deviation
-    0.05, to be optimised through the sigmoid of `get_batch`.
+    ``Mesh(vertices, faces)`` is white; ``vertex_colors``, ``face_colors`` or ``textures`` colour it. Arguments are
+    copied. ``Mesh("teapot.obj", texture_size, normalization)`` reads the shape from an OBJ file and ignores its
+    colours, as in the first packages: its texture is normal noise of standard deviation 0.05, to be optimised through
+    the sigmoid of `get_batch`.
 
     Args:
         vertices: [V, 3] floating tensor or array, or the path of an OBJ file.
         faces: [F, 3] tensor or array of whole numbers, on the device of the vertices.
-        textures: [F, T, T, T, 3] floating, or None for noise.
-        texture_size: T of the noise, ≥ 1.
+        textures: [F, T, T, T, 3] floating, or None.
+        texture_size: T if there are no textures, ≥ 1.
         normalization: For an OBJ file: centre its bounding box at the origin and scale its longest side to [−1, 1].
+        vertex_colors: [V, 3] floating, RGB in [0, 1], in place of textures. They are baked into the texture, and
+            drawn up to 3 % (T = 4) of the corners' difference off a linear interpolation; `Fragments.interpolate` is
+            exact.
+        face_colors: [F, 3] floating, RGB in [0, 1], in place of textures.
 
     Attributes:
         vertices: Parameter, float32 [V, 3].
@@ -43,7 +51,7 @@ class Mesh(nn.Module):
 
     Raises:
         TypeError, ValueError: A type, shape or device does not fit, a number is not finite, an index is out of range,
-            or there are no faces.
+            or there are no faces, or more than one kind of colours.
 
     Example:
         >>> vertices, faces = nr.cube()
@@ -62,23 +70,31 @@ class Mesh(nn.Module):
         textures: Any = None,
         texture_size: int = 4,
         normalization: bool = True,
+        *,
+        vertex_colors: Any = None,
+        face_colors: Any = None,
     ) -> None:
         super().__init__()
-        if isinstance(vertices, (str, os.PathLike)):
+        is_file = isinstance(vertices, (str, os.PathLike))
+        if is_file:
             # In this form the second and third positions are `texture_size` and `normalization`.
             texture_size = texture_size if faces is None else faces
             normalization = normalization if textures is None else textures
             vertices, faces, *_ = load_obj(vertices, normalization)
             textures = None
-        vertices, faces = _as_tensor(vertices), _as_tensor(faces)
+        vertices, faces = as_tensor(vertices), as_tensor(faces)
         validate.floating("vertices", vertices, ["V", 3])
         faces = validate.indices("faces", faces, ["F", 3])
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
         if textures is None:
             texture_size = validate.whole("texture_size", texture_size, 1)
-            textures = 0.05 * torch.randn(len(faces), *[texture_size] * 3, 3, device=vertices.device)
-        textures = _as_tensor(textures)
+            textures = _textures(vertex_colors, face_colors, vertices, faces, texture_size)
+            if textures is None:
+                textures = _noise(faces, texture_size) if is_file else _white(faces, texture_size)
+        elif vertex_colors is not None or face_colors is not None:
+            raise ValueError("textures: expected one of textures, vertex_colors and face_colors, got several")
+        textures = as_tensor(textures)
         validate.cubes("textures", textures, len(faces))
         validate.same_device(vertices=vertices, faces=faces, textures=textures)
         validate.finite("vertices", vertices)
@@ -118,7 +134,7 @@ class Mesh(nn.Module):
             Mesh(8 vertices, 12 faces, textures of 2³, cpu)
         """
         loaded = load_obj(filename_obj, normalization, texture_size, load_texture, allow_outside=allow_outside)
-        textures = loaded[2] if len(loaded) == 3 else None
+        textures = loaded[2] if len(loaded) == 3 else _noise(loaded[1], validate.whole("texture_size", texture_size, 1))
         return cls(loaded[0], loaded[1], textures, texture_size)
 
     @classmethod
@@ -222,6 +238,60 @@ class Mesh(nn.Module):
             result.vertices.copy_(centered(self.vertices))
         return result
 
+    def submesh(self, index: Any) -> Mesh:
+        """Copy some of the faces, with their textures and the vertices that they use.
+
+        Args:
+            index: Numbers of faces [N], or a bool for each face [F]: tensor, array or list.
+
+        Returns:
+            The copy. Its vertices keep their order.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit, a number is out of range, or there is none.
+
+        Example:
+            >>> mesh = nr.Mesh.icosphere(2)
+            >>> upper = mesh.submesh((mesh.vertices[mesh.faces][..., 1] > 0).all(1))
+            >>> upper.num_faces < mesh.num_faces
+            True
+        """
+        kept = chosen_faces(index, self.faces)
+        rows, faces = used_vertices(self.faces[kept])
+        return self._like(self.vertices[rows], faces, self.textures[kept])
+
+    def merge_vertices(self, tolerance: float = 0.0) -> Mesh:
+        """Copy the mesh, with vertices in the same place merged, so that adjacent faces share them.
+
+        Files split vertices at seams; losses such as `losses.laplacian` and smooth normals need them in one piece.
+
+        Args:
+            tolerance: Width of a grid's cells in world units, ≥ 0; the vertices in one cell are merged. 0 merges equal
+                coordinates only.
+
+        Returns:
+            The copy, with all faces and their textures. The first vertex of each place is kept, in order.
+
+        Raises:
+            TypeError, ValueError: ``tolerance`` is not a number ≥ 0.
+
+        Example:
+            >>> vertices, faces = nr.cube()
+            >>> soup = nr.Mesh(vertices[faces].reshape(-1, 3), torch.arange(36).reshape(12, 3))
+            >>> soup.num_vertices, soup.merge_vertices().num_vertices
+            (36, 8)
+        """
+        rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
+        return self._like(self.vertices[rows], faces, self.textures)
+
+    def _like(self, vertices: Tensor, faces: Tensor, textures: Tensor) -> Mesh:
+        """Make a mesh of other tensors, with what this one's parameters carry: the factors of `set_lr`, frozen ones."""
+        result = Mesh(vertices, faces, textures)
+        for mine, theirs in zip(self.parameters(), result.parameters(), strict=True):
+            theirs.requires_grad_(mine.requires_grad)
+            theirs.__dict__.update(mine.__dict__)
+        return result
+
     def get_batch(self, batch_size: int) -> tuple[Tensor, Tensor, Tensor]:
         """Repeat the mesh ``batch_size`` times, without a copy.
 
@@ -283,11 +353,31 @@ def centered(vertices: Tensor) -> Tensor:
     return (vertices - center) / half
 
 
-def _as_tensor(value: Any) -> Any:
+def as_tensor(value: Any) -> Any:
     """Convert an array to a tensor; return other values unchanged."""
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
     return value
+
+
+def _textures(vertex_colors: Any, face_colors: Any, vertices: Tensor, faces: Tensor, size: int) -> Tensor | None:
+    """Bake colours into texture cubes [F, T, T, T, 3]; None if there are none."""
+    if vertex_colors is not None and face_colors is not None:
+        raise ValueError("face_colors: expected one of vertex_colors and face_colors, got both")
+    if vertex_colors is not None:
+        colors = validate.floating("vertex_colors", as_tensor(vertex_colors), (len(vertices), 3))
+        validate.same_device(vertices=vertices, faces=faces, vertex_colors=colors)
+        validate.in_range("faces", faces, len(vertices))
+        return bake_corners(colors.float()[faces.long()], size)
+    if face_colors is not None:
+        colors = validate.floating("face_colors", as_tensor(face_colors), (len(faces), 3))
+        return colors[:, None, None, None].expand(-1, size, size, size, 3)
+    return None
+
+
+def _noise(faces: Tensor, size: int) -> Tensor:
+    """Make texture cubes [F, T, T, T, 3] of the first packages, to be optimised through a sigmoid."""
+    return 0.05 * torch.randn(len(faces), size, size, size, 3, device=faces.device)
 
 
 def _white(faces: Tensor, texture_size: int) -> Tensor:

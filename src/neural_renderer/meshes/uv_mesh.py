@@ -19,17 +19,32 @@ from ..io.surface_colors import SurfaceColors
 from ..textures.gutters import fill_gutters
 from ..textures.sample_texture import checked_wrap, sampled
 from .mesh import centered
+from .one_image import one_image
+from .pieces import chosen_faces, merged_vertices, used_vertices
 
 if TYPE_CHECKING:
     from ..deferred import Fragments
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class UVMesh:
     """Triangle mesh with images as albedo, sampled at every pixel.
 
     `render` and `fragments` draw it. To optimise a tensor, replace it by one that requires gradients
     (``dataclasses.replace``).
+
+    ``UVMesh(vertices, faces, uv, image)`` is a mesh with one image; tensors keep their gradients. The long form
+    ``UVMesh(vertices, faces, uv, image_index, images, colors, wraps)`` takes all attributes as they are.
+
+    Args:
+        vertices: [V, 3] floating tensor or array.
+        faces: [F, 3] whole numbers.
+        uv: [V, 2] for vertices, [F, 3, 2] for the faces' corners, or a pair: texture coordinates [U, 2] and indices
+            into them [F, 3].
+        image_index: The image [H, W, 3] floating, RGB in [0, 1], row 0 at the top; in the long form, the attribute.
+        images, colors, wraps: The attributes; not in the short form.
+        image: The image of the short form, by its name.
+        wrap: "repeat" or "clamp", in the short form.
 
     Attributes:
         vertices: [V, 3] float32.
@@ -41,14 +56,14 @@ class UVMesh:
         wraps: "repeat" or "clamp" for each image, as in `sample_texture`.
 
     Raises:
-        TypeError, ValueError: In drawing or saving, attributes that do not fit together or are not finite.
+        TypeError, ValueError: In the short form, an argument that does not fit. In drawing or saving, attributes that
+            do not fit together or are not finite.
 
     Example:
         >>> vertices, faces = nr.cube()
         >>> uv = torch.tensor([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]).expand(12, 3, 2)
         >>> image = torch.rand(64, 64, 3, requires_grad=True)
-        >>> index, colors = torch.zeros(12, dtype=torch.int64), torch.ones(12, 3, 3)
-        >>> cube = nr.UVMesh(vertices, faces, uv, index, (image,), colors, ("repeat",))
+        >>> cube = nr.UVMesh(vertices, faces, uv, image)
         >>> nr.render(cube, camera, 64).rgb.mean().backward()
     """
 
@@ -59,6 +74,30 @@ class UVMesh:
     images: tuple[Tensor, ...]
     colors: Tensor
     wraps: tuple[str, ...]
+
+    def __init__(
+        self,
+        vertices: Any,
+        faces: Any,
+        uv: Any,
+        image_index: Any = None,
+        images: Any = None,
+        colors: Any = None,
+        wraps: Any = None,
+        *,
+        image: Any = None,
+        wrap: str = "repeat",
+    ) -> None:
+        values = (vertices, faces, uv, image_index, images, colors, wraps)
+        rest = (images, colors, wraps)
+        if image is not None or all(part is None for part in rest):
+            if image is not None and any(part is not None for part in (image_index, *rest)):
+                raise ValueError(
+                    "image: expected only one of image and image_index, images, colors, wraps, got several"
+                )
+            values = one_image(vertices, faces, uv, image_index if image is None else image, wrap)
+        for part, value in zip(fields(self), values, strict=True):
+            object.__setattr__(self, part.name, value)  # the class is frozen
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], grey: float = 0.5, allow_outside: bool = False) -> UVMesh:
@@ -216,6 +255,50 @@ class UVMesh:
             1.0
         """
         return replace(self, vertices=centered(self.vertices).float())
+
+    def submesh(self, index: Any) -> UVMesh:
+        """Take some of the faces, with their texture coordinates and the vertices that they use.
+
+        Args:
+            index: Numbers of faces [N], or a bool for each face [F]: tensor, array or list.
+
+        Returns:
+            The mesh, with the same images; differentiable in all tensors. Its vertices keep their order.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit, a number is out of range, or there is none.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> nr.UVMesh.load("sphere.obj").submesh(range(10)).faces.shape
+            torch.Size([10, 3])
+        """
+        kept = chosen_faces(index, self.faces)
+        rows, faces = used_vertices(self.faces[kept])
+        own: dict[str, Any] = {"uv": self.uv[kept], "image_index": self.image_index[kept], "colors": self.colors[kept]}
+        return replace(self, vertices=self.vertices[rows], faces=faces, **own)
+
+    def merge_vertices(self, tolerance: float = 0.0) -> UVMesh:
+        """Merge vertices in the same place, so that adjacent faces share them; texture coordinates stay as they are.
+
+        Args:
+            tolerance: As in `Mesh.merge_vertices`.
+
+        Returns:
+            The mesh, with all faces; differentiable in all tensors. The first vertex of each place is kept, in order.
+
+        Raises:
+            TypeError, ValueError: ``tolerance`` is not a number ≥ 0.
+
+        Example:
+            >>> vertices, faces = nr.cube()
+            >>> corners, uv, image = vertices[faces].reshape(-1, 3), torch.rand(36, 2), torch.rand(8, 8, 3)
+            >>> soup = nr.UVMesh(corners, torch.arange(36).reshape(12, 3), uv, image)
+            >>> soup.merge_vertices().vertices.shape
+            torch.Size([8, 3])
+        """
+        rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
+        return replace(self, vertices=self.vertices[rows], faces=faces)
 
     def resized(self, side: int) -> UVMesh:
         """Copy the mesh, with all images resized to ``side`` × ``side`` pixels by an antialiasing filter.

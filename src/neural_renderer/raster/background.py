@@ -56,6 +56,11 @@ def background_image(background: Any, batch: int, channels: int, settings: Setti
     if shape == image or (len(shape) == 4 and shape[0] in (1, batch) and shape[1:] == image):
         color = color.reshape(-1, *image)
         return color.repeat_interleave(2, 2).repeat_interleave(2, 3) if settings.anti_aliasing else color
+    if shape[-3:] == (height, width, channels):
+        raise ValueError(
+            f"background: expected channels first, {list(image)}, got {list(shape)}; "
+            "background.movedim(-1, -3) converts it"
+        )
     raise ValueError(
         f"background: expected a number, [{channels}], [{batch}, {channels}], {list(image)} or {[batch, *image]}, "
         f"got {list(shape)}"

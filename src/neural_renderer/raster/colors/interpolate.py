@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..ops.visible_faces import end_of_run, visible_faces
 from ..warp.geometry import in_front, pixel_box
-from ..warp.launch import array, launch, zeros
+from ..warp.launch import array, launch, module_for_cuda, zeros
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
@@ -259,7 +259,7 @@ def _backward(
             )  # fmt: skip
 
 
-@wp.kernel
+@wp.kernel(module=module_for_cuda(__name__))
 def _backward_runs(
     first: int,
     attributes: wp.array4d(dtype=float),

@@ -106,6 +106,12 @@ _BEGIN = """
     const float* beam = directional.data + 3 * (b < directional.shape[0] ? b : directional.shape[0] - 1);
     const float* towards = direction.data + 3 * (b < direction.shape[0] ? b : direction.shape[0] - 1);
 """
+# Vectors of faces, whose numbers lie apart, would save little time and take a second to compile.
+_LOOP = """
+    #if !defined(__CUDA_ARCH__)
+    #pragma clang loop vectorize(disable) interleave(disable) unroll(disable)
+    #endif
+"""
 # Normals as `face_normals` computes them, along (v0 - v1) x (v2 - v1).
 _NORMAL = f"""
         float largest = 0.0f, p[3], q[3], n[3], pp = 0.0f, qq = 0.0f;
@@ -132,6 +138,7 @@ _NORMAL = f"""
 @wp.func_native(f"""
     {_BEGIN}
     float* to = factors.data + b * count * 6;
+    {_LOOP}
     for (int f = begin; f < end; ++f) {{
         {_NORMAL}
         const float front = facing > 0.0f ? facing : 0.0f, back = facing < 0.0f ? -facing : 0.0f;
@@ -161,6 +168,7 @@ def light_faces(
     float* to = to_corners.data + own * count * 9;
     double sum[9];
     for (int k = 0; k < 9; ++k) sum[k] = 0.0;
+    {_LOOP}
     for (int f = begin; f < end; ++f) {{
         {_NORMAL}
         const float *front = g + 3 * f, *back = g + 3 * (count + f);

@@ -36,6 +36,8 @@ emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
 # Warp keeps strides in 32 bits.
 MOST_BYTES = 2**31 - 1
 
+_FOR_CUDA = "_for_cuda"  # ends the names of Warp modules that the CPU does not need
+
 _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
 _asked: set[tuple[Any, torch.device]] = set()  # earlier arguments of `load_ahead`
@@ -93,6 +95,16 @@ def load_kernel(kernel: wp.Kernel, device: str) -> None:
         _load([kernel], device)
 
 
+def module_for_cuda(name: str) -> wp.Module:
+    """Make a Warp module, with the options of the module ``name``, for its kernels that only CUDA runs.
+
+    So the CPU, where they are not needed, does not compile them.
+    """
+    module = wp.get_module(name + _FOR_CUDA)
+    wp.set_module_options(wp.get_module(name).options.copy(), module)
+    return module
+
+
 def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device) -> None:
     """Compile and load the modules of these functions, several at once.
 
@@ -101,6 +113,8 @@ def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device) 
     if (functions, device) in _asked or emulator is not None or device.type not in ("cpu", "cuda"):
         return
     modules = [wp.get_module(name) for name in {function.__module__: None for function in functions}]
+    if device.type == "cuda":
+        modules += [module for one in modules if (module := wp.get_module(one.name + _FOR_CUDA)).kernels]
     kernels = [next(iter(module.kernels.values())) for module in modules]
     _load([kernel for kernel in kernels if (kernel, str(device)) not in _ready], str(device))
     _asked.add((functions, device))

@@ -1,0 +1,124 @@
+"""Matrices of other programs: to the axes and the intrinsic matrix of a camera."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .. import validate
+from .lens import check_rotation
+from .parameters import as_tensor
+from .view import rotate
+
+# Signs that turn a convention's camera axes to OpenCV's: right, down, forward.
+_AXES = {
+    "opencv": (1.0, 1.0, 1.0),
+    "opengl": (1.0, -1.0, -1.0),
+    "blender": (1.0, -1.0, -1.0),
+    "pytorch3d": (-1.0, -1.0, 1.0),
+}
+_TOLERANCE = 1e-3  # for the constant row of a matrix
+_SINGULAR = 1e-6  # a row of a clip matrix that is this small relative to the matrix, after those before it, is 0
+
+
+def view_frame(
+    world_to_camera: Any, camera_to_world: Any, convention: str, dtype: torch.dtype, device: torch.device
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Split a view matrix into OpenCV's R [..., 3, 3], the camera's position [..., 3] and OpenCV's t [..., 3].
+
+    Raises:
+        TypeError, ValueError: As `Camera.from_matrix`.
+    """
+    if convention not in _AXES:
+        raise ValueError(f"convention: expected one of {', '.join(map(repr, _AXES))}, got {convention!r}")
+    if (world_to_camera is None) == (camera_to_world is None):
+        count = "none" if camera_to_world is None else "both"
+        raise ValueError(f"world_to_camera: expected either this or camera_to_world, got {count}")
+    name, value = "camera_to_world", camera_to_world
+    if camera_to_world is None:
+        name, value = "world_to_camera", world_to_camera
+    matrix = _view_matrix(name, value, convention == "pytorch3d", dtype, device)
+    turn, shift = matrix[..., :3, :3], matrix[..., :3, 3]
+    with validate.called(R=name):
+        check_rotation(turn)
+    signs = matrix.new_tensor(_AXES[convention])
+    if name == "camera_to_world":
+        R = turn.transpose(-1, -2) * signs[:, None]
+        return R, shift, -rotate(R, shift[..., None, :])[..., 0, :]
+    return turn * signs[:, None], -rotate(turn.transpose(-1, -2), shift[..., None, :])[..., 0, :], shift * signs
+
+
+def clip_frame(matrix: Any, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor, bool]:
+    """Split a perspective clip matrix into K [B, 3, 3] for an image of 2 × 2 pixels, R, t, and whether it mirrors.
+
+    Raises:
+        TypeError, ValueError: As `Camera.from_clip`.
+    """
+    clip = _matrix("matrix", matrix, (4,), device).double()
+    clip = clip if clip.ndim == 3 else clip[None]
+    x, y, _, w = clip.unbind(-2)
+    # Pixels of an image of 2 × 2: u = x / w + 1 to the right, v = 1 − y / w down.
+    rows = torch.stack((x + w, w - y, w), -2)
+    size = rows[..., :3].norm(dim=-1)
+    forward, depth = _unit(rows[:, 2, :3])
+    down, K11 = _unit(rows[:, 1, :3] - _dot(rows[:, 1, :3], forward)[:, None] * forward)
+    right = torch.linalg.cross(down, forward, dim=-1)
+    K00 = _dot(rows[:, 0, :3], right)
+    if validate.values_are_checked(clip):
+        if bool((depth <= _SINGULAR * clip.abs().amax((1, 2))).any()):
+            raise ValueError(
+                "matrix: expected a perspective projection, got one whose fourth row does not depend on the point; "
+                "for a view without perspective use Camera.from_matrix(..., orthographic=True)"
+            )
+        if bool((torch.stack((K00.abs(), K11), 1) <= _SINGULAR * size[:, :2]).any()):
+            raise ValueError("matrix: expected independent rows, got a matrix that projects to a line or a point")
+        mirrors = K00 < 0
+        if bool(mirrors.any() != mirrors.all()):
+            raise ValueError("matrix: expected a batch that mirrors all pictures or none, got a mixture")
+    zero, one = torch.zeros_like(K00), torch.ones_like(K00)
+    first = torch.stack((K00, _dot(rows[:, 0, :3], down), _dot(rows[:, 0, :3], forward)), -1)
+    second = torch.stack((zero, K11, _dot(rows[:, 1, :3], forward)), -1)
+    last = rows[..., 3] / depth[:, None]
+    K = torch.stack((first / depth[:, None], second / depth[:, None], torch.stack((zero, zero, one), -1)), -2)
+    t2 = last[:, 2]
+    t1 = (last[:, 1] - K[:, 1, 2] * t2) / K[:, 1, 1]
+    t0 = (last[:, 0] - K[:, 0, 1] * t1 - K[:, 0, 2] * t2) / K[:, 0, 0]
+    R, t = torch.stack((right, down, forward), -2), torch.stack((t0, t1, t2), -1)
+    mirrored = validate.values_are_checked(clip) and bool((K00 < 0).all())
+    return K.to(dtype), R.to(dtype), t.to(dtype), mirrored
+
+
+def _view_matrix(name: str, value: Any, in_rows: bool, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Convert a matrix [3, 4], [4, 4] or with a batch; ``in_rows`` is for matrices that multiply rows of points."""
+    matrix = _matrix(name, value, (4,) if in_rows else (3, 4), device).to(dtype)
+    matrix = matrix.transpose(-1, -2) if in_rows else matrix
+    if matrix.shape[-2] == 4 and validate.values_are_checked(matrix):
+        last = matrix.detach()[..., 3, :].reshape(-1, 4)
+        wrong = ((last - last.new_tensor([0.0, 0.0, 0.0, 1.0])).abs() > _TOLERANCE).any(1)
+        if bool(wrong.any()):
+            part = "column" if in_rows else "row"
+            raise ValueError(f"{name}: expected the last {part} (0, 0, 0, 1), got {tuple(last[wrong][0].tolist())}")
+    return matrix
+
+
+def _matrix(name: str, value: Any, rows: tuple[int, ...], device: torch.device) -> Tensor:
+    """Convert numbers to a floating tensor [R, 4] or [B, R, 4], with R one of ``rows``."""
+    matrix = as_tensor(name, value, torch.float64)
+    if matrix.ndim not in (2, 3) or matrix.shape[-1] != 4 or matrix.shape[-2] not in rows:
+        shapes = " or ".join(f"[{r}, 4]" for r in rows)
+        raise ValueError(f"{name}: expected shape {shapes}, or a batch of them, got {validate.shape_of(matrix)}")
+    matrix = matrix if matrix.is_floating_point() else matrix.double()
+    validate.finite(name, matrix)
+    return matrix.to(device)
+
+
+def _unit(vector: Tensor) -> tuple[Tensor, Tensor]:
+    """Split vectors [B, 3] into directions and lengths [B]."""
+    length = vector.norm(dim=-1)
+    return vector / length[:, None], length
+
+
+def _dot(a: Tensor, b: Tensor) -> Tensor:
+    return (a * b).sum(-1)
