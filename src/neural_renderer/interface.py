@@ -13,7 +13,7 @@ from .meshes.batch import batch, join
 from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals
 from .meshes.primitives import cube, icosphere, torus
-from .meshes.sampling import SurfacePoints, sample_points
+from .meshes.sample_points import SurfacePoints, sample_points
 from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces

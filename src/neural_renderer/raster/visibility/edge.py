@@ -98,7 +98,7 @@ def edge_gradient(
 
 
 @torch.library.register_fake("neural_renderer::edge_gradient")
-def _(image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None, halved=False):  # type: ignore[no-untyped-def]
+def _(image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None, halved=False):
     scale = 2 if halved else 1
     return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
 
@@ -135,7 +135,7 @@ def edge_gradient_backward(
 
 
 @torch.library.register_fake("neural_renderer::edge_gradient_backward")
-def _(grad, image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None):  # type: ignore[no-untyped-def]
+def _(grad, image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None):
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 

@@ -64,7 +64,7 @@ def nmr_gradient(
 
 
 @torch.library.register_fake("neural_renderer::nmr_gradient")
-def _(image, faces, face_index, eps, two_sided, binary, halved=False):  # type: ignore[no-untyped-def]
+def _(image, faces, face_index, eps, two_sided, binary, halved=False):
     scale = 2 if halved else 1
     return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
 
@@ -119,7 +119,7 @@ def nmr_gradient_backward(
 
 
 @torch.library.register_fake("neural_renderer::nmr_gradient_backward")
-def _(grad, image, faces, face_index, eps, two_sided, binary):  # type: ignore[no-untyped-def]
+def _(grad, image, faces, face_index, eps, two_sided, binary):
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
