@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(not (ROOT / "setup.py").is_file(), reason="the s
 
 @pytest.fixture
 def functions(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What setup.py defines."""
+    """Run setup.py and return what it defines."""
     setuptools = pytest.importorskip("setuptools")
     monkeypatch.setattr(setuptools, "setup", lambda **_: None)
     return runpy.run_path(str(ROOT / "setup.py"))

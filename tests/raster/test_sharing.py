@@ -1,4 +1,4 @@
-"""How the work of a step is shared by the threads of a GPU, counted on an emulated one."""
+"""Sharing of a step's work by the threads of a GPU, counted on an emulated one."""
 
 from __future__ import annotations
 

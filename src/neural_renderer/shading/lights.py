@@ -97,7 +97,7 @@ class Light:
 
     @property
     def _is_ambient(self) -> bool:
-        """Whether there is no directional light, by its number; the direction is then of no use."""
+        """True if the directional intensity is the number 0; the direction is then unused."""
         return isinstance(self.directional, (int, float)) and self.directional == 0
 
     def _parameters(self, dtype: torch.dtype, device: torch.device, images: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -38,7 +38,7 @@ def test_reference(device, images, lamps):
     grad = torch.rand(image.shape, generator=torch.Generator().manual_seed(0)).to(device)
     ours = torch.autograd.grad(result, (image, light), grad)
     theirs = torch.autograd.grad(expected, (exact, lamp), grad.double())
-    # Of positive numbers: a sum over all pixels of all images is off by that many roundings at most.
+    # A sum of positive numbers, one for each pixel of all images, is off by that many roundings at most.
     torch.testing.assert_close(ours[0].double(), theirs[0], rtol=2.0**-23, atol=0)
     torch.testing.assert_close(ours[1].double(), theirs[1], rtol=300 * 2.0**-24, atol=0)
 

@@ -33,7 +33,7 @@ def test_random_scenes(device, scene, channels, seams):
 
 @pytest.mark.parametrize("perspective", [False, True])
 def test_most_gradients_are_compared(device, perspective):
-    """Of at least nine in ten faces with a gradient, rounding decides nothing. Some of them intersect."""
+    """Rounding decides nothing about at least nine in ten faces with a gradient, some of which intersect."""
     compared = torch.zeros(2)
     for seed in range(5):
         faces = Scene(seed, 1, 8, 20, 27, True, perspective, ("plain", "outside", "tiny")).faces

@@ -32,7 +32,7 @@ class FitOptions:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the results; it is made if missing."""
     recover: Literal["shape", "texture", "camera"] = "shape"
-    """What to recover. shape: the shape, then the texture if there are photos; texture: the texture of a known mesh;
+    """Target of the fit. shape: the shape, then the texture if there are photos; texture: the texture of a known mesh;
     camera: the camera of one image."""
     mesh: Path | None = None
     """Initial mesh, or the known mesh for --recover texture or camera, in the world of the cameras."""

@@ -5,8 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..ops.visible_faces import end_of_run, visible_faces
-from ..warp.geometry import in_front, pixel_box
+from ..ops.visible_faces import box_of_face, end_of_run, pixels_of_run, visible_faces
 from ..warp.launch import array, launch, module_for_cuda, zeros
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.point import over_face, over_rows
@@ -336,12 +335,8 @@ def _backward(
     for b in range(from_image, to_image):
         if visible[b, f] == 0:
             continue
-        v0 = faces[b, f, 0]
-        v1 = faces[b, f, 1]
-        v2 = faces[b, f, 2]
-        front = in_front(v0, v1, v2, perspective)
-        if front >= 0:
-            box = pixel_box(v0, v1, v2, front, face_index.shape[1], face_index.shape[2])
+        box = box_of_face(faces, face_index, b, f, perspective)
+        if box[0] <= box[1]:
             uncolor_face(
                 textures, own, light, faces, face_index, size, eps, perspective, grad, light_too, faces_too, b, f,
                 box[0], box[1], box[2], box[3], 1, to_textures, to_light, to_faces,
@@ -368,14 +363,10 @@ def _backward_runs(
 ):
     """Add the gradients of a few neighbouring pixels, face by face, on CUDA."""
     task = first + wp.tid()
+    row, i, end = pixels_of_run(face_index, task, run)
     height = int(face_index.shape[1])
-    width = int(face_index.shape[2])
-    runs = (width + run - 1) // run
-    row = task // runs
     b = row // height
     j = height - 1 - row % height
-    i = (task % runs) * run
-    end = wp.min(i + run, width)
     while i < end:
         f = face_index[b, row % height, i]
         stop = end_of_run(face_index, wp.int64(row), i, end)

@@ -1,4 +1,4 @@
-"""Which faces are drawn, and the terms of their depth: shared by all kernels of `coverage`."""
+"""Selection of drawn faces, and the terms of their depth, for all kernels of `coverage`."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import warp as wp

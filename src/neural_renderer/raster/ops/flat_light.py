@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.launch import array, launch
-from ..warp.layout import concurrent, group_tasks
+from ..warp.layout import concurrent, group_tasks, images_of
 from ..warp.registration import differentiable, differentiable_once, operator
 
 # Without fused multiply-adds, the light on both sides is that of opposite normals, exactly.
@@ -32,7 +32,7 @@ def flat_light(corners: Tensor, ambient: Tensor, directional: Tensor, direction:
     Returns:
         [B, 2, F, 3] float32. Index 0 is the side of (v1 − v0) × (v2 − v0), or the opposite one if ``mirrored``.
     """
-    batch, count = _batch(corners, ambient, directional, direction), corners.shape[1]
+    batch, count = images_of(corners, ambient, directional, direction), corners.shape[1]
     factors = torch.empty((batch, 2, count, 3), dtype=torch.float32, device=corners.device)
     groups, each = group_tasks(count, corners.device, 512)
     arguments = [*_arguments(corners, ambient, directional, direction, mirrored), groups, each, array(factors)]
@@ -42,7 +42,7 @@ def flat_light(corners: Tensor, ambient: Tensor, directional: Tensor, direction:
 
 @torch.library.register_fake("neural_renderer::flat_light")
 def _(corners, ambient, directional, direction, mirrored):
-    return corners.new_empty((_batch(corners, ambient, directional, direction), 2, corners.shape[1], 3))
+    return corners.new_empty((images_of(corners, ambient, directional, direction), 2, corners.shape[1], 3))
 
 
 @differentiable_once
@@ -71,10 +71,6 @@ def flat_light_backward(
 @torch.library.register_fake("neural_renderer::flat_light_backward")
 def _(grad, corners, ambient, directional, direction, mirrored):
     return corners.new_empty(corners.shape), grad.new_empty((len(grad), _SUMS))
-
-
-def _batch(*tensors: Tensor) -> int:
-    return 0 if any(len(tensor) == 0 for tensor in tensors) else max(len(tensor) for tensor in tensors)
 
 
 def _arguments(corners, ambient, directional, direction, mirrored):

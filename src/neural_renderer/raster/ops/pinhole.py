@@ -6,7 +6,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.launch import array, launch
-from ..warp.layout import concurrent, group_tasks
+from ..warp.layout import concurrent, group_tasks, images_of
 from ..warp.registration import differentiable, differentiable_once, operator
 
 # Without fused multiply-adds, positions are bitwise those of torch.
@@ -33,7 +33,7 @@ def pinhole(
     Returns:
         [B, V, 3] float32: x, y on the screen, and the depth.
     """
-    batch, count = _batch(vertices, rotation, origin, width), vertices.shape[1]
+    batch, count = images_of(vertices, rotation, origin, width), vertices.shape[1]
     screen = torch.empty((batch, count, 3), dtype=torch.float32, device=vertices.device)
     groups, each = group_tasks(count, vertices.device, 1024)
     arguments = [*_arguments(vertices, rotation, origin, width, aspect, perspective), groups, each, array(screen)]
@@ -43,7 +43,7 @@ def pinhole(
 
 @torch.library.register_fake("neural_renderer::pinhole")
 def _(vertices, rotation, origin, width, aspect, perspective):
-    return vertices.new_empty((_batch(vertices, rotation, origin, width), vertices.shape[1], 3))
+    return vertices.new_empty((images_of(vertices, rotation, origin, width), vertices.shape[1], 3))
 
 
 @differentiable_once
@@ -83,10 +83,6 @@ def _(grad, vertices, rotation, origin, width, aspect, perspective, camera_too):
 
 # Groups of vertices that are worth another thread.
 _LEAST = 8
-
-
-def _batch(*tensors: Tensor) -> int:
-    return 0 if any(len(tensor) == 0 for tensor in tensors) else max(len(tensor) for tensor in tensors)
 
 
 def _arguments(vertices, rotation, origin, width, aspect, perspective):

@@ -5,6 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from ..warp.geometry import Int4, in_front, pixel_box
 from ..warp.launch import array, launch, stream_of, zeros
 from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, pixel_tasks
 
@@ -78,6 +79,29 @@ _END_OF_RUN = """
 def end_of_run(face_index: wp.array3d(dtype=int), row: wp.int64, i: int, end: int) -> int:
     """Find the first pixel after i in [i, end) of a row, counted over all images, that shows another face, or end."""
     ...
+
+
+@wp.func
+def pixels_of_run(face_index: wp.array3d(dtype=int), task: int, run: int):
+    """Find the pixels of a task of `run_tasks`: the row, counted over all images, and its pixels [first, end)."""
+    width = int(face_index.shape[2])
+    runs = (width + run - 1) // run
+    begin = (task % runs) * run
+    return task // runs, begin, wp.min(begin + run, width)
+
+
+@wp.func
+def box_of_face(
+    faces: wp.array3d(dtype=wp.vec3), face_index: wp.array3d(dtype=int), b: int, f: int, perspective: int
+) -> Int4:
+    """Find the pixels that a face may cover, as `pixel_box`; none if it cannot be drawn."""
+    v0 = faces[b, f, 0]
+    v1 = faces[b, f, 1]
+    v2 = faces[b, f, 2]
+    front = in_front(v0, v1, v2, perspective)
+    if front < 0:
+        return Int4(0, -1, 0, -1)
+    return pixel_box(v0, v1, v2, front, face_index.shape[1], face_index.shape[2])
 
 
 _NEXT_SHOWN = """

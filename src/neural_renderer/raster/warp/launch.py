@@ -46,8 +46,8 @@ _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
 # The type of a tensor argument of a kernel; Warp has no public name for it.
 _Array: Any = type(wp.from_torch(torch.zeros(1, device="cpu"), return_ctype=True))
-# Whether the compiled kernels can be called by `_direct`; the types of their number arguments; and a tensor argument's
-# fields: data, gradient, shape, strides, dimensions, flags.
+# True for Warp versions whose compiled kernels `_direct` can call. Then the fields of a tensor argument (data,
+# gradient, shape, strides, dimensions, flags) and the types of number arguments.
 _IS_KNOWN = wp.__version__.startswith(("1.19.",))
 _pack = struct.Struct("@QQ8iHH4x").pack
 _REST = ((0, 0, 0, 0), (0, 0, 0), (0, 0), (0,), ())

@@ -65,6 +65,11 @@ def face_tasks(faces: Tensor, pixels: int) -> int:
     return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
 
 
+def images_of(*tensors: Tensor) -> int:
+    """Return the number of images of tensors with a batch of 1 or B each."""
+    return 0 if any(len(tensor) == 0 for tensor in tensors) else max(len(tensor) for tensor in tensors)
+
+
 def group_tasks(count: int, device: torch.device, on_cpu: int, on_cuda: int = 1) -> tuple[int, int]:
     """Compute the number of groups of ``count`` vertices or faces, one task each, and the size of a group."""
     each = on_cuda if concurrent(device) else on_cpu
