@@ -7,7 +7,6 @@ between threads, barriers, shuffles and streams.
 from __future__ import annotations
 
 import ctypes
-import importlib
 import math
 import shutil
 import struct
@@ -75,7 +74,7 @@ class EmulatedDevice:
             return False
         name = kernel.module.name
         if name not in self._libraries:
-            self._libraries[name] = self._library(name)
+            self._libraries[name] = self._library(kernel.module)
         library, kernels = self._libraries[name]
         entry = kernels[kernel.key]
         buffers = [
@@ -96,11 +95,12 @@ class EmulatedDevice:
             sums[place] = max(sums[place], value) if place == 1 else sums[place] + value
         return True
 
-    def _library(self, name: str) -> tuple[ctypes.CDLL, dict[str, Kernel]]:
+    def _library(self, module: wp.Module) -> tuple[ctypes.CDLL, dict[str, Kernel]]:
+        name = module.name
         ptx = self._folder / f"{name}.ptx"
         if not ptx.exists():
             build = self._folder / f"{name}.build"
-            wp.compile_aot_module(importlib.import_module(name), arch=_ARCHITECTURE, module_dir=build, use_ptx=True)
+            wp.compile_aot_module(module, arch=_ARCHITECTURE, module_dir=build, use_ptx=True)
             shutil.copy(next(build.rglob("*.ptx")), ptx)
         kernels = parse(ptx.read_text(encoding="utf-8"))
         library = self._folder / f"{name}.{self._mode}.so"
