@@ -9,6 +9,7 @@ from .compat.rasterize import Rasterize, rasterize, rasterize_depth, rasterize_r
 from .compat.renderer import Renderer
 from .deferred import Fragments, fragments
 from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
+from .layers import Layers
 from .meshes.batch import batch, join
 from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals
@@ -31,6 +32,7 @@ __all__ = [
     "Camera",
     "Fragments",
     "Images",
+    "Layers",
     "Light",
     "Material",
     "Mesh",

@@ -54,7 +54,7 @@ from .crossings import (
 )
 from .intersections import add_intersections
 from .neighbors import neighbors
-from .outlines import outline_gain
+from .outlines import folds_behind, outline_gain
 from .seams import seam_gain
 
 wp.set_module_options({"enable_backward": False})
@@ -120,18 +120,48 @@ def edge_gradient_backward(
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or image.numel() == 0:
         return result
-    batch, _, height, width = image.shape
-    count = faces.shape[1]
-    visible = visible_faces(face_index, count)
+    visible = visible_faces(face_index, faces.shape[1])
     adjacent = neighbors(faces, two_sided, perspective, visible, rings)
+    move_edges(result, grad, image, faces, face_index, visible, adjacent, perspective, seams, edge_hashes)
+    add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
+    return result
+
+
+def move_edges(
+    result: Tensor,
+    grad: Tensor,
+    image: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    visible: Tensor,
+    adjacent: Tensor,
+    perspective: bool,
+    seams: bool,
+    edge_hashes: Tensor | None,
+    folds: Tensor | None = None,
+) -> None:
+    """Compute the gradient of outlines and seams.
+
+    Args:
+        result: Gradient to the corners, [B, F, 3, 3] float32 of zeros; written.
+        grad: Gradient to the image, [B, C, H, W] float32.
+        image: [B, C, H, W] float32.
+        faces, face_index, perspective, seams, edge_hashes: As in `edge_gradient`.
+        visible: As from `visible_faces`.
+        adjacent: As from `neighbors`.
+        folds: Faces that the surface folds back to, as from `neighbors`; an edge behind its fold has no gradient, for
+            the face in front has it. None: edges behind folds are hidden anyway.
+    """
+    batch, _, height, width = image.shape
     maps = [array(image), array(grad), array(face_index)]
     if edge_hashes is None:
         edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=faces.device)  # 0 matches nothing
-    arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), int(perspective), int(seams)]
+    if folds is None:
+        folds = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
+    options = [array(folds), int(perspective), int(seams)]
+    arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), *options]
     arguments += [array(edge_hashes), array(result, wp.vec3)]
-    launch_lines(_move, arguments, batch * count, 1, faces.device, face_tasks(faces, height * width))
-    add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
-    return result
+    launch_lines(_move, arguments, batch * faces.shape[1], 1, faces.device, face_tasks(faces, height * width))
 
 
 @torch.library.register_fake("neural_renderer::edge_gradient_backward")
@@ -247,10 +277,14 @@ def may_move(
     f: int,
     k: int,
     seams: int,
+    folds: wp.array3d(dtype=int),
+    perspective: int,
 ) -> bool:
     """Test whether edge k of a face is an outline, or a seam to a face of higher index (each seam counts once)."""
     other = adjacent[b, f, k]
     if other < 0:
+        if folds.shape[0] > 0:
+            return not folds_behind(faces, folds, b, f, k, perspective)
         return True
     if seams == 0 or other < f:
         return False
@@ -264,6 +298,7 @@ def move_face(
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
     adjacent: wp.array3d(dtype=int),
+    folds: wp.array3d(dtype=int),
     perspective: int,
     seams: int,
     edge_hashes: wp.array4d(dtype=wp.int64),
@@ -280,7 +315,7 @@ def move_face(
     y = wp.vec3(0.0, 0.0, 0.0)
     corners = int(3)  # a variable, or Warp would unroll the loop sixfold
     for k in range(corners):
-        if may_move(adjacent, faces, edge_hashes, b, f, k, seams):
+        if may_move(adjacent, faces, edge_hashes, b, f, k, seams, folds, perspective):
             edge_x = edge_of_face(faces, adjacent, b, f, k, 0, clockwise, image.shape[2], image.shape[3])
             edge_y = edge_of_face(faces, adjacent, b, f, k, 1, clockwise, image.shape[2], image.shape[3])
             to_x = move_edge(edge_x, part, parts, faces, image, grad, face_index, perspective)
@@ -309,6 +344,7 @@ def _move(
     face_index: wp.array3d(dtype=int),
     visible: wp.array2d(dtype=int),
     adjacent: wp.array3d(dtype=int),
+    folds: wp.array3d(dtype=int),
     perspective: int,
     seams: int,
     edge_hashes: wp.array4d(dtype=wp.int64),
@@ -335,7 +371,7 @@ def _move(
             b = face // faces.shape[1]
             f = face % faces.shape[1]
             move_face(
-                faces, image, grad, face_index, adjacent, perspective, seams, edge_hashes, result, b, f, part,
-                parts, alone,
+                faces, image, grad, face_index, adjacent, folds, perspective, seams, edge_hashes, result, b, f,
+                part, parts, alone,
             )  # fmt: skip
         thread += wp.int64(wp.max(threads, 1))

@@ -10,7 +10,7 @@ import warp as wp
 
 from .crossings import LEAST_CHORD, Crossing, Edge, chord, exit_from_face, leaves_through_pr, pixel_at
 from .gains import boundary_gain, extrapolated, next_inside, next_outside
-from .nearness import nearness, plane_nearness
+from .nearness import nearness, nearness_terms, plane_nearness, total
 
 wp.set_module_options({"enable_backward": False})
 
@@ -56,6 +56,23 @@ def is_behind_plane(edge: Edge, at: Crossing, faces: wp.array3d(dtype=wp.vec3), 
     v1 = faces[edge.image, at.outer_face, 1]
     v2 = faces[edge.image, at.outer_face, 2]
     return plane_nearness(v0, v1, v2, x, y, perspective) >= own
+
+
+@wp.func
+def folds_behind(
+    faces: wp.array3d(dtype=wp.vec3), folds: wp.array3d(dtype=int), b: int, f: int, k: int, perspective: int
+) -> bool:
+    """Test whether a surface folds at edge k of face f, and the other face of the fold is in front of f."""
+    other = folds[b, f, k]
+    if other < 0:
+        return False
+    v0 = faces[b, other, 0]
+    v1 = faces[b, other, 1]
+    v2 = faces[b, other, 2]
+    r = faces[b, f, (k + 2) % 3]
+    if perspective == 1 and (v0[2] <= 0.0 or v1[2] <= 0.0 or v2[2] <= 0.0 or r[2] <= 0.0):
+        return False
+    return total(nearness_terms(v0, v1, v2, r[0], r[1], perspective)) > nearness(r[2], perspective)
 
 
 @wp.func
