@@ -34,7 +34,7 @@ def test_the_blend_is_that_of_the_reference(device, anti_aliasing) -> None:
     background, pull = torch.rand(2, generator=random), torch.rand(1, 2, 12, 15, generator=random)
     results = []
     for dtype in (torch.float32, torch.float64):
-        parts = [part.to(device, dtype).requires_grad_() for part in (colors, opacity, background)]
+        parts = [part.detach().to(device, dtype, copy=True).requires_grad_() for part in (colors, opacity, background)]
         if dtype == torch.float32:
             image = layers.composite(*parts)
         else:
