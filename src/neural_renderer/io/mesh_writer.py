@@ -14,6 +14,7 @@ from .atlas import build_atlas, coordinates
 from .atomic_write import write_file
 from .cubes import bake_corners
 from .files import mesh_to_write
+from .gltf.writer import glb_bytes
 from .obj.writer import Part, save_cubes, write_obj
 from .surface_colors import SurfaceColors
 
@@ -75,20 +76,10 @@ def save_uv_mesh(
     """Write a mesh with images as OBJ or GLB; see `UVMesh.save`. Colours are clamped to [0, 1]."""
     path = _checked(path, (".obj", ".glb"))
     points, corners, _ = mesh_to_write(vertices, faces)
-    parts = _parts(surface)
-    if path.suffix.lower() == ".obj":
-        write_obj(path, points, corners, parts, f"{path.stem}_texture", overwrite)
+    if path.suffix.lower() == ".glb":
+        write_file(path, glb_bytes(points, corners, surface))
         return
-    import trimesh
-
-    scene = trimesh.Scene()
-    for number, part in enumerate(parts, 1):
-        # A glTF vertex has one texture coordinate, so a vertex with several is duplicated.
-        both = np.stack([corners[part.faces], part.corners], axis=2).reshape(-1, 2)
-        own, index = np.unique(both, axis=0, return_inverse=True)
-        mesh = _with_picture(points[own[:, 0]], index.reshape(-1, 3), part.places[own[:, 1]], part.picture)
-        scene.add_geometry(mesh, geom_name=f"part_{number}")
-    write_file(path, scene.export(file_type="glb"))
+    write_obj(path, points, corners, _parts(surface), f"{path.stem}_texture", overwrite)
 
 
 def _checked(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:

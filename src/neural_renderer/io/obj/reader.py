@@ -91,6 +91,7 @@ def obj_surface_colors(
     wrapping: str = "REPEAT",
     allow_outside: bool = False,
     materials: dict[str, Material] | None = None,
+    with_materials: bool = False,
 ) -> SurfaceColors | None:
     """Collect the surface colours of an OBJ file. Faces without a colour are grey 0.5.
 
@@ -99,6 +100,7 @@ def obj_surface_colors(
         wrapping: Wrapping of texture coordinates outside [0, 1].
         allow_outside: Read materials and images outside the file's folder, too.
         materials: Materials by name, in place of those in the file's material files.
+        with_materials: Collect materials and normals, too.
 
     Returns:
         The colours, or None if the file has neither colours nor material files.
