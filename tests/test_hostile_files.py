@@ -66,7 +66,8 @@ def write_obj(folder: Path) -> list[str]:
     maps = "map_Kd -clamp on -s 2 2 1 -o 0.5 -bm 1 n.png -mm 0 1"
     (folder / "n.mtl").write_text(f"# made by hand\nnewmtl b\nKa 0 0 0\nKd 0.5 0.25 1\n{maps}\nnewmtl c\nKd 1\n")
     nr.save_image(folder / "n.png", torch.rand(5, 4, 3))
-    return ["m.obj", "n.obj", "m.mtl", "n.mtl"]
+    shiny().save(folder / "o.obj")
+    return ["m.obj", "n.obj", "o.obj", "m.mtl", "n.mtl", "o.mtl"]
 
 
 def shiny() -> nr.UVMesh:

@@ -52,6 +52,7 @@ class SurfaceColors:
     uv1: np.ndarray | None = None
     has_colors: bool = True
     _numbers: dict[tuple[int, Any], int] = field(default_factory=dict, repr=False)
+    _opaque: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def plain(cls, faces: int, grey: float) -> SurfaceColors:
@@ -101,6 +102,14 @@ class SurfaceColors:
         """Assign an image [H, W, 3] and texture coordinates [n, 3, 2] to faces [n]. An array is stored once."""
         self.image[faces] = self._number(image, wrapping)
         self.uv[faces] = uv
+
+    def opaque(self, image: np.ndarray) -> np.ndarray:
+        """Return the first three channels of an image, the same array for the same image."""
+        if image.shape[2] == 3:
+            return image
+        if id(image) not in self._opaque:
+            self._opaque[id(image)] = image, np.ascontiguousarray(image[..., :3])
+        return self._opaque[id(image)][1]
 
     def _number(self, image: np.ndarray, wrapping: Any) -> int:
         """Return the index of an image; append it if it is new."""

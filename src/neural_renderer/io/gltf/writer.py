@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from ..obj.writer import as_bytes
 from ..surface_colors import FileTexture, SurfaceColors
 
 _MODES = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
@@ -213,8 +214,7 @@ class _Writer:
 
 def _picture(pixels: np.ndarray) -> Image.Image:
     """Convert an image [H, W, 1 or 3] to one of Pillow."""
-    values = (pixels.clip(0, 1) * 255 + 0.5).astype(np.uint8)
-    return Image.fromarray(values[..., 0] if values.shape[2] < 3 else np.ascontiguousarray(values[..., :3]))
+    return Image.fromarray(as_bytes(pixels))
 
 
 def _linear(colors: np.ndarray) -> np.ndarray:
