@@ -23,7 +23,7 @@ from torch import Tensor
 
 from .colors.downsample import halve, halve_backward
 from .ops.visible_faces import visible_faces
-from .visibility.edge import move_edges
+from .visibility.edge import add_edges
 from .visibility.intersections import add_intersections
 from .visibility.neighbors import neighbors
 from .warp.launch import copy, zeros
@@ -83,7 +83,7 @@ def layers_gradient_backward(
         visible = visible_faces(index, faces.shape[1])
         adjacent, folds = (neighbors(faces, two_sided, perspective, visible, rings, fold) for fold in (False, True))
         own = zeros(faces.shape, faces.device)
-        move_edges(own, grad, image, faces, index, visible, adjacent, perspective, seams, None, folds)
+        add_edges(own, grad, image, faces, index, visible, adjacent, perspective, seams, None, folds)
         add_intersections(own, grad, image, faces, index, adjacent, perspective)
         result += own
     return result
