@@ -34,6 +34,7 @@ from .validate import check_values
 from .version import __version__
 
 __all__ = [
+    "PBR",
     "Adam",
     "Camera",
     "EnvironmentLight",
@@ -42,7 +43,6 @@ __all__ = [
     "Light",
     "Material",
     "Mesh",
-    "PBR",
     "Phong",
     "PointLight",
     "Rasterize",
