@@ -13,7 +13,7 @@ from torch import Tensor
 
 import neural_renderer as nr
 
-SAMPLES = 256  # of each pixel
+SAMPLES = 1024  # of each pixel
 
 
 def available() -> bool:
