@@ -1,0 +1,153 @@
+"""Blurred reflections of an environment: mipmaps prefiltered for roughness.
+
+Level k holds, for each direction r, the mean of the light l weighted by D (r · h) max(r · l, 0), the lobe of GGX with
+roughness k / LEVELS seen from straight above, h halfway between r and l (Karis, "Real Shading in Unreal Engine 4",
+2013). Wide lobes are summed over all pixels of a small image. For narrow ones light is sampled at halfway vectors
+spread like the lobe; each sample reads an image averaged over its share of the solid angle, so that few samples suffice
+(Křivánek and Colbert, "Real-time Shading with Filtered Importance Sampling", 2008).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ..constants import on_device
+from .equirectangular import direction_uv, directions_of, look_up, solid_angles
+from .split_sum import half_vectors
+
+LEVELS = 8
+_ROWS = 128  # most rows of a level
+_FEWEST = 16  # rows of the smoothest levels
+_WIDE = 0.2  # α of lobes that are summed over all pixels
+_SMALL = 48  # most rows of the image for these
+_SAMPLES = 128
+_SHARPER = 0.5  # levels by which samples are sharper than their solid angle: neighbours overlap anyway
+
+
+def prefiltered(image: Tensor) -> Tensor:
+    """Blur an environment for reflections of each roughness.
+
+    Args:
+        image: [B, H, W, 3] float32, linear, equirectangular.
+
+    Returns:
+        [B, LEVELS · h, w, 3]: levels of roughness 1 / LEVELS to 1, one below the other. Linear in the image.
+    """
+    height, width = image.shape[1:3]
+    rows = min(height, _ROWS)
+    columns = max(1, rows * width // height)
+    mipmaps = _mipmaps(image)
+    levels = []
+    for level in range(1, LEVELS + 1):
+        alpha = (level / LEVELS) ** 2
+        if alpha >= _WIDE:
+            blurred = _summed(mipmaps, alpha)
+        else:
+            # Texels about as large as the lobe of the reflection is wide.
+            own = min(rows, 2 ** math.ceil(math.log2(math.pi / alpha)))
+            blurred = _sampled(mipmaps, alpha, own, max(1, own * width // height))
+        if blurred.shape[1:3] != (rows, columns):
+            uv = direction_uv(directions_of(rows, columns, image))
+            blurred = look_up(blurred, uv.expand(len(image), -1, -1, -1))
+        levels.append(blurred)
+    return torch.cat(levels, 1)
+
+
+def reflected(image: Tensor, levels: Tensor, directions: Tensor, roughness: Tensor) -> Tensor:
+    """Look up blurred reflections, linear between levels.
+
+    Args:
+        image: [1 or B, H, W, 3], the environment itself, for roughness 0.
+        levels: As from `prefiltered`.
+        directions: [B, h, w, 3] float32, directions of reflection.
+        roughness: [B, h, w, 1] float32.
+
+    Returns:
+        [B, h, w, 3], differentiable in all arguments.
+    """
+    uv = direction_uv(directions)
+    place = roughness.clamp(0, 1) * LEVELS
+    lower = place.detach().floor().clamp(max=LEVELS - 1)
+    part = place - lower
+    below = _level(levels, uv, (lower - 1).clamp(min=0))
+    sharp = look_up(image, uv)
+    below = torch.where(lower == 0, sharp, below)
+    return below + part * (_level(levels, uv, lower) - below)
+
+
+def _level(levels: Tensor, uv: Tensor, number: Tensor) -> Tensor:
+    """Sample one level for each pixel, with its number [B, h, w, 1], without reading the next one."""
+    rows = levels.shape[1] // LEVELS
+    from_top = (1 - uv[..., 1:]).clamp(0.5 / rows, 1 - 0.5 / rows)
+    return look_up(levels, torch.cat((uv[..., :1], 1 - (number + from_top) / LEVELS), -1))
+
+
+def _mipmaps(image: Tensor) -> list[Tensor]:
+    """Halve an image [B, H, W, 3] down to about four rows."""
+    mipmaps = [image]
+    while min(image.shape[1:3]) >= 8:
+        half = (image.shape[1] // 2, image.shape[2] // 2)
+        even = image.shape[1] == 2 * half[0] and image.shape[2] == 2 * half[1]
+        first = image.movedim(-1, 1)
+        # The mean of even sides is deterministic on CUDA, too.
+        mean = functional.avg_pool2d(first, 2) if even else functional.adaptive_avg_pool2d(first, half)
+        image = mean.movedim(1, -1).contiguous()
+        mipmaps.append(image)
+    return mipmaps
+
+
+def _summed(mipmaps: list[Tensor], alpha: float) -> Tensor:
+    """Average the light over the lobe about each direction, over all pixels; [B, 16, 32, 3]."""
+    image = next((mipmap for mipmap in mipmaps if mipmap.shape[1] <= _SMALL), mipmaps[-1])
+    weights = on_device(_weights(alpha, *image.shape[1:3]), image)
+    # Not matmul: it rounds under autocast, and adds in an order that depends on the batch.
+    light = image.flatten(1, 2).transpose(1, 2)
+    parts = [(light[:, None] * part[:, None]).sum(-1) for part in weights.split(64)]
+    return torch.cat(parts, 1).view(len(image), _FEWEST, 2 * _FEWEST, 3)
+
+
+@functools.lru_cache(maxsize=16)
+def _weights(alpha: float, height: int, width: int) -> Tensor:
+    """Weigh each pixel of an image for each direction of a level, [16 · 32, H · W]."""
+    with torch.inference_mode(False), torch.no_grad():
+        like = torch.zeros((), dtype=torch.float64)
+        light = directions_of(height, width, like).view(-1, 3)
+        cosine = directions_of(_FEWEST, 2 * _FEWEST, like).view(-1, 3) @ light.T
+        lobe = cosine.clamp(min=0) / ((1 + cosine) / 2 * (alpha**2 - 1) + 1) ** 2
+        weights = lobe * solid_angles(height, width, like).repeat_interleave(width)
+        return (weights / weights.sum(1, keepdim=True)).float()
+
+
+def _sampled(mipmaps: list[Tensor], alpha: float, rows: int, columns: int) -> Tensor:
+    """Average the light over the lobe about each direction, over samples; [B, rows, columns, 3]."""
+    batch, height, width, _ = mipmaps[0].shape
+    index = torch.arange(_SAMPLES, dtype=torch.float64)
+    turn = index * (math.pi * (1 + 5**0.5))  # the golden angle spreads them evenly
+    halfway = half_vectors((index + 0.5) / _SAMPLES, turn, alpha)
+    x, y, z = halfway.unbind(-1)
+    local = torch.stack((2 * z * x, 2 * z * y, 2 * z * z - 1), -1)  # the lobe's axis mirrored at the halfway vectors
+    weight = local[:, 2].clamp(min=0)
+    weight = weight / weight.sum()
+    # The density of a sample is D / 4; its share of the solid angle, in texels, is that of a mipmap.
+    spread = alpha**2 / (math.pi * (z * z * (alpha**2 - 1) + 1) ** 2)
+    share = 4 / (_SAMPLES * spread) * (height * width / (4 * math.pi))
+    level = (0.5 * torch.log2(share) - _SHARPER).round().clamp(0, len(mipmaps) - 1).long()
+    axis = directions_of(rows, columns, mipmaps[0])
+    pole = torch.where(axis[..., 1:2].abs() < 0.9, axis.new_tensor([0.0, 1.0, 0.0]), axis.new_tensor([1.0, 0.0, 0.0]))
+    right = functional.normalize(torch.linalg.cross(pole, axis, dim=-1), dim=-1)
+    frame = torch.stack((right, torch.linalg.cross(axis, right, dim=-1), axis), -2)
+    result = mipmaps[0].new_zeros(batch, rows, columns, 3)
+    for number, mipmap in enumerate(mipmaps):
+        for index in (level == number).nonzero()[:, 0].split(8):
+            kept = index[weight[index] > 0]
+            if len(kept):
+                ways = (local[kept].to(frame)[:, None, None, :, None] * frame).sum(-2)  # [samples, rows, columns, 3]
+                uv = direction_uv(ways).flatten(0, 1)[None].expand(batch, -1, -1, -1)
+                light = look_up(mipmap, uv).view(batch, len(kept), rows, columns, 3)
+                result = result + (light * weight[kept].to(light)[:, None, None, None]).sum(1)
+    return result

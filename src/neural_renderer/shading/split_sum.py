@@ -1,0 +1,81 @@
+"""The split sum: reflection of light from all around as a table (Karis, "Real Shading in Unreal Engine 4", 2013)."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ..constants import on_device
+from ..textures.sample_texture import sampled
+
+_SIZE = 32  # entries along each axis of the table
+_STEPS = (64, 16)  # angles from the normal and about it, over which each entry is summed
+
+
+def split_sum(cosine: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Integrate the reflection of uniform light over the hemisphere.
+
+    A surface of reflectance f0 reflects f0 · scale + bias of it, and transmits (1 − f0) (1 − fresnel) into its matt
+    part. fresnel is the mean of (1 − v · h)⁵ over the light that falls on the surface.
+
+    Args:
+        cosine: n · v in (0, 1], [B, H, W, 1] float32.
+        roughness: Perceptual roughness in [0, 1], [B, H, W, 1] or what broadcasts to it.
+
+    Returns:
+        scale, bias and fresnel, [B, H, W, 1] each, bilinear in a table; differentiable.
+    """
+    table = on_device(_table(), cosine)
+    # The table is finer at grazing angles, where it changes most. Its row 0 is roughness 0.
+    x, y = torch.broadcast_tensors(cosine.sqrt(), roughness.clamp(0, 1))
+    place = (torch.cat((x, y), -1) * (_SIZE - 1) + 0.5) / _SIZE
+    uv = torch.stack((place[..., 0], 1 - place[..., 1]), -1)
+    scale, bias, fresnel = sampled(table, uv, None, "clamp").split(1, -1)
+    return scale, bias, fresnel
+
+
+def half_vectors(uniform: Tensor, turn: Tensor, alpha: Tensor | float) -> Tensor:
+    """Map numbers in [0, 1) and angles to halfway vectors about the z axis, with the density D (n · h) of GGX.
+
+    Returns:
+        [..., 3], unit vectors.
+    """
+    rest = 1 - uniform
+    cosine = (rest / (rest + alpha**2 * uniform)).sqrt()
+    sine = (1 - cosine**2).clamp(min=0).sqrt()
+    return torch.stack(torch.broadcast_tensors(sine * turn.cos(), sine * turn.sin(), cosine), -1)
+
+
+@functools.lru_cache(maxsize=1)
+def _table() -> Tensor:
+    """Compute scale, bias and fresnel, [1, roughness, √cosine, 3] float32."""
+    with torch.inference_mode(False), torch.no_grad():
+        axis = torch.linspace(0, 1, _SIZE, dtype=torch.float64)
+        alpha, cosine = axis.clamp(min=0.03)[:, None, None] ** 2, axis.clamp(min=0.01)[:, None] ** 2
+        v = torch.stack(((1 - cosine**2).sqrt(), torch.zeros_like(cosine), cosine), -1)
+        # Steps are shorter where halfway vectors lean far to the side: these reflect light at grazing angles.
+        step = (torch.arange(_STEPS[0], dtype=torch.float64) + 0.5) / _STEPS[0]
+        step = step.repeat_interleave(_STEPS[1])
+        turn = (torch.arange(_STEPS[1], dtype=torch.float64) + 0.5) * (math.pi / _STEPS[1])
+        turn, uniform, share = turn.repeat(_STEPS[0]), 1 - (1 - step) ** 4, 4 * (1 - step) ** 3 / len(step)
+        h = half_vectors(uniform, turn, alpha)
+        vh = (v * h).sum(-1).clamp(min=0)
+        nl = (2 * vh * h[..., 2] - cosine).clamp(min=0)
+        # A direction weighs D V (n · l) / its density, which is D (n · h) / (4 v · h).
+        visible = 1 / ((nl + _root(alpha**2, nl)) * (cosine + _root(alpha**2, cosine)))
+        weight = share * visible * nl * 4 * vh / h[..., 2].clamp(min=1e-6)
+        grazing = (1 - vh) ** 5
+        # Of GGX with α = 1 the density of h is (n · h) / π: h serves as the light's direction, with Lambert's weights.
+        towards = half_vectors(uniform, turn, 1.0)
+        between = functional.normalize(towards + v, dim=-1)
+        fresnel = (share * (1 - (v * between).sum(-1).clamp(0, 1)) ** 5).sum(-1).expand(_SIZE, _SIZE)
+        parts = ((weight * (1 - grazing)).sum(-1), (weight * grazing).sum(-1), fresnel)
+        return torch.stack(parts, -1)[None].float()
+
+
+def _root(square: Tensor, cosine: Tensor) -> Tensor:
+    return (square + (1 - square) * cosine**2).sqrt()
