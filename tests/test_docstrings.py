@@ -82,7 +82,10 @@ def public() -> dict[str, tuple[Any, Any]]:
         found[f"{module.rpartition('.')[2]}.{name}" if module.endswith(("losses", "metrics")) else name] = thing, None
         if "members" in options:
             members = [part for part in options["members"].split(", ") if part]
-            members = members or [part for part in vars(thing) if not part.startswith("_")]
+            every = (
+                [base for base in thing.__mro__ if base is not object] if "inherited-members" in options else [thing]
+            )
+            members = members or [part for owner in every for part in vars(owner) if not part.startswith("_")]
             members += [part for part in options.get("special-members", "").split(", ") if part]
             left_out = options.get("exclude-members", "").split(", ")
             for member in members:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .camera.screen import causes, screen_positions
+from .camera.screen import causes, scene_camera, screen_positions
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
@@ -193,7 +193,7 @@ class Fragments(VisibleFaces):
 @validate.checked_together
 def fragments(
     mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
-    camera: Camera,
+    camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
     near: float = 0.1,
@@ -205,10 +205,14 @@ def fragments(
 ) -> Fragments:
     """Rasterise a mesh from every camera of a batch, for deferred shading.
 
+    Under anti-aliasing, the default, fragments have twice the size asked for, so that `Fragments.composite` can average
+    2 x 2 of them. ``anti_aliasing=False`` gives fragments, and images, of the size asked for.
+
     Args:
         mesh: `Mesh`; a list of them, of any sizes, one per image (see `batch`); `UVMesh`; or (vertices, faces) with
             vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or [B, F, 3] integer.
-        camera, size, near, far, anti_aliasing, two_sided, gradient, eps: As in `render`.
+        camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], whose depth is w.
+        size, near, far, anti_aliasing, two_sided, gradient, eps: As in `render`.
 
     Returns:
         Fragments. Their H and W are twice ``size`` under anti-aliasing.
@@ -224,8 +228,7 @@ def fragments(
         torch.Size([1, 3, 64, 64])
     """
     vertices, faces, _ = mesh_parts(mesh)
-    if not isinstance(camera, Camera):
-        raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
+    vertices, camera = scene_camera(vertices, camera)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     load_kernels(settings, ("rgb",), ATTRIBUTES, *causes(vertices, camera), scene=SCENE[:1])
     screen = screen_positions(camera, vertices, settings.width / settings.height)

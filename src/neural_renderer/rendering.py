@@ -11,7 +11,7 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .camera.screen import causes, screen_positions
+from .camera.screen import causes, scene_camera, screen_positions
 from .deferred import Fragments, visible_fragments
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
@@ -31,7 +31,7 @@ from .shading.lights import AnyLight, Light, light_factors
 @validate.checked_together
 def render(
     mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
-    camera: Camera,
+    camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
     light: AnyLight | Sequence[AnyLight] | None = Light(),  # noqa: B008 (immutable)
@@ -53,7 +53,7 @@ def render(
         mesh: `Mesh`; a list of them, of any sizes, one per image (see `batch`); `UVMesh`; or (vertices, faces) or
             (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces [F, 3] or [B, F, 3] integer,
             textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
-        camera: One camera or B of them.
+        camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], with ``light=None``.
         size: Side of the images, or (height, width), in pixels. Pixels are square.
         light: `Light`, `SphericalHarmonicLight`, another object with their method `two_sided`, or a list of lights,
             which add up. None draws textures without lighting.
@@ -81,9 +81,10 @@ def render(
         torch.Size([8, 3, 120, 160])
     """
     vertices, faces, textures = mesh_parts(mesh)
-    if not isinstance(camera, Camera):
-        raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
     lights = _checked_lights(light)
+    if camera is None and lights:
+        raise ValueError("light: expected None for vertices in clip space, which have no place in the world")
+    vertices, camera = scene_camera(vertices, camera)
     outputs = checked_outputs(outputs)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     aspect = settings.width / settings.height
