@@ -77,7 +77,9 @@ def test_what_does_not_fit(device):
         fragments.composite(torch.zeros(2, 40, 56, 3, device=device))
     with pytest.raises(ValueError, match="background: expected"):
         fragments.composite(torch.zeros(2, 80, 112, 3, device=device), [1.0, 2.0])
-    with pytest.raises(TypeError, match="camera: expected a Camera"):
+    with pytest.raises(TypeError, match="camera: expected a Camera, or None"):
+        nr.fragments(mesh, 3.0)
+    with pytest.raises(ValueError, match=r"vertices without a camera: expected shape \[V, 4\]"):
         nr.fragments(mesh, None)
     with pytest.raises(ValueError, match="gradient: expected one of nmr, edge"):
         nr.fragments(mesh, camera, gradient="soft")
