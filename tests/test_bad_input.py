@@ -251,8 +251,8 @@ def test_the_faces_that_uv_belongs_to(device):
     for index, error in ((0, TypeError), (torch.full((1, 2, 2), 0.5), ValueError), (FACES[:2], ValueError)):
         with pytest.raises(error, match=r"^face_index: expected .*got"):
             nr.sample_texture(texture, uv, index.to(device) if isinstance(index, torch.Tensor) else index)
-    for wrap in ("mirror", 3, np.array(["repeat", "clamp"])):
-        with pytest.raises(ValueError, match=r"^wrap: expected one of repeat, clamp, got"):
+    for wrap in ("border", 3, np.array(["repeat", "clamp"])):
+        with pytest.raises(ValueError, match=r"^wrap: expected one of repeat, clamp, mirror, or a pair of them, got"):
             nr.sample_texture(texture, uv, wrap=wrap)
 
 

@@ -27,6 +27,9 @@ FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 NEVER_RAISES = {
     "Mesh.set_lr",
     "UVMesh.to",
+    "Material.to",
+    "Texture.to",
+    "Texture.transformed",
     "Views.to",
     "Views.normalized",
     "MeshFit.normalize",

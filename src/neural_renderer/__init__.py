@@ -8,6 +8,7 @@
 Where to look; `help(nr.render)` and so on explain each name:
 
     a scene      Mesh, UVMesh, Camera, Light, SphericalHarmonicLight; icosphere, cube, torus, batch, join
+    materials    Material, Texture
     its images   render, which returns Images
     your shader  fragments, which returns Fragments; sample_texture, vertex_normals, fill_gutters
     losses       the modules losses and metrics

@@ -21,6 +21,7 @@ from .rendering import render
 from .shading.lights import Light
 from .shading.spherical_harmonics import SphericalHarmonicLight
 from .textures.gutters import fill_gutters
+from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture
 from .validate import check_values
 from .version import __version__
@@ -31,11 +32,13 @@ __all__ = [
     "Fragments",
     "Images",
     "Light",
+    "Material",
     "Mesh",
     "Rasterize",
     "Renderer",
     "SphericalHarmonicLight",
     "SurfacePoints",
+    "Texture",
     "UVMesh",
     "__version__",
     "batch",

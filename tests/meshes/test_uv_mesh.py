@@ -214,7 +214,7 @@ def test_what_can_be_neither_saved_nor_drawn(board, tmp_path):
         "images: expected shape": ("mesh.obj", {"images": (torch.zeros(2, 2, 4),)}),
         "images: expected at least one pixel": ("mesh.obj", {"images": (torch.zeros(0, 2, 3),)}),
         "wraps: expected 1 like images, got 0": ("mesh.obj", {"wraps": ()}),
-        "wrap: expected one of repeat, clamp": ("mesh.obj", {"wraps": ("mirror",)}),
+        "wrap: expected one of repeat, clamp": ("mesh.obj", {"wraps": ("border",)}),
     }
     camera = nr.Camera.look_at((0.0, 0.0, 3.0))
     for sentence, (name, change) in wrong.items():
@@ -270,7 +270,7 @@ def test_one_image_in_three_forms_of_coordinates():
         ({"uv": torch.rand(7, 3, 2)}, r"uv: expected shape \[12, 3, 2\]"),
         ({"uv": (torch.rand(7, 2), torch.full((12, 3), 7))}, r"uv: expected indices in \[0, 7\)"),
         ({"faces": torch.full((12, 3), 8)}, "faces: expected indices"),
-        ({"wrap": "mirror"}, "wrap: expected"),
+        ({"wrap": "border"}, "wrap: expected"),
         ({"image_index": torch.zeros(12, dtype=torch.int64)}, "image: expected only one of image and image_index"),
     ],
 )

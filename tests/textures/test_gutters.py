@@ -93,7 +93,11 @@ def test_what_does_not_fit():
         ("uv: expected finite", (torch.zeros(4, 4, 3), uv + torch.nan), {}),
         ("known: expected bool", (torch.zeros(4, 4, 3), uv, torch.zeros(4, 4)), {}),
         ("known: expected bool", (torch.zeros(4, 4, 3), uv, [1]), {}),
-        ("wrap: expected one of repeat, clamp, got 'mirror'", (torch.zeros(4, 4, 3), uv), {"wrap": "mirror"}),
+        (
+            "wrap: expected one of repeat, clamp, mirror",
+            (torch.zeros(4, 4, 3), uv),
+            {"wrap": "border"},
+        ),
     ):
         with pytest.raises(ValueError, match=sentence):
             nr.fill_gutters(*arguments, **options)

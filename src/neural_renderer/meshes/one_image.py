@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from ..textures.sample_texture import checked_wrap
+from ..textures.sample_texture import Wrap, checked_wrap
 from .mesh import as_tensor
 
 
-def one_image(vertices: Any, faces: Any, uv: Any, image: Any, wrap: str) -> tuple[Any, ...]:
+def one_image(vertices: Any, faces: Any, uv: Any, image: Any, wrap: Wrap) -> tuple[Any, ...]:
     """Check the short form of `UVMesh`; return its attributes in order.
 
     Raises:

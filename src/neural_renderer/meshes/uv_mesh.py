@@ -17,13 +17,18 @@ from ..io.formats import read_mesh
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
 from ..textures.gutters import fill_gutters
-from ..textures.sample_texture import checked_wrap, sampled
+from ..textures.material import Material
+from ..textures.sample_texture import Wrap, checked_wrap, sampled
 from .mesh import centered
 from .one_image import one_image
 from .pieces import chosen_faces, merged_vertices, used_vertices
 
 if TYPE_CHECKING:
     from ..deferred import Fragments
+
+
+FACE_ATTRIBUTES = ("uv", "image_index", "colors", "material_index", "normals", "tangents", "uv1")
+"""Attributes of `UVMesh` with one entry for each face; those from `material_index` on may be None."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -44,7 +49,8 @@ class UVMesh:
         image_index: The image [H, W, 3] floating, RGB in [0, 1], row 0 at the top; in the long form, the attribute.
         images, colors, wraps: The attributes; not in the short form.
         image: The image of the short form, by its name.
-        wrap: "repeat" or "clamp", in the short form.
+        wrap: As in `sample_texture`, in the short form.
+        materials, material_index, normals, tangents, uv1: The attributes, in both forms.
 
     Attributes:
         vertices: [V, 3] float32.
@@ -53,7 +59,14 @@ class UVMesh:
         image_index: [F] int64, index into ``images``; −1 for a face without an image.
         images: [H, W, 3] float32 each, RGB, row 0 at the top. Sizes may differ.
         colors: [F, 3, 3] float32, RGB at the corners of faces without an image.
-        wraps: "repeat" or "clamp" for each image, as in `sample_texture`.
+        wraps: "repeat", "clamp" or "mirror" for each image, or a pair of them, as in `sample_texture`.
+        materials: `Material` each: all that `render` does not draw. Empty for a mesh that is matt and opaque.
+        material_index: [F] int64, index into ``materials``; −1 for a face without a material. None: all faces have the
+            only material.
+        normals: [F, 3, 3] float32, normals of the faces' corners, as in the file; or None.
+        tangents: [F, 3, 4] float32, tangents of the corners, towards larger u, and the sign (1 or −1) of the bitangent
+            sign · normal × tangent, towards larger v; or None.
+        uv1: [F, 3, 2] float32, second texture coordinates of the corners, for textures with ``uv_set=1``; or None.
 
     Raises:
         TypeError, ValueError: In the short form, an argument that does not fit. In drawing or saving, attributes that
@@ -73,7 +86,12 @@ class UVMesh:
     image_index: Tensor
     images: tuple[Tensor, ...]
     colors: Tensor
-    wraps: tuple[str, ...]
+    wraps: tuple[Wrap, ...]
+    materials: tuple[Material, ...] = ()
+    material_index: Tensor | None = None
+    normals: Tensor | None = None
+    tangents: Tensor | None = None
+    uv1: Tensor | None = None
 
     def __init__(
         self,
@@ -86,9 +104,14 @@ class UVMesh:
         wraps: Any = None,
         *,
         image: Any = None,
-        wrap: str = "repeat",
+        wrap: Wrap = "repeat",
+        materials: tuple[Material, ...] = (),
+        material_index: Any = None,
+        normals: Any = None,
+        tangents: Any = None,
+        uv1: Any = None,
     ) -> None:
-        values = (vertices, faces, uv, image_index, images, colors, wraps)
+        values: tuple[Any, ...] = (vertices, faces, uv, image_index, images, colors, wraps)
         rest = (images, colors, wraps)
         if image is not None or all(part is None for part in rest):
             if image is not None and any(part is not None for part in (image_index, *rest)):
@@ -96,6 +119,7 @@ class UVMesh:
                     "image: expected only one of image and image_index, images, colors, wraps, got several"
                 )
             values = one_image(vertices, faces, uv, image_index if image is None else image, wrap)
+        values = (*values, materials, material_index, normals, tangents, uv1)
         for part, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, part.name, value)  # the class is frozen
 
@@ -232,13 +256,26 @@ class UVMesh:
             raise ValueError(f"wraps: expected {len(self.images)} like images, got {len(self.wraps)}")
         for wrap in self.wraps:
             checked_wrap(wrap)
-        if count and (always or validate.values_are_checked(self.image_index)):
-            index, images = self.image_index, len(self.images)
-            if not always and validate.postponed(
-                index, lambda: ((index < -1) | (index >= images)).any(), lambda: _check_range(index, images)
-            ):
-                return
-            _check_range(index, images)
+        self._check_materials(always)
+        _check_index("image_index", self.image_index, "images", len(self.images), always)
+
+    def _check_materials(self, always: bool) -> None:
+        """Check the optional attributes, as `_check`."""
+        count = len(self.faces)
+        for name, width in (("normals", 3), ("tangents", 4), ("uv1", 2)):
+            value = getattr(self, name)
+            if value is not None:
+                validate.finite(name, validate.floating(name, value, (count, 3, width)).float(), always)
+        if not isinstance(self.materials, (tuple, list)):
+            raise TypeError(f"materials: expected a tuple, got {type(self.materials).__name__}")
+        for material in self.materials:
+            if not isinstance(material, Material):
+                raise TypeError(f"materials: expected a Material each, got {type(material).__name__}")
+        if self.material_index is not None:
+            validate.indices("material_index", self.material_index, (count,), always=always)
+            _check_index("material_index", self.material_index, "materials", len(self.materials), always)
+        elif len(self.materials) > 1:
+            raise ValueError(f"material_index: expected [{count}] for {len(self.materials)} materials, got None")
 
     def normalize(self) -> UVMesh:
         """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
@@ -275,7 +312,7 @@ class UVMesh:
         """
         kept = chosen_faces(index, self.faces)
         rows, faces = used_vertices(self.faces[kept])
-        own: dict[str, Any] = {"uv": self.uv[kept], "image_index": self.image_index[kept], "colors": self.colors[kept]}
+        own = {name: value[kept] for name in FACE_ATTRIBUTES if (value := getattr(self, name)) is not None}
         return replace(self, vertices=self.vertices[rows], faces=faces, **own)
 
     def merge_vertices(self, tolerance: float = 0.0) -> UVMesh:
@@ -339,7 +376,7 @@ class UVMesh:
         def moved(value: Any) -> Any:
             if isinstance(value, tuple):
                 return tuple(map(moved, value))
-            return value.to(device) if isinstance(value, Tensor) else value
+            return value.to(device) if isinstance(value, (Tensor, Material)) else value
 
         return replace(self, **{part.name: moved(getattr(self, part.name)) for part in fields(self)})
 
@@ -348,7 +385,15 @@ def _has_negative(index: Tensor) -> bool:
     return bool((index < 0).any())
 
 
-def _check_range(image_index: Tensor, images: int) -> None:
-    low, high = (int(value) for value in torch.aminmax(image_index))
-    if low < -1 or high >= images:
-        raise ValueError(f"image_index: expected one of {images} images or -1, got {low if low < -1 else high}")
+def _check_index(name: str, index: Tensor, what: str, count: int, always: bool) -> None:
+    """Raise ValueError unless an index for each face is in [−1, count); ``always`` as in `validate.finite`."""
+    if not len(index) or not (always or validate.values_are_checked(index)):
+        return
+
+    def check() -> None:
+        low, high = (int(value) for value in torch.aminmax(index))
+        if low < -1 or high >= count:
+            raise ValueError(f"{name}: expected one of {count} {what} or -1, got {low if low < -1 else high}")
+
+    if always or not validate.postponed(index, lambda: ((index < -1) | (index >= count)).any(), check):
+        check()

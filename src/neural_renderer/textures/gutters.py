@@ -8,14 +8,14 @@ from torch.nn import functional
 
 from .. import validate
 from ..raster.rasterize import rasterize_images
-from .sample_texture import checked_wrap
+from .sample_texture import Wrap, checked_wrap
 
 # Every circle of this radius, in texels, contains the centre of a texel: √2 / 2, rounded up.
 _COVERING_RADIUS = 0.7072
 _MOST_SAMPLES = 1 << 22  # points sampled on small faces: about a second of work
 
 
-def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wrap: str = "repeat") -> Tensor:
+def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wrap: Wrap = "repeat") -> Tensor:
     """Replace every texel that no face shows by a blend of the texels around it.
 
     Mipmaps average across the borders of charts. If the gaps between charts are black, dark lines appear along every
@@ -30,7 +30,8 @@ def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wr
         uv: [F, 3, 2] floating, texture coordinates of the faces' corners, v up.
         known: [h, w] bool, texels that have a colour; others are replaced, too. None means all. If no texel is both
             known and shown, the texture is returned as it is.
-        wrap: Wrapping beyond [0, 1], as in `sample_texture`. If the image repeats within a face, all of it is shown.
+        wrap: Wrapping beyond [0, 1], as in `sample_texture`. If the image repeats within a face, all of it is shown;
+            also if a face leaves [0, 1] and the image is mirrored, or wraps differently in u and v.
 
     Returns:
         [h, w, C] float32, differentiable in ``texture``.
@@ -53,7 +54,10 @@ def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wr
         got = validate.shape_of(known) if isinstance(known, Tensor) else type(known).__name__
         raise ValueError(f"known: expected bool {list(size)} like the texture, got {got}")
     with torch.no_grad():
-        shown = _shown(uv.float(), size[0], size[1], wrap == "repeat")
+        if wrap in ("repeat", "clamp") or not bool(((uv < 0) | (uv > 1)).any()):
+            shown = _shown(uv.float(), size[0], size[1], wrap == "repeat")
+        else:
+            shown = torch.ones(size, dtype=torch.bool, device=uv.device)
         if known is not None:
             shown = shown & known
         if not shown.any():

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any, TypeAlias
+
 import torch
 from torch import Tensor
 
 from .. import validate
 from ..raster.colors.mipmaps import pyramid, sample_mipmaps
 
-WRAPS = ("repeat", "clamp")
+WRAPS = ("repeat", "clamp", "mirror")
+
+Wrap: TypeAlias = str | tuple[str, str]
+"""One of `WRAPS`, or two of them, for u and for v."""
 
 
 @validate.checked_together
-def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None, *, wrap: str = "repeat") -> Tensor:
+def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None, *, wrap: Wrap = "repeat") -> Tensor:
     """Sample a texture image at texture coordinates.
 
     With ``face_index``, filtering is trilinear: the mipmap level follows from the difference of uv between adjacent
@@ -25,7 +30,8 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
             upper right one. OBJ files use this convention; for glTF pass 1 − v.
         face_index: [B, H, W] integer, `Fragments.face_index` of the pixels, or None. The colour is 0 where it is
             negative.
-        wrap: "repeat" repeats the image beyond [0, 1], "clamp" extends its border.
+        wrap: "repeat" repeats the image beyond [0, 1], "clamp" extends its border, "mirror" repeats the image and its
+            mirror image in turn. A pair holds one for u and one for v.
 
     Returns:
         [B, H, W, C] float32, differentiable in ``texture`` and ``uv``. Level selection is not differentiated.
@@ -56,18 +62,30 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
     return sampled(image, uv, face_index, wrap)
 
 
-def sampled(image: Tensor, uv: Tensor, face_index: Tensor | None, wrap: str) -> Tensor:
+def sampled(image: Tensor, uv: Tensor, face_index: Tensor | None, wrap: Wrap) -> Tensor:
     """Apply `sample_texture` to valid arguments: image [B or 1, h, w, C] float32, uv float32."""
     height, width = image.shape[1:3]
+    wraps = wrap_pair(wrap)
+    if "mirror" in wraps:
+        # Between an image and its mirror image, bilinear sampling reads the border's texel twice, as "clamp" does.
+        folded = 1 - (uv % 2 - 1).abs()
+        uv = torch.stack([(folded if w == "mirror" else uv)[..., axis] for axis, w in enumerate(wraps)], -1)
+    repeats = [one == "repeat" for one in wraps]
     if face_index is None:
         face_index = torch.zeros(uv.shape[:3], dtype=torch.int32, device=uv.device)
-        return sample_mipmaps(image.flatten(1, 2), height, width, uv, face_index, False, wrap == "repeat")
+        return sample_mipmaps(image.flatten(1, 2), height, width, uv, face_index, False, *repeats)
     texels = pyramid(image.permute(0, 3, 1, 2))
-    return sample_mipmaps(texels, height, width, uv, face_index.int(), True, wrap == "repeat")
+    return sample_mipmaps(texels, height, width, uv, face_index.int(), True, *repeats)
 
 
-def checked_wrap(wrap: str) -> str:
-    """Return ``wrap`` if it is a known mode; raise ValueError otherwise."""
-    if not isinstance(wrap, str) or wrap not in WRAPS:
-        raise ValueError(f"wrap: expected one of {', '.join(WRAPS)}, got {wrap!r}")
+def checked_wrap(wrap: Any) -> Wrap:
+    """Return ``wrap`` if it is a known mode or a pair of them; raise ValueError otherwise."""
+    modes = wrap if isinstance(wrap, tuple) and len(wrap) == 2 else (wrap,)
+    if not all(isinstance(mode, str) and mode in WRAPS for mode in modes):
+        raise ValueError(f"wrap: expected one of {', '.join(WRAPS)}, or a pair of them, got {wrap!r}")
     return wrap
+
+
+def wrap_pair(wrap: Wrap) -> tuple[str, str]:
+    """Return the modes for u and for v."""
+    return (wrap, wrap) if isinstance(wrap, str) else wrap

@@ -13,26 +13,27 @@ from tests.raster.scenes import examples
 from tests.rounding import rounding
 
 
-def bilinear(image, uv, repeat):
+def bilinear(image, uv, repeats):
     """image [C, h, w], uv [P, 2] → [P, C], texel by texel."""
     height, width = image.shape[1:]
     at = torch.stack((uv[:, 0], 1 - uv[:, 1]), -1)
     size = at.new_tensor([width, height])
     clamped = (at * size - 0.5).clamp(min=at.new_zeros(2), max=size - 1)
-    at = (at - at.floor()) * size - 0.5 if repeat else clamped
+    at = torch.where(torch.tensor(repeats), (at - at.floor()) * size - 0.5, clamped)
     low = at.detach().floor()
     part = at - low
     result = 0
     for down in (0, 1):
         for right in (0, 1):
             x, y = low[:, 0].long() + right, low[:, 1].long() + down
-            x, y = (x % width, y % height) if repeat else (x.clamp(0, width - 1), y.clamp(0, height - 1))
+            x = x % width if repeats[0] else x.clamp(0, width - 1)
+            y = y % height if repeats[1] else y.clamp(0, height - 1)
             share = (part[:, 0] if right else 1 - part[:, 0]) * (part[:, 1] if down else 1 - part[:, 1])
             result = result + share[:, None] * image[:, y, x].T
     return result
 
 
-def reference(texels, height, width, uv, face_index, mipmaps, repeat):
+def reference(texels, height, width, uv, face_index, mipmaps, *repeats):
     """`sample_mipmaps` in float64, pixel by pixel for the level."""
     sizes = level_sizes(height, width)
     batch, rows, columns = face_index.shape
@@ -58,7 +59,7 @@ def reference(texels, height, width, uv, face_index, mipmaps, repeat):
                 for n, image in enumerate(images):
                     share = max(0.0, 1 - abs(level - n))
                     if share:
-                        color = color + share * bilinear(image, uv[b, j, i][None], repeat)[0]
+                        color = color + share * bilinear(image, uv[b, j, i][None], repeats)[0]
                 result.append(color)
     return torch.stack(result).view(batch, rows, columns, -1)
 
@@ -70,9 +71,9 @@ def reference(texels, height, width, uv, face_index, mipmaps, repeat):
     channels=st.integers(1, 4),
     shared=st.booleans(),
     mipmaps=st.booleans(),
-    repeat=st.booleans(),
+    repeats=st.tuples(st.booleans(), st.booleans()),
 )
-def test_reference(seed, size, channels, shared, mipmaps, repeat):
+def test_reference(seed, size, channels, shared, mipmaps, repeats):
     generator = torch.Generator().manual_seed(seed)
     image = torch.rand(1 if shared else 2, channels, *size, generator=generator)
     # Away from the centres of texels, where the slope of the blend jumps.
@@ -88,7 +89,7 @@ def test_reference(seed, size, channels, shared, mipmaps, repeat):
         texels = pyramid(image.to(dtype)) if mipmaps else image.to(dtype).flatten(2).transpose(1, 2)
         texels, at = texels.detach().requires_grad_(), uv.detach().to(dtype).requires_grad_()
         sample = sample_mipmaps if dtype == torch.float32 else reference
-        colors = sample(texels, *size, at, face_index, mipmaps, repeat)
+        colors = sample(texels, *size, at, face_index, mipmaps, *repeats)
         (colors * weight).sum().backward()
         results.append((colors.detach(), texels.grad, at.grad))
     # A place is a few roundings of 3 x 9 texels off, which the blend's slopes, up to 9 times the colours, multiply; the
@@ -108,12 +109,13 @@ def test_pyramid(size):
         torch.testing.assert_close(level, above)
 
 
-@pytest.mark.parametrize("repeat", [True, False])
-def test_coordinates_that_are_no_numbers_draw_nothing_out_of_bounds(repeat, device):
+@pytest.mark.parametrize("repeats", [(True, True), (False, True), (False, False)])
+def test_coordinates_that_are_no_numbers_draw_nothing_out_of_bounds(repeats, device):
     texels = pyramid(torch.rand(1, 3, 8, 8)).to(device)
     uv = torch.tensor([float("nan"), float("inf"), -float("inf"), 1e30], device=device)[None, None, :, None]
     uv = uv.expand(1, 4, 4, 2).contiguous().requires_grad_()
-    colors = sample_mipmaps(texels, 8, 8, uv, torch.zeros(1, 4, 4, dtype=torch.int32, device=device), True, repeat)
+    face_index = torch.zeros(1, 4, 4, dtype=torch.int32, device=device)
+    colors = sample_mipmaps(texels, 8, 8, uv, face_index, True, *repeats)
     colors.sum().backward()
     assert colors.shape == (1, 4, 4, 3)
 
@@ -123,6 +125,6 @@ def test_compiles():
     uv = torch.rand(1, 4, 4, 2)
     torch.library.opcheck(
         torch.ops.neural_renderer.sample_mipmaps.default,
-        (texels.requires_grad_(), 8, 8, uv.requires_grad_(), face_index, True, True),
+        (texels.requires_grad_(), 8, 8, uv.requires_grad_(), face_index, True, True, True),
         test_utils=("test_schema", "test_faketensor"),
     )

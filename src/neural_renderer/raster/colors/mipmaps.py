@@ -38,7 +38,14 @@ def level_sizes(height: int, width: int) -> list[tuple[int, int, int]]:
 
 @operator
 def sample_mipmaps(
-    texels: Tensor, height: int, width: int, uv: Tensor, face_index: Tensor, mipmaps: bool, repeat: bool
+    texels: Tensor,
+    height: int,
+    width: int,
+    uv: Tensor,
+    face_index: Tensor,
+    mipmaps: bool,
+    repeat_u: bool,
+    repeat_v: bool,
 ) -> Tensor:
     """Sample textures at texture coordinates; differentiable in texels and uv. Level selection is not differentiated.
 
@@ -51,7 +58,8 @@ def sample_mipmaps(
         face_index: Visible face of each pixel, [B, H, W] int32.
         mipmaps: Whether to average over the change of uv to the next pixel of the same face, or from the previous one
             if there is none; else the image itself is sampled.
-        repeat: Whether the image repeats outside [0, 1]; else its border is extended.
+        repeat_u: Whether the image repeats to the left and right of [0, 1]; else its border is extended.
+        repeat_v: The same, below and above.
 
     Returns:
         [B, H, W, C] float32; 0 where ``face_index`` is negative.
@@ -59,13 +67,13 @@ def sample_mipmaps(
     batch, rows, columns = face_index.shape
     result = torch.empty((batch, rows, columns, texels.shape[2]), dtype=torch.float32, device=texels.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
-    arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat), each, array(result)]
+    arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v), each, array(result)]
     launch(_forward, tasks, arguments, texels.device, worth_a_thread(each * columns))
     return result
 
 
 @torch.library.register_fake("neural_renderer::sample_mipmaps")
-def _(texels, height, width, uv, face_index, mipmaps, repeat):
+def _(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v):
     return uv.new_empty((*face_index.shape, texels.shape[2]))
 
 
@@ -78,7 +86,8 @@ def sample_mipmaps_backward(
     uv: Tensor,
     face_index: Tensor,
     mipmaps: bool,
-    repeat: bool,
+    repeat_u: bool,
+    repeat_v: bool,
     texels_too: bool,
 ) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `sample_mipmaps` to texels (empty if not ``texels_too``) and to uv.
@@ -93,24 +102,24 @@ def sample_mipmaps_backward(
     if texels_too and not in_any_order(texels.device):
         each = batch * rows // max(len(texels), 1)
         tasks = len(texels) if each else 0
-    arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat), each, array(grad)]
+    arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v), each, array(grad)]
     arguments += [int(texels_too), array(to_texels), array(to_uv, wp.vec2)]
     launch(_backward, tasks, arguments, texels.device, worth_a_thread(each * columns))
     return to_texels, to_uv
 
 
 @torch.library.register_fake("neural_renderer::sample_mipmaps_backward")
-def _(grad, texels, height, width, uv, face_index, mipmaps, repeat, texels_too):
+def _(grad, texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v, texels_too):
     return texels.new_empty(texels.shape if texels_too else (0, 0, 0)), uv.new_empty(uv.shape)
 
 
-def _arguments(texels, height, width, uv, face_index, mipmaps, repeat):
+def _arguments(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v):
     levels = max(height, width).bit_length() if mipmaps else 1
-    return [array(texels), height, width, levels, array(uv, wp.vec2), array(face_index), int(repeat)]
+    return [array(texels), height, width, levels, array(uv, wp.vec2), array(face_index), int(repeat_u), int(repeat_v)]
 
 
 def _save(ctx, inputs, output):
-    texels, ctx.height, ctx.width, uv, face_index, ctx.mipmaps, ctx.repeat = inputs
+    texels, ctx.height, ctx.width, uv, face_index, ctx.mipmaps, ctx.repeat_u, ctx.repeat_v = inputs
     ctx.save_for_backward(texels, uv, face_index)
 
 
@@ -118,9 +127,9 @@ def _to_inputs(ctx, grad):
     texels, uv, face_index = ctx.saved_tensors
     texels_too, uv_too = ctx.needs_input_grad[0], ctx.needs_input_grad[3]
     to_texels, to_uv = sample_mipmaps_backward(
-        grad, texels, ctx.height, ctx.width, uv, face_index, ctx.mipmaps, ctx.repeat, texels_too
+        grad, texels, ctx.height, ctx.width, uv, face_index, ctx.mipmaps, ctx.repeat_u, ctx.repeat_v, texels_too
     )
-    return to_texels if texels_too else None, None, None, to_uv if uv_too else None, None, None, None
+    return to_texels if texels_too else None, None, None, to_uv if uv_too else None, None, None, None, None
 
 
 differentiable(sample_mipmaps, _to_inputs, _save)
@@ -130,7 +139,7 @@ differentiable(sample_mipmaps, _to_inputs, _save)
 _TEXTURE = """
 struct Texture {
     typedef wp::vec_t<2, float> vec2;
-    int height, width, levels, repeat;
+    int height, width, levels, repeat_u, repeat_v;
 
     // The change of uv to the next pixel, or from the previous one; 0 if neither shows the same face.
     static CUDA_CALLABLE vec2 change(const vec2* uv, const int* shown, bool next, bool previous, wp::int64 step) {
@@ -185,7 +194,7 @@ struct Texture {
             before += (wp::int64)wide * high;
             wide = wide > 1 ? wide >> 1 : 1, high = high > 1 ? high >> 1 : 1;
         }
-        return {before, wide, Side(uv[0], wide, repeat), Side(1.0f - uv[1], high, repeat)};
+        return {before, wide, Side(uv[0], wide, repeat_u), Side(1.0f - uv[1], high, repeat_v)};
     }
 };
 """
@@ -196,7 +205,7 @@ _ROWS = (
     _TEXTURE
     + """
     const int rows = face_index.shape[1], columns = face_index.shape[2], channels = texels.shape[2];
-    const Texture texture = {height, width, levels, repeat};
+    const Texture texture = {height, width, levels, repeat_u, repeat_v};
     const int all = face_index.shape[0] * rows;
     PIXELS_OF_TASK
     for (int line = first; line < last; ++line) {
@@ -259,7 +268,8 @@ def blend_rows(
     levels: int,
     uv: wp.array3d(dtype=wp.vec2),
     face_index: wp.array3d(dtype=int),
-    repeat: int,
+    repeat_u: int,
+    repeat_v: int,
     result: wp.array4d(dtype=float),
     task: int,
     each: int,
@@ -277,11 +287,12 @@ def _forward(
     levels: int,
     uv: wp.array3d(dtype=wp.vec2),
     face_index: wp.array3d(dtype=int),
-    repeat: int,
+    repeat_u: int,
+    repeat_v: int,
     each: int,
     result: wp.array4d(dtype=float),
 ):
-    blend_rows(texels, height, width, levels, uv, face_index, repeat, result, first + wp.tid(), each)
+    blend_rows(texels, height, width, levels, uv, face_index, repeat_u, repeat_v, result, first + wp.tid(), each)
 
 
 _SCATTER = (
@@ -330,7 +341,8 @@ def scatter_rows(
     levels: int,
     uv: wp.array3d(dtype=wp.vec2),
     face_index: wp.array3d(dtype=int),
-    repeat: int,
+    repeat_u: int,
+    repeat_v: int,
     grad: wp.array4d(dtype=float),
     texels_too: int,
     to_texels: wp.array3d(dtype=float),
@@ -351,7 +363,8 @@ def _backward(
     levels: int,
     uv: wp.array3d(dtype=wp.vec2),
     face_index: wp.array3d(dtype=int),
-    repeat: int,
+    repeat_u: int,
+    repeat_v: int,
     each: int,
     grad: wp.array4d(dtype=float),
     texels_too: int,
@@ -359,4 +372,19 @@ def _backward(
     to_uv: wp.array3d(dtype=wp.vec2),
 ):
     task = first + wp.tid()
-    scatter_rows(texels, height, width, levels, uv, face_index, repeat, grad, texels_too, to_texels, to_uv, task, each)
+    scatter_rows(
+        texels,
+        height,
+        width,
+        levels,
+        uv,
+        face_index,
+        repeat_u,
+        repeat_v,
+        grad,
+        texels_too,
+        to_texels,
+        to_uv,
+        task,
+        each,
+    )
