@@ -192,7 +192,7 @@ class Fragments(VisibleFaces):
 
 @validate.checked_together
 def fragments(
-    mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
+    mesh: Mesh | UVMesh | list[Mesh] | list[UVMesh] | tuple[Tensor, ...],
     camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
@@ -209,7 +209,7 @@ def fragments(
     2 x 2 of them. ``anti_aliasing=False`` gives fragments, and images, of the size asked for.
 
     Args:
-        mesh: `Mesh`; a list of them, of any sizes, one per image (see `batch`); `UVMesh`; or (vertices, faces) with
+        mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); or (vertices, faces) with
             vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or [B, F, 3] integer.
         camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], whose depth is w.
         size, near, far, anti_aliasing, two_sided, gradient, eps: As in `render`.

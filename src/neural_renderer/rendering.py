@@ -13,7 +13,7 @@ from . import validate
 from .camera import Camera
 from .camera.screen import causes, scene_camera, screen_positions
 from .deferred import Fragments, visible_fragments
-from .meshes.batch import mesh_parts
+from .meshes.batch import batch, mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ahead import CUBES, IMAGES, SCENE, load_kernels
@@ -30,7 +30,7 @@ from .shading.lights import AnyLight, Light, light_factors
 
 @validate.checked_together
 def render(
-    mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
+    mesh: Mesh | UVMesh | list[Mesh] | list[UVMesh] | tuple[Tensor, ...],
     camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
@@ -50,7 +50,7 @@ def render(
     the parameters of cameras and lights, and the background.
 
     Args:
-        mesh: `Mesh`; a list of them, of any sizes, one per image (see `batch`); `UVMesh`; or (vertices, faces) or
+        mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); or (vertices, faces) or
             (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces [F, 3] or [B, F, 3] integer,
             textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
         camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], with ``light=None``.
@@ -80,6 +80,7 @@ def render(
         >>> images.rgb.shape
         torch.Size([8, 3, 120, 160])
     """
+    mesh = batch(mesh) if isinstance(mesh, list) else mesh
     vertices, faces, textures = mesh_parts(mesh)
     lights = _checked_lights(light)
     if camera is None and lights:

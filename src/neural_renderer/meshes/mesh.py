@@ -18,14 +18,15 @@ from ..io.obj import load_obj
 from . import primitives
 from .bounds import bounding_box
 from .pieces import chosen_faces, merged_vertices, used_vertices
+from .subdivision import checked_levels, split_cubes, subdivided
 
 
 class Mesh(nn.Module):
     """Triangle mesh as a `torch.nn.Module`: vertices and textures are parameters, faces are a buffer.
 
-    `load`, `fromobj` and `icosphere` make a mesh, `save` writes it, `normalize` centres and scales it, `submesh` and
-    `merge_vertices` change its faces. `get_batch` and `set_lr` are methods of the first packages. All other methods are
-    those of `torch.nn.Module`: `to`, `parameters`, ….
+    `load`, `fromobj` and `icosphere` make a mesh, `save` writes it, `normalize` centres and scales it, `submesh`,
+    `merge_vertices` and `subdivide` change its faces. `get_batch` and `set_lr` are methods of the first packages. All
+    other methods are those of `torch.nn.Module`: `to`, `parameters`, ….
 
     ``Mesh(vertices, faces)`` is white; ``vertex_colors``, ``face_colors`` or ``textures`` colour it. Arguments are
     copied. ``Mesh("teapot.obj", texture_size, normalization)`` reads the shape from an OBJ file and ignores its
@@ -283,6 +284,33 @@ class Mesh(nn.Module):
         """
         rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
         return self._like(self.vertices[rows], faces, self.textures)
+
+    def subdivide(self, levels: int = 1, scheme: str = "midpoint") -> Mesh:
+        """Split each face into four, with its texture.
+
+        Args:
+            levels: How often, ≥ 1; each level has four times as many faces.
+            scheme: "midpoint" keeps the surface and adds the midpoints of edges. "loop" also smooths it, by Loop's
+                scheme ("Smooth subdivision surfaces based on triangles", 1987): edges that do not have two faces become
+                smooth curves. Merge vertices that the file has split first (`merge_vertices`).
+
+        Returns:
+            The copy. Its first vertices are those of this mesh, moved by "loop"; the children of face f are 4 f to
+            4 f + 3.
+
+        Raises:
+            TypeError, ValueError: ``levels`` is not a whole number ≥ 1, or the scheme is unknown.
+
+        Example:
+            >>> nr.Mesh(*nr.cube()).subdivide(3, "loop").num_faces
+            768
+        """
+        levels = checked_levels(levels, scheme)
+        vertices, faces, textures = self.vertices.detach(), self.faces, self.textures.detach()
+        for _ in range(levels):
+            vertices, faces = subdivided(vertices, faces, scheme)
+            textures = split_cubes(textures)
+        return self._like(vertices, faces, textures)
 
     def _like(self, vertices: Tensor, faces: Tensor, textures: Tensor) -> Mesh:
         """Make a mesh of other tensors, with what this one's parameters carry: the factors of `set_lr`, frozen ones."""

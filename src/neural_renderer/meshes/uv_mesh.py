@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -22,6 +23,7 @@ from ..textures.sample_texture import Wrap, checked_wrap, sampled
 from .mesh import centered
 from .one_image import one_image
 from .pieces import chosen_faces, merged_vertices, used_vertices
+from .subdivision import checked_levels, split_corners, subdivided
 
 if TYPE_CHECKING:
     from ..deferred import Fragments
@@ -35,8 +37,9 @@ FACE_ATTRIBUTES = ("uv", "image_index", "colors", "material_index", "normals", "
 class UVMesh:
     """Triangle mesh with images as albedo, sampled at every pixel.
 
-    `render` and `fragments` draw it. To optimise a tensor, replace it by one that requires gradients
-    (``dataclasses.replace``).
+    `render` and `fragments` draw it, and what takes a `Mesh` takes it, too. To optimise it, call `trainable`, or
+    replace a tensor by one that requires gradients (``dataclasses.replace``). `batch` of several is a UVMesh whose
+    vertices, faces and attributes of faces have a leading dimension [B, …]; it is for drawing only.
 
     ``UVMesh(vertices, faces, uv, image)`` is a mesh with one image; tensors keep their gradients. The long form
     ``UVMesh(vertices, faces, uv, image_index, images, colors, wraps)`` takes all attributes as they are.
@@ -165,6 +168,71 @@ class UVMesh:
             wraps=wraps,
         )
 
+    @property
+    def num_vertices(self) -> int:
+        """Number of vertices V."""
+        return self.vertices.shape[-2]
+
+    @property
+    def num_faces(self) -> int:
+        """Number of faces F."""
+        return self.faces.shape[-2]
+
+    def trainable(self, *names: str) -> UVMesh:
+        """Copy the mesh, with tensors of its own that receive gradients, for an optimiser.
+
+        Args:
+            *names: Attributes of floating numbers: "vertices", "uv", "images", "colors", "normals", "tangents", "uv1".
+                Without names: vertices and images, and colours if there is a face without an image.
+
+        Returns:
+            The copy. `parameters` iterates over its new tensors; all others are shared.
+
+        Raises:
+            ValueError: A name is not one of these, or the mesh lacks the attribute.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> sphere = nr.UVMesh.load("sphere.obj").trainable()
+            >>> optimizer = torch.optim.Adam(sphere.parameters(), lr=0.01)
+            >>> nr.render(sphere, camera, 32).rgb.mean().backward()
+            >>> optimizer.step()
+        """
+        if not names:
+            plain = not self.images or read_once(self.image_index, _has_negative)
+            names = ("vertices", "images", *(("colors",) if plain else ()))
+        own: dict[str, Any] = {}
+        for name in names:
+            value = getattr(self, name, None) if name in _FLOATING else None
+            if value is None:
+                found = [one for one in _FLOATING if getattr(self, one) is not None]
+                raise ValueError(f"names: expected some of {', '.join(found)}, got {name!r}")
+            own[name] = tuple(map(_leaf, value)) if isinstance(value, (tuple, list)) else _leaf(value)
+        return replace(self, **own)
+
+    def parameters(self) -> Iterator[Tensor]:
+        """Iterate over the tensors that receive gradients, as `torch.nn.Module.parameters` does; see `trainable`.
+
+        Returns:
+            The leaf tensors that require gradients, of the mesh and its materials, each once.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> [part.shape for part in nr.UVMesh.load("sphere.obj").trainable("vertices").parameters()]
+            [torch.Size([162, 3])]
+        """
+        found = {id(part): part for part in _tensors(self) if part.requires_grad and part.is_leaf}
+        return iter(found.values())
+
+    def __repr__(self) -> str:
+        sizes = {f"{image.shape[0]} × {image.shape[1]}" for image in self.images if hasattr(image, "shape")}
+        images = f"{len(self.images)} image{'s' * (len(self.images) != 1)}"
+        of = f" of {sizes.pop()}" if len(sizes) == 1 else ""
+        batch = f"batch of {len(self.uv)}, " if self.uv.ndim == 4 else ""
+        rest = f", {len(self.materials)} materials" if self.materials else ""
+        shape = f"{self.num_vertices} vertices, {self.num_faces} faces"
+        return f"UVMesh({batch}{shape}, {images}{of}{rest}, {self.vertices.device})"
+
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the mesh as OBJ or GLB, with colours clamped to [0, 1].
 
@@ -222,6 +290,8 @@ class UVMesh:
             torch.Size([1, 3, 64, 64])
         """
         self._check()
+        if self.uv.dim() == 4:
+            return self._shade_each(fragments)
         count = len(self.uv)
         corners = torch.arange(3 * count, device=self.uv.device).view(count, 3)
         plain = self.image_index < 0
@@ -239,12 +309,32 @@ class UVMesh:
                 parts.append(sampled(image[None].float(), uv, own, wrap))
         return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
 
+    def _shade_each(self, fragments: Fragments) -> Tensor:
+        """Apply `shade` to a batch of meshes: each with its own images."""
+        colors = []
+        for row, numbers in enumerate(read_once(self.image_index, _numbers_of_rows)):
+            places = torch.full((len(self.images) + 1,), -1, device=self.uv.device)  # −1 stays −1
+            places[numbers] = torch.arange(len(numbers), device=self.uv.device)
+            mesh = UVMesh(
+                self.vertices[row] if self.vertices.dim() == 3 else self.vertices,
+                self.faces[row] if self.faces.dim() == 3 else self.faces,
+                self.uv[row],
+                places[self.image_index[row]],
+                tuple(self.images[number] for number in numbers),
+                self.colors[row],
+                tuple(self.wraps[number] for number in numbers),
+            )
+            own = slice(None) if len(self.uv) == 1 else slice(row, row + 1)
+            corners, index = fragments.corners[own], fragments.face_index[own]
+            colors.append(mesh.shade(replace(fragments, corners=corners, face_index=index, rings=None)))
+        return torch.cat(colors)
+
     def _check(self, always: bool = False) -> None:
         """Raise TypeError or ValueError unless all attributes fit together; ``always`` as in `validate.finite`."""
-        count = len(self.faces)
-        for name, value, shape in (("uv", self.uv, (count, 3, 2)), ("colors", self.colors, (count, 3, 3))):
+        own = self._owners()
+        for name, value, shape in (("uv", self.uv, (*own, 3, 2)), ("colors", self.colors, (*own, 3, 3))):
             validate.finite(name, validate.floating(name, value, shape).float(), always)
-        validate.indices("image_index", self.image_index, (count,))
+        validate.indices("image_index", self.image_index, own)
         for name, several in (("images", self.images), ("wraps", self.wraps)):
             if not isinstance(several, (tuple, list)):
                 raise TypeError(f"{name}: expected a tuple, got {type(several).__name__}")
@@ -259,23 +349,27 @@ class UVMesh:
         self._check_materials(always)
         _check_index("image_index", self.image_index, "images", len(self.images), always)
 
+    def _owners(self) -> tuple[int, ...]:
+        """Return the leading dimensions of the attributes of faces: (F,), or (B, F) in a batch."""
+        return tuple(self.uv.shape[:2]) if getattr(self.uv, "ndim", 3) == 4 else (self.num_faces,)
+
     def _check_materials(self, always: bool) -> None:
         """Check the optional attributes, as `_check`."""
-        count = len(self.faces)
+        own = self._owners()
         for name, width in (("normals", 3), ("tangents", 4), ("uv1", 2)):
             value = getattr(self, name)
             if value is not None:
-                validate.finite(name, validate.floating(name, value, (count, 3, width)).float(), always)
+                validate.finite(name, validate.floating(name, value, (*own, 3, width)).float(), always)
         if not isinstance(self.materials, (tuple, list)):
             raise TypeError(f"materials: expected a tuple, got {type(self.materials).__name__}")
         for material in self.materials:
             if not isinstance(material, Material):
                 raise TypeError(f"materials: expected a Material each, got {type(material).__name__}")
         if self.material_index is not None:
-            validate.indices("material_index", self.material_index, (count,), always=always)
+            validate.indices("material_index", self.material_index, own, always=always)
             _check_index("material_index", self.material_index, "materials", len(self.materials), always)
         elif len(self.materials) > 1:
-            raise ValueError(f"material_index: expected [{count}] for {len(self.materials)} materials, got None")
+            raise ValueError(f"material_index: expected {list(own)} for {len(self.materials)} materials, got None")
 
     def normalize(self) -> UVMesh:
         """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
@@ -337,6 +431,35 @@ class UVMesh:
         rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
         return replace(self, vertices=self.vertices[rows], faces=faces)
 
+    def subdivide(self, levels: int = 1, scheme: str = "midpoint") -> UVMesh:
+        """Split each face into four, with its texture coordinates, colours and materials.
+
+        Args:
+            levels: As in `Mesh.subdivide`.
+            scheme: As in `Mesh.subdivide`. "loop" drops normals and tangents of the file, which no longer fit.
+
+        Returns:
+            The mesh, with the same images; differentiable in all tensors.
+
+        Raises:
+            TypeError, ValueError: As `Mesh.subdivide`.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> nr.UVMesh.load("sphere.obj").subdivide(scheme="loop").num_faces
+            1280
+        """
+        levels, mesh = checked_levels(levels, scheme), self
+        for _ in range(levels):
+            vertices, faces = subdivided(mesh.vertices, mesh.faces, scheme)
+            own = {name: getattr(mesh, name) for name in FACE_ATTRIBUTES if getattr(mesh, name) is not None}
+            own = {name: v.repeat_interleave(4, 0) if v.dim() == 1 else split_corners(v) for name, v in own.items()}
+            for name in {"normals", "tangents"} & set(own):
+                unit = functional.normalize(own[name][..., :3], dim=-1)
+                own[name] = None if scheme == "loop" else torch.cat((unit, own[name][..., 3:].sign()), -1)
+            mesh = replace(mesh, vertices=vertices, faces=faces, **own)
+        return mesh
+
     def resized(self, side: int) -> UVMesh:
         """Copy the mesh, with all images resized to ``side`` × ``side`` pixels by an antialiasing filter.
 
@@ -379,6 +502,30 @@ class UVMesh:
             return value.to(device) if isinstance(value, (Tensor, Material)) else value
 
         return replace(self, **{part.name: moved(getattr(self, part.name)) for part in fields(self)})
+
+
+_FLOATING = ("vertices", "uv", "images", "colors", "normals", "tangents", "uv1")
+
+
+def _leaf(tensor: Tensor) -> Tensor:
+    return tensor.detach().clone().requires_grad_()
+
+
+def _tensors(value: Any) -> Iterator[Tensor]:
+    """Iterate over the tensors in tuples and dataclasses."""
+    if isinstance(value, Tensor):
+        yield value
+    elif isinstance(value, (tuple, list)):
+        for part in value:
+            yield from _tensors(part)
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from _tensors(getattr(value, field.name))
+
+
+def _numbers_of_rows(index: Tensor) -> list[list[int]]:
+    """Find the images that each mesh of a batch uses."""
+    return [sorted({number for number in row if number >= 0}) for row in index.tolist()]
 
 
 def _has_negative(index: Tensor) -> bool:

@@ -54,18 +54,19 @@ def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> 
     one part in 4000. A face without an image matches no other face.
 
     Args:
-        uv: Texture coordinates of the corners, [F, 3, 2] float32.
-        image_index: Texture image of each face, [F] int64; -1 for none.
+        uv: Texture coordinates of the corners, [F, 3, 2] or [B, F, 3, 2] float32.
+        image_index: Texture image of each face, [F] or [B, F] int64; -1 for none.
         light: Factors on the front and the back of each face, [B, 2, F, 3]; None for 1.
 
     Returns:
         [1 or B, F, 3, 2] int64, as from `texture_edge_hashes`.
     """
-    corners = _hash(torch.cat((_bits(uv.detach()).long(), image_index.long()[:, None, None].expand(-1, 3, 1)), 2))
-    following = corners.roll(-1, 1)
-    hashes = torch.stack((corners * _THERE + following * _BACK, following * _THERE + corners * _BACK), 2)
-    own = _hash(torch.arange(len(uv), device=uv.device)[:, None] + 1)[:, None, None]
-    hashes = _mixed(torch.where(image_index[:, None, None] < 0, own, hashes))[None]
+    uv, image = (uv, image_index) if uv.dim() == 4 else (uv[None], image_index[None])
+    corners = _hash(torch.cat((_bits(uv.detach()).long(), image.long()[..., None, None].expand(-1, -1, 3, 1)), 3))
+    following = corners.roll(-1, 2)
+    hashes = torch.stack((corners * _THERE + following * _BACK, following * _THERE + corners * _BACK), 3)
+    own = _hash(torch.arange(uv.shape[1], device=uv.device)[:, None] + 1)[:, None, None]
+    hashes = _mixed(torch.where(image[..., None, None] < 0, own, hashes))
     return _never_zero(hashes if light is None else hashes + _light_hash(light))
 
 
