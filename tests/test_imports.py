@@ -27,6 +27,7 @@ ROOMS = [
     "shading",
     "deferred",
     "losses",
+    "surface_images",
     "rendering",
     "compat",
     "features",

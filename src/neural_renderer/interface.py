@@ -18,8 +18,15 @@ from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
 from .rendering import render
+from .shading.color_space import linear_to_srgb, srgb_to_linear
+from .shading.environment import EnvironmentLight
 from .shading.lights import Light
+from .shading.normal_maps import corner_tangents
+from .shading.pbr import PBR, shade_pbr
+from .shading.phong import Phong, shade_diffuse, shade_phong
+from .shading.point_lights import PointLight, SpotLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
+from .shading.visible_surface import VisibleSurface
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture
@@ -27,22 +34,29 @@ from .validate import check_values
 from .version import __version__
 
 __all__ = [
+    "PBR",
     "Adam",
     "Camera",
+    "EnvironmentLight",
     "Fragments",
     "Images",
     "Light",
     "Material",
     "Mesh",
+    "Phong",
+    "PointLight",
     "Rasterize",
     "Renderer",
     "SphericalHarmonicLight",
+    "SpotLight",
     "SurfacePoints",
     "Texture",
     "UVMesh",
+    "VisibleSurface",
     "__version__",
     "batch",
     "check_values",
+    "corner_tangents",
     "cross",
     "cube",
     "fill_gutters",
@@ -51,6 +65,7 @@ __all__ = [
     "icosphere",
     "join",
     "lighting",
+    "linear_to_srgb",
     "load_image",
     "load_mesh",
     "load_obj",
@@ -73,6 +88,10 @@ __all__ = [
     "save_image",
     "save_mesh",
     "save_obj",
+    "shade_diffuse",
+    "shade_pbr",
+    "shade_phong",
+    "srgb_to_linear",
     "torus",
     "vertex_normals",
     "vertices_to_faces",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -22,10 +23,12 @@ from .raster.colors.composite import composite
 from .raster.colors.light_pixels import light_pixels
 from .raster.cubes import cube_colors
 from .raster.faces import checked_faces, world_corners
-from .raster.images import OUTPUTS, Images, checked_outputs
+from .raster.images import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.continuity import image_edge_hashes
-from .shading.lights import AnyLight, Light, light_factors
+from .shading.lights import AnyLight, Light, light_factors, pixel_lights
+from .shading.models import Shading, checked_shading, shade_pixels, surface_edge_hashes
+from .surface_images import surface_images, surface_outputs
 
 
 @validate.checked_together
@@ -35,6 +38,7 @@ def render(
     size: int | tuple[int, int] = 256,
     *,
     light: AnyLight | Sequence[AnyLight] | None = Light(),  # noqa: B008 (immutable)
+    shading: str | Shading = "flat",
     background: Any = (0.0, 0.0, 0.0),
     outputs: Collection[str] = OUTPUTS,
     near: float = 0.1,
@@ -55,10 +59,15 @@ def render(
             textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
         camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], with ``light=None``.
         size: Side of the images, or (height, width), in pixels. Pixels are square.
-        light: `Light`, `SphericalHarmonicLight`, another object with their method `two_sided`, or a list of lights,
-            which add up. None draws textures without lighting.
+        light: `Light`, `PointLight`, `SpotLight`, `SphericalHarmonicLight`, `EnvironmentLight`, another object with
+            their method `two_sided`, or a list of lights, which add up. None draws textures without lighting.
+        shading: ``"flat"`` lights each face as a whole. The others light each pixel, with smooth normals and the normal
+            maps of materials: ``"smooth"`` a matt surface, ``"phong"`` also highlights, ``"pbr"`` metals and
+            dielectrics; with the mesh's materials, or `Phong` or `PBR` for a mesh without. Or an object with their
+            method `shade`.
         background: Number, colour [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.
-        outputs: Some of "rgb", "alpha", "depth". Other outputs are not computed.
+        outputs: Some of "rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric", which `Images`
+            explains. Others are not computed.
         near, far: Depth range in world units, 0 <= near < far; a point is visible if near < depth < far.
         anti_aliasing: Draw at twice the size and average 2 x 2 pixels.
         two_sided: Draw also faces seen from behind.
@@ -67,7 +76,8 @@ def render(
         eps: Added to distances in the denominators of ``"nmr"``, in screen units; cube coordinates end at T - 1 - eps.
 
     Returns:
-        Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, row 0 at the top.
+        Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, and what else ``outputs`` names. Row 0
+        is at the top.
 
     Raises:
         TypeError: An argument of another type.
@@ -83,10 +93,15 @@ def render(
     mesh = batch(mesh) if isinstance(mesh, list) else mesh
     vertices, faces, textures = mesh_parts(mesh)
     lights = _checked_lights(light)
-    if camera is None and lights:
-        raise ValueError("light: expected None for vertices in clip space, which have no place in the world")
+    model = checked_shading(shading)
+    if model is not None:
+        pixel_lights(lights)
+    if camera is None and (lights or model is not None):
+        raise ValueError('light: expected None, and shading "flat", for vertices in clip space')
+    has_camera = camera is not None
     vertices, camera = scene_camera(vertices, camera)
-    outputs = checked_outputs(outputs)
+    outputs = checked_outputs(outputs, OUTPUTS + SURFACE)
+    surface = surface_outputs(outputs, mesh, has_camera)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     aspect = settings.width / settings.height
     load_kernels(
@@ -95,21 +110,56 @@ def render(
     screen = validate.in_float32("vertices on the screen", screen_positions(camera, vertices, aspect))
     faces = checked_faces(faces)
     visible = visible_fragments(screen, faces, settings, 1 + 3 * ("rgb" in outputs))
-    if "rgb" not in outputs:
-        return visible.images(outputs)
-    factors = None
-    if lights:
-        corners = world_corners(vertices, faces, screen.shape[0], in_range=True)
-        several = [light_factors(one, corners, camera.mirrored) for one in lights]
-        factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
-    if isinstance(mesh, UVMesh):
-        return visible.images(outputs, *_image_colors(visible, mesh, factors, background))
+    colors: tuple[Any, ...] = ()
+    if "rgb" in outputs and model is not None:
+        colors = _shaded(visible, mesh, textures, camera, lights, model, background)
+    elif "rgb" in outputs:
+        factors = None
+        if lights:
+            corners = world_corners(vertices, faces, screen.shape[0], in_range=True)
+            several = [light_factors(one, corners, camera.mirrored) for one in lights]
+            factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
+        if isinstance(mesh, UVMesh):
+            colors = _image_colors(visible, mesh, factors, background)
+        else:
+            colors = cube_colors(visible, _checked_cubes(textures), factors, background)
+    images = visible.images(outputs, *colors)
+    if surface:
+        vars(images).update(surface_images(surface, visible, screen, mesh, camera, model is not None))
+    return images
+
+
+def _checked_cubes(textures: Tensor | None) -> Tensor:
+    """Return texture cubes as [B or 1, F, T, T, T, 3] or raise TypeError or ValueError."""
     if textures is None:
         raise ValueError('mesh: expected textures to draw "rgb", got (vertices, faces) alone')
     owners = ("F",) if getattr(textures, "ndim", 6) == 5 else ("B", "F")
     textures = validate.cubes("textures", textures, *owners)
-    textures = textures if textures.dim() == 6 else textures[None]
-    return visible.images(outputs, *cube_colors(visible, textures, factors, background))
+    return textures if textures.dim() == 6 else textures[None]
+
+
+def _shaded(
+    visible: Fragments,
+    mesh: Any,
+    textures: Tensor | None,
+    camera: Camera,
+    lights: list[AnyLight],
+    model: Shading | str,
+    background: Any,
+) -> tuple[Tensor, Callable[[], Tensor]]:
+    """Colour an image with light in each pixel; results as in `cube_colors`."""
+    # Only "edge" differentiates shading inside faces.
+    edge = visible.settings.gradient == "edge"
+    inside = visible if edge else replace(visible, corners=visible.corners.detach())
+    if isinstance(mesh, UVMesh):
+        albedo = mesh.shade(inside)
+    else:
+        rgb, edge_hashes = cube_colors(inside, _checked_cubes(textures), None, 0.0)
+        albedo = rgb.movedim(1, -1)
+    colors = shade_pixels(model, inside, mesh, albedo, camera, lights)
+    behind = background_image(background, len(colors), 3, visible.settings, colors.device)
+    hashes = partial(surface_edge_hashes, mesh) if isinstance(mesh, UVMesh) else edge_hashes
+    return composite(colors, behind, visible.face_index), hashes
 
 
 def _image_colors(

@@ -139,3 +139,21 @@ def test_what_does_not_fit_together(device):
             call([ball, flat])
     with pytest.raises(ValueError, match=r"meshes\[1\]: expected one mesh, got a batch"):
         nr.join([flat, nr.batch([flat, flat])])
+
+
+@pytest.mark.parametrize("shading", ["smooth", "phong", "pbr"])
+def test_a_list_is_shaded_as_each_mesh_alone(shading):
+    """With materials, textures of materials, normal maps, normals of the file, and normals computed."""
+    generator = torch.Generator().manual_seed(0)
+    bump = nr.Texture(0.5 + torch.rand(8, 8, 3, generator=generator) / 2)
+    rough = nr.Material(roughness=0.4, metallic=0.5, specular=(0.3, 0.2, 0.1), normal_texture=bump)
+    first, second = painted("cpu", 0, (16, 4), normals=True), painted("cpu", 1, (8, 32))
+    second = nr.UVMesh(**{**vars(second), "materials": (rough, nr.Material(emissive=(0.1, 0.2, 0.0)))})
+    second = nr.UVMesh(**{**vars(second), "material_index": torch.arange(12) % 3 - 1})
+    camera = nr.Camera.look_at([[0.3, 1.0, -2.5], [1.5, 0.2, -2.0]], viewing_angle=30)
+    light = nr.Light(ambient=[0.2, 0.5], directional=torch.tensor([0.8, 0.3]), direction=[[0.0, 1, -1], [1.0, 1, -1]])
+    together = nr.render([first, second], camera, 48, shading=shading, light=light)
+    for b, mesh in enumerate([first, second]):
+        own = nr.Light((0.2, 0.5)[b], (0.8, 0.3)[b], direction=((0.0, 1, -1), (1.0, 1, -1))[b])
+        alone = nr.render(mesh, camera[b], 48, shading=shading, light=own)
+        torch.testing.assert_close(together.rgb[b], alone.rgb[0], rtol=1e-4, atol=1e-4)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.shading.spherical_harmonics import _harmonics
+from neural_renderer.shading.spherical_harmonics import harmonics
 
 
 def directions(count=20000):
@@ -20,7 +20,7 @@ def directions(count=20000):
 
 def test_harmonics_are_orthonormal():
     """Up to the error of the sum over 20,000 directions."""
-    values = torch.stack(_harmonics(directions()), -1)
+    values = torch.stack(harmonics(directions()), -1)
     torch.testing.assert_close(
         4 * math.pi * values.T @ values / len(values),
         torch.eye(9, dtype=torch.float64),
@@ -33,7 +33,7 @@ def test_light_is_what_falls_on_a_matt_surface():
     """A broad lamp: radiance that varies as a polynomial of degree 2 is kept exactly."""
     way = directions()
     radiance = (1 + 0.5 * way[:, :1] - 0.3 * way[:, 2:] + 0.4 * way[:, 1:2] * way[:, 2:]) * torch.tensor([1.0, 0.5, 0])
-    coefficients = 4 * math.pi * torch.stack(_harmonics(way)) @ radiance / len(way)
+    coefficients = 4 * math.pi * torch.stack(harmonics(way)) @ radiance / len(way)
     normals = directions(50)[None]
     falls = (normals[0] @ way.T).clamp(min=0) @ radiance * 4 / len(way)  # the mean over the sphere, times 4π / π
     found = nr.SphericalHarmonicLight(coefficients).on(normals)[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -18,10 +18,29 @@ from ..raster.warp.registration import is_plain
 
 @runtime_checkable
 class AnyLight(Protocol):
-    """A light: `Light`, `SphericalHarmonicLight`, or any object with this method."""
+    """A light on faces: `Light`, `SphericalHarmonicLight`, …, or any object with this method."""
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
         """Compute the light on both sides of each face, [B, 2, F, 3]; see `Light.two_sided`."""
+
+
+@runtime_checkable
+class Beam(Protocol):
+    """A light that reaches each point from one direction: `Light`, `PointLight`, `SpotLight`.
+
+    Shading of pixels (`shading="smooth"` and others) asks a light for its methods `beam` and `ambience`; one suffices.
+    """
+
+    def beam(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute unit vectors towards the light and the light on a surface that faces it; see `Light.beam`."""
+
+
+@runtime_checkable
+class Ambience(Protocol):
+    """A light that comes from all around: `Light`, `SphericalHarmonicLight`, `EnvironmentLight`."""
+
+    def ambience(self, directions: Tensor, roughness: Tensor | None = None) -> Tensor:
+        """Compute the light on matt surfaces or in blurred reflections; see `Light.ambience`."""
 
 
 _WHITE = (1.0, 1.0, 1.0)
@@ -80,6 +99,48 @@ class Light:
         if not mirrored:
             facing = -facing
         return self._shade(torch.stack((facing, -facing), dim=1))
+
+    def beam(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute the directional light at points.
+
+        Args:
+            points: [B, H, W, 3] floating, in world space.
+
+        Returns:
+            Unit vectors towards the light and RGB of the light on a white matt surface that faces it; each
+            [1 or B, 1, 1, 3], since they are equal at all points.
+
+        Raises:
+            TypeError, ValueError: A parameter does not fit.
+
+        Example:
+            >>> towards, rgb = nr.Light(direction=(0.0, 2.0, 0.0)).beam(torch.zeros(1, 8, 8, 3))
+            >>> towards[0, 0, 0], rgb[0, 0, 0]
+            (tensor([0., 1., 0.]), tensor([1., 1., 1.]))
+        """
+        _, directional, direction = self._parameters(points.dtype, points.device, len(points))
+        length = torch.linalg.vector_norm(direction, dim=-1, keepdim=True)
+        towards = direction / length.clamp(min=torch.finfo(length.dtype).tiny)
+        return towards[:, None, None], (directional * length)[:, None, None]
+
+    def ambience(self, directions: Tensor, roughness: Tensor | None = None) -> Tensor:
+        """Compute the ambient light, which is equal from all directions.
+
+        Args:
+            directions: [B, H, W, 3] floating, normals or directions of reflection.
+            roughness: Unused.
+
+        Returns:
+            RGB [1 or B, 1, 1, 3].
+
+        Raises:
+            TypeError, ValueError: A parameter does not fit.
+
+        Example:
+            >>> nr.Light(ambient=0.25).ambience(torch.zeros(1, 8, 8, 3))
+            tensor([[[[0.2500, 0.2500, 0.2500]]]])
+        """
+        return self._parameters(directions.dtype, directions.device, len(directions))[0][:, None, None]
 
     def _facing(self, corners: Tensor) -> Tensor:
         """Compute n · direction of each face, [B, F], with the orientation of `face_normals`."""
@@ -142,6 +203,16 @@ class Light:
         """Yield what the parameters are made of: numbers that stay, or tensors and lists that may change."""
         for value in (self.ambient, self.directional, self.ambient_color, self.directional_color, self.direction):
             yield from value if isinstance(value, tuple) else (value,)
+
+
+def pixel_lights(lights: Sequence[object]) -> None:
+    """Raise TypeError unless all lights can light pixels, by `Beam` or `Ambience`."""
+    for light in lights:
+        if not isinstance(light, (Beam, Ambience)) or isinstance(light, type):
+            raise TypeError(
+                f"light: {type(light).__name__} lights whole faces only (its method two_sided); shading of "
+                f'pixels needs a method beam or ambience; shading="flat" draws it'
+            )
 
 
 def light_factors(light: AnyLight, corners: Tensor, mirrored: bool) -> Tensor:

@@ -96,11 +96,42 @@ class SphericalHarmonicLight:
         kept = values.reshape(-1, 9, 3) * on_device(_BANDS, values)[:, None]
         kept = kept.reshape(-1, *(1,) * (normals.ndim - 2), 9, 3)
         # Not matmul: it rounds under autocast, and adds in an order that depends on the batch.
-        bands = zip(_harmonics(normals), kept.unbind(-2), strict=True)
+        bands = zip(harmonics(normals), kept.unbind(-2), strict=True)
         return sum((value[..., None] * band for value, band in bands), torch.zeros_like(kept[..., 0, :])).clamp(min=0)
 
+    def ambience(self, directions: Tensor, roughness: Tensor | None = None) -> Tensor:
+        """Compute the light on matt surfaces, or the light in blurred reflections.
 
-def _harmonics(n: Tensor) -> list[Tensor]:
+        A lobe of roughness r blurs band l by about exp(−l (l + 1) r⁴ / 2) (Ramamoorthi and Hanrahan, "A
+        Signal-Processing Framework for Inverse Rendering", 2001, section 4.2). Order 2 holds no sharp reflections.
+
+        Args:
+            directions: [B, H, W, 3] floating unit vectors: normals, or with roughness directions of reflection.
+            roughness: [B, H, W, 1] floating in [0, 1], or None for matt surfaces.
+
+        Returns:
+            RGB [B, H, W, 3], ≥ 0.
+
+        Raises:
+            TypeError, ValueError: As `on`.
+
+        Example:
+            >>> light = nr.SphericalHarmonicLight(torch.rand(9, 3))
+            >>> light.ambience(torch.nn.functional.normalize(torch.randn(1, 8, 8, 3), dim=-1)).shape
+            torch.Size([1, 8, 8, 3])
+        """
+        if roughness is None:
+            return self.on(directions)
+        values = parameter("coefficients", self.coefficients, (9, 3), directions.dtype, directions.device)
+        batch_size(directions=len(directions), coefficients=batch_of(values, 2))
+        rows = values.reshape(-1, 1, 1, 9, 3).unbind(-2)
+        bands = [value[..., None] * row for value, row in zip(harmonics(directions), rows, strict=True)]
+        variance = roughness**4 / 2
+        first, second = torch.exp(-2 * variance), torch.exp(-6 * variance)
+        return (bands[0] + first * sum(bands[1:4]) + second * sum(bands[4:])).clamp(min=0)
+
+
+def harmonics(n: Tensor) -> list[Tensor]:
     """Evaluate the nine real spherical harmonics of order 2: unit vectors [..., 3] → nine times [...]."""
     x, y, z = n.unbind(-1)
     one, two = math.sqrt(3 / (4 * _PI)), math.sqrt(15 / (4 * _PI))

@@ -1,0 +1,202 @@
+"""Light from an environment: an image of all directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .. import validate
+from ..camera import Camera
+from ..camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
+from ..constants import on_device
+from ..raster.warp.registration import is_plain
+from .color_space import linear_to_srgb
+from .equirectangular import direction_uv, directions_of, look_up, solid_angles
+from .prefilter import prefiltered, reflected
+from .spherical_harmonics import SphericalHarmonicLight, harmonics
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentLight:
+    """Distant light from all around, as an equirectangular image, for one scene or for each scene of a batch.
+
+    Matt surfaces are lit by its spherical harmonics of order 2 (`SphericalHarmonicLight`; within 1 % for most images),
+    glossy ones by blurred copies for each roughness and the split sum (Karis, "Real Shading in Unreal Engine 4",
+    2013). Nothing casts shadows. What follows from an image without gradient is computed once, and kept.
+
+    Attributes:
+        image: [H, W, 3] or [B, H, W, 3] floating tensor or array: **linear** radiance ≥ 0, row 0 up (+y), the middle
+            column −z, columns to its right towards +x. Radiance 1 everywhere leaves a white surface white. For an
+            8-bit photograph use `srgb_to_linear`.
+        intensity: Factor: number, or tensor [] or [B].
+
+    Raises:
+        TypeError, ValueError: The image does not fit; in drawing, also if a number is not finite.
+
+    Example:
+        >>> image = torch.rand(32, 64, 3, requires_grad=True)
+        >>> light = nr.EnvironmentLight(image)
+        >>> nr.render(mesh, camera, 64, light=light, shading=nr.PBR(metallic=1.0, roughness=0.2)).rgb.sum().backward()
+    """
+
+    image: Array
+    intensity: Scalar = 1.0
+
+    def __post_init__(self) -> None:
+        image = as_tensor("image", self.image, torch.float32)
+        shape: tuple[int | str, ...] = ("H", "W", 3) if image.ndim == 3 else ("B", "H", "W", 3)
+        validate.floating("image", image, shape)
+        if not image.numel():
+            raise ValueError(f"image: expected at least one pixel, got {validate.shape_of(image)}")
+        object.__setattr__(self, "image", image)
+
+    def radiance(self, directions: Tensor) -> Tensor:
+        """Look up the light from directions.
+
+        Args:
+            directions: [B, H, W, 3] floating, away from the viewer, of any length.
+
+        Returns:
+            **Linear** RGB [B, H, W, 3], differentiable in directions and parameters.
+
+        Raises:
+            TypeError, ValueError: A type or batch size does not fit.
+
+        Example:
+            >>> sky = torch.zeros(8, 16, 3)
+            >>> sky[:4] = 1.0
+            >>> nr.EnvironmentLight(sky).radiance(torch.tensor([[[[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]]]))[..., 0]
+            tensor([[[1., 0.]]])
+        """
+        return self._strength(look_up(self._pixels(directions), direction_uv(directions)))
+
+    def background(self, camera: Camera, size: int | tuple[int, int]) -> Tensor:
+        """Draw the environment as a camera sees it, for ``background`` of `render`.
+
+        Args:
+            camera: B cameras with perspective.
+            size: Side of the images, or (height, width), in pixels.
+
+        Returns:
+            **Display values** [B, 3, H, W] float32.
+
+        Raises:
+            TypeError, ValueError: A type, size or batch size does not fit, or the camera is orthographic.
+
+        Example:
+            >>> light = nr.EnvironmentLight(torch.rand(32, 64, 3))
+            >>> behind = light.background(camera, 64)
+            >>> images = nr.render(mesh, camera, 64, light=light, shading="pbr", background=behind)
+        """
+        if not camera.perspective:
+            raise ValueError("camera: expected one with perspective, got an orthographic one, which sees one direction")
+        height, width = (
+            validate.whole("size", side, 1) for side in (size if isinstance(size, tuple) else (size, size))
+        )
+        like = on_device(camera.origin, torch.as_tensor(self.image).new_empty(0, dtype=torch.float32))
+        y, x = (torch.arange(side, dtype=like.dtype, device=like.device) + 0.5 for side in (height, width))
+        pixels = torch.stack((x.expand(height, width), y[:, None].expand(height, width)), -1).view(-1, 2)
+        near, far = (
+            camera.unproject(pixels, pixels.new_full((len(pixels),), depth), (height, width)) for depth in (1, 2)
+        )
+        return linear_to_srgb(self.radiance((far - near).view(-1, height, width, 3))).movedim(-1, 1)
+
+    def ambience(self, directions: Tensor, roughness: Tensor | None = None) -> Tensor:
+        """Compute the light on matt surfaces, or the light in blurred reflections.
+
+        Args:
+            directions: [B, H, W, 3] floating unit vectors: normals, or with roughness directions of reflection.
+            roughness: [B, H, W, 1] floating in [0, 1], or None for matt surfaces.
+
+        Returns:
+            RGB [B, H, W, 3], differentiable in all arguments and parameters.
+
+        Raises:
+            TypeError, ValueError: A type or batch size does not fit.
+
+        Example:
+            >>> light = nr.EnvironmentLight(torch.ones(16, 32, 3))
+            >>> light.ambience(torch.nn.functional.normalize(torch.randn(1, 8, 8, 3), dim=-1)).mean()
+            tensor(1.0000)
+        """
+        if roughness is None:
+            return self._strength(self._matt(directions).on(directions))
+        image = self._pixels(directions)
+        return self._strength(reflected(image, self._kept("levels", image), directions, roughness))
+
+    def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
+        """Compute the light on both sides of each face.
+
+        Args:
+            corners: [B, F, 3 corners, 3] floating, corners of faces in world space.
+            mirrored: Whether the camera mirrors (`Camera.mirrored`).
+
+        Returns:
+            [B, 2, F, 3]: RGB factors of the sides, in the order of `Light.two_sided`.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
+                finite.
+
+        Example:
+            >>> corners = nr.vertices_to_faces(mesh.vertices[None], mesh.faces)
+            >>> nr.EnvironmentLight(torch.rand(8, 16, 3)).two_sided(corners).shape
+            torch.Size([1, 2, 320, 3])
+        """
+        validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
+        return self._strength(self._matt(corners).two_sided(corners, mirrored))
+
+    def coefficients(self) -> Tensor:
+        """Project the image onto spherical harmonics of order 2.
+
+        Returns:
+            [9, 3] or [B, 9, 3] float32, for `SphericalHarmonicLight`; without ``intensity``. Differentiable.
+
+        Example:
+            >>> nr.EnvironmentLight(torch.ones(16, 32, 3)).coefficients()[0]
+            tensor([3.5449, 3.5449, 3.5449])
+        """
+        image = torch.as_tensor(self.image).float()
+        found = projected(image if image.ndim == 4 else image[None])
+        return found if image.ndim == 4 else found[0]
+
+    def _pixels(self, like: Tensor) -> Tensor:
+        """Return the image as [1 or B, H, W, 3] float32 on the device of ``like``."""
+        image = on_device(torch.as_tensor(self.image), like.new_empty(0, dtype=torch.float32))
+        validate.finite("image", image)
+        image = image if image.ndim == 4 else image[None]
+        batch_size(points=len(like), image=len(image))
+        return image
+
+    def _matt(self, like: Tensor) -> SphericalHarmonicLight:
+        return SphericalHarmonicLight(self._kept("coefficients", self._pixels(like)))
+
+    def _kept(self, name: str, image: Tensor) -> Tensor:
+        """Compute levels or coefficients of the image; keep them until it changes, unless it gets gradients."""
+        compute = prefiltered if name == "levels" else projected
+        if image.requires_grad or not is_plain((image,)):
+            return compute(image)
+        key = (torch.as_tensor(self.image)._version, image.device)
+        known = self.__dict__.get(f"_{name}")
+        if known is None or known[0] != key:
+            with torch.inference_mode(False), torch.no_grad():
+                known = self.__dict__[f"_{name}"] = (key, compute(image.clone()))
+        return known[1]
+
+    def _strength(self, light: Tensor) -> Tensor:
+        strength: Any = scalar("intensity", self.intensity, light.dtype, light.device)
+        if isinstance(strength, Tensor) and strength.ndim:
+            batch_size(points=len(light), intensity=len(strength))
+            strength = strength.reshape(-1, *(1,) * (light.ndim - 1))
+        return light * strength
+
+
+def projected(image: Tensor) -> Tensor:
+    """Project images [B, H, W, 3] float32 onto spherical harmonics of order 2, [B, 9, 3]."""
+    height, width = image.shape[1:3]
+    weighted = image * solid_angles(height, width, image)[:, None, None]
+    bands = harmonics(directions_of(height, width, image))
+    return torch.stack([(weighted * band[..., None]).sum((1, 2)) for band in bands], 1)

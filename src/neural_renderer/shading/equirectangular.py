@@ -1,0 +1,49 @@
+"""Equirectangular images: all directions around a point, as longitude and latitude."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from ..textures.sample_texture import sampled
+
+_POLE = 1e-12  # squared distance from the poles, in units of the radius, below which longitude has no gradient
+
+
+def direction_uv(directions: Tensor) -> Tensor:
+    """Find where an equirectangular image shows directions.
+
+    Row 0 is up, +y. The middle column is −z, the column to its right turns towards +x.
+
+    Args:
+        directions: [..., 3] floating, of any length.
+
+    Returns:
+        Texture coordinates [..., 2] in [0, 1], v up; differentiable.
+    """
+    x, y, z = directions.unbind(-1)
+    across = x * x + z * z
+    z = torch.where(across < _POLE, torch.full_like(z, -1.0), z)
+    u = 0.5 + torch.atan2(x, -z) / (2 * math.pi)
+    return torch.stack((u, 0.5 + torch.atan2(y, across.clamp(min=_POLE).sqrt()) / math.pi), -1)
+
+
+def directions_of(height: int, width: int, like: Tensor) -> Tensor:
+    """Compute the directions of the pixels of an equirectangular image, [H, W, 3] unit vectors."""
+    row = (torch.arange(height, dtype=like.dtype, device=like.device) + 0.5) * (math.pi / height)
+    turn = (torch.arange(width, dtype=like.dtype, device=like.device) + 0.5) * (2 * math.pi / width) - math.pi
+    down, turn = row[:, None].expand(height, width), turn.expand(height, width)
+    return torch.stack((down.sin() * turn.sin(), down.cos(), -down.sin() * turn.cos()), -1)
+
+
+def solid_angles(height: int, width: int, like: Tensor) -> Tensor:
+    """Compute the solid angle of the pixels of each row, [H]; H · W of them add up to 4π."""
+    edges = torch.cos(torch.arange(height + 1, dtype=like.dtype, device=like.device) * (math.pi / height))
+    return (edges[:-1] - edges[1:]) * (2 * math.pi / width)
+
+
+def look_up(image: Tensor, uv: Tensor) -> Tensor:
+    """Sample images [1 or B, H, W, C] at [B, h, w, 2] bilinearly: columns repeat, rows do not."""
+    return sampled(image, uv, None, ("repeat", "clamp"))

@@ -1,0 +1,111 @@
+"""Values of materials at every pixel: factors times textures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from ..meshes.uv_mesh import UVMesh
+from ..textures.material import Material, Texture
+from .normal_maps import bumped, corner_tangents
+from .visible_surface import VisibleSurface, at_pixels
+
+if TYPE_CHECKING:
+    from ..deferred import Fragments
+
+
+class MaterialMaps:
+    """Materials of a `UVMesh` at every pixel. Faces without a material have the default one."""
+
+    def __init__(self, fragments: Fragments, mesh: UVMesh) -> None:
+        self.fragments, self.mesh = fragments, mesh
+        self.materials = [*mesh.materials, Material()]
+        self._uv: dict[int, Tensor] = {}
+        if mesh.material_index is None:
+            self.shown = None  # one material everywhere
+            self.materials = self.materials[:1]
+        else:
+            # Face −1 (background) and material −1 are the entry at the end.
+            index = mesh.material_index.long().reshape(-1, mesh.num_faces)
+            self.shown = (at_pixels(index + 1, fragments.face_index)[..., 0] - 1) % len(self.materials)
+
+    def factor(self, name: str) -> Tensor:
+        """Return a factor of the materials at every pixel, [B, H, W, C], or [1, 1, 1, C] if it is the same."""
+        rows = [getattr(material, name).reshape(-1) for material in self.materials]
+        return self._spread(torch.stack([row.to(self.fragments.corners.device) for row in rows]))
+
+    def textured(self, name: str, channels: slice = slice(None), otherwise: float = 1.0) -> Tensor | None:
+        """Sample a texture at every pixel, [B, H, W, C]; None if no material has it.
+
+        Args:
+            name: Attribute of `Material`.
+            channels: Channels that are used.
+            otherwise: Value of materials without the texture.
+        """
+        textures = [getattr(material, name) for material in self.materials]
+        have = torch.tensor([texture is not None for texture in textures])
+        if not have.any():
+            return None
+        bare = torch.where(have, 0.0, otherwise)[:, None].to(self.fragments.corners.device)
+        result = self._spread(bare)
+        for number, texture in enumerate(textures):
+            if texture is not None:
+                result = result + self._sample(number, texture)[..., channels]
+        return result
+
+    def scaled(self, factor: str, texture: str, channels: slice = slice(None)) -> Tensor:
+        """Multiply a factor by the texture that belongs to it."""
+        value, image = self.factor(factor), self.textured(texture, channels)
+        return value if image is None else value * image
+
+    def occlusion(self) -> Tensor | float:
+        """Return the share of ambient light that arrives, [B, H, W, 1], or 1."""
+        image = self.textured("occlusion_texture", slice(0, 1))
+        return 1.0 if image is None else 1 + self.factor("occlusion_strength") * (image - 1)
+
+    def bumped(self, surface: VisibleSurface) -> VisibleSurface:
+        """Apply the normal maps of the materials to a surface."""
+        for number, material in enumerate(self.materials):
+            texture = material.normal_texture
+            if texture is None:
+                continue
+            mapped = 2 * self._sample(number, texture) - 1
+            scale = material.normal_scale.to(mapped.device)
+            mapped = torch.cat((mapped[..., :2] * scale, mapped[..., 2:]), -1)
+            mine = bumped(surface, self._tangents(texture.uv_set), mapped)
+            if self.shown is not None:
+                normals = torch.where((self.shown == number)[..., None], mine.normals, surface.normals)
+                mine = surface.with_normals(normals)
+            surface = mine
+        return surface
+
+    def _tangents(self, uv_set: int) -> Tensor:
+        mesh = self.mesh
+        tangents = mesh.tangents
+        if tangents is None or uv_set:
+            uv = mesh.uv1 if uv_set and mesh.uv1 is not None else mesh.uv
+            if uv.dim() == 4:
+                faces = mesh.faces.clamp(min=0)  # those of the padding are not drawn
+                normals = [None] * len(uv) if mesh.normals is None else mesh.normals
+                rows = zip(mesh.vertices, faces, uv, normals, strict=True)
+                tangents = torch.stack([corner_tangents(*row) for row in rows])
+            else:
+                tangents = corner_tangents(mesh.vertices, mesh.faces, uv, mesh.normals)
+        return self.fragments.interpolate(tangents if tangents.dim() == 4 else tangents[None])
+
+    def _sample(self, number: int, texture: Texture) -> Tensor:
+        """Sample a texture where its material is visible, [B, H, W, C]; 0 elsewhere."""
+        mesh = self.mesh
+        if texture.uv_set not in self._uv:
+            uv = mesh.uv1 if texture.uv_set and mesh.uv1 is not None else mesh.uv
+            self._uv[texture.uv_set] = self.fragments.interpolate(uv if uv.dim() == 4 else uv[None])
+        face_index = self.fragments.face_index
+        if self.shown is not None:
+            face_index = torch.where(self.shown == number, face_index, -1)
+        return texture.sample(self._uv[texture.uv_set], face_index)
+
+    def _spread(self, rows: Tensor) -> Tensor:
+        """Take a row [M, C] of the material of each pixel."""
+        return rows[0].reshape(1, 1, 1, -1) if self.shown is None else rows[self.shown]

@@ -1,0 +1,105 @@
+"""Shading models of `render`: how the surface in each pixel turns light into colour."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+import torch
+from torch import Tensor
+
+from .. import validate
+from ..camera import Camera
+from ..meshes.uv_mesh import UVMesh
+from ..raster.visibility.continuity import attribute_edge_hashes, image_edge_hashes
+from .color_space import linear_to_srgb, srgb_to_linear
+from .material_maps import MaterialMaps
+from .pbr import PBR, shade_pbr
+from .phong import Phong, shade_diffuse, shade_phong
+from .visible_surface import VisibleSurface
+
+if TYPE_CHECKING:
+    from ..deferred import Fragments
+
+MODELS = ("smooth", "phong", "pbr")
+
+
+@runtime_checkable
+class Shading(Protocol):
+    """A shading model: `Phong`, `PBR`, or any object with this method."""
+
+    def shade(self, surface: VisibleSurface, albedo: Tensor, lights: Sequence[Any]) -> Tensor:
+        """Compute the colours of pixels, [B, H, W, 3]; see `Phong.shade`."""
+
+
+def checked_shading(shading: Any) -> Shading | str | None:
+    """Return a shading model or its name, None for flat shading; raise TypeError or ValueError for other values."""
+    if isinstance(shading, str):
+        if shading not in ("flat", *MODELS):
+            names = ", ".join(("flat", *MODELS))
+            raise ValueError(f"shading: expected {names}, or an object with a method shade, got {shading!r}")
+        return None if shading == "flat" else shading
+    if not isinstance(shading, Shading) or isinstance(shading, type):
+        raise TypeError(f"shading: expected a name, Phong, PBR, …, got {type(shading).__name__}")
+    return shading
+
+
+def shade_pixels(
+    model: Shading | str, fragments: Fragments, mesh: Any, albedo: Tensor, camera: Camera, lights: Sequence[Any]
+) -> Tensor:
+    """Shade the pixels of a mesh.
+
+    Args:
+        model: One of `MODELS`, which uses the materials of the mesh, or an object of the protocol `Shading`.
+        fragments: Fragments of the mesh.
+        mesh: As in `render`.
+        albedo: RGB of the surface as display values, [B, H, W, 3].
+        camera: The camera of the fragments.
+        lights: Lights on pixels (`pixel_lights`); none leaves the albedo as it is.
+
+    Returns:
+        Display values [B, H, W, 3] float32.
+
+    Raises:
+        TypeError, ValueError: An argument does not fit.
+    """
+    surface = VisibleSurface.of(fragments, mesh, camera)
+    maps = MaterialMaps(fragments, mesh) if isinstance(mesh, UVMesh) and mesh.materials else None
+    if maps is not None:
+        surface = maps.bumped(surface)
+    if not isinstance(model, str):
+        colors = model.shade(surface, albedo, lights)
+        return validate.floating("shading", colors, tuple(albedo.shape)).float()
+    if model == "smooth" or (not lights and model != "pbr"):
+        return shade_diffuse(surface, albedo, lights)
+    if maps is None:
+        return (Phong() if model == "phong" else PBR()).shade(surface, albedo, lights)
+    if model == "phong":
+        specular = maps.scaled("specular", "specular_texture")
+        return shade_phong(surface, albedo, lights, specular, maps.factor("shininess"))
+    return _pbr(surface, maps, albedo, lights)
+
+
+def _pbr(surface: VisibleSurface, maps: MaterialMaps, albedo: Tensor, lights: Sequence[Any]) -> Tensor:
+    """Shade by materials; from display values and to them."""
+    base = srgb_to_linear(albedo) * maps.factor("base_color")
+    emissive_image = maps.textured("emissive_texture")
+    emissive = maps.factor("emissive")
+    if emissive_image is not None:
+        emissive = emissive * srgb_to_linear(emissive_image)
+    if not lights:
+        return linear_to_srgb(base + emissive)
+    metallic = maps.scaled("metallic", "metallic_roughness_texture", slice(2, 3))
+    roughness = maps.scaled("roughness", "metallic_roughness_texture", slice(1, 2))
+    return linear_to_srgb(shade_pbr(surface, base, metallic, roughness, lights, maps.occlusion(), emissive))
+
+
+def surface_edge_hashes(mesh: UVMesh) -> Tensor:
+    """Hash all that colours of pixels depend on along each edge; as `image_edge_hashes`."""
+    hashes = image_edge_hashes(mesh.uv, mesh.image_index, None)
+    for values in (mesh.normals, mesh.uv1):
+        if values is not None:
+            hashes = hashes + attribute_edge_hashes(values)
+    if mesh.material_index is not None:
+        hashes = hashes + attribute_edge_hashes(mesh.material_index[..., None, None].repeat_interleave(3, -2))
+    return torch.where(hashes == 0, 1, hashes)  # 0 matches nothing

@@ -1,0 +1,167 @@
+"""Physically based reflection: metals and dielectrics of any roughness, as in glTF 2.0 (appendix B).
+
+A microfacet surface (Cook and Torrance, "A Reflectance Model for Computer Graphics", 1982) reflects
+f = (1 − F) c / π + F D V, with these terms for light direction l, eye v, h halfway between them and α = roughness²:
+
+- D = α² / (π ((n · h)² (α² − 1) + 1)²), slopes distributed after GGX (Walter et al., "Microfacet Models for Refraction
+  through Rough Surfaces", 2007);
+- V = G / (4 (n · l) (n · v)), Smith's masking of both directions (Heitz, "Understanding the Masking-Shadowing Function
+  in Microfacet-Based BRDFs", 2014), in the separable form;
+- F = f0 + (1 − f0) (1 − v · h)⁵ (Schlick, "An Inexpensive BRDF Model for Physically-based Rendering", 1994);
+- c = (1 − metallic) · base colour and f0 = 0.04 of dielectrics, base colour of metals.
+
+All colours are linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ..camera.parameters import Scalar
+from .color_space import linear_to_srgb, srgb_to_linear
+from .lights import Ambience, Beam, pixel_lights
+from .phong import of_images, total
+from .split_sum import split_sum
+from .visible_surface import VisibleSurface, dot
+
+DIELECTRIC = 0.04  # reflectance of plastics and glass (index of refraction 1.5) at normal incidence
+SMOOTHEST = 0.03  # roughness below which highlights stay as they are: float32 cannot hold sharper ones
+_GRAZING = 1e-4  # smallest cosine between normal and eye; interpolated normals may lean away from the eye
+
+
+def shade_pbr(
+    surface: VisibleSurface,
+    base_color: Tensor,
+    metallic: Tensor | float,
+    roughness: Tensor | float,
+    lights: Sequence[Any],
+    occlusion: Tensor | float = 1.0,
+    emissive: Tensor | float = 0.0,
+) -> Tensor:
+    """Shade a surface by the metallic-roughness model of glTF 2.0.
+
+    Args:
+        surface: The visible surface, from `VisibleSurface.of`.
+        base_color: **Linear** RGB, [B, H, W, 3] or what broadcasts to it.
+        metallic: In [0, 1]: number, or [B, H, W, 1] or what broadcasts to it.
+        roughness: Perceptual roughness in [0, 1], likewise; α = roughness². Below 0.03 it counts as 0.03.
+        lights: Lights that add up. A light of strength 1 from the front shows a white matt surface as 1.
+        occlusion: Share of the light from all around that reaches the surface, likewise; direct light is not occluded.
+        emissive: **Linear** RGB that the surface emits.
+
+    Returns:
+        **Linear** radiance [B, H, W, 3], ≥ 0, without an upper limit; differentiable in all arguments.
+        `linear_to_srgb` converts it to display values.
+
+    Raises:
+        TypeError, ValueError: A light lights whole faces only, or a parameter does not fit.
+
+    Example:
+        >>> fragments = nr.fragments(mesh, camera, 64)
+        >>> surface = nr.VisibleSurface.of(fragments, mesh, camera)
+        >>> gold = torch.tensor([1.0, 0.77, 0.34])
+        >>> radiance = nr.shade_pbr(surface, gold, 1.0, 0.3, [nr.Light(), nr.PointLight((1.0, 2.0, -2.0), 5.0)])
+        >>> image = fragments.composite(nr.linear_to_srgb(radiance))
+    """
+    pixel_lights(lights)
+    # Tensors, so that the parameters broadcast in any combination.
+    metallic, roughness = (torch.as_tensor(value, **_like(surface)) for value in (metallic, roughness))
+    n, v = surface.normals, surface.views
+    matt = (1 - metallic) * base_color
+    f0 = DIELECTRIC + (base_color - DIELECTRIC) * metallic
+    nv = dot(n, v).clamp(_GRAZING, 1)
+    parts = [torch.as_tensor(emissive, **_like(surface)).expand_as(n)]
+    for light in lights:
+        if isinstance(light, Beam):
+            towards, rgb = light.beam(surface.points)
+            parts.append(rgb * _reflected(n, v, towards, nv, matt, f0, roughness.clamp(min=SMOOTHEST) ** 2))
+    ambient = [light for light in lights if isinstance(light, Ambience)]
+    if ambient:
+        scale, bias, fresnel = split_sum(nv, roughness)
+        glossy = f0 * scale + bias
+        transmitted = matt * (1 - f0) * (1 - fresnel)
+        mirrored = 2 * dot(n, v) * n - v
+        even = roughness.expand_as(nv)
+        for light in ambient:
+            parts.append(occlusion * (transmitted * light.ambience(n) + glossy * light.ambience(mirrored, even)))
+    return total(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class PBR:
+    """Metals and dielectrics, for ``shading`` of `render` and meshes without materials.
+
+    The colours of the mesh are the base colours. They are display values: they are converted from sRGB to linear light,
+    shaded by `shade_pbr`, and converted back pixel by pixel. There is no tone mapping.
+
+    Attributes:
+        metallic: 0 for plastic, wood, stone; 1 for metals: number, or tensor [] or [B].
+        roughness: 0 for a mirror, 1 for matt: number, or tensor [] or [B].
+
+    Raises:
+        TypeError, ValueError: In drawing, a parameter that does not fit.
+
+    Example:
+        >>> images = nr.render(mesh, camera, 64, shading=nr.PBR(metallic=1.0, roughness=0.3))
+    """
+
+    metallic: Scalar = 0.0
+    roughness: Scalar = 0.5
+
+    def shade(self, surface: VisibleSurface, albedo: Tensor, lights: Sequence[Any]) -> Tensor:
+        """Compute the colours of pixels as display values.
+
+        Args:
+            surface: The visible surface.
+            albedo: Display values (sRGB), [B, H, W, 3] floating.
+            lights: Lights that add up.
+
+        Returns:
+            Display values [B, H, W, 3], differentiable in all arguments and parameters.
+
+        Raises:
+            TypeError, ValueError: As `shade_pbr`.
+
+        Example:
+            >>> surface = nr.VisibleSurface.of(nr.fragments(mesh, camera, 64), mesh, camera)
+            >>> colors = nr.PBR().shade(surface, torch.ones_like(surface.points), [nr.Light()])
+        """
+        if not lights:
+            return albedo
+        metallic = of_images("metallic", self.metallic, 1, surface.points)
+        roughness = of_images("roughness", self.roughness, 1, surface.points)
+        return linear_to_srgb(shade_pbr(surface, srgb_to_linear(albedo), metallic, roughness, lights))
+
+
+def _like(surface: VisibleSurface) -> dict[str, Any]:
+    return {"dtype": surface.points.dtype, "device": surface.points.device}
+
+
+def _reflected(n: Tensor, v: Tensor, towards: Tensor, nv: Tensor, matt: Tensor, f0: Tensor, alpha: Tensor) -> Tensor:
+    """Compute π f (n · l): what is reflected of light that shows a white matt surface in front of it as 1."""
+    nl = torch.relu(dot(n, towards))
+    h = functional.normalize(towards + v, dim=-1, eps=1e-6)
+    square = alpha * alpha
+    # (n · h)² (α² − 1) + 1 = α² (n · h)² + |n × h|²; in this form nothing cancels for sharp highlights.
+    n, h = torch.broadcast_tensors(n, h)
+    across = torch.linalg.cross(n, h, dim=-1)
+    spread = square / (square * dot(n, h) ** 2 + dot(across, across)) ** 2
+    masked = _smith(nl, square) * _smith(nv, square)
+    fresnel = schlick(f0, dot(v, h))
+    return ((1 - fresnel) * matt + fresnel * (spread * masked)) * nl
+
+
+def _smith(cosine: Tensor, square: Tensor) -> Tensor:
+    """Compute Smith's masking of one direction, divided by twice its cosine."""
+    return 1 / (cosine + (square + (1 - square) * cosine * cosine).sqrt())
+
+
+def schlick(f0: Tensor, cosine: Tensor) -> Tensor:
+    """Compute Schlick's approximation of Fresnel's reflectance."""
+    return f0 + (1 - f0) * (1 - cosine.clamp(0, 1)) ** 5

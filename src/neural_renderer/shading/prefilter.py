@@ -1,0 +1,118 @@
+"""Blurred reflections of an environment: mipmaps prefiltered for roughness.
+
+Level k holds, for each direction r, the mean of the light weighted by the lobe of GGX with roughness k / LEVELS, seen
+from straight above (Karis, "Real Shading in Unreal Engine 4", 2013). Light is sampled at halfway vectors spread like
+the lobe; each sample reads an image averaged over its share of the solid angle, so that few samples suffice (Křivánek
+and Colbert, "Real-time Shading with Filtered Importance Sampling", 2008).
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from .equirectangular import direction_uv, directions_of, look_up
+from .split_sum import half_vectors
+
+LEVELS = 8
+_ROWS = 128  # most rows of a level
+_FEWEST = 16  # rows of the smoothest levels
+_SAMPLES = 64
+_SHARPER = 0.5  # levels by which samples are sharper than their solid angle: neighbours overlap anyway
+
+
+def prefiltered(image: Tensor) -> Tensor:
+    """Blur an environment for reflections of each roughness.
+
+    Args:
+        image: [B, H, W, 3] float32, linear, equirectangular.
+
+    Returns:
+        [B, LEVELS · h, w, 3]: levels of roughness 1 / LEVELS to 1, one below the other. Linear in the image.
+    """
+    height, width = image.shape[1:3]
+    rows = min(height, _ROWS)
+    columns = max(1, rows * width // height)
+    mipmaps = _mipmaps(image)
+    levels = []
+    for level in range(1, LEVELS + 1):
+        alpha = (level / LEVELS) ** 2
+        # Texels about as large as the lobe of the reflection is wide.
+        own = min(rows, max(_FEWEST, 2 ** math.ceil(math.log2(math.pi / alpha))))
+        blurred = _blurred(mipmaps, alpha, own, max(1, own * width // height))
+        if blurred.shape[1:3] != (rows, columns):
+            blurred = look_up(
+                blurred, direction_uv(directions_of(rows, columns, image))[None].expand(len(image), -1, -1, -1)
+            )
+        levels.append(blurred)
+    return torch.cat(levels, 1)
+
+
+def reflected(image: Tensor, levels: Tensor, directions: Tensor, roughness: Tensor) -> Tensor:
+    """Look up blurred reflections, linear between levels.
+
+    Args:
+        image: [1 or B, H, W, 3], the environment itself, for roughness 0.
+        levels: As from `prefiltered`.
+        directions: [B, h, w, 3] float32, directions of reflection.
+        roughness: [B, h, w, 1] float32.
+
+    Returns:
+        [B, h, w, 3], differentiable in all arguments.
+    """
+    uv = direction_uv(directions)
+    place = roughness.clamp(0, 1) * LEVELS
+    lower = place.detach().floor().clamp(max=LEVELS - 1)
+    part = place - lower
+    below = _level(levels, uv, (lower - 1).clamp(min=0))
+    sharp = look_up(image, uv)
+    below = torch.where(lower == 0, sharp, below)
+    return below + part * (_level(levels, uv, lower) - below)
+
+
+def _level(levels: Tensor, uv: Tensor, number: Tensor) -> Tensor:
+    """Sample one level for each pixel, with its number [B, h, w, 1], without reading the next one."""
+    rows = levels.shape[1] // LEVELS
+    from_top = (1 - uv[..., 1:]).clamp(0.5 / rows, 1 - 0.5 / rows)
+    return look_up(levels, torch.cat((uv[..., :1], 1 - (number + from_top) / LEVELS), -1))
+
+
+def _mipmaps(image: Tensor) -> list[Tensor]:
+    """Halve an image [B, H, W, 3] down to about four rows."""
+    mipmaps = [image]
+    while min(image.shape[1:3]) >= 8:
+        height, width = (side // 2 * 2 for side in image.shape[1:3])
+        image = functional.avg_pool2d(image[:, :height, :width].movedim(-1, 1), 2).movedim(1, -1).contiguous()
+        mipmaps.append(image)
+    return mipmaps
+
+
+def _blurred(mipmaps: list[Tensor], alpha: float, rows: int, columns: int) -> Tensor:
+    """Average the light over the lobe about each direction, [B, rows, columns, 3]."""
+    batch, height, width, _ = mipmaps[0].shape
+    halfway = half_vectors(_SAMPLES, torch.tensor(alpha, dtype=torch.float64))
+    x, y, z = halfway.unbind(-1)
+    local = torch.stack((2 * z * x, 2 * z * y, 2 * z * z - 1), -1)  # the lobe's axis mirrored at the halfway vectors
+    weight = local[:, 2].clamp(min=0)
+    weight = weight / weight.sum()
+    # The density of a sample is D / 4; its share of the solid angle, in texels, is that of a mipmap.
+    spread = alpha**2 / (math.pi * (z * z * (alpha**2 - 1) + 1) ** 2)
+    share = 4 / (_SAMPLES * spread) * (height * width / (4 * math.pi))
+    level = (0.5 * torch.log2(share) - _SHARPER).round().clamp(0, len(mipmaps) - 1).long()
+    axis = directions_of(rows, columns, mipmaps[0])
+    pole = torch.where(axis[..., 1:2].abs() < 0.9, axis.new_tensor([0.0, 1.0, 0.0]), axis.new_tensor([1.0, 0.0, 0.0]))
+    right = functional.normalize(torch.linalg.cross(pole, axis, dim=-1), dim=-1)
+    frame = torch.stack((right, torch.linalg.cross(axis, right, dim=-1), axis), -2)
+    result = mipmaps[0].new_zeros(batch, rows, columns, 3)
+    for number, mipmap in enumerate(mipmaps):
+        for index in (level == number).nonzero()[:, 0].split(8):
+            kept = index[weight[index] > 0]
+            if len(kept):
+                ways = (local[kept].to(frame)[:, None, None, :, None] * frame).sum(-2)  # [samples, rows, columns, 3]
+                uv = direction_uv(ways).flatten(0, 1)[None].expand(batch, -1, -1, -1)
+                light = look_up(mipmap, uv).view(batch, len(kept), rows, columns, 3)
+                result = result + (light * weight[kept].to(light)[:, None, None, None]).sum(1)
+    return result

@@ -1,0 +1,144 @@
+"""The visible surface: its point, normal and direction to the eye at every pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from .. import validate
+from ..camera import Camera
+from ..constants import on_device
+from ..meshes.batch import mesh_parts
+from ..meshes.normals import vertex_normals
+from ..raster.faces import checked_faces, world_corners
+
+if TYPE_CHECKING:
+    from ..deferred import Fragments
+
+_EPS = 1e-12  # shortest normal that is normalised
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleSurface:
+    """The surface that each pixel of B images shows, for lights and reflection models.
+
+    Where no face is visible, normals are 0 and the other values mean nothing.
+
+    Attributes:
+        points: Points in world space, [B, H, W, 3] float32.
+        normals: Unit normals of the visible side, [B, H, W, 3] float32: smooth ones, which may lean away from the eye
+            near an outline.
+        views: Unit vectors towards the eye, [B, H, W, 3] or [B, 1, 1, 3] float32.
+        sides: [B, H, W, 1] float32: 1 where the front of a face is visible, the side of (v1 − v0) × (v2 − v0), and −1
+            where its back is, with the opposite normal.
+
+    Raises:
+        TypeError, ValueError: In `of`, an argument that does not fit.
+
+    Example:
+        >>> fragments = nr.fragments(mesh, camera, 64)
+        >>> surface = nr.VisibleSurface.of(fragments, mesh, camera)
+        >>> facing = (surface.normals * surface.views).sum(-1, keepdim=True)  # 1 in the middle of a sphere
+        >>> image = fragments.composite(1 - facing, background=0.0)  # bright outlines
+    """
+
+    points: Tensor
+    normals: Tensor
+    views: Tensor
+    sides: Tensor
+
+    @classmethod
+    def of(cls, fragments: Fragments, mesh: Any, camera: Camera) -> VisibleSurface:
+        """Find the visible surface of a mesh, with smooth normals.
+
+        Normals are those of the mesh (`UVMesh.normals`) or `vertex_normals`: faces that share a vertex look smooth
+        there, and faces with vertices of their own have an edge (`merge_vertices` joins them). The back of a face has
+        the opposite normal.
+
+        Args:
+            fragments: Fragments of this mesh and camera.
+            mesh: As in `fragments`.
+            camera: The camera of the fragments.
+
+        Returns:
+            The surface, differentiable in vertices, normals and camera.
+
+        Raises:
+            TypeError, ValueError: As `fragments`.
+
+        Example:
+            >>> fragments = nr.fragments(mesh, camera, 64)
+            >>> nr.VisibleSurface.of(fragments, mesh, camera).normals.shape
+            torch.Size([1, 128, 128, 3])
+        """
+        vertices, faces, _ = mesh_parts(mesh)
+        vertices, faces = validate.vertices(vertices).float(), checked_faces(faces)
+        normals = getattr(mesh, "normals", None)
+        if normals is None:
+            smooth = vertex_normals(vertices, faces)
+            points = vertices if vertices.dim() == 3 else vertices[None]
+            both = torch.cat(torch.broadcast_tensors(points, smooth), -1)
+            points, pointing = fragments.interpolate(both, fragments.triangles).split(3, -1)
+        else:
+            points = fragments.interpolate(vertices)
+            normals = normals if normals.dim() == 4 else normals[None]
+            pointing = fragments.interpolate(validate.floating("normals", normals, ("B", faces.shape[-2], 3, 3)))
+        eye = _eye(camera, points)
+        views = functional.normalize(eye - points, dim=-1, eps=_EPS) if camera.perspective else eye
+        corners = world_corners(vertices, faces, len(fragments.corners), in_range=True).detach()
+        side = at_pixels(_sides(corners, eye.detach(), camera.perspective), fragments.face_index)
+        return cls(points, functional.normalize(pointing, dim=-1, eps=_EPS) * side, views, side)
+
+    def with_normals(self, normals: Tensor) -> VisibleSurface:
+        """Return the surface with other normals.
+
+        Args:
+            normals: [B, H, W, 3] floating; they are normalised.
+
+        Returns:
+            The surface.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit.
+
+        Example:
+            >>> surface = nr.VisibleSurface.of(nr.fragments(mesh, camera, 64), mesh, camera)
+            >>> bumpy = surface.with_normals(surface.normals + 0.1 * torch.sin(40 * surface.points))
+        """
+        normals = validate.floating("normals", normals, tuple(self.points.shape)).float()
+        return replace(self, normals=functional.normalize(normals, dim=-1, eps=_EPS))
+
+
+def at_pixels(values: Tensor, face_index: Tensor) -> Tensor:
+    """Take a number of each face, [B, F], at the visible face of each pixel [B, H, W]; [B, H, W, 1], 0 for no face."""
+    batch, count = values.shape
+    padded = torch.cat((values, values.new_zeros(batch, 1)), 1)
+    index = face_index.flatten(1).long() % (count + 1)
+    return padded.expand(len(index), -1).gather(1, index).view(*face_index.shape, 1)
+
+
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Compute the scalar product of vectors [..., 3]; [..., 1]."""
+    return (a * b).sum(-1, keepdim=True)
+
+
+def _eye(camera: Camera, like: Tensor) -> Tensor:
+    """Return the position of the eye, or with parallel rays the unit vector towards it, [B, 1, 1, 3]."""
+    rotation = on_device(camera.rotation, like)
+    if not camera.perspective:
+        return -rotation[:, 2][:, None, None]
+    # X with rotation · (X − origin) + translation = 0; a sum, since matmul rounds under autocast.
+    eye = on_device(camera.origin, like) - (rotation * on_device(camera.translation, like)[:, :, None]).sum(1)
+    return eye[:, None, None]
+
+
+def _sides(corners: Tensor, eye: Tensor, perspective: bool) -> Tensor:
+    """Tell which side of each face [B, F, 3, 3] the eye sees: 1 for that of (v1 − v0) × (v2 − v0), −1; [B, F]."""
+    v0, v1, v2 = corners.unbind(2)
+    normals = torch.linalg.cross(v1 - v0, v2 - v0, dim=-1)
+    towards = eye[:, 0] - v0 if perspective else eye[:, 0]
+    return torch.where((normals * towards).sum(-1) < 0, -1.0, 1.0)
