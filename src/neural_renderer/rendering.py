@@ -66,8 +66,8 @@ def render(
             dielectrics; with the mesh's materials, or `Phong` or `PBR` for a mesh without. Or an object with their
             method `shade`.
         background: Number, colour [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.
-        outputs: Some of "rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric", which `Images`
-            explains. Others are not computed.
+        outputs: Some of "rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"; `Images`
+            explains them. Others are not computed.
         near, far: Depth range in world units, 0 <= near < far; a point is visible if near < depth < far.
         anti_aliasing: Draw at twice the size and average 2 x 2 pixels.
         two_sided: Draw also faces seen from behind.
@@ -76,8 +76,8 @@ def render(
         eps: Added to distances in the denominators of ``"nmr"``, in screen units; cube coordinates end at T - 1 - eps.
 
     Returns:
-        Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, and what else ``outputs`` names. Row 0
-        is at the top.
+        Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, and what else ``outputs`` names.
+            Row 0 is at the top.
 
     Raises:
         TypeError: An argument of another type.

@@ -83,7 +83,7 @@ class Images(_Outputs):
         return image
 
     def __getattr__(self, name: str) -> Tensor:
-        if name in SURFACE:
+        if name in OUTPUTS + SURFACE:
             raise self._missing(name)
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
