@@ -161,8 +161,8 @@ class Fragments(VisibleFaces):
 
         Args:
             colors: Colours of the pixels, [B, H, W, C] floating. Colours of pixels without a face are ignored.
-            background: Number, colour [C] or [B, C], or image [C, height, width] or [B, C, height, width]. It gets
-                gradients.
+            background: Number; colour [C] or [B, C]; or image of the size asked for, [C, height, width] or [height,
+                width, C], or a batch of them. What fits both has its channels first. It gets gradients.
             seams: Whether colours may jump where two faces of the surface meet, as with texture charts that do not
                 match, or light per face. Then ``"edge"`` differentiates the motion of those jumps too. False is faster
                 and less noisy, but the gradient is wrong at jumps.

@@ -58,14 +58,16 @@ def render(
             (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces [F, 3] or [B, F, 3] integer,
             textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
         camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], with ``light=None``.
-        size: Side of the images, or (height, width), in pixels. Pixels are square.
+        size: Side of the images, or (height, width), in pixels, for all images. Pixels are square. Images of different
+            sizes take a call each: ``[nr.render(mesh, one, size) for one, size in zip(camera, sizes)]``.
         light: `Light`, `PointLight`, `SpotLight`, `SphericalHarmonicLight`, `EnvironmentLight`, another object with
             their method `two_sided`, or a list of lights, which add up. None draws textures without lighting.
         shading: ``"flat"`` lights each face as a whole. The others light each pixel, with smooth normals and the normal
             maps of materials: ``"smooth"`` a matt surface, ``"phong"`` also highlights, ``"pbr"`` metals and
             dielectrics; with the mesh's materials, or `Phong` or `PBR` for a mesh without. Or an object with their
             method `shade`.
-        background: Number, colour [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.
+        background: Number; colour [3] or [B, 3]; or image of the returned size, [3, H, W] or [H, W, 3] (as `load_image`
+            reads it), or a batch of them. What fits both has its channels first.
         outputs: Some of "rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"; `Images`
             explains them. Others are not computed.
         near, far: Depth range in world units, 0 <= near < far; a point is visible if near < depth < far.

@@ -115,7 +115,7 @@ def draw(options: RenderOptions, mesh: Mesh | UVMesh, azimuth: float) -> Tensor:
     distance = options.distance
     if distance is None:
         distance = _MARGIN * radius / (math.sin(math.radians(options.viewing_angle)) * max(aspect, 1e-6))
-    eye = torch.tensor(get_points_from_angles(distance, options.elevation, azimuth), device=mesh.vertices.device)
+    eye = get_points_from_angles(distance, options.elevation, azimuth).to(mesh.vertices.device)
     scale = aspect / (_MARGIN * radius)
     camera = Camera.look_at(eye, viewing_angle=options.viewing_angle, orthographic=options.orthographic, scale=scale)
     near, far = max(distance - _PLANES * radius, 1e-3 * distance), distance + _PLANES * radius
