@@ -57,6 +57,13 @@ class CameraModel:
         """Whether the lens is a fisheye, with four coefficients."""
         return getattr(self.dist_coeffs, "shape", (0,))[-1] == 4
 
+    @property
+    def axes(self) -> Tensor:
+        """Directions to the right, up and forward of each camera, [B, 3, 3], in the world."""
+        if self.K is None:
+            return self.rotation
+        return self.rotation * self.rotation.new_tensor([1.0, -1.0, 1.0])[:, None]  # K's y points down
+
     def __len__(self) -> int:
         return self.rotation.shape[0]
 
