@@ -47,7 +47,7 @@ def open_exr(path: Path) -> Any:
         import OpenEXR
     except ModuleNotFoundError:
         raise ModuleNotFoundError(
-            f'{path}: expected OpenEXR to be installed to write it (pip install OpenEXR, or the extra "exr")'
+            f"{path}: expected OpenEXR to be installed to write it (pip install 'neural-renderer[exr]')", name="OpenEXR"
         ) from None
     return OpenEXR
 
@@ -62,14 +62,17 @@ def save_depth(path: Path, depth: np.ndarray, scale: float) -> None:
     steps = np.round(depth.astype(np.float64) * scale)
     if steps.max(initial=0) > _MOST:
         most = _MOST / float(depth.max())
-        raise ValueError(f"--depth-scale: expected at most {most:.4g}, so that 16 bits hold the depth, got {scale:g}")
+        raise ValueError(f"depth_scale: expected at most {most:.4g}, so that 16 bits hold the depth, got {scale:g}")
     file = io.BytesIO()
     Image.fromarray(steps.astype(np.uint16)).save(file, "PNG")
     write_file(path, file.getvalue())
 
 
 def save_output(path: Path, values: np.ndarray, name: str, depth_scale: float = 1000.0) -> None:
-    """Write an output of `render`, [H, W] or [H, W, C], in the format of the suffix; PNGs of normals have (n + 1) / 2."""
+    """Write an output of `render`, [H, W] or [H, W, C], in the format of the suffix.
+
+    A PNG holds (n + 1) / 2 of normals n, and `save_depth` of depth.
+    """
     if path.suffix.lower() in VALUE_SUFFIXES:
         save_values(path, values, name)
     elif name == "depth":

@@ -94,7 +94,10 @@ def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camer
 
 
 def read_frames(path: Path, allow_outside: bool, images: bool = True) -> tuple[dict[str, Any], list[Frame]]:
-    """Parse a camera file: the keys for all images, and the entry of each image; without ``images`` those need not exist."""
+    """Parse a camera file: the keys for all images, and the entry of each image.
+
+    Without ``images``, the entries need not name images that exist.
+    """
     if path.suffix.lower() == ".csv":
         try:
             rows: list[Any] = list(csv.DictReader(read_text(path).splitlines(), skipinitialspace=True))
