@@ -28,6 +28,7 @@ class Edge:
     adjacent: int
     adjacent_pr: int
     adjacent_qr: int
+    small: bool  # whether the face or the adjacent one has less than a few pixels; see `seams`
     axis: int
     lines: int  # number of scan lines
     length: int  # pixels of a line
@@ -143,21 +144,45 @@ def exit_from_face(edge: Edge, u: int) -> float:
     return v
 
 
+# Plain C++ for its speed. Positions in pixels are those of `to_pixels`.
+_CHORD = """
+    const auto* corners = faces.data + ((wp::int64)image * faces.shape[1] + face) * 3;
+    float across[3], along[3], end = entry;
+    for (int k = 0; k < 3; ++k) {
+        across[k] = 0.5f * ((float)lines * corners[k][1 - axis] + (float)(lines - 1));
+        along[k] = 0.5f * ((float)length * corners[k][axis] + (float)(length - 1));
+    }
+    for (int k = 0; k < 3; ++k) {
+        const int m = k == 2 ? 0 : k + 1;
+        if ((across[k] <= (float)u) == (across[m] <= (float)u)) continue;
+        const float v = along[k] + (along[m] - along[k]) * ((float)u - across[k]) / (across[m] - across[k]);
+        end = fabsf(v - entry) > fabsf(end - entry) ? v : end;
+    }
+    const float result = fabsf(end - start);
+    return result < 1.0f ? result : 1.0f;
+"""
+
+
+@wp.func_native(_CHORD)
+def chord_of(
+    faces: wp.array3d(dtype=wp.vec3),
+    image: int,
+    face: int,
+    axis: int,
+    lines: int,
+    length: int,
+    u: int,
+    entry: float,
+    start: float,
+) -> float:
+    """Measure a chord; see `chord`."""
+    ...
+
+
 @wp.func
 def chord(faces: wp.array3d(dtype=wp.vec3), face: int, edge: Edge, u: int, entry: float, start: float) -> float:
     """Measure from ``start`` to the exit of scan line u from a face, which it enters at ``entry``; at most a pixel."""
-    end = entry
-    for k in range(3):
-        p = faces[edge.image, face, k]
-        q = faces[edge.image, face, (k + 1) % 3]
-        pu = to_pixels(p[1 - edge.axis], edge.lines)
-        qu = to_pixels(q[1 - edge.axis], edge.lines)
-        if (pu <= float(u)) != (qu <= float(u)):
-            pv = to_pixels(p[edge.axis], edge.length)
-            v = pv + (to_pixels(q[edge.axis], edge.length) - pv) * (float(u) - pu) / (qu - pu)
-            if wp.abs(v - entry) > wp.abs(end - entry):
-                end = v
-    return wp.min(wp.abs(end - start), 1.0)
+    return chord_of(faces, edge.image, face, edge.axis, edge.lines, edge.length, u, entry, start)
 
 
 @wp.func

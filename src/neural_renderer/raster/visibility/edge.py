@@ -55,7 +55,7 @@ from .crossings import (
 from .intersections import add_intersections
 from .neighbors import neighbors
 from .outlines import outline_gain
-from .seams import seam_gain
+from .seams import is_small, seam_gain
 
 wp.set_module_options({"enable_backward": False})
 
@@ -278,11 +278,15 @@ def move_face(
     clockwise = facing(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], perspective) < 0
     x = wp.vec3(0.0, 0.0, 0.0)
     y = wp.vec3(0.0, 0.0, 0.0)
+    own_small = is_small(faces, b, f, image.shape[2], image.shape[3])
     corners = int(3)  # a variable, or Warp would unroll the loop sixfold
     for k in range(corners):
         if may_move(adjacent, faces, edge_hashes, b, f, k, seams):
             edge_x = edge_of_face(faces, adjacent, b, f, k, 0, clockwise, image.shape[2], image.shape[3])
             edge_y = edge_of_face(faces, adjacent, b, f, k, 1, clockwise, image.shape[2], image.shape[3])
+            if edge_x.adjacent >= 0:
+                edge_x.small = own_small or is_small(faces, b, edge_x.adjacent, image.shape[2], image.shape[3])
+                edge_y.small = edge_x.small
             to_x = move_edge(edge_x, part, parts, faces, image, grad, face_index, perspective)
             to_y = move_edge(edge_y, part, parts, faces, image, grad, face_index, perspective)
             if clockwise:

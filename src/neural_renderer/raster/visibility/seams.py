@@ -52,36 +52,39 @@ def seam_pixels(
 
     A weight of 0 means that no colour is known, or that something hides the seam.
     """
-    own_chord = chord(faces, edge.face, edge, at.u, at.v, at.v)
-    adjacent_chord = chord(faces, edge.adjacent, edge, at.u, at.v, at.v)
     inner_pixel = pixel_at(image, edge.image, edge.axis, at.u, at.inner)
     outer_pixel = pixel_at(image, edge.image, edge.axis, at.u, at.outer)
     shows_own = at.inner_face == edge.face
     shows_adjacent = at.outer_face == edge.adjacent
     weight = float(1.0)
-    if wp.min(area(faces, edge.image, edge.face, image), area(faces, edge.image, edge.adjacent, image)) < SMALL:
-        # The inverse of the probability that two centres, a pixel apart, show both faces.
-        weight = 1.0 / wp.max(own_chord + adjacent_chord - 1.0, LEAST_CHORD)
+    if edge.small:
         if not (shows_own and shows_adjacent):
-            weight = 0.0
-    elif (not shows_own and at.offset < own_chord) or (not shows_adjacent and 1.0 - at.offset < adjacent_chord):
-        weight = 0.0  # the centre lies in the face, but another face hides it
-    else:
-        if not shows_own:
+            return 0.0, inner_pixel, outer_pixel
+        # The inverse of the probability that two centres, a pixel apart, show both faces.
+        own_chord = chord(faces, edge.face, edge, at.u, at.v, at.v)
+        adjacent_chord = chord(faces, edge.adjacent, edge, at.u, at.v, at.v)
+        weight = 1.0 / wp.max(own_chord + adjacent_chord - 1.0, LEAST_CHORD)
+        return weight, inner_pixel, outer_pixel
+    # Where a centre lies in a face but does not show it, another face hides the seam.
+    if not shows_own:
+        inner_pixel = wp.int64(-1)
+        if at.offset >= chord(faces, edge.face, edge, at.u, at.v, at.v):
             inner_pixel = middle_pixel(faces, edge.image, edge.face, image, face_index)
-        if not shows_adjacent:
+    if not shows_adjacent and inner_pixel >= wp.int64(0):
+        outer_pixel = wp.int64(-1)
+        if 1.0 - at.offset >= chord(faces, edge.adjacent, edge, at.u, at.v, at.v):
             outer_pixel = middle_pixel(faces, edge.image, edge.adjacent, image, face_index)
-        if inner_pixel < wp.int64(0) or outer_pixel < wp.int64(0):
-            weight = 0.0
+    if inner_pixel < wp.int64(0) or outer_pixel < wp.int64(0):
+        weight = 0.0
     return weight, inner_pixel, outer_pixel
 
 
 @wp.func
-def area(faces: wp.array3d(dtype=wp.vec3), b: int, face: int, image: wp.array4d(dtype=float)) -> float:
-    """Compute the area of a face in pixels."""
+def is_small(faces: wp.array3d(dtype=wp.vec3), b: int, face: int, height: int, width: int) -> bool:
+    """Test whether a face is smaller than SMALL."""
     s = faces[b, face, 1] - faces[b, face, 0]
     t = faces[b, face, 2] - faces[b, face, 0]
-    return wp.abs(s[0] * t[1] - s[1] * t[0]) * float(image.shape[2]) * float(image.shape[3]) / 8.0
+    return wp.abs(s[0] * t[1] - s[1] * t[0]) * float(height) * float(width) / 8.0 < SMALL
 
 
 @wp.func
