@@ -86,7 +86,7 @@ def shade_pbr(
         scale, bias, fresnel = split_sum(nv, roughness)
         glossy = f0 * scale + bias
         transmitted = matt * (1 - f0) * (1 - fresnel)
-        mirrored = 2 * dot(n, v) * n - v
+        mirrored = _lobe(n, 2 * dot(n, v) * n - v, roughness)
         even = roughness.expand_as(nv)
         for light in ambient:
             parts.append(occlusion * (transmitted * light.ambience(n) + glossy * light.ambience(mirrored, even)))
@@ -155,6 +155,15 @@ def _reflected(n: Tensor, v: Tensor, towards: Tensor, nv: Tensor, matt: Tensor, 
     masked = _smith(nl, square) * _smith(nv, square)
     fresnel = schlick(f0, dot(v, h))
     return ((1 - fresnel) * matt + fresnel * (spread * masked)) * nl
+
+
+def _lobe(n: Tensor, mirrored: Tensor, roughness: Tensor) -> Tensor:
+    """Turn the direction of reflection towards the normal, as masking turns the lobe of rough surfaces.
+
+    After Lagarde and de Rousiers, "Moving Frostbite to Physically Based Rendering", 2014, section 4.9.
+    """
+    smooth = (1 - roughness * roughness).clamp(min=1e-6)
+    return functional.normalize(n + (mirrored - n) * smooth * (smooth.sqrt() + 1 - smooth), dim=-1, eps=1e-6)
 
 
 def _smith(cosine: Tensor, square: Tensor) -> Tensor:

@@ -1,26 +1,31 @@
 """Blurred reflections of an environment: mipmaps prefiltered for roughness.
 
-Level k holds, for each direction r, the mean of the light weighted by the lobe of GGX with roughness k / LEVELS, seen
-from straight above (Karis, "Real Shading in Unreal Engine 4", 2013). Light is sampled at halfway vectors spread like
-the lobe; each sample reads an image averaged over its share of the solid angle, so that few samples suffice (Křivánek
-and Colbert, "Real-time Shading with Filtered Importance Sampling", 2008).
+Level k holds, for each direction r, the mean of the light l weighted by D (r · h) max(r · l, 0), the lobe of GGX with
+roughness k / LEVELS seen from straight above, h halfway between r and l (Karis, "Real Shading in Unreal Engine 4",
+2013). Wide lobes are summed over all pixels of a small image. For narrow ones light is sampled at halfway vectors
+spread like the lobe; each sample reads an image averaged over its share of the solid angle, so that few samples suffice
+(Křivánek and Colbert, "Real-time Shading with Filtered Importance Sampling", 2008).
 """
 
 from __future__ import annotations
 
+import functools
 import math
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .equirectangular import direction_uv, directions_of, look_up
+from ..constants import on_device
+from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 from .split_sum import half_vectors
 
 LEVELS = 8
 _ROWS = 128  # most rows of a level
 _FEWEST = 16  # rows of the smoothest levels
-_SAMPLES = 64
+_WIDE = 0.2  # α of lobes that are summed over all pixels
+_SMALL = 48  # most rows of the image for these
+_SAMPLES = 128
 _SHARPER = 0.5  # levels by which samples are sharper than their solid angle: neighbours overlap anyway
 
 
@@ -40,13 +45,15 @@ def prefiltered(image: Tensor) -> Tensor:
     levels = []
     for level in range(1, LEVELS + 1):
         alpha = (level / LEVELS) ** 2
-        # Texels about as large as the lobe of the reflection is wide.
-        own = min(rows, max(_FEWEST, 2 ** math.ceil(math.log2(math.pi / alpha))))
-        blurred = _blurred(mipmaps, alpha, own, max(1, own * width // height))
+        if alpha >= _WIDE:
+            blurred = _summed(mipmaps, alpha)
+        else:
+            # Texels about as large as the lobe of the reflection is wide.
+            own = min(rows, 2 ** math.ceil(math.log2(math.pi / alpha)))
+            blurred = _sampled(mipmaps, alpha, own, max(1, own * width // height))
         if blurred.shape[1:3] != (rows, columns):
-            blurred = look_up(
-                blurred, direction_uv(directions_of(rows, columns, image))[None].expand(len(image), -1, -1, -1)
-            )
+            uv = direction_uv(directions_of(rows, columns, image))
+            blurred = look_up(blurred, uv.expand(len(image), -1, -1, -1))
         levels.append(blurred)
     return torch.cat(levels, 1)
 
@@ -84,14 +91,40 @@ def _mipmaps(image: Tensor) -> list[Tensor]:
     """Halve an image [B, H, W, 3] down to about four rows."""
     mipmaps = [image]
     while min(image.shape[1:3]) >= 8:
-        height, width = (side // 2 * 2 for side in image.shape[1:3])
-        image = functional.avg_pool2d(image[:, :height, :width].movedim(-1, 1), 2).movedim(1, -1).contiguous()
+        half = (image.shape[1] // 2, image.shape[2] // 2)
+        even = image.shape[1] == 2 * half[0] and image.shape[2] == 2 * half[1]
+        first = image.movedim(-1, 1)
+        # The mean of even sides is deterministic on CUDA, too.
+        mean = functional.avg_pool2d(first, 2) if even else functional.adaptive_avg_pool2d(first, half)
+        image = mean.movedim(1, -1).contiguous()
         mipmaps.append(image)
     return mipmaps
 
 
-def _blurred(mipmaps: list[Tensor], alpha: float, rows: int, columns: int) -> Tensor:
-    """Average the light over the lobe about each direction, [B, rows, columns, 3]."""
+def _summed(mipmaps: list[Tensor], alpha: float) -> Tensor:
+    """Average the light over the lobe about each direction, over all pixels; [B, 16, 32, 3]."""
+    image = next((mipmap for mipmap in mipmaps if mipmap.shape[1] <= _SMALL), mipmaps[-1])
+    weights = on_device(_weights(alpha, *image.shape[1:3]), image)
+    # Not matmul: it rounds under autocast, and adds in an order that depends on the batch.
+    light = image.flatten(1, 2).transpose(1, 2)
+    parts = [(light[:, None] * part[:, None]).sum(-1) for part in weights.split(64)]
+    return torch.cat(parts, 1).view(len(image), _FEWEST, 2 * _FEWEST, 3)
+
+
+@functools.lru_cache(maxsize=16)
+def _weights(alpha: float, height: int, width: int) -> Tensor:
+    """Weigh each pixel of an image for each direction of a level, [16 · 32, H · W]."""
+    with torch.inference_mode(False), torch.no_grad():
+        like = torch.zeros((), dtype=torch.float64)
+        light = directions_of(height, width, like).view(-1, 3)
+        cosine = directions_of(_FEWEST, 2 * _FEWEST, like).view(-1, 3) @ light.T
+        lobe = cosine.clamp(min=0) / ((1 + cosine) / 2 * (alpha**2 - 1) + 1) ** 2
+        weights = lobe * solid_angles(height, width, like).repeat_interleave(width)
+        return (weights / weights.sum(1, keepdim=True)).float()
+
+
+def _sampled(mipmaps: list[Tensor], alpha: float, rows: int, columns: int) -> Tensor:
+    """Average the light over the lobe about each direction, over samples; [B, rows, columns, 3]."""
     batch, height, width, _ = mipmaps[0].shape
     halfway = half_vectors(_SAMPLES, torch.tensor(alpha, dtype=torch.float64))
     x, y, z = halfway.unbind(-1)
