@@ -125,8 +125,8 @@ def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees:
         ValueError: Shapes do not broadcast, or a number is not finite (tensors: while values are checked).
 
     Example:
-        >>> nr.get_points_from_angles(2.0, 30.0, 90.0)
-        tensor([1.7321e+00, 1.0000e+00, 0.0000e+00])
+        >>> nr.get_points_from_angles(2.0, 30.0, 45.0)
+        tensor([ 1.2247,  1.0000, -1.2247])
     """
     values = {"distance": distance, "elevation": elevation, "azimuth": azimuth}
     if all(isinstance(v, Real) for v in values.values()):
