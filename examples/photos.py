@@ -23,7 +23,7 @@ def main() -> None:
     views = []
     for number in range(arguments.number):
         azimuth, elevation = 360 * number / arguments.number, (-25.0, 10.0, 40.0)[number % 3]
-        eye = torch.tensor(nr.get_points_from_angles(distance, elevation, azimuth))
+        eye = nr.get_points_from_angles(distance, elevation, azimuth)
         images = nr.render(mesh, nr.Camera.look_at(eye, viewing_angle=30), arguments.size, light=None)
         # On black, colours at the outline are multiplied by alpha; PNG stores them without.
         picture = torch.cat((images.rgb[0] / images.alpha.clamp(min=1e-6), images.alpha))

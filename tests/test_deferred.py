@@ -77,7 +77,9 @@ def test_what_does_not_fit(device):
         fragments.composite(torch.zeros(2, 40, 56, 3, device=device))
     with pytest.raises(ValueError, match="background: expected"):
         fragments.composite(torch.zeros(2, 80, 112, 3, device=device), [1.0, 2.0])
-    with pytest.raises(TypeError, match="camera: expected a Camera"):
+    with pytest.raises(TypeError, match="camera: expected a Camera, or None"):
+        nr.fragments(mesh, 3.0)
+    with pytest.raises(ValueError, match=r"vertices without a camera: expected shape \[V, 4\]"):
         nr.fragments(mesh, None)
     with pytest.raises(ValueError, match="gradient: expected one of nmr, edge"):
         nr.fragments(mesh, camera, gradient="soft")
@@ -162,13 +164,31 @@ def test_visible_faces_and_vertices(device):
         fragments.visible_vertices(100)
 
 
-def test_a_background_with_channels_last_is_told(device):
+def test_a_background_has_its_channels_first_or_last(device):
     mesh, camera, fragments = scene(device)
-    for shape in ((40, 56, 3), (2, 40, 56, 3)):
-        behind = torch.zeros(shape, device=device)
+    height = fragments.interpolate(mesh.vertices)
+    for shape in ((3, 40, 56), (2, 3, 40, 56)):
+        behind = torch.rand(shape, device=device, requires_grad=True)
+        last = behind.movedim(-3, -1)
         for call in (
-            lambda behind=behind: nr.render(mesh, camera, (40, 56), background=behind),
-            lambda behind=behind: fragments.composite(fragments.interpolate(mesh.vertices), behind),
+            lambda image: nr.render(mesh, camera, (40, 56), background=image).rgb,
+            lambda image: fragments.composite(height, image),
         ):
-            with pytest.raises(ValueError, match=r"background: expected channels first, \[3, 40, 56\], got .*movedim"):
-                call()
+            expected = call(behind)
+            assert torch.equal(call(last), expected)
+            (gradient,) = torch.autograd.grad(expected.sum(), behind)
+            assert torch.equal(torch.autograd.grad(call(last).sum(), behind)[0], gradient)
+    cubic = torch.rand(3, 3, 3, device=device)  # fits both: the channels are first
+    drawn = nr.render((mesh.vertices + 9, mesh.faces, mesh.textures), camera[0], 3, background=cubic).rgb[0]
+    assert torch.equal(drawn, cubic)
+    clear = torch.rand(40, 56, 4, device=device)
+    with pytest.raises(ValueError, match=r"\[40, 56, 3\] or a batch .*\[\.\.\., :3\] is without transparency"):
+        nr.render(mesh, camera, (40, 56), background=clear)
+
+
+def test_images_of_different_sizes_are_told(device):
+    mesh, camera, _ = scene(device)
+    with pytest.raises(
+        ValueError, match=r"size: .* got \[\(8, 9\), \(4, 4\)\]; images of different sizes are drawn by"
+    ):
+        nr.render(mesh, camera, [(8, 9), (4, 4)])

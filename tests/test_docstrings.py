@@ -10,6 +10,7 @@ import io
 import re
 import tokenize
 from collections.abc import Iterator
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,11 @@ def public() -> dict[str, tuple[Any, Any]]:
         found[f"{module.rpartition('.')[2]}.{name}" if module.endswith(("losses", "metrics")) else name] = thing, None
         if "members" in options:
             members = [part for part in options["members"].split(", ") if part]
-            members = members or [part for part in vars(thing) if not part.startswith("_")]
+            every = [thing]
+            if "inherited-members" in options:  # up to the named class
+                last = options["inherited-members"] or "object"
+                every = list(takewhile(lambda base, last=last: base.__name__ != last, thing.__mro__))
+            members = members or [part for owner in every for part in vars(owner) if not part.startswith("_")]
             members += [part for part in options.get("special-members", "").split(", ") if part]
             left_out = options.get("exclude-members", "").split(", ")
             for member in members:

@@ -28,6 +28,7 @@ ROOMS = [
     "deferred",
     "shading",
     "losses",
+    "surface_images",
     "rendering",
     "compat",
     "features",

@@ -28,6 +28,7 @@ COMMANDS = {
     "dream": "Apply DeepDream to a mesh.",
     "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
+_EXTRAS = {"lightning": "reconstruction", "tensorboard": "reconstruction"}  # packages that commands import
 _GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
 
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
@@ -124,6 +125,13 @@ def _message(error: Exception) -> str:
     message = " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
         return f"{os.fsdecode(error.filename)}: {error.strerror}" if error.filename else error.strerror
+    if isinstance(error, ModuleNotFoundError):
+        missing = str(error.name).partition(".")[0]
+        if missing in _EXTRAS:
+            install = f"pip install 'neural-renderer[{_EXTRAS[missing]}]'"
+            return f"expected {missing} to be installed for this command ({install})"
+        if "pip install" in message:
+            return message
     if isinstance(error, (ValueError, TypeError, OSError)) and message:
         return message
     return f"{type(error).__name__}: {message} (--debug shows a traceback)"

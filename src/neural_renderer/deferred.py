@@ -10,7 +10,7 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .camera.screen import causes, screen_positions
+from .camera.screen import causes, scene_camera, screen_positions
 from .layers import Layers
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
@@ -163,8 +163,8 @@ class Fragments(VisibleFaces):
 
         Args:
             colors: Colours of the pixels, [B, H, W, C] floating. Colours of pixels without a face are ignored.
-            background: Number, colour [C] or [B, C], or image [C, height, width] or [B, C, height, width]. It gets
-                gradients.
+            background: Number; colour [C] or [B, C]; or image of the size asked for, [C, height, width] or [height,
+                width, C], or a batch of them. What fits both has its channels first. It gets gradients.
             seams: Whether colours may jump where two faces of the surface meet, as with texture charts that do not
                 match, or light per face. Then ``"edge"`` differentiates the motion of those jumps too. False is faster
                 and less noisy, but the gradient is wrong at jumps.
@@ -194,8 +194,8 @@ class Fragments(VisibleFaces):
 
 @overload
 def fragments(
-    mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
-    camera: Camera,
+    mesh: Mesh | UVMesh | list[Mesh] | list[UVMesh] | tuple[Tensor, ...],
+    camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
     near: float = 0.1,
@@ -210,8 +210,8 @@ def fragments(
 
 @overload
 def fragments(
-    mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
-    camera: Camera,
+    mesh: Mesh | UVMesh | list[Mesh] | list[UVMesh] | tuple[Tensor, ...],
+    camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
     near: float = 0.1,
@@ -226,8 +226,8 @@ def fragments(
 
 @validate.checked_together
 def fragments(
-    mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
-    camera: Camera,
+    mesh: Mesh | UVMesh | list[Mesh] | list[UVMesh] | tuple[Tensor, ...],
+    camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
     near: float = 0.1,
@@ -240,10 +240,14 @@ def fragments(
 ) -> Fragments | Layers:
     """Rasterise a mesh from every camera of a batch, for deferred shading.
 
+    Under anti-aliasing, the default, fragments have twice the size asked for, so that `Fragments.composite` can average
+    2 x 2 of them. ``anti_aliasing=False`` gives fragments, and images, of the size asked for.
+
     Args:
-        mesh: `Mesh`; a list of them, of any sizes, one per image (see `batch`); `UVMesh`; or (vertices, faces) with
+        mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); or (vertices, faces) with
             vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or [B, F, 3] integer.
-        camera, size, near, far, anti_aliasing, two_sided, gradient, eps: As in `render`.
+        camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], whose depth is w.
+        size, near, far, anti_aliasing, two_sided, gradient, eps: As in `render`.
         layers: Number of faces of each pixel, the nearest ones, for transparency and cut-outs; None for `Fragments` of
             the visible ones. Faces nearer to each other than 1e-5 of their depth count as one.
 
@@ -262,8 +266,7 @@ def fragments(
         torch.Size([1, 3, 64, 64])
     """
     vertices, faces, _ = mesh_parts(mesh)
-    if not isinstance(camera, Camera):
-        raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
+    vertices, camera = scene_camera(vertices, camera)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     load_kernels(settings, ("rgb",), ATTRIBUTES, *causes(vertices, camera), scene=SCENE[:1])
     screen = screen_positions(camera, vertices, settings.width / settings.height)

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .camera.screen import causes, screen_positions
+from .camera.screen import causes, scene_camera, screen_positions
 from .deferred import Fragments, visible_fragments
-from .meshes.batch import mesh_parts
+from .meshes.batch import batch, mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ahead import CUBES, IMAGES, SCENE, load_kernels
@@ -23,17 +23,18 @@ from .raster.colors.composite import composite
 from .raster.colors.light_pixels import light_pixels
 from .raster.cubes import cube_colors
 from .raster.faces import checked_faces, world_corners
-from .raster.images import OUTPUTS, Images, checked_outputs
+from .raster.images import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.continuity import image_edge_hashes
 from .shading.lights import AnyLight, Light, light_factors, pixel_lights
 from .shading.models import Shading, checked_shading, shade_pixels, surface_edge_hashes
+from .surface_images import surface_images, surface_outputs
 
 
 @validate.checked_together
 def render(
-    mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
-    camera: Camera,
+    mesh: Mesh | UVMesh | list[Mesh] | list[UVMesh] | tuple[Tensor, ...],
+    camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
     light: AnyLight | Sequence[AnyLight] | None = Light(),  # noqa: B008 (immutable)
@@ -53,19 +54,22 @@ def render(
     the parameters of cameras and lights, and the background.
 
     Args:
-        mesh: `Mesh`; a list of them, of any sizes, one per image (see `batch`); `UVMesh`; or (vertices, faces) or
+        mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); or (vertices, faces) or
             (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces [F, 3] or [B, F, 3] integer,
             textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
-        camera: One camera or B of them.
-        size: Side of the images, or (height, width), in pixels. Pixels are square.
+        camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], with ``light=None``.
+        size: Side of the images, or (height, width), in pixels, for all images. Pixels are square. Images of different
+            sizes take a call each: ``[nr.render(mesh, one, size) for one, size in zip(camera, sizes)]``.
         light: `Light`, `PointLight`, `SpotLight`, `SphericalHarmonicLight`, `EnvironmentLight`, another object with
             their method `two_sided`, or a list of lights, which add up. None draws textures without lighting.
         shading: ``"flat"`` lights each face as a whole. The others light each pixel, with smooth normals and the normal
             maps of materials: ``"smooth"`` a matt surface, ``"phong"`` also highlights, ``"pbr"`` metals and
             dielectrics; with the mesh's materials, or `Phong` or `PBR` for a mesh without. Or an object with their
             method `shade`.
-        background: Number, colour [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.
-        outputs: Some of "rgb", "alpha", "depth". Other outputs are not computed.
+        background: Number; colour [3] or [B, 3]; or image of the returned size, [3, H, W] or [H, W, 3] (as `load_image`
+            reads it), or a batch of them. What fits both has its channels first.
+        outputs: Some of "rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"; `Images`
+            explains them. Others are not computed.
         near, far: Depth range in world units, 0 <= near < far; a point is visible if near < depth < far.
         anti_aliasing: Draw at twice the size and average 2 x 2 pixels.
         two_sided: Draw also faces seen from behind.
@@ -74,7 +78,8 @@ def render(
         eps: Added to distances in the denominators of ``"nmr"``, in screen units; cube coordinates end at T - 1 - eps.
 
     Returns:
-        Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, row 0 at the top.
+        Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, and what else ``outputs`` names.
+            Row 0 is at the top.
 
     Raises:
         TypeError: An argument of another type.
@@ -87,14 +92,18 @@ def render(
         >>> images.rgb.shape
         torch.Size([8, 3, 120, 160])
     """
+    mesh = batch(mesh) if isinstance(mesh, list) else mesh
     vertices, faces, textures = mesh_parts(mesh)
-    if not isinstance(camera, Camera):
-        raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
     lights = _checked_lights(light)
     model = checked_shading(shading)
     if model is not None:
         pixel_lights(lights)
-    outputs = checked_outputs(outputs)
+    if camera is None and (lights or model is not None):
+        raise ValueError('light: expected None, and shading "flat", for vertices in clip space')
+    has_camera = camera is not None
+    vertices, camera = scene_camera(vertices, camera)
+    outputs = checked_outputs(outputs, OUTPUTS + SURFACE)
+    surface = surface_outputs(outputs, mesh, has_camera)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     aspect = settings.width / settings.height
     load_kernels(
@@ -103,18 +112,23 @@ def render(
     screen = validate.in_float32("vertices on the screen", screen_positions(camera, vertices, aspect))
     faces = checked_faces(faces)
     visible = visible_fragments(screen, faces, settings, 1 + 3 * ("rgb" in outputs))
-    if "rgb" not in outputs:
-        return visible.images(outputs)
-    if model is not None:
-        return visible.images(outputs, *_shaded(visible, mesh, textures, camera, lights, model, background))
-    factors = None
-    if lights:
-        corners = world_corners(vertices, faces, screen.shape[0], in_range=True)
-        several = [light_factors(one, corners, camera.mirrored) for one in lights]
-        factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
-    if isinstance(mesh, UVMesh):
-        return visible.images(outputs, *_image_colors(visible, mesh, factors, background))
-    return visible.images(outputs, *cube_colors(visible, _checked_cubes(textures), factors, background))
+    colors: tuple[Any, ...] = ()
+    if "rgb" in outputs and model is not None:
+        colors = _shaded(visible, mesh, textures, camera, lights, model, background)
+    elif "rgb" in outputs:
+        factors = None
+        if lights:
+            corners = world_corners(vertices, faces, screen.shape[0], in_range=True)
+            several = [light_factors(one, corners, camera.mirrored) for one in lights]
+            factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
+        if isinstance(mesh, UVMesh):
+            colors = _image_colors(visible, mesh, factors, background)
+        else:
+            colors = cube_colors(visible, _checked_cubes(textures), factors, background)
+    images = visible.images(outputs, *colors)
+    if surface:
+        vars(images).update(surface_images(surface, visible, screen, mesh, camera, model is not None))
+    return images
 
 
 def _checked_cubes(textures: Tensor | None) -> Tensor:

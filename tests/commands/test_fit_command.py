@@ -284,7 +284,7 @@ def test_impossible_cameras_are_named(folder: Path, key: str, value: float, sent
         ("camera_angle_x", 0, "camera_angle_x: expected a number above 0"),
         ("fl_x", -100, "fl_x: expected a number above 0, got -100"),
         ("w", 0, "w: expected a number above 0"),
-        ("camera_model", "OPENCV_FISHEYE", "expected a pinhole lens"),
+        ("k4", 0.1, "expected k1, k2, p1, p2 and k3, got k4 without a fisheye"),
     ],
 )
 def test_impossible_lenses_are_named(folder: Path, key: str, value: object, sentence: str) -> None:

@@ -279,3 +279,25 @@ def test_what_does_not_fit_one_image(change, sentence):
     given = {"vertices": vertices, "faces": faces, "uv": torch.rand(8, 2), "image": torch.rand(8, 8, 3)}
     with pytest.raises(ValueError, match=sentence):
         nr.UVMesh(**(given | change))
+
+
+def test_parameters_are_tensors_of_its_own() -> None:
+    image = torch.rand(4, 4, 3)
+    mesh = nr.UVMesh(*nr.cube(), torch.rand(8, 2), image)
+    assert list(mesh.parameters()) == [] and mesh.num_faces == 12 and mesh.num_vertices == 8
+    leaf = mesh.trainable()
+    assert [part.shape for part in leaf.parameters()] == [(8, 3), (4, 4, 3)]
+    assert not image.requires_grad and not mesh.vertices.requires_grad and leaf.uv is mesh.uv
+    rough = torch.tensor(0.5, requires_grad=True)
+    shiny = nr.UVMesh(*nr.cube(), torch.rand(8, 2), image, materials=(nr.Material(roughness=rough),))
+    assert next(shiny.parameters()) is rough
+    assert [part.shape for part in mesh.trainable("uv", "colors").parameters()] == [(12, 3, 2), (12, 3, 3)]
+    for wrong in ("faces", "normals", "hue"):
+        with pytest.raises(ValueError, match=f"names: expected some of vertices, uv, images, colors, got '{wrong}'"):
+            mesh.trainable(wrong)
+
+
+def test_one_line_describes_it() -> None:
+    mesh = nr.UVMesh(*nr.cube(), torch.rand(8, 2), torch.rand(4, 6, 3))
+    assert repr(mesh) == "UVMesh(8 vertices, 12 faces, 1 image of 4 × 6, cpu)"
+    assert repr(nr.batch([mesh, mesh])) == "UVMesh(batch of 2, 8 vertices, 12 faces, 1 image of 4 × 6, cpu)"

@@ -104,7 +104,7 @@ def test_mistakes_are_named():
         lighting(corners(2, 3), torch.full((2, 3, 2, 2, 2, 3), np.inf))
     with pytest.raises(ValueError, match="ambient: expected a finite number, got nan"):
         lighting(corners(2, 3), torch.rand(2, 3, 2, 2, 2, 3), np.nan)
-    with pytest.raises(ValueError, match="direction: expected a batch of 1 or 2"):
+    with pytest.raises(ValueError, match="light: expected parameters for 2 images or for all, got 3"):
         face_light(corners(2, 3), direction=torch.ones(3, 3))
     with pytest.raises(ValueError, match=r"ambient_color: expected shape \[3\] or \[B, 3\]"):
         Light(ambient_color=(1, 1)).two_sided(corners(2, 3))
@@ -131,3 +131,30 @@ def test_an_object_with_the_method_is_a_light(device):
     torch.testing.assert_close(twice, 2 * once)
     with pytest.raises(TypeError, match="light: expected a Light, a SphericalHarmonicLight or None, got type"):
         nr.render((vertices, faces, textures), camera, 16, light=Twice)
+
+
+def test_lights_per_image(device):
+    """Every parameter may have a batch: image b is that of the light b alone."""
+    mesh = nr.Mesh.icosphere(2).to(device)
+    camera = nr.Camera.look_at([[0.4, 0.8, -2.5], [2.0, -0.5, 1.5]], viewing_angle=25).to(device)
+    given = {
+        "ambient": [0.2, 0.5],
+        "directional": [0.8, 0.3],
+        "ambient_color": [[1.0, 0.5, 0.2], [0.3, 1.0, 1.0]],
+        "directional_color": [[0.9, 1.0, 0.2], [0.3, 0.1, 1.0]],
+        "direction": [[0.0, 1.0, -1.0], [1.0, 1.0, 0.0]],
+    }
+    leaves = {name: torch.tensor(values, device=device, requires_grad=True) for name, values in given.items()}
+    together = nr.render(mesh, camera, 24, light=nr.Light(**leaves))
+    for b in range(2):
+        own = nr.Light(**{name: values[b] for name, values in given.items()})
+        alone = nr.render(mesh, camera[b], 24, light=own)
+        torch.testing.assert_close(together.rgb[b], alone.rgb[0], **rounding(64, 1))
+    together.rgb[0].sum().backward()
+    assert all(leaf.grad[0].any() and not leaf.grad[1].any() for leaf in leaves.values())
+    with pytest.raises(ValueError, match="light: expected parameters for 2 images or for all, got 3"):
+        nr.render(mesh, camera, 24, light=nr.Light(direction=torch.rand(3, 3)))
+    harmonics = torch.rand(2, 9, 3, device=device)
+    both = nr.render(mesh, camera, 24, light=nr.SphericalHarmonicLight(harmonics)).rgb
+    one = nr.render(mesh, camera[1], 24, light=nr.SphericalHarmonicLight(harmonics[1])).rgb
+    torch.testing.assert_close(both[1], one[0], **rounding(64, 1))

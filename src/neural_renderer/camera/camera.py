@@ -4,38 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from .. import validate
-from ..constants import on_device
-from .lens import (
-    calibration,
-    check_intrinsics,
-    check_rotation,
-    image_size,
-    in_parallel,
-    in_perspective,
-    pixels_to_screen,
-    viewing_angle,
-)
-from .matrices import clip_frame, view_frame
+from .calibrated import CalibratedCamera
+from .lens import check_rotation
 from .parameters import Array, Scalar, batch_of, batch_size, common_device, float_type, outside, parameter, scalar
-from .pixels import camera_points, pixel_size, pixels_of
 from .several import chosen, concatenated
-from .view import look_at_frame, look_frame, rotate, transform
+from .view import look_at_frame, look_frame, rotate
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class Camera(CalibratedCamera):
     """A batch of B cameras: ``camera(vertices)`` projects world vertices onto the screen.
 
-    Build it with `Camera.look_at`, `Camera.look`, `Camera.projection`, `Camera.from_matrix`, `Camera.from_clip` or
-    `Camera.weak_perspective`. ``camera[i]`` and ``camera[2:5]`` are some cameras of the batch, ``for one in camera``
-    visits them one by one, and `Camera.cat` puts batches together.
+    Build it with `Camera.look_at`, `Camera.look`, `Camera.projection`, `Camera.fisheye`, `Camera.from_matrix`,
+    `Camera.from_clip` or `Camera.weak_perspective`. ``camera[i]`` and ``camera[2:5]`` are some cameras of the batch,
+    ``for one in camera`` visits them one by one, and `Camera.cat` puts batches together.
 
     The world is right-handed and the picture is not mirrored: x of the screen points to the right of the viewer
     (viewing direction × up). Faces that are counter-clockwise seen from outside are counter-clockwise on the screen.
@@ -53,7 +42,7 @@ class Camera:
         viewing_angle: Half the **vertical** field of view in degrees, a number or [B]; None for other lenses.
         scale: Screen units per world unit, a number or [B]; used if ``viewing_angle`` and ``K`` are None.
         K: [B, 3, 3], the intrinsic matrix of `projection` in pixels; None otherwise.
-        dist_coeffs: [B, 5], the distortion of `projection`, or None.
+        dist_coeffs: [B, 5], the distortion of `projection`; [B, 4], that of `fisheye`; or None.
         orig_size: (height, width) in pixels of the image that K describes.
         mirrored: Whether the picture is a mirror image.
 
@@ -67,28 +56,6 @@ class Camera:
         >>> depth
         tensor(2.6926)
     """
-
-    rotation: Tensor
-    origin: Tensor
-    translation: Tensor
-    viewing_angle: Scalar | None = None
-    scale: Scalar = 1.0
-    K: Tensor | None = None
-    dist_coeffs: Tensor | None = None
-    orig_size: tuple[float, float] | None = None
-    mirrored: bool = False
-
-    def __post_init__(self) -> None:
-        validate.floating("rotation", self.rotation, ("B", 3, 3))
-        validate.finite("rotation", self.rotation)
-        for name, size in (("origin", (3,)), ("translation", (3,)), ("K", (3, 3)), ("dist_coeffs", (5,))):
-            value = getattr(self, name)
-            if value is not None or name in ("origin", "translation"):
-                validate.floating(name, value, (len(self.rotation), *size))
-                validate.same_device(rotation=self.rotation, **{name: value})
-                validate.finite(name, value)
-        if self.K is not None:
-            image_size(self.orig_size)
 
     @classmethod
     def look_at(
@@ -162,54 +129,6 @@ class Camera:
         return cls._with_lens(*frame, viewing_angle, orthographic, scale, mirrored)
 
     @classmethod
-    def projection(
-        cls,
-        K: Array,
-        R: Array,
-        t: Array,
-        dist_coeffs: Array | None = None,
-        orig_size: float | Sequence[float] | None = None,
-    ) -> Camera:
-        """Make calibrated cameras in the conventions of OpenCV; see the function `projection`.
-
-        Args:
-            K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels, with the third row (0, 0, 1).
-            R: [3, 3] or [B, 3, 3], world-to-camera rotation.
-            t: [3], [B, 3] or [B, 1, 3], world-to-camera translation.
-            dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3); None means no distortion.
-            orig_size: Side or (height, width) in pixels of the image that K describes. Required. A render of any size
-                shows this whole image, stretched if its aspect is different.
-
-        Returns:
-            B cameras; one if no argument has a batch.
-
-        Raises:
-            TypeError, ValueError: A type or shape does not fit, or ``orig_size`` is missing or not positive; while
-                values are checked, also a number that is not finite, a wrong third row of K, or R is not a rotation.
-
-        Example:
-            >>> K = [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
-            >>> camera = nr.Camera.projection(K, torch.eye(3), (0.0, 0.0, 3.0), orig_size=(480, 640))
-            >>> images = nr.render(mesh, camera, (240, 320))
-        """
-        if orig_size is None:
-            raise ValueError("orig_size: expected the side or (height, width) of the image that K describes, got None")
-        given = (K, R, t, dist_coeffs)
-        K, R, t, dist_coeffs = calibration(*given, float_type(*given), common_device(*given))
-        check_intrinsics(K)
-        check_rotation(R)
-        batch = batch_size(K=batch_of(K, 2), R=batch_of(R, 2), t=batch_of(t, 1), dist_coeffs=batch_of(dist_coeffs, 1))
-        t = t.expand(batch, 3)
-        return cls(
-            rotation=R.expand(batch, 3, 3),
-            origin=torch.zeros_like(t),
-            translation=t,
-            K=K.expand(batch, 3, 3),
-            dist_coeffs=None if dist_coeffs is None else dist_coeffs.expand(batch, 5),
-            orig_size=image_size(orig_size),
-        )
-
-    @classmethod
     def weak_perspective(cls, scale: Scalar, R: Array, shift: Array = (0.0, 0.0), *, distance: float = 10.0) -> Camera:
         """Make scaled orthographic cameras, as predicted by single-image networks.
 
@@ -250,91 +169,6 @@ class Camera:
         return cls(rotation=up, origin=origin, translation=torch.zeros_like(origin), scale=scale)
 
     @classmethod
-    def from_matrix(
-        cls,
-        *,
-        world_to_camera: Array | None = None,
-        camera_to_world: Array | None = None,
-        convention: str = "opencv",
-        viewing_angle: Scalar | None = None,
-        K: Array | None = None,
-        dist_coeffs: Array | None = None,
-        orig_size: float | Sequence[float] | None = None,
-        orthographic: bool = False,
-        scale: Scalar = 1.0,
-    ) -> Camera:
-        """Make cameras from view matrices of other programs, with one of three lenses.
-
-        Args:
-            world_to_camera: View matrix, [3, 4], [4, 4] or with a batch: a rotation and a translation.
-            camera_to_world: Its inverse, the pose of the camera. Give one of the two.
-            convention: Axes of the camera. ``"opencv"`` (also COLMAP): right, down, forward. ``"opengl"`` and
-                ``"blender"`` (also NeRF): right, up, backward. ``"pytorch3d"``: left, up, forward, and the matrix [4,
-                4] multiplies rows of points from the right, as that of ``Transform3d.get_matrix()``. The world's axes
-                stay as they are.
-            viewing_angle: Half the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
-            K, dist_coeffs, orig_size: As in `Camera.projection`, in place of ``viewing_angle``. Pixels run to the right
-                and **down** in every convention.
-            orthographic: Draw without perspective, with ``scale`` in place of ``viewing_angle``.
-            scale: Screen units per world unit: a number, or a tensor [] or [B].
-
-        Returns:
-            B cameras; one if no argument has a batch.
-
-        Raises:
-            TypeError, ValueError: A type or shape does not fit, the convention is unknown, or not one matrix and one
-                lens are given; while values are checked, also a matrix that is not a rotation and a translation.
-
-        Example:
-            >>> pose = torch.eye(4)
-            >>> pose[2, 3] = 3.0  # three units along +z, looking back at the origin
-            >>> camera = nr.Camera.from_matrix(camera_to_world=pose, convention="blender", viewing_angle=20)
-            >>> camera(torch.tensor([[0.0, 0.5, 0.0]]))[0, 0]
-            tensor([0.0000, 0.4579, 3.0000])
-        """
-        if [viewing_angle is not None, K is not None, validate.flag("orthographic", orthographic)].count(True) != 1:
-            raise ValueError("viewing_angle: expected one lens: this, K with orig_size, or orthographic=True")
-        given = (world_to_camera, camera_to_world, K, viewing_angle, scale)
-        dtype, device = float_type(*given), common_device(*given)
-        R, eye, t = view_frame(world_to_camera, camera_to_world, convention, dtype, device)
-        if K is not None:
-            return cls.projection(K, R, t, dist_coeffs, orig_size)
-        axes = R * R.new_tensor([1.0, -1.0, 1.0])[:, None]  # right, up, forward
-        return cls._with_lens(axes, eye, viewing_angle, orthographic, scale, False)
-
-    @classmethod
-    def from_clip(cls, matrix: Array) -> Camera:
-        """Make cameras from matrices to clip space: the product of projection and view matrix of OpenGL or nvdiffrast.
-
-        A world point X has clip coordinates (x, y, z, w) = matrix · (X, 1) and appears at (x / w, y / w), y up. Its
-        depth is the distance along the viewing direction in world units, whatever the scale of the matrix; ``near`` and
-        ``far`` of `render` replace those of the matrix. Images of any size show the whole range [−1, 1]², so that the
-        matrix determines the aspect.
-
-        Args:
-            matrix: [4, 4] or [B, 4, 4], for columns of points. A matrix whose second row is negated, for images with
-                row 0 at the bottom, gives pictures upside down: negate the row first.
-
-        Returns:
-            B cameras, with K for an image of 2 × 2 pixels.
-
-        Raises:
-            TypeError, ValueError: A type or shape does not fit; while values are checked, also a matrix without
-                perspective, or one that projects to a line.
-
-        Example:
-            >>> f, near, far = 2.0, 0.1, 10.0
-            >>> projection = torch.tensor([[f, 0, 0, 0], [0, f, 0, 0], [0, 0, -1, -2 * near], [0, 0, -1, 0]])
-            >>> view = torch.eye(4)
-            >>> view[2, 3] = -3.0
-            >>> camera = nr.Camera.from_clip(projection @ view)
-            >>> camera(torch.tensor([[0.0, 0.5, 0.0]]))[0, 0]
-            tensor([0.0000, 0.3333, 3.0000])
-        """
-        K, R, t, mirrored = clip_frame(matrix, float_type(matrix), common_device(matrix))
-        return cls(R, torch.zeros_like(t), t, K=K, orig_size=(2.0, 2.0), mirrored=mirrored)
-
-    @classmethod
     def cat(cls, cameras: Sequence[Camera]) -> Camera:
         """Put the cameras of several batches into one batch.
 
@@ -360,155 +194,9 @@ class Camera:
             raise ValueError("cameras: expected at least one Camera, got an empty list")
         return replace(cameras[0], **concatenated(cameras))
 
-    @property
-    def perspective(self) -> bool:
-        """Whether the projection is perspective; False for an orthographic camera."""
-        return self.viewing_angle is not None or self.K is not None
-
-    def __len__(self) -> int:
-        return self.rotation.shape[0]
-
     def __getitem__(self, index: Any) -> Camera:
         """Choose cameras: one by a number, several by a slice, a list, or a tensor of numbers or of bools."""
         return replace(self, **chosen(self, index))
 
     def __iter__(self) -> Iterator[Camera]:
         return (self[i] for i in range(len(self)))
-
-    def __call__(self, vertices: Tensor, aspect: float = 1.0) -> Tensor:
-        """Project world vertices onto the screen. One camera can project B meshes, and B cameras one mesh.
-
-        Args:
-            vertices: [V, 3] or [B, V, 3] floating.
-            aspect: Width / height of the image. x is divided by it, which makes pixels square. `Camera.projection`
-                ignores it and uses ``orig_size``.
-
-        Returns:
-            [B, V, 3], float64 for float64 vertices, else float32. x (right) and y (up) are in [-1, 1] over the image; z
-            is the depth along the viewing direction in world units, negative behind the camera.
-
-        Raises:
-            TypeError, ValueError: A type, shape or batch size does not fit, or ``aspect`` is not positive; while values
-                are checked, also a vertex that is not finite.
-
-        Example:
-            >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45)
-            >>> camera(torch.tensor([[-1.0, 1.0, 0.0]]))  # from the −z side, −x is on the right
-            tensor([[[0.4000, 0.4000, 2.5000]]])
-        """
-        vertices = validate.wide(validate.vertices(vertices))
-        aspect = validate.positive("aspect", aspect)
-        points = transform(vertices, self.rotation, self.origin)
-        if self.K is not None and self.orig_size is not None:
-            points = points + on_device(self.translation, points)[..., None, :]
-            dist_coeffs = None if self.dist_coeffs is None else on_device(self.dist_coeffs, points)
-            return pixels_to_screen(points, on_device(self.K, points), dist_coeffs, self.orig_size)
-        if self.viewing_angle is not None:
-            screen = in_perspective(points, self.viewing_angle)
-        else:
-            screen = in_parallel(points, self.scale)
-        if aspect == 1:
-            return screen
-        x, y, z = screen.unbind(-1)
-        return torch.stack((x / aspect, y, z), dim=-1)
-
-    def project(self, points: Tensor, size: float | Sequence[float] | None = None) -> tuple[Tensor, Tensor]:
-        """Project world points to pixels and depth.
-
-        Args:
-            points: [V, 3] or [B, V, 3] floating, in the world.
-            size: Side or (height, width) of the image in pixels. A camera with K has a default: the size that K
-                describes.
-
-        Returns:
-            Pixels [B, V, 2], x to the right and y down, with (0, 0) at the image's upper left corner and the centre of
-            the first pixel at (0.5, 0.5); and the depth [B, V] in world units, negative behind the camera.
-
-        Raises:
-            TypeError, ValueError: A type, shape or batch size does not fit, or the size is missing or not positive;
-                while values are checked, also a point that is not finite.
-
-        Example:
-            >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45)
-            >>> pixels, depth = camera.project(torch.tensor([[-1.0, 1.0, 0.0]]), size=(100, 200))
-            >>> pixels.round(), depth
-            (tensor([[[120.,  30.]]]), tensor([[2.5000]]))
-        """
-        height, width = pixel_size(size, self)
-        with validate.called(vertices="points"):
-            screen = self(points, width / height)
-        return pixels_of(screen, (height, width)), screen[..., 2]
-
-    def unproject(self, pixels: Tensor, depth: Tensor, size: float | Sequence[float] | None = None) -> Tensor:
-        """Find the world points that are visible at pixels; the inverse of `project`.
-
-        Args:
-            pixels: [V, 2] or [B, V, 2] floating, as `project` returns them.
-            depth: [V] or [B, V] floating, depth of each in world units, as in `Images`.
-            size: As in `project`.
-
-        Returns:
-            [B, V, 3], in the world. Differentiable in all arguments and the camera. Lens distortion is inverted by
-            Newton's method; pixels that it does not reach have no meaning.
-
-        Raises:
-            TypeError, ValueError: A type, shape or batch size does not fit, or the size is missing or not positive;
-                while values are checked, also a number that is not finite.
-
-        Example:
-            >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45)
-            >>> camera.unproject(torch.tensor([[120.0, 30.0]]), torch.tensor([3.5]), size=(100, 200))
-            tensor([[[-1.4000,  1.4000,  1.0000]]])
-        """
-        image = pixel_size(size, self)
-        validate.floating("pixels", pixels, ("V", 2) if getattr(pixels, "ndim", 3) == 2 else ("B", "V", 2))
-        count = pixels.shape[-2]
-        validate.floating("depth", depth, (count,) if getattr(depth, "ndim", 2) == 1 else ("B", count))
-        validate.same_device(pixels=pixels, depth=depth)
-        validate.finite("pixels", pixels)
-        validate.finite("depth", depth)
-        pixels, depth = validate.wide(pixels), validate.wide(depth)
-        dtype = torch.promote_types(pixels.dtype, depth.dtype)
-        batch_size(pixels=batch_of(pixels, 2), depth=batch_of(depth, 1), camera=len(self))
-        pixels, depth = pixels.to(dtype).reshape(-1, count, 2), depth.to(dtype).reshape(-1, count)
-        points = camera_points(self, pixels, depth, image) - on_device(self.translation, pixels)[:, None]
-        axes = on_device(self.rotation, pixels)
-        return rotate(axes.transpose(-1, -2), points) + on_device(self.origin, pixels)[:, None]
-
-    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Camera:
-        """Copy the cameras to another device or floating dtype.
-
-        Args:
-            device: Device of the copy; None keeps the device.
-            dtype: Floating dtype of the copy; None keeps the dtype.
-
-        Returns:
-            The copy. Gradients flow back to the original.
-
-        Raises:
-            TypeError: ``dtype`` is not a floating dtype.
-
-        Example:
-            >>> nr.Camera.look_at((0.0, 0.0, -2.5)).to(dtype=torch.float64).rotation.dtype
-            torch.float64
-        """
-        if not (dtype is None or (isinstance(dtype, torch.dtype) and dtype.is_floating_point)):
-            raise TypeError(f"dtype: expected a floating dtype, got {dtype!r}")
-        tensors = {f.name: v for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)}
-        moved: dict[str, Any] = {name: v.to(device=device, dtype=dtype) for name, v in tensors.items()}
-        return replace(self, **moved)
-
-    @classmethod
-    def _with_lens(
-        cls, rotation: Tensor, eye: Tensor, angle: Any, is_orthographic: bool, scale: Any, mirrored: bool
-    ) -> Camera:
-        """Make cameras from axes and eye, with a perspective or an orthographic lens."""
-        lens: dict[str, Any]
-        if is_orthographic:
-            lens = {"scale": scalar("scale", scale, eye.dtype)}
-        else:
-            lens = {"viewing_angle": viewing_angle("viewing_angle", angle, eye.dtype)}
-        sizes = {name: batch_of(value, 0) for name, value in lens.items()}
-        batch = batch_size(camera=batch_of(rotation, 2), eye=batch_of(eye, 1), **sizes)
-        origin = eye.expand(batch, 3)
-        return cls(rotation.expand(batch, 3, 3), origin, torch.zeros_like(origin), mirrored=mirrored, **lens)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from .. import validate
 from ..raster.ops.pinhole import NEAREST
+from .fisheye import fisheye
 from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, outside, parameter, scalar
 from .view import rotate
 
@@ -134,7 +135,7 @@ def projection(
 
 
 def calibration(
-    K: Any, R: Any, t: Any, dist_coeffs: Any, dtype: torch.dtype, device: torch.device
+    K: Any, R: Any, t: Any, dist_coeffs: Any, dtype: torch.dtype, device: torch.device, coefficients: int = 5
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """Convert the arguments of `projection` to tensors (K, R, t, dist_coeffs), each with or without a batch."""
     t = as_tensor("t", t, dtype)
@@ -145,7 +146,7 @@ def calibration(
     K, R = parameter("K", K, (3, 3), dtype, device), parameter("R", R, (3, 3), dtype, device)
     t = parameter("t", t, (3,), dtype, device)
     if dist_coeffs is not None:
-        dist_coeffs = parameter("dist_coeffs", dist_coeffs, (5,), dtype, device)
+        dist_coeffs = parameter("dist_coeffs", dist_coeffs, (coefficients,), dtype, device)
     return K, R, t, dist_coeffs
 
 
@@ -176,15 +177,21 @@ def check_rotation(R: Tensor) -> None:
 def pixels_to_screen(
     points: Tensor, K: Tensor, dist_coeffs: Tensor | None, size: tuple[float, float], eps: float = 1e-9
 ) -> Tensor:
-    """Project camera coordinates [..., V, 3] (steps 2 to 5 of `projection`); size = (height, width) in pixels."""
+    """Project camera coordinates [..., V, 3] (steps 2 to 5 of `projection`); size = (height, width) in pixels.
+
+    Four ``dist_coeffs`` are those of a `fisheye` lens.
+    """
     if validate.wide(points) is not points:  # r⁶ overflows half precision
         dist_coeffs = None if dist_coeffs is None else validate.wide(dist_coeffs)
         return pixels_to_screen(validate.wide(points), validate.wide(K), dist_coeffs, size, eps).to(points.dtype)
     z = points[..., 2]
-    near = _away_from_zero(z + eps)
-    x, y = points[..., 0] / near, points[..., 1] / near
-    if dist_coeffs is not None:
-        x, y = distorted(x, y, dist_coeffs)
+    if dist_coeffs is not None and dist_coeffs.shape[-1] == 4:
+        x, y = fisheye(points, dist_coeffs)
+    else:
+        near = _away_from_zero(z + eps)
+        x, y = points[..., 0] / near, points[..., 1] / near
+        if dist_coeffs is not None:
+            x, y = distorted(x, y, dist_coeffs)
     u, v, _ = rotate(K, torch.stack((x, y, torch.ones_like(x)), dim=-1)).unbind(-1)
     height, width = size
     return torch.stack(torch.broadcast_tensors(2 * u / width - 1, 1 - 2 * v / height, z), dim=-1)

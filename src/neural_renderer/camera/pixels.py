@@ -9,16 +9,17 @@ from torch import Tensor
 
 from .. import validate
 from ..constants import on_device
+from .fisheye import undo_fisheye
 from .lens import distorted, image_size, viewing_angle
 from .parameters import as_tensor, scalar
 
 if TYPE_CHECKING:
-    from .camera import Camera
+    from .model import CameraModel
 
 _STEPS = 10  # of Newton's method; it doubles the correct digits in each
 
 
-def pixel_size(size: Any, camera: Camera) -> tuple[float, float]:
+def pixel_size(size: Any, camera: CameraModel) -> tuple[float, float]:
     """Convert a side or (height, width) to (height, width); by default the size that the camera's K describes."""
     size = camera.orig_size if size is None else size
     if size is None:
@@ -33,7 +34,7 @@ def pixels_of(screen: Tensor, size: tuple[float, float]) -> Tensor:
     return torch.stack(((screen[..., 0] + 1) * (width / 2), (1 - screen[..., 1]) * (height / 2)), -1)
 
 
-def camera_points(camera: Camera, pixels: Tensor, depth: Tensor, size: tuple[float, float]) -> Tensor:
+def camera_points(camera: CameraModel, pixels: Tensor, depth: Tensor, size: tuple[float, float]) -> Tensor:
     """Compute the points [B, V, 3], relative to the camera's axes, that pixels [B, V, 2] at depths [B, V] show."""
     height, width = size
     x, y = pixels.unbind(-1)
@@ -41,7 +42,8 @@ def camera_points(camera: Camera, pixels: Tensor, depth: Tensor, size: tuple[flo
         rows, columns = camera.orig_size
         x, y = _undo_intrinsics(x * (columns / width), y * (rows / height), on_device(camera.K, pixels))
         if camera.dist_coeffs is not None:
-            x, y = _undistorted(x, y, on_device(camera.dist_coeffs, pixels))
+            undo = undo_fisheye if camera.is_fisheye else _undistorted
+            x, y = undo(x, y, on_device(camera.dist_coeffs, pixels))
         return torch.stack(torch.broadcast_tensors(x * depth, y * depth, depth), -1)
     x, y = (2 * x / width - 1) * (width / height), 1 - 2 * y / height
     if camera.viewing_angle is None:

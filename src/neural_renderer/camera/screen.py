@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,6 +15,42 @@ from ..raster.warp.registration import is_plain
 from .camera import Camera
 from .lens import viewing_angle
 from .parameters import batch_of, batch_size, scalar
+
+
+def scene_camera(vertices: Any, camera: Any) -> tuple[Any, Camera]:
+    """Check the camera of a scene. Without one, convert vertices in clip space to points of the camera that shows them.
+
+    Args:
+        vertices: Vertices of the mesh; without a camera [V, 4] or [B, V, 4], (x, y, z, w) in clip space.
+        camera: A `Camera`, or None.
+
+    Returns:
+        The vertices [V, 3] or [B, V, 3], and the camera.
+
+    Raises:
+        TypeError: ``camera`` is neither.
+        ValueError: Without a camera, the vertices are not clip coordinates of a perspective projection.
+    """
+    if isinstance(camera, Camera):
+        return vertices, camera
+    if camera is not None:
+        raise TypeError(f"camera: expected a Camera, or None for vertices in clip space, got {type(camera).__name__}")
+    with validate.called(vertices="vertices without a camera"):
+        validate.floating("vertices", vertices, ("V", 4) if getattr(vertices, "ndim", 3) == 2 else ("B", "V", 4))
+    x, y, z, w = vertices.unbind(-1)
+    if validate.values_are_checked(vertices) and bool((w == 1).all()) and bool((z != z.flatten()[:1]).any()):
+        raise ValueError(
+            "vertices: expected clip coordinates of a perspective projection, got w = 1 for all; "
+            "for a view without perspective use world vertices and Camera.from_matrix(..., orthographic=True)"
+        )
+    return torch.stack((x, y, w), -1), _clip_camera()
+
+
+@lru_cache(maxsize=1)
+def _clip_camera() -> Camera:
+    """Make the camera that shows a point (x, y, w) at (x / w, y / w), with the depth w."""
+    with torch.inference_mode(False):
+        return Camera.from_clip(torch.eye(4, device="cpu")[[0, 1, 3, 2]])
 
 
 def causes(vertices: Tensor, camera: Camera) -> tuple[Tensor, ...]:

@@ -72,7 +72,9 @@ def concatenated(cameras: Sequence[Camera]) -> dict[str, Any]:
 
 
 def _lens(camera: Camera) -> str:
-    return "K" if camera.K is not None else "orthographic" if camera.viewing_angle is None else "viewing_angle"
+    if camera.K is not None:
+        return "fisheye" if camera.is_fisheye else "K"
+    return "orthographic" if camera.viewing_angle is None else "viewing_angle"
 
 
 def _numbers(values: list[Scalar], counts: list[int]) -> Scalar:

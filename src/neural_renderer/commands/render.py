@@ -1,18 +1,22 @@
-"""`neural-renderer render`: a mesh file as a picture or a turntable."""
+"""`neural-renderer render`: mesh files as a picture or an animation, and files of what the pixels show."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import torch
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor
+from torch.nn import functional
 
 from .. import deferred
 from ..camera import Camera, get_points_from_angles
-from ..io import load_mesh, save_animation, save_image
+from ..io import load_image, load_mesh, save_animation, save_image
+from ..meshes.batch import join
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
@@ -20,62 +24,89 @@ from ..pictures.lamp import lamp_direction
 from ..raster.settings import image_size
 from ..rendering import render
 from ..shading.lights import Light
+from ..tasks.fit.camera_files import load_cameras
 from .common import check_counts, check_outputs, choose_device, say
 from .options.render import RenderOptions
+from .render_outputs import check_saved, save_outputs
 
 _LAMP = (-0.4, 0.6, 0.7)  # right, up, backward; more frontal than `pictures.lamp.LAMP`: no visible face is dark
 _AMBIENT, _DIRECTIONAL = 0.4, 0.65
 _COLORS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": (0.0, 0.0, 0.0)}
 _GREY = 0.82  # colour of meshes without colours
 _MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the picture
-_PLANES = 1.1  # distance of the near and far planes from the origin, in radii of the mesh
+_SIZE = 512  # of pictures by default
+_PLANES = 0.05  # distance of the near and far planes from the mesh, in its extent in depth
 _FRAMES = 60  # of a turntable by default
 _DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
 _PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
 
 
 def run(options: RenderOptions) -> int:
-    """Draw a mesh file; return the exit code."""
+    """Draw mesh files; return the exit code."""
     _check(options)
-    check_outputs([options.output], [options.mesh])
+    outputs = [path for path in (options.output, *options.save.values()) if path is not None]
+    photo = options.background if isinstance(options.background, Path) else None
+    check_outputs(outputs, [*options.meshes, options.camera, photo])
     device = choose_device(options.device)
     mesh = _load(options).to(device)
-    mesh = mesh.normalize() if options.normalize else mesh
-    animated = options.output.suffix.lower() in _ANIMATIONS
-    count = (options.turntable or _FRAMES) if animated else 1
-    angles = [options.azimuth + 360 * index / count for index in range(count)]
-    pictures: Iterator[Tensor] = (draw(options, mesh, angle).cpu() for angle in angles)
-    if animated:
+    if options.normalize and options.camera is None:
+        mesh = mesh.normalize()
+    cameras, size = _cameras(options, mesh)
+    background = _background(options, size, device)
+    if options.output is not None and options.output.suffix.lower() in _ANIMATIONS:
+        pictures: Iterator[Tensor] = (draw(options, mesh, one, size, background).cpu() for one in cameras)
         console = Console(stderr=True)
-        tracked = track(pictures, "Turntable", total=count, console=console, transient=True)
+        tracked = track(pictures, "Turntable", total=len(cameras), console=console, transient=True)
         save_animation(options.output, tracked, options.fps)
-    else:
-        save_image(options.output, next(pictures))
-    say(str(options.output))
+    elif options.output is not None:
+        save_image(options.output, draw(options, mesh, cameras, size, background))
+    if options.save:
+        near, far = _planes(options, mesh, cameras)
+        light = _light(options, cameras)
+        save_outputs(options, mesh, cameras, size, light=light, background=background, near=near, far=far)
+    for path in outputs:
+        say(str(path))
     return 0
 
 
 def _load(options: RenderOptions) -> Mesh | UVMesh:
-    """Load the mesh, with images or, if --texture-size is given, with texture cubes."""
+    """Load the meshes as one, with images or, if --texture-size is given, with texture cubes."""
     if options.texture_size is None:
-        return UVMesh.load(options.mesh, _GREY, options.allow_outside)
-    vertices, faces, textures = load_mesh(options.mesh, options.texture_size, options.allow_outside)
-    if textures is None:
-        textures = torch.full((len(faces), 1, 1, 1, 3), _GREY)
-    return Mesh(vertices, faces, textures)
+        meshes = [UVMesh.load(path, _GREY, options.allow_outside) for path in options.meshes]
+        return meshes[0] if len(meshes) == 1 else join(meshes)
+    baked = []
+    for path in options.meshes:
+        vertices, faces, textures = load_mesh(path, options.texture_size, options.allow_outside)
+        if textures is None:
+            textures = torch.full((len(faces), *(options.texture_size,) * 3, 3), _GREY)
+        baked.append(Mesh(vertices, faces, textures))
+    return baked[0] if len(baked) == 1 else Mesh(*join(baked))
 
 
 def _check(options: RenderOptions) -> None:
     """Raise ValueError for options that are out of range or do not fit each other."""
-    suffix = options.output.suffix.lower()
+    if not options.meshes:
+        say("MESH: expected at least one mesh file, got none", "red")
+        raise SystemExit(2)
+    if options.output is None and not options.save:
+        raise ValueError("--output: expected a picture to write, or --save with outputs and files, got neither")
+    suffix = options.output.suffix.lower() if options.output is not None else ".png"
+    name = options.output.name if options.output is not None else ""
     if suffix not in _PICTURES + _ANIMATIONS:
         expected = ", ".join(_PICTURES + _ANIMATIONS)
-        raise ValueError(f"--output: expected a name that ends in {expected}, got {options.output.name!r}")
-    check_counts(options, turntable=1, texture_size=1)
+        raise ValueError(f"--output: expected a name that ends in {expected}, got {name!r}")
+    check_counts(options, turntable=1, texture_size=1, frame=0)
     if options.turntable is not None and suffix in _PICTURES:
-        raise ValueError(f"--output: expected a .gif or .mp4 for a turntable, got {options.output.name!r}")
-    image_size("size", options.size)
+        raise ValueError(f"--output: expected a .gif or .mp4 for a turntable, got {name!r}")
+    if options.turntable is not None and options.camera is not None:
+        raise ValueError("--turntable: expected a turntable or --camera, got both")
+    if options.save and suffix in _ANIMATIONS:
+        raise ValueError(f"--save: expected a picture beside it, got the animation {name!r}")
+    check_saved(options.save)
+    if options.size is not None:
+        image_size("size", options.size)
     _check_between("fps", options.fps, 0, math.inf)
+    _check_between("depth-scale", options.depth_scale, 0, math.inf)
     _check_between("viewing-angle", options.viewing_angle, 0, 90)
     _check_between("elevation", options.elevation, -90, 90)
     if not math.isfinite(options.azimuth):
@@ -85,7 +116,7 @@ def _check(options: RenderOptions) -> None:
     if options.background is not None and options.mode in ("silhouettes", "depth"):
         raise ValueError(f"--background: expected --mode rgb or normals, got {options.mode} (always on black)")
     if options.background == "transparent" and suffix != ".png":
-        raise ValueError(f"--background transparent: expected a .png, got {options.output.name!r}")
+        raise ValueError(f"--background transparent: expected a .png, got {name!r}")
     if isinstance(options.background, tuple) and not all(0 <= value <= 1 for value in options.background):
         raise ValueError(f"--background: expected three numbers from 0 to 1, got {options.background}")
 
@@ -97,40 +128,92 @@ def _check_between(name: str, value: float, low: float, high: float) -> None:
         raise ValueError(f"--{name}: expected a number above {low}{limit}, got {value}")
 
 
+def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, tuple[int, int]]:
+    """Make the camera of a picture, or those of an animation, and the height and width of pictures."""
+    animated = options.output is not None and options.output.suffix.lower() in _ANIMATIONS
+    given = None if options.size is None else image_size("size", options.size)
+    if options.camera is not None:
+        cameras, own = load_cameras(options.camera, given)
+        size = image_size("size", given or own or _photo_size(options) or _SIZE)
+        if not animated and options.frame >= len(cameras):
+            raise ValueError(f"--frame: expected less than {len(cameras)}, the number of cameras, got {options.frame}")
+        return (cameras if animated else cameras[options.frame]).to(mesh.vertices.device), size
+    size = image_size("size", given or _photo_size(options) or _SIZE)
+    count = (options.turntable or _FRAMES) if animated else 1
+    azimuth = options.azimuth + 360 * torch.arange(count, dtype=torch.float64) / count
+    aspect = min(1.0, size[1] / size[0])
+    radius, distance = _distance(options, mesh, aspect)
+    eyes = get_points_from_angles(distance, options.elevation, azimuth.to(mesh.vertices))
+    lens: dict[str, Any] = {"viewing_angle": options.viewing_angle}
+    if options.orthographic:
+        lens = {"orthographic": True, "scale": aspect / (_MARGIN * radius)}
+    return Camera.look_at(eyes, **lens), size
+
+
+def _distance(options: RenderOptions, mesh: Mesh | UVMesh, aspect: float) -> tuple[float, float]:
+    """Return the radius of the mesh around the origin, and the distance of the camera."""
+    radius = max(mesh.vertices.detach().norm(dim=1).max().item(), 1e-6)
+    if options.distance is not None:
+        return radius, options.distance
+    return radius, _MARGIN * radius / (math.sin(math.radians(options.viewing_angle)) * max(aspect, 1e-6))
+
+
+def _planes(options: RenderOptions, mesh: Mesh | UVMesh, camera: Camera) -> tuple[float, float]:
+    """Return near and far planes that contain what the camera sees of the mesh."""
+    depth = camera(mesh.vertices.detach())[0, :, 2]
+    low, high = depth.min().item(), depth.max().item()
+    if high <= 0:
+        raise ValueError(f"--camera: expected a camera that sees the mesh, got all of it behind {options.camera}")
+    margin = _PLANES * max(high - low, 1e-3 * high)
+    return max(low - margin, 1e-3 * high), high + margin
+
+
+def _photo_size(options: RenderOptions) -> tuple[int, int] | None:
+    """Return the height and width of the photograph in the background."""
+    if not isinstance(options.background, Path):
+        return None
+    height, width = load_image(options.background).shape[:2]
+    return height, width
+
+
+def _background(options: RenderOptions, size: tuple[int, int], device: torch.device) -> Any:
+    """Return the background as `render` takes it."""
+    if isinstance(options.background, Path):
+        photo = load_image(options.background)[..., :3].movedim(2, 0)[None].to(device)
+        return functional.interpolate(photo, size, mode="bilinear", antialias=True)[0]
+    return options.background if isinstance(options.background, tuple) else _COLORS[options.background or "white"]
+
+
+def _light(options: RenderOptions, camera: Camera) -> Light | None:
+    return Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera, _LAMP)) if options.light else None
+
+
 @torch.no_grad()
-def draw(options: RenderOptions, mesh: Mesh | UVMesh, azimuth: float) -> Tensor:
+def draw(options: RenderOptions, mesh: Mesh | UVMesh, camera: Camera, size: tuple[int, int], background: Any) -> Tensor:
     """Draw one view.
 
     Args:
         options: The options of the command.
         mesh: The mesh.
-        azimuth: Azimuth of the camera in degrees.
+        camera: One camera.
+        size: Height and width in pixels.
+        background: As in `render`.
 
     Returns:
         [3, H, W] in [0, 1]; [4, H, W] with a transparent background; [H, W] for silhouettes and depth.
     """
-    height, width = (options.size, options.size) if isinstance(options.size, int) else options.size
-    size, aspect = (height, width), min(1.0, width / max(height, 1))
-    radius = max(mesh.vertices.norm(dim=1).max().item(), 1e-6)
-    distance = options.distance
-    if distance is None:
-        distance = _MARGIN * radius / (math.sin(math.radians(options.viewing_angle)) * max(aspect, 1e-6))
-    eye = torch.tensor(get_points_from_angles(distance, options.elevation, azimuth), device=mesh.vertices.device)
-    scale = aspect / (_MARGIN * radius)
-    camera = Camera.look_at(eye, viewing_angle=options.viewing_angle, orthographic=options.orthographic, scale=scale)
-    near, far = max(distance - _PLANES * radius, 1e-3 * distance), distance + _PLANES * radius
-
+    near, far = _planes(options, mesh, camera)
     if options.mode in ("silhouettes", "depth"):
         shape = mesh.vertices, mesh.faces
         images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far)
         alpha, depth = images.alpha[0], images.depth[0]
         return alpha if options.mode == "silhouettes" else _shade_depth(depth, alpha, far)
-    color = options.background if isinstance(options.background, tuple) else _COLORS[options.background or "white"]
     if options.mode == "normals":
-        rgb, alpha = _draw_normals(mesh, camera, size, color, near, far)
+        rgb, alpha = _draw_normals(mesh, camera, size, background, near, far)
     else:
-        light = Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera, _LAMP)) if options.light else None
-        images = render(mesh, camera, size, light=light, background=color, outputs=("rgb", "alpha"), near=near, far=far)
+        light = _light(options, camera)
+        outputs = ("rgb", "alpha")
+        images = render(mesh, camera, size, light=light, background=background, outputs=outputs, near=near, far=far)
         rgb, alpha = images.rgb[0], images.alpha[0]
     if options.background != "transparent":
         return rgb
@@ -142,13 +225,13 @@ def _draw_normals(
     mesh: Mesh | UVMesh,
     camera: Camera,
     size: tuple[int, int],
-    background: tuple[float, float, float],
+    background: Any,
     near: float,
     far: float,
 ) -> tuple[Tensor, Tensor]:
     """Draw normals in camera space as colours [3, H, W], and the silhouette [H, W]."""
     fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size, near=near, far=far)
-    axes = camera.rotation[0] * camera.rotation.new_tensor([1.0, 1.0, -1.0])[:, None]  # right, up, backward
+    axes = camera.axes[0] * camera.rotation.new_tensor([1.0, 1.0, -1.0])[:, None]  # right, up, backward
     normals = fragments.interpolate(vertex_normals(mesh.vertices, mesh.faces)[0] @ axes.T)
     alpha = fragments.composite(torch.ones_like(normals[..., :1]))[0, 0]
     return fragments.composite((normals + 1) / 2, background)[0], alpha

@@ -106,7 +106,7 @@ def _read(path: Path) -> dict[str, Any]:
             from safetensors.torch import load_file
         except ModuleNotFoundError:
             raise ModuleNotFoundError(
-                f"{path}: expected safetensors to be installed to read it (pip install safetensors)"
+                f"{path}: expected safetensors to be installed to read it (pip install 'neural-renderer[editing]')"
             ) from None
         try:
             return load_file(path)

@@ -11,6 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .. import validate
+
 WRAPPINGS = ("REPEAT", "MIRRORED_REPEAT", "CLAMP_TO_EDGE", "CLAMP_TO_BORDER")
 _MOST_BYTES = 8 * 2**30
 _SAMPLES_AT_ONCE = 2**20
@@ -124,3 +126,15 @@ def _sample(
     if wrapping == "CLAMP_TO_BORDER":
         colors = np.where(outside.any(axis=-1, keepdims=True), np.float32(0), colors)
     return colors
+
+
+def noise_cubes(faces: Tensor, texture_size: int) -> Tensor:
+    """Make texture cubes [F, T, T, T, 3] of the first packages, to be optimised through a sigmoid."""
+    size = validate.whole("texture_size", texture_size, 1)
+    return 0.05 * torch.randn(len(faces), size, size, size, 3, device=faces.device)
+
+
+def white_cubes(faces: Tensor, texture_size: int) -> Tensor:
+    """Make white texture cubes [F, T, T, T, 3]."""
+    size = validate.whole("texture_size", texture_size, 1)
+    return torch.ones(len(faces), size, size, size, 3, device=faces.device)

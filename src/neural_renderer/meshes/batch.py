@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, overload
 
 import torch
 from torch import Tensor, nn
 
 from .. import validate
 from .mesh import Mesh
+from .normals import vertex_normals
+from .uv_mesh import UVMesh
 
 
 def pad(tensors: Sequence[Tensor], value: float = 0) -> Tensor:
@@ -20,51 +23,70 @@ def pad(tensors: Sequence[Tensor], value: float = 0) -> Tensor:
     return torch.stack([nn.functional.pad(t, space, value=value) for t, space in zip(tensors, spaces, strict=True)])
 
 
-def batch(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]:
-    """Pad meshes of different sizes to one batch. `render` does this with a list of meshes.
+@overload
+def batch(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]: ...
+@overload
+def batch(meshes: Sequence[UVMesh]) -> UVMesh: ...
+def batch(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
+    """Pad meshes of different sizes to one batch. `render` and `fragments` do this with a list of meshes.
 
     Args:
-        meshes: B meshes on one device, with one texture size.
+        meshes: B meshes on one device: `Mesh` with one texture size, or `UVMesh`.
 
     Returns:
-        Vertices [B, V, 3], padded with 0; faces [B, F, 3], padded with (−1, −1, −1), which stands for no face; textures
-        [B, F, T, T, T, 3]. Gradients reach the tensors of each mesh.
+        For `Mesh`: vertices [B, V, 3], padded with 0; faces [B, F, 3], padded with (−1, −1, −1), which stands for no
+        face; textures [B, F, T, T, T, 3]. For `UVMesh`: one whose vertices, faces and attributes of faces are padded
+        likewise, with the images and materials of all. Gradients reach the tensors of each mesh.
 
     Raises:
-        TypeError, ValueError: An item is not a `Mesh`, or devices or texture sizes differ.
+        TypeError, ValueError: An item is not a mesh, both kinds are mixed, or devices or texture sizes differ.
 
     Example:
         >>> vertices, faces, textures = batch([nr.Mesh.icosphere(1), nr.Mesh.icosphere(2)])
         >>> faces.shape
         torch.Size([2, 320, 3])
     """
-    _check(meshes)
+    if _are_uv_meshes(meshes):
+        parts, shared = _together(meshes)
+        own = {name: pad(values, -1 if name.endswith("index") else 0) for name, values in parts.items()}
+        vertices, faces = pad([mesh.vertices for mesh in meshes]), pad([mesh.faces for mesh in meshes], -1)
+        return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
     vertices = pad([mesh.vertices for mesh in meshes])
     return vertices, pad([mesh.faces for mesh in meshes], -1), pad([mesh.textures for mesh in meshes])
 
 
-def join(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]:
+@overload
+def join(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]: ...
+@overload
+def join(meshes: Sequence[UVMesh]) -> UVMesh: ...
+def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     """Join several meshes into one scene.
 
     Args:
-        meshes: Meshes on one device, with one texture size.
+        meshes: Meshes on one device: `Mesh` with one texture size, or `UVMesh`.
 
     Returns:
-        Vertices [V, 3], faces [F, 3] and textures [F, T, T, T, 3] for `render`. Gradients reach the tensors of each
-        mesh; ``Mesh(*join(meshes))`` is an independent copy.
+        For `Mesh`: vertices [V, 3], faces [F, 3] and textures [F, T, T, T, 3] for `render`; ``Mesh(*join(meshes))`` is
+        an independent copy. For `UVMesh`: one with the images and materials of all; if only some have normals, the
+        others get `vertex_normals`. Gradients reach the tensors of each mesh.
 
     Raises:
-        TypeError, ValueError: An item is not a `Mesh`, or devices or texture sizes differ.
+        TypeError, ValueError: An item is not a mesh, both kinds are mixed, or devices or texture sizes differ.
 
     Example:
         >>> vertices, faces, textures = join([nr.Mesh.icosphere(1), nr.Mesh.icosphere(2)])
         >>> faces.shape
         torch.Size([400, 3])
     """
-    _check(meshes)
+    is_uv = _are_uv_meshes(meshes)
     firsts = itertools.accumulate((len(mesh.vertices) for mesh in meshes[:-1]), initial=0)
     faces = torch.cat([mesh.faces + first for mesh, first in zip(meshes, firsts, strict=True)])
-    return torch.cat([mesh.vertices for mesh in meshes]), faces, torch.cat([mesh.textures for mesh in meshes])
+    vertices = torch.cat([mesh.vertices for mesh in meshes])
+    if not is_uv:
+        return vertices, faces, torch.cat([mesh.textures for mesh in meshes])
+    parts, shared = _together(meshes)
+    own = {name: torch.cat(values) for name, values in parts.items()}
+    return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
 
 
 def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
@@ -72,7 +94,7 @@ def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
     if isinstance(mesh, Mesh):
         return mesh.vertices, mesh.faces, mesh.textures
     if isinstance(mesh, list):
-        return batch(mesh)
+        return mesh_parts(batch(mesh))
     if isinstance(getattr(mesh, "vertices", None), Tensor) and isinstance(getattr(mesh, "faces", None), Tensor):
         return mesh.vertices, mesh.faces, None
     if isinstance(mesh, tuple) and len(mesh) in (2, 3):
@@ -83,14 +105,77 @@ def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
     )
 
 
-def _check(meshes: Sequence[Mesh]) -> None:
-    """Raise TypeError or ValueError unless all items are meshes on one device with one texture size."""
-    if not isinstance(meshes, (list, tuple)) or not all(isinstance(mesh, Mesh) for mesh in meshes):
+def _are_uv_meshes(meshes: Any) -> bool:
+    """Tell which kind of meshes a list has; raise TypeError or ValueError unless they fit together."""
+    if not isinstance(meshes, (list, tuple)) or not all(isinstance(mesh, (Mesh, UVMesh)) for mesh in meshes):
         kinds = [type(mesh).__name__ for mesh in meshes] if isinstance(meshes, (list, tuple)) else type(meshes).__name__
-        raise TypeError(f"meshes: expected a list of Mesh, got {kinds}")
+        raise TypeError(f"meshes: expected a list of Mesh, or of UVMesh, got {kinds}")
     if not meshes:
         raise ValueError("meshes: expected at least one Mesh, got an empty list")
     validate.same_device(**{f"meshes[{i}]": mesh.vertices for i, mesh in enumerate(meshes)})
+    if len({isinstance(mesh, UVMesh) for mesh in meshes}) > 1:
+        raise TypeError(
+            "meshes: expected all of one kind, got Mesh and UVMesh; Mesh.load, or UVMesh.load, reads all files"
+        )
+    if isinstance(meshes[0], UVMesh):
+        for i, mesh in enumerate(meshes):
+            if mesh.faces.dim() != 2 or mesh.vertices.dim() != 2:
+                raise ValueError(f"meshes[{i}]: expected one mesh, got a batch")
+        return True
     sizes = sorted({mesh.textures.shape[-2] for mesh in meshes})
     if len(sizes) > 1:
         raise ValueError(f"meshes: expected textures of one size, got {' and '.join(map(str, sizes))}")
+    return False
+
+
+def _together(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]], dict[str, Any]]:
+    """Number the images and materials of several meshes through.
+
+    Returns:
+        Attributes of faces, a list of one tensor for each mesh; and what all share: images, wraps and materials. An
+        image that several meshes share, with the same wrapping, appears once.
+    """
+    pictures: dict[tuple[int, Any], tuple[Tensor, Any]] = {}
+    materials: dict[int, Any] = {}
+    shared: dict[str, Any] = {}
+    parts: dict[str, list[Tensor]] = {"uv": [], "image_index": [], "colors": [], "material_index": []}
+    for mesh in meshes:
+        pairs = list(zip(mesh.images, mesh.wraps, strict=True))
+        keys = [(id(image), wrap) for image, wrap in pairs]
+        pictures.update(zip(keys, pairs, strict=True))
+        materials.update((id(one), one) for one in mesh.materials)
+        index = mesh.material_index
+        if index is None:  # all faces have the only one, or there is none
+            index = torch.full_like(mesh.image_index, 0 if mesh.materials else -1)
+        parts["uv"].append(mesh.uv)
+        parts["colors"].append(mesh.colors)
+        parts["image_index"].append(_renumbered(mesh.image_index, keys, pictures))
+        parts["material_index"].append(_renumbered(index, [id(one) for one in mesh.materials], materials))
+    if not materials:
+        shared["material_index"] = None
+        del parts["material_index"]
+    for name in ("normals", "tangents", "uv1"):
+        given = [getattr(mesh, name) is not None for mesh in meshes]
+        # Tangents are computed where they are missing, so those of some meshes are worth nothing.
+        if any(given) if name != "tangents" else all(given):
+            parts[name] = [_corner_attribute(name, mesh) for mesh in meshes]
+        else:
+            shared[name] = None
+    images, wraps = zip(*pictures.values(), strict=True) if pictures else ((), ())
+    return parts, shared | {"images": images, "wraps": wraps, "materials": tuple(materials.values())}
+
+
+def _renumbered(index: Tensor, keys: list[Any], places: dict[Any, Any]) -> Tensor:
+    """Replace each index into ``keys`` by the place of its key in ``places``; −1 stays."""
+    order = {key: number for number, key in enumerate(places)}
+    return torch.tensor([*(order[key] for key in keys), -1], device=index.device)[index.long()]
+
+
+def _corner_attribute(name: str, mesh: UVMesh) -> Tensor:
+    """Get normals, tangents or second texture coordinates; make them if the mesh has none."""
+    value: Tensor | None = getattr(mesh, name)
+    if value is not None:
+        return value
+    if name == "normals":
+        return vertex_normals(mesh.vertices, mesh.faces)[0][mesh.faces.long()]
+    return torch.zeros_like(mesh.uv)

@@ -1,8 +1,10 @@
-"""Bounding boxes."""
+"""Bounding boxes, and vertices moved into a box."""
 
 from __future__ import annotations
 
 from torch import Tensor
+
+from .. import validate
 
 
 def bounding_box(points: Tensor) -> tuple[Tensor, float]:
@@ -17,3 +19,12 @@ def bounding_box(points: Tensor) -> tuple[Tensor, float]:
     flat = points.reshape(-1, points.shape[-1])
     low, high = flat.amin(0), flat.amax(0)
     return (low + high) / 2, float((high - low).max()) / 2
+
+
+def centered(vertices: Tensor) -> Tensor:
+    """Move and scale vertices [V, 3] into [−1, 1], detached, in float64; see `Mesh.normalize`."""
+    vertices = validate.vertices(validate.has_numbers("vertices", vertices)).detach().double()
+    center, half = bounding_box(vertices)
+    if half == 0:
+        raise ValueError(f"vertices: expected a mesh to normalise, got {len(vertices)} vertices that all coincide")
+    return (vertices - center) / half

@@ -11,21 +11,23 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
-from ..io.cubes import bake_corners
+from ..io.cubes import bake_corners, noise_cubes, white_cubes
 from ..io.formats import load_mesh
 from ..io.mesh_writer import save_mesh
 from ..io.obj import load_obj
 from . import primitives
-from .bounds import bounding_box
+from .bounds import centered
+from .old_mesh import OldMesh
 from .pieces import chosen_faces, merged_vertices, used_vertices
+from .subdivision import checked_levels, split_cubes, subdivided
 
 
-class Mesh(nn.Module):
+class Mesh(OldMesh):
     """Triangle mesh as a `torch.nn.Module`: vertices and textures are parameters, faces are a buffer.
 
-    `load`, `fromobj` and `icosphere` make a mesh, `save` writes it, `normalize` centres and scales it, `submesh` and
-    `merge_vertices` change its faces. `get_batch` and `set_lr` are methods of the first packages. All other methods are
-    those of `torch.nn.Module`: `to`, `parameters`, ….
+    `load`, `fromobj` and `icosphere` make a mesh, `save` writes it, `normalize` centres and scales it, `submesh`,
+    `merge_vertices` and `subdivide` change its faces. `get_batch` and `set_lr` are methods of the first packages. All
+    other methods are those of `torch.nn.Module`: `to`, `parameters`, ….
 
     ``Mesh(vertices, faces)`` is white; ``vertex_colors``, ``face_colors`` or ``textures`` colour it. Arguments are
     copied. ``Mesh("teapot.obj", texture_size, normalization)`` reads the shape from an OBJ file and ignores its
@@ -59,10 +61,6 @@ class Mesh(nn.Module):
         Mesh(8 vertices, 12 faces, textures of 1³, cpu)
     """
 
-    vertices: nn.Parameter
-    faces: Tensor
-    textures: nn.Parameter
-
     def __init__(
         self,
         vertices: Any,
@@ -91,7 +89,7 @@ class Mesh(nn.Module):
             texture_size = validate.whole("texture_size", texture_size, 1)
             textures = _textures(vertex_colors, face_colors, vertices, faces, texture_size)
             if textures is None:
-                textures = _noise(faces, texture_size) if is_file else _white(faces, texture_size)
+                textures = noise_cubes(faces, texture_size) if is_file else white_cubes(faces, texture_size)
         elif vertex_colors is not None or face_colors is not None:
             raise ValueError("textures: expected one of textures, vertex_colors and face_colors, got several")
         textures = as_tensor(textures)
@@ -103,39 +101,6 @@ class Mesh(nn.Module):
         self.vertices = nn.Parameter(vertices.detach().to(torch.float32, copy=True))
         self.register_buffer("faces", faces.to(torch.int32, copy=True))
         self.textures = nn.Parameter(textures.detach().to(torch.float32, copy=True))
-
-    @classmethod
-    def fromobj(
-        cls,
-        filename_obj: str | os.PathLike[str],
-        normalization: bool = True,
-        load_texture: bool = False,
-        texture_size: int = 4,
-        allow_outside: bool = False,
-    ) -> Mesh:
-        """Read an OBJ file.
-
-        Args:
-            filename_obj: Path of the file.
-            normalization: Centre the bounding box at the origin and scale its longest side to [−1, 1].
-            load_texture: Read the colours; otherwise the texture is noise.
-            texture_size: T, texels along a cube's edge, ≥ 1.
-            allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
-
-        Returns:
-            The mesh, on the CPU.
-
-        Raises:
-            OSError, TypeError, ValueError: As `load_obj`.
-
-        Example:
-            >>> nr.save_obj("cube.obj", *nr.cube())
-            >>> nr.Mesh.fromobj("cube.obj", texture_size=2)
-            Mesh(8 vertices, 12 faces, textures of 2³, cpu)
-        """
-        loaded = load_obj(filename_obj, normalization, texture_size, load_texture, allow_outside=allow_outside)
-        textures = loaded[2] if len(loaded) == 3 else _noise(loaded[1], validate.whole("texture_size", texture_size, 1))
-        return cls(loaded[0], loaded[1], textures, texture_size)
 
     @classmethod
     def load(
@@ -165,7 +130,7 @@ class Mesh(nn.Module):
             Mesh(128 vertices, 256 faces, textures of 2³, cpu)
         """
         vertices, faces, textures = load_mesh(path, texture_size, allow_outside)
-        mesh = cls(vertices, faces, _white(faces, texture_size) if textures is None else textures)
+        mesh = cls(vertices, faces, white_cubes(faces, texture_size) if textures is None else textures)
         return mesh.normalize() if normalize else mesh
 
     @classmethod
@@ -188,7 +153,7 @@ class Mesh(nn.Module):
             Mesh(162 vertices, 320 faces, textures of 4³, cpu)
         """
         vertices, faces = primitives.icosphere(level, radius)
-        return cls(vertices, faces, _white(faces, texture_size))
+        return cls(vertices, faces, white_cubes(faces, texture_size))
 
     @property
     def num_vertices(self) -> int:
@@ -284,6 +249,33 @@ class Mesh(nn.Module):
         rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
         return self._like(self.vertices[rows], faces, self.textures)
 
+    def subdivide(self, levels: int = 1, scheme: str = "midpoint") -> Mesh:
+        """Split each face into four, with its texture.
+
+        Args:
+            levels: How often, ≥ 1; each level has four times as many faces.
+            scheme: "midpoint" keeps the surface and adds the midpoints of edges. "loop" also smooths it, by Loop's
+                scheme ("Smooth subdivision surfaces based on triangles", 1987): edges that do not have two faces become
+                smooth curves. Merge vertices that the file has split first (`merge_vertices`).
+
+        Returns:
+            The copy. Its first vertices are those of this mesh, moved by "loop"; the children of face f are 4 f to
+            4 f + 3.
+
+        Raises:
+            TypeError, ValueError: ``levels`` is not a whole number ≥ 1, or the scheme is unknown.
+
+        Example:
+            >>> nr.Mesh(*nr.cube()).subdivide(3, "loop").num_faces
+            768
+        """
+        levels = checked_levels(levels, scheme)
+        vertices, faces, textures = self.vertices.detach(), self.faces, self.textures.detach()
+        for _ in range(levels):
+            vertices, faces = subdivided(vertices, faces, scheme)
+            textures = split_cubes(textures)
+        return self._like(vertices, faces, textures)
+
     def _like(self, vertices: Tensor, faces: Tensor, textures: Tensor) -> Mesh:
         """Make a mesh of other tensors, with what this one's parameters carry: the factors of `set_lr`, frozen ones."""
         result = Mesh(vertices, faces, textures)
@@ -292,65 +284,9 @@ class Mesh(nn.Module):
             theirs.__dict__.update(mine.__dict__)
         return result
 
-    def get_batch(self, batch_size: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Repeat the mesh ``batch_size`` times, without a copy.
-
-        Args:
-            batch_size: B, ≥ 0.
-
-        Returns:
-            Vertices [B, V, 3], faces [B, F, 3] and textures [B, F, T, T, T, 3]. The textures are the sigmoid of the
-            parameter, so that they stay in [0, 1] during optimisation.
-
-        Raises:
-            TypeError, ValueError: ``batch_size`` is not a whole number ≥ 0.
-
-        Example:
-            >>> vertices, faces, textures = nr.Mesh.icosphere(2).get_batch(5)
-            >>> vertices.shape
-            torch.Size([5, 162, 3])
-        """
-        batch_size = validate.whole("batch_size", batch_size, 0)
-        parts = self.vertices, self.faces, torch.sigmoid(self.textures)
-        vertices, faces, textures = (part.expand(batch_size, *part.shape) for part in parts)
-        return vertices, faces, textures
-
-    def set_lr(self, lr_vertices: float, lr_textures: float) -> None:
-        """Set the factors of the learning rate that `neural_renderer.Adam` uses for vertices and textures.
-
-        Copies and pickles of the mesh keep the factors; its `state_dict` does not.
-
-        Args:
-            lr_vertices: Factor for the vertices; 0 keeps them.
-            lr_textures: Factor for the textures; 0 keeps them.
-
-        Example:
-            >>> mesh = nr.Mesh.icosphere(2)
-            >>> mesh.set_lr(0.1, 1.0)
-            >>> optimizer = nr.Adam(mesh.parameters(), lr=0.01)  # 0.001 for the vertices
-        """
-        self.vertices.lr = lr_vertices  # type: ignore[attr-defined]
-        self.textures.lr = lr_textures  # type: ignore[attr-defined]
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Mesh:
-        result = memo[id(self)] = type(self).__new__(type(self))
-        result.__dict__ = copy.deepcopy(self.__dict__, memo)
-        for mine, theirs in zip(self.parameters(), result.parameters(), strict=True):
-            theirs.__dict__.update(mine.__dict__)  # the factors of `set_lr`; torch does not copy them
-        return result
-
     def __repr__(self) -> str:
         device = self.vertices.device
         return f"Mesh({self.num_vertices} vertices, {self.num_faces} faces, textures of {self.texture_size}³, {device})"
-
-
-def centered(vertices: Tensor) -> Tensor:
-    """Move and scale vertices [V, 3] into [−1, 1], detached, in float64; see `Mesh.normalize`."""
-    vertices = validate.vertices(validate.has_numbers("vertices", vertices)).detach().double()
-    center, half = bounding_box(vertices)
-    if half == 0:
-        raise ValueError(f"vertices: expected a mesh to normalise, got {len(vertices)} vertices that all coincide")
-    return (vertices - center) / half
 
 
 def as_tensor(value: Any) -> Any:
@@ -373,14 +309,3 @@ def _textures(vertex_colors: Any, face_colors: Any, vertices: Tensor, faces: Ten
         colors = validate.floating("face_colors", as_tensor(face_colors), (len(faces), 3))
         return colors[:, None, None, None].expand(-1, size, size, size, 3)
     return None
-
-
-def _noise(faces: Tensor, size: int) -> Tensor:
-    """Make texture cubes [F, T, T, T, 3] of the first packages, to be optimised through a sigmoid."""
-    return 0.05 * torch.randn(len(faces), size, size, size, 3, device=faces.device)
-
-
-def _white(faces: Tensor, texture_size: int) -> Tensor:
-    """Make white texture cubes [F, T, T, T, 3]."""
-    size = validate.whole("texture_size", texture_size, 1)
-    return torch.ones(len(faces), size, size, size, 3, device=faces.device)

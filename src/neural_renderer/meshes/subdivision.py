@@ -1,9 +1,21 @@
-"""Midpoint subdivision of triangle meshes."""
+"""Subdivision of triangle meshes, midpoint and Loop's, and of what belongs to their faces."""
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import torch
 from torch import Tensor
+
+from .. import validate
+from ..io.cubes import barycentric_grid
+
+SCHEMES = ("midpoint", "loop")
+
+# The corners of the four children of a face (a, b, c), as barycentric weights of a, b and c.
+_A, _B, _C, _AB, _BC, _CA = (1, 0, 0), (0, 1, 0), (0, 0, 1), (0.5, 0.5, 0), (0, 0.5, 0.5), (0.5, 0, 0.5)
+_CHILDREN = ((_A, _AB, _CA), (_AB, _B, _BC), (_CA, _BC, _C), (_AB, _BC, _CA))
 
 
 def split_faces(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -24,3 +36,80 @@ def split_faces(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
     a, b, c = faces.unbind(1)
     children = [torch.stack(face, 1) for face in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
     return edges, torch.stack(children, 1).reshape(-1, 3)
+
+
+def checked_levels(levels: Any, scheme: Any) -> int:
+    """Check the arguments of `Mesh.subdivide`; return the number of levels."""
+    if scheme not in SCHEMES:
+        raise ValueError(f"scheme: expected one of {', '.join(map(repr, SCHEMES))}, got {scheme!r}")
+    return validate.whole("levels", levels, 1)
+
+
+def subdivided(vertices: Tensor, faces: Tensor, scheme: str) -> tuple[Tensor, Tensor]:
+    """Split each face into four.
+
+    Args:
+        vertices: [V, 3] floating.
+        faces: [F, 3] integer, valid indices.
+        scheme: "midpoint" keeps the surface. "loop" moves vertices towards the smooth surface of Loop's scheme; edges
+            that do not have two faces are creases, which become smooth curves, and vertices stay where other than two
+            creases meet.
+
+    Returns:
+        Vertices [V + E, 3], the old ones first, differentiable; and faces [4 F, 3].
+    """
+    edges, split = split_faces(faces.long(), len(vertices))
+    ends = vertices[edges]
+    middle = ends.mean(1)
+    if scheme == "midpoint":
+        return torch.cat((vertices, middle)), split.to(faces.dtype)
+    sides = split.view(-1, 4, 3)[:, 3].flatten() - len(vertices)  # the edges ab, bc, ca of each face
+    across = vertices[faces.long().roll(1, 1).flatten()]  # the vertices opposite of them
+    smooth = torch.bincount(sides, minlength=len(edges)) == 2
+    beyond = torch.zeros_like(middle).index_add(0, sides, across)
+    created = torch.where(smooth[:, None], 0.75 * middle + 0.125 * beyond, middle)
+    return torch.cat((_smoothed(vertices, edges, ends, ~smooth), created)), split.to(faces.dtype)
+
+
+def _smoothed(vertices: Tensor, edges: Tensor, ends: Tensor, creases: Tensor) -> Tensor:
+    """Move the old vertices as Loop's scheme does. ``creases`` [E] tells which edges are not smooth."""
+
+    def neighbours(kept: Tensor) -> tuple[Tensor, Tensor]:
+        """Count the neighbours of each vertex along some edges, and add them up."""
+        number = torch.bincount(edges[kept].flatten(), minlength=len(vertices))[:, None]
+        total = torch.zeros_like(vertices).index_add(0, edges[kept].flatten(), ends[kept].flip(1).flatten(0, 1))
+        return number, total
+
+    number, total = neighbours(torch.ones_like(creases))
+    several = number.clamp(min=1).to(vertices.dtype)
+    weight = (40 - (3 + 2 * torch.cos(2 * math.pi / several)) ** 2) / 64
+    inside = (1 - weight) * vertices + weight * total / several
+    number, total = neighbours(creases)
+    along = 0.75 * vertices + 0.125 * total
+    return torch.where(number == 2, along, torch.where((number == 0) & (several > 1), inside, vertices))
+
+
+def split_corners(values: Tensor) -> Tensor:
+    """Interpolate values of corners [F, 3, C] at the corners of the four children of each face, [4 F, 3, C]."""
+    return torch.einsum("nkj,fjc->fnkc", values.new_tensor(_CHILDREN), values).flatten(0, 1)
+
+
+def split_cubes(cubes: Tensor) -> Tensor:
+    """Sample texture cubes [F, T, T, T, 3] for the four children of each face, [4 F, T, T, T, 3].
+
+    A texel gets the colour that the renderer draws at its place.
+    """
+    size = cubes.shape[1]
+    if size == 1:
+        return cubes.repeat_interleave(4, 0)
+    grid = torch.from_numpy(barycentric_grid(size)).to(cubes)
+    places = torch.einsum("gk,nkj->ngj", grid, cubes.new_tensor(_CHILDREN)) * (size - 1)  # [4, T³, 3]
+    low = places.floor().clamp(max=size - 2)
+    share, low, flat = places - low, low.long(), cubes.flatten(1, 3)
+    result = flat.new_zeros(len(flat), 4, size**3, 3)
+    for corner in range(8):
+        up = torch.tensor([corner >> 2 & 1, corner >> 1 & 1, corner & 1], device=cubes.device)
+        weight = torch.where(up == 1, share, 1 - share).prod(-1)
+        i, j, k = (low + up).unbind(-1)
+        result = result + weight[..., None] * flat[:, (i * size + j) * size + k]
+    return result.reshape(-1, size, size, size, 3)

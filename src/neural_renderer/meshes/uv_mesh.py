@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -18,26 +18,23 @@ from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
 from ..textures.file_materials import arrays_of_materials, attributes_of_file, wrap_of, wrapping
 from ..textures.gutters import fill_gutters
-from ..textures.material import Material
-from ..textures.sample_texture import Wrap, checked_wrap, sampled
-from .mesh import centered
-from .one_image import one_image
+from ..textures.sample_texture import sampled
+from .bounds import centered
 from .pieces import chosen_faces, merged_vertices, used_vertices
+from .subdivision import checked_levels, split_corners, subdivided
+from .uv_data import FACE_ATTRIBUTES, UVMeshData, has_negative
 
 if TYPE_CHECKING:
     from ..deferred import Fragments
 
 
-FACE_ATTRIBUTES = ("uv", "image_index", "colors", "material_index", "normals", "tangents", "uv1")
-"""Attributes of `UVMesh` with one entry for each face; those from `material_index` on may be None."""
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class UVMesh:
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class UVMesh(UVMeshData):
     """Triangle mesh with images as albedo, sampled at every pixel.
 
-    `render` and `fragments` draw it. To optimise a tensor, replace it by one that requires gradients
-    (``dataclasses.replace``).
+    `render` and `fragments` draw it, and what takes a `Mesh` takes it, too. To optimise it, call `trainable`, or
+    replace a tensor by one that requires gradients (``dataclasses.replace``). `batch` of several is a UVMesh whose
+    vertices, faces and attributes of faces have a leading dimension [B, …]; it is for drawing only.
 
     ``UVMesh(vertices, faces, uv, image)`` is a mesh with one image; tensors keep their gradients. The long form
     ``UVMesh(vertices, faces, uv, image_index, images, colors, wraps)`` takes all attributes as they are.
@@ -80,49 +77,6 @@ class UVMesh:
         >>> cube = nr.UVMesh(vertices, faces, uv, image)
         >>> nr.render(cube, camera, 64).rgb.mean().backward()
     """
-
-    vertices: Tensor
-    faces: Tensor
-    uv: Tensor
-    image_index: Tensor
-    images: tuple[Tensor, ...]
-    colors: Tensor
-    wraps: tuple[Wrap, ...]
-    materials: tuple[Material, ...] = ()
-    material_index: Tensor | None = None
-    normals: Tensor | None = None
-    tangents: Tensor | None = None
-    uv1: Tensor | None = None
-
-    def __init__(
-        self,
-        vertices: Any,
-        faces: Any,
-        uv: Any,
-        image_index: Any = None,
-        images: Any = None,
-        colors: Any = None,
-        wraps: Any = None,
-        *,
-        image: Any = None,
-        wrap: Wrap = "repeat",
-        materials: tuple[Material, ...] = (),
-        material_index: Any = None,
-        normals: Any = None,
-        tangents: Any = None,
-        uv1: Any = None,
-    ) -> None:
-        values: tuple[Any, ...] = (vertices, faces, uv, image_index, images, colors, wraps)
-        rest = (images, colors, wraps)
-        if image is not None or all(part is None for part in rest):
-            if image is not None and any(part is not None for part in (image_index, *rest)):
-                raise ValueError(
-                    "image: expected only one of image and image_index, images, colors, wraps, got several"
-                )
-            values = one_image(vertices, faces, uv, image_index if image is None else image, wrap)
-        values = (*values, materials, material_index, normals, tangents, uv1)
-        for part, value in zip(fields(self), values, strict=True):
-            object.__setattr__(self, part.name, value)  # the class is frozen
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], grey: float = 0.5, allow_outside: bool = False) -> UVMesh:
@@ -229,11 +183,13 @@ class UVMesh:
             torch.Size([1, 3, 64, 64])
         """
         self._check()
+        if self.uv.dim() == 4:
+            return self._shade_each(fragments)
         count = len(self.uv)
         corners = torch.arange(3 * count, device=self.uv.device).view(count, 3)
         plain = self.image_index < 0
         parts = []  # images to add up; each is 0 where another one is visible
-        if not self.images or read_once(self.image_index, _has_negative):
+        if not self.images or read_once(self.image_index, has_negative):
             parts.append(fragments.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
         if self.images:
             uv = fragments.interpolate(self.uv.reshape(-1, 2), corners)
@@ -246,43 +202,25 @@ class UVMesh:
                 parts.append(sampled(image[None].float(), uv, own, wrap))
         return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
 
-    def _check(self, always: bool = False) -> None:
-        """Raise TypeError or ValueError unless all attributes fit together; ``always`` as in `validate.finite`."""
-        count = len(self.faces)
-        for name, value, shape in (("uv", self.uv, (count, 3, 2)), ("colors", self.colors, (count, 3, 3))):
-            validate.finite(name, validate.floating(name, value, shape).float(), always)
-        validate.indices("image_index", self.image_index, (count,))
-        for name, several in (("images", self.images), ("wraps", self.wraps)):
-            if not isinstance(several, (tuple, list)):
-                raise TypeError(f"{name}: expected a tuple, got {type(several).__name__}")
-        for image in self.images:
-            validate.finite("images", validate.floating("images", image, ("H", "W", 3)), always)
-            if not image.numel():
-                raise ValueError(f"images: expected at least one pixel in each, got {validate.shape_of(image)}")
-        if len(self.wraps) != len(self.images):
-            raise ValueError(f"wraps: expected {len(self.images)} like images, got {len(self.wraps)}")
-        for wrap in self.wraps:
-            checked_wrap(wrap)
-        self._check_materials(always)
-        _check_index("image_index", self.image_index, "images", len(self.images), always)
-
-    def _check_materials(self, always: bool) -> None:
-        """Check the optional attributes, as `_check`."""
-        count = len(self.faces)
-        for name, width in (("normals", 3), ("tangents", 4), ("uv1", 2)):
-            value = getattr(self, name)
-            if value is not None:
-                validate.finite(name, validate.floating(name, value, (count, 3, width)).float(), always)
-        if not isinstance(self.materials, (tuple, list)):
-            raise TypeError(f"materials: expected a tuple, got {type(self.materials).__name__}")
-        for material in self.materials:
-            if not isinstance(material, Material):
-                raise TypeError(f"materials: expected a Material each, got {type(material).__name__}")
-        if self.material_index is not None:
-            validate.indices("material_index", self.material_index, (count,), always=always)
-            _check_index("material_index", self.material_index, "materials", len(self.materials), always)
-        elif len(self.materials) > 1:
-            raise ValueError(f"material_index: expected [{count}] for {len(self.materials)} materials, got None")
+    def _shade_each(self, fragments: Fragments) -> Tensor:
+        """Apply `shade` to a batch of meshes: each with its own images."""
+        colors = []
+        for row, numbers in enumerate(read_once(self.image_index, _numbers_of_rows)):
+            places = torch.full((len(self.images) + 1,), -1, device=self.uv.device)  # −1 stays −1
+            places[numbers] = torch.arange(len(numbers), device=self.uv.device)
+            mesh = UVMesh(
+                self.vertices[row] if self.vertices.dim() == 3 else self.vertices,
+                self.faces[row] if self.faces.dim() == 3 else self.faces,
+                self.uv[row],
+                places[self.image_index[row]],
+                tuple(self.images[number] for number in numbers),
+                self.colors[row],
+                tuple(self.wraps[number] for number in numbers),
+            )
+            own = slice(None) if len(self.uv) == 1 else slice(row, row + 1)
+            corners, index = fragments.corners[own], fragments.face_index[own]
+            colors.append(mesh.shade(replace(fragments, corners=corners, face_index=index, rings=None)))
+        return torch.cat(colors)
 
     def normalize(self) -> UVMesh:
         """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
@@ -344,6 +282,35 @@ class UVMesh:
         rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
         return replace(self, vertices=self.vertices[rows], faces=faces)
 
+    def subdivide(self, levels: int = 1, scheme: str = "midpoint") -> UVMesh:
+        """Split each face into four, with its texture coordinates, colours and materials.
+
+        Args:
+            levels: As in `Mesh.subdivide`.
+            scheme: As in `Mesh.subdivide`. "loop" drops normals and tangents of the file, which no longer fit.
+
+        Returns:
+            The mesh, with the same images; differentiable in all tensors.
+
+        Raises:
+            TypeError, ValueError: As `Mesh.subdivide`.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> nr.UVMesh.load("sphere.obj").subdivide(scheme="loop").num_faces
+            1280
+        """
+        levels, mesh = checked_levels(levels, scheme), self
+        for _ in range(levels):
+            vertices, faces = subdivided(mesh.vertices, mesh.faces, scheme)
+            own = {name: getattr(mesh, name) for name in FACE_ATTRIBUTES if getattr(mesh, name) is not None}
+            own = {name: v.repeat_interleave(4, 0) if v.dim() == 1 else split_corners(v) for name, v in own.items()}
+            for name in {"normals", "tangents"} & set(own):
+                unit = functional.normalize(own[name][..., :3], dim=-1)
+                own[name] = None if scheme == "loop" else torch.cat((unit, own[name][..., 3:].sign()), -1)
+            mesh = replace(mesh, vertices=vertices, faces=faces, **own)
+        return mesh
+
     def resized(self, side: int) -> UVMesh:
         """Copy the mesh, with all images resized to ``side`` × ``side`` pixels by an antialiasing filter.
 
@@ -366,41 +333,7 @@ class UVMesh:
         resized = [functional.interpolate(image, size, mode="bilinear", antialias=True) for image in images]
         return replace(self, images=tuple(image[0].movedim(0, 2).contiguous() for image in resized))
 
-    def to(self, device: torch.device | str) -> UVMesh:
-        """Copy the mesh to another device.
 
-        Args:
-            device: Device of the copy.
-
-        Returns:
-            The copy. Gradients flow back to the original.
-
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.obj")
-            >>> sphere = nr.UVMesh.load("sphere.obj").to("cuda" if torch.cuda.is_available() else "cpu")
-        """
-
-        def moved(value: Any) -> Any:
-            if isinstance(value, tuple):
-                return tuple(map(moved, value))
-            return value.to(device) if isinstance(value, (Tensor, Material)) else value
-
-        return replace(self, **{part.name: moved(getattr(self, part.name)) for part in fields(self)})
-
-
-def _has_negative(index: Tensor) -> bool:
-    return bool((index < 0).any())
-
-
-def _check_index(name: str, index: Tensor, what: str, count: int, always: bool) -> None:
-    """Raise ValueError unless an index for each face is in [−1, count); ``always`` as in `validate.finite`."""
-    if not len(index) or not (always or validate.values_are_checked(index)):
-        return
-
-    def check() -> None:
-        low, high = (int(value) for value in torch.aminmax(index))
-        if low < -1 or high >= count:
-            raise ValueError(f"{name}: expected one of {count} {what} or -1, got {low if low < -1 else high}")
-
-    if always or not validate.postponed(index, lambda: ((index < -1) | (index >= count)).any(), check):
-        check()
+def _numbers_of_rows(index: Tensor) -> list[list[int]]:
+    """Find the images that each mesh of a batch uses."""
+    return [sorted({number for number in row if number >= 0}) for row in index.tolist()]

@@ -21,5 +21,5 @@ def lamp_direction(camera: Camera, lamp: tuple[float, float, float] = LAMP) -> T
     Returns:
         [3] float32, unit vector in world space, as `Light.direction` takes it.
     """
-    right, up, forward = camera.rotation[0]
+    right, up, forward = camera.axes[0]
     return F.normalize(lamp[0] * right + lamp[1] * up - lamp[2] * forward, dim=0)

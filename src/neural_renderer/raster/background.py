@@ -17,8 +17,9 @@ def background_image(background: Any, batch: int, channels: int, settings: Setti
     """Check a background and bring it to a shape that broadcasts to the images before anti-aliasing.
 
     Args:
-        background: Number; colour [C] or [B, C]; or image [C, height, width] or [B, C, height, width] of the size that
-            is returned. Array-likes are converted. uint8 is refused: its numbers are in [0, 255].
+        background: Number; colour [C] or [B, C]; or image [C, height, width] or [height, width, C], or a batch of them,
+            of the size that is returned. What fits both has its channels first. Array-likes are converted. uint8 is
+            refused: its numbers are in [0, 255].
         batch: Number of images B.
         channels: Number of channels C.
         settings: Size and anti-aliasing of the images.
@@ -51,17 +52,16 @@ def background_image(background: Any, batch: int, channels: int, settings: Setti
     color = color.expand(channels) if color.dim() == 0 else color
     shape = tuple(color.shape)
     image = (channels, height, width)
+    if shape[-3:] == (height, width, channels) and shape[-3:] != image:
+        color = color.movedim(-1, -3)
+        shape = tuple(color.shape)
     if shape == (channels,) or (len(shape) == 2 and shape[0] in (1, batch) and shape[1] == channels):
         return color.reshape(-1, channels, 1, 1)
     if shape == image or (len(shape) == 4 and shape[0] in (1, batch) and shape[1:] == image):
         color = color.reshape(-1, *image)
         return color.repeat_interleave(2, 2).repeat_interleave(2, 3) if settings.anti_aliasing else color
-    if shape[-3:] == (height, width, channels):
-        raise ValueError(
-            f"background: expected channels first, {list(image)}, got {list(shape)}; "
-            "background.movedim(-1, -3) converts it"
-        )
+    hint = "; background[..., :3] is without transparency" if (channels, shape[-1:]) == (3, (4,)) else ""
     raise ValueError(
-        f"background: expected a number, [{channels}], [{batch}, {channels}], {list(image)} or {[batch, *image]}, "
-        f"got {list(shape)}"
+        f"background: expected a number, [{channels}], [{batch}, {channels}], {list(image)}, "
+        f"{[height, width, channels]} or a batch of {batch} of these, got {list(shape)}{hint}"
     )

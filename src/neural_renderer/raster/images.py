@@ -1,13 +1,15 @@
-"""Rendered images: colour, silhouettes and depth."""
+"""Rendered images: colour, silhouettes and depth, and what they show of the surface."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from torch import Tensor
 
 OUTPUTS = ("rgb", "alpha", "depth")
+SURFACE = ("normal", "position", "uv", "face_index", "barycentric")
+"""Outputs of `render` alone."""
 
 
 class _Outputs(NamedTuple):
@@ -21,13 +23,25 @@ class _Outputs(NamedTuple):
 class Images(_Outputs):
     """Rendered images. Row 0 is at the top.
 
-    Unpacking gives three values, ``rgb, alpha, depth = images``, with None for an output that was not requested.
-    Images may be changed in place before ``backward``.
+    Unpacking gives three values, ``rgb, alpha, depth = images``, with None for an output that was not requested; the
+    others are attributes only. Images may be changed in place before ``backward``.
+
+    Anti-aliasing averages ``rgb``, ``alpha``, ``depth``, ``normal``, ``position`` and ``uv`` over 2 x 2 points in a
+    pixel, with the background where no face is visible; so the mean of the visible part of ``position`` is ``position /
+    alpha``. All these have gradients, also through visibility. ``face_index`` and ``barycentric`` are those at the
+    centre of the pixel, with or without anti-aliasing.
 
     Attributes:
         rgb: Colours, [B, 3, H, W] float32.
         alpha: Silhouettes, [B, H, W] float32: 1 where a face is visible, 0 elsewhere, in between at smoothed outlines.
         depth: Depth along the viewing axis in world units, [B, H, W] float32; ``far`` where no face is visible.
+        normal: Unit normals in world space, [B, 3, H, W] float32, of the visible side of the surface: of the face for
+            ``shading="flat"``, else smooth, without normal maps. 0 where no face is visible.
+        position: Points of the surface in world space, [B, 3, H, W] float32; 0 where no face is visible.
+        uv: Texture coordinates of a `UVMesh`, [B, 2, H, W] float32, v up; 0 where no face is visible.
+        face_index: Visible face, [B, H, W] int32; -1 for none. It has no gradient.
+        barycentric: Weights of the face's corners at the point in space, [B, 3, H, W] float32; their sum is 1, or 0
+            where no face is visible. They have gradients inside faces, none through visibility.
 
     Raises:
         AttributeError: In reading an output that was not requested.
@@ -36,9 +50,16 @@ class Images(_Outputs):
         >>> images = nr.render(mesh, camera, 32, outputs=("rgb", "alpha"))
         >>> images.rgb.shape, hasattr(images, "depth")
         (torch.Size([1, 3, 32, 32]), False)
+        >>> nr.render(mesh, camera, 32, outputs=("normal", "face_index")).normal.shape
+        torch.Size([1, 3, 32, 32])
     """
 
-    __slots__ = ()
+    if TYPE_CHECKING:
+        normal: Tensor
+        position: Tensor
+        uv: Tensor
+        face_index: Tensor
+        barycentric: Tensor
 
     @property
     def rgb(self) -> Tensor:
@@ -58,19 +79,27 @@ class Images(_Outputs):
     def _drawn(self, index: int) -> Tensor:
         image = self[index]
         if image is None:
-            name, drawn = OUTPUTS[index], [name for name, value in zip(OUTPUTS, self, strict=True) if value is not None]
-            raise AttributeError(
-                f"{name}: expected an output that was requested, got images of {', '.join(drawn) or 'nothing'}; "
-                f'add "{name}" to outputs'
-            )
+            raise self._missing(OUTPUTS[index])
         return image
 
+    def __getattr__(self, name: str) -> Tensor:
+        if name in OUTPUTS + SURFACE:
+            raise self._missing(name)
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
-def checked_outputs(outputs: Collection[str]) -> Collection[str]:
+    def _missing(self, name: str) -> AttributeError:
+        drawn = [output for output, value in zip(OUTPUTS, self, strict=True) if value is not None] + list(vars(self))
+        return AttributeError(
+            f"{name}: expected an output that was requested, got images of {', '.join(drawn) or 'nothing'}; "
+            f'add "{name}" to outputs'
+        )
+
+
+def checked_outputs(outputs: Collection[str], known: tuple[str, ...] = OUTPUTS) -> Collection[str]:
     """Return the names of outputs as a tuple or raise TypeError or ValueError."""
     if not isinstance(outputs, Collection) or getattr(outputs, "ndim", 1) != 1:
-        raise TypeError(f"outputs: expected some of {', '.join(OUTPUTS)}, got {type(outputs).__name__}")
+        raise TypeError(f"outputs: expected some of {', '.join(known)}, got {type(outputs).__name__}")
     names = (outputs,) if isinstance(outputs, str) else tuple(outputs)
-    if not names or any(not isinstance(name, str) or name not in OUTPUTS for name in names):
-        raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)}, got {', '.join(map(str, names)) or 'none'}")
+    if not names or any(not isinstance(name, str) or name not in known for name in names):
+        raise ValueError(f"outputs: expected some of {', '.join(known)}, got {', '.join(map(str, names)) or 'none'}")
     return names

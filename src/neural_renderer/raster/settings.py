@@ -176,8 +176,9 @@ def image_size(name: str, size: Any) -> tuple[int, int]:
         ValueError: Another count or range of sides.
     """
     pair = size if isinstance(size, (tuple, list)) else (size, size)
-    if len(pair) != 2:
-        raise ValueError(f"{name}: expected a side or (height, width), got {size!r}")
+    if len(pair) != 2 or any(isinstance(side, (tuple, list)) for side in pair):
+        several = "; images of different sizes are drawn by a call each" if isinstance(pair[0], (tuple, list)) else ""
+        raise ValueError(f"{name}: expected a side or (height, width), got {size!r}{several}")
     sides = []
     for side in pair:
         if isinstance(side, bool) or int(validate.number(name, side)) != side:

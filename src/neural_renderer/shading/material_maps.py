@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from ..meshes.uv_mesh import UVMesh
 from ..textures.material import Material, Texture
 from .normal_maps import bumped, corner_tangents
-from .visible_surface import VisibleSurface
+from .visible_surface import VisibleSurface, at_pixels
 
 if TYPE_CHECKING:
     from ..deferred import Fragments
@@ -29,8 +28,8 @@ class MaterialMaps:
             self.materials = self.materials[:1]
         else:
             # Face −1 (background) and material −1 are the entry at the end.
-            index = functional.pad(mesh.material_index.long(), (0, 1), value=-1)
-            self.shown = index[fragments.face_index.long()] % len(self.materials)
+            index = mesh.material_index.long().reshape(-1, mesh.num_faces)
+            self.shown = (at_pixels(index + 1, fragments.face_index)[..., 0] - 1) % len(self.materials)
 
     def factor(self, name: str) -> Tensor:
         """Return a factor of the materials at every pixel, [B, H, W, C], or [1, 1, 1, C] if it is the same."""
@@ -87,15 +86,21 @@ class MaterialMaps:
         tangents = mesh.tangents
         if tangents is None or uv_set:
             uv = mesh.uv1 if uv_set and mesh.uv1 is not None else mesh.uv
-            tangents = corner_tangents(mesh.vertices, mesh.faces, uv, mesh.normals)
-        return self.fragments.interpolate(tangents[None])
+            if uv.dim() == 4:
+                faces = mesh.faces.clamp(min=0)  # those of the padding are not drawn
+                normals = [None] * len(uv) if mesh.normals is None else mesh.normals
+                rows = zip(mesh.vertices, faces, uv, normals, strict=True)
+                tangents = torch.stack([corner_tangents(*row) for row in rows])
+            else:
+                tangents = corner_tangents(mesh.vertices, mesh.faces, uv, mesh.normals)
+        return self.fragments.interpolate(tangents if tangents.dim() == 4 else tangents[None])
 
     def _sample(self, number: int, texture: Texture) -> Tensor:
         """Sample a texture where its material is visible, [B, H, W, C]; 0 elsewhere."""
         mesh = self.mesh
         if texture.uv_set not in self._uv:
             uv = mesh.uv1 if texture.uv_set and mesh.uv1 is not None else mesh.uv
-            self._uv[texture.uv_set] = self.fragments.interpolate(uv[None])
+            self._uv[texture.uv_set] = self.fragments.interpolate(uv if uv.dim() == 4 else uv[None])
         face_index = self.fragments.face_index
         if self.shown is not None:
             face_index = torch.where(self.shown == number, face_index, -1)

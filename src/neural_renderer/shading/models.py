@@ -101,5 +101,5 @@ def surface_edge_hashes(mesh: UVMesh) -> Tensor:
         if values is not None:
             hashes = hashes + attribute_edge_hashes(values)
     if mesh.material_index is not None:
-        hashes = hashes + attribute_edge_hashes(mesh.material_index[:, None, None].expand(-1, 3, 1))
+        hashes = hashes + attribute_edge_hashes(mesh.material_index[..., None, None].repeat_interleave(3, -2))
     return torch.where(hashes == 0, 1, hashes)  # 0 matches nothing

@@ -85,7 +85,8 @@ class VisibleSurface:
             points, pointing = fragments.interpolate(both, fragments.triangles).split(3, -1)
         else:
             points = fragments.interpolate(vertices)
-            pointing = fragments.interpolate(validate.floating("normals", normals, (len(faces), 3, 3))[None])
+            normals = normals if normals.dim() == 4 else normals[None]
+            pointing = fragments.interpolate(validate.floating("normals", normals, ("B", faces.shape[-2], 3, 3)))
         eye = _eye(camera, points)
         views = functional.normalize(eye - points, dim=-1, eps=_EPS) if camera.perspective else eye
         corners = world_corners(vertices, faces, len(fragments.corners), in_range=True).detach()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,19 +11,38 @@ import tyro
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """Draw a mesh file as a picture (.png, .jpg) or a turntable (.gif, .mp4).
+    """Draw mesh files as a picture (.png, .jpg) or an animation (.gif, .mp4), or save what the pixels show.
 
     Example: neural-renderer render bunny.obj -o bunny.png --size 512
 
     Example: neural-renderer render bunny.obj -o bunny.gif --turntable 60
+
+    Example: neural-renderer render chair.glb table.glb -o room.png --camera cameras.json --background room.jpg
+
+    Example: neural-renderer render bunny.obj --save depth depth.png normal normal.exr position position.npy
     """
 
-    mesh: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]
-    """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Picture to write: .png or .jpg; .gif or .mp4 for a turntable. Must not be a texture of the mesh."""
-    size: int | tuple[int, int] = 512
-    """Side of the picture, or height and width, in pixels (1 to 32768)."""
+    meshes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MESH", name="MESH")]
+    """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf. Several are drawn as one scene."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Picture to write: .png or .jpg; .gif or .mp4 for an animation. Must not be a texture of a mesh."""
+    save: dict[Literal["rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"], Path] = field(
+        default_factory=dict
+    )
+    """Outputs and the files to write: .npy, .exr (needs the extra "exr"), or .png for all but position, uv and
+    face_index. rgb and alpha are anti-aliased, the others are those at the pixels' centres; 0 where no face is visible,
+    -1 for face_index. Normals (smooth) and positions are in world space; depth is along the viewing axis."""
+    depth_scale: float = 1000.0
+    """Steps of a 16-bit depth .png for one unit of the model (above 0): with 1000, metres are stored in millimetres."""
+    camera: Path | None = None
+    """Camera file, in place of the angles below: transforms.json, cameras.json or cameras.csv as for `fit`; the
+    report.json of fit --recover camera; or JSON with K, R, t, width and height, or with matrices. The page on cameras
+    describes all. The model is not normalised. A picture shows one camera, an animation all."""
+    frame: int = 0
+    """Number of the camera in the file, from 0, for a picture."""
+    size: int | tuple[int, int] | None = None
+    """Side of the picture, or height and width, in pixels (1 to 32768). By default the size in the camera file, or that
+    of the background photograph, or 512."""
     azimuth: float = 150.0
     """Position of the camera around the y axis in degrees: 180 is at +z, in front of most models; 90 at +x; 0 at -z."""
     elevation: float = 20.0
@@ -41,17 +60,17 @@ class RenderOptions:
     """Number of pictures of a turntable (at least 1), from the azimuth on. 60 by default for an animation."""
     fps: float = 20.0
     """Pictures per second of an animation (above 0)."""
-    background: Literal["white", "black", "transparent"] | tuple[float, float, float] | None = None
-    """Background of the modes rgb and normals: a name, or red, green and blue from 0 to 1. Transparent needs .png. The
-    default is white."""
+    background: Literal["white", "black", "transparent"] | tuple[float, float, float] | Path | None = None
+    """Background of the modes rgb and normals: a name; red, green and blue from 0 to 1; or a photograph, which is
+    scaled to the picture. Transparent needs .png. The default is white."""
     light: bool = True
     """Light the model from over the viewer's shoulder. Without light, colours are drawn unchanged."""
     normalize: bool = True
-    """Move the model to the origin and scale its longest side to 2 units."""
+    """Move the model to the origin and scale its longest side to 2 units. Several meshes are moved together."""
     texture_size: int | None = None
     """Bake colours into textures with this number of texels along the edge of a face (at least 1), as `Mesh.load` does.
     By default the images of the file are used directly."""
     allow_outside: bool = False
-    """Allow the mesh file to name materials and images outside of its folder. For trusted files only."""
+    """Allow the mesh files to name materials and images outside of their folders. For trusted files only."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device to compute on; auto is CUDA if available."""

@@ -54,18 +54,18 @@ def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> 
     one part in 4000. A face without an image matches no other face.
 
     Args:
-        uv: Texture coordinates of the corners, [F, 3, 2] float32.
-        image_index: Texture image of each face, [F] int64; -1 for none.
+        uv: Texture coordinates of the corners, [F, 3, 2] or [B, F, 3, 2] float32.
+        image_index: Texture image of each face, [F] or [B, F] int64; -1 for none.
         light: Factors on the front and the back of each face, [B, 2, F, 3]; None for 1.
 
     Returns:
         [1 or B, F, 3, 2] int64, as from `texture_edge_hashes`.
     """
-    hashes = _along(
-        _hash(torch.cat((_bits(uv.detach()).long(), image_index.long()[:, None, None].expand(-1, 3, 1)), 2))
-    )
-    own = _hash(torch.arange(len(uv), device=uv.device)[:, None] + 1)[:, None, None]
-    hashes = _mixed(torch.where(image_index[:, None, None] < 0, own, hashes))[None]
+    uv, image = (uv, image_index) if uv.dim() == 4 else (uv[None], image_index[None])
+    corners = _hash(torch.cat((_bits(uv.detach()).long(), image.long()[..., None, None].expand(-1, -1, 3, 1)), 3))
+    hashes = _along(corners)
+    own = _hash(torch.arange(uv.shape[1], device=uv.device)[:, None] + 1)[:, None, None]
+    hashes = _mixed(torch.where(image[..., None, None] < 0, own, hashes))
     return _never_zero(hashes if light is None else hashes + _light_hash(light))
 
 
@@ -73,18 +73,20 @@ def attribute_edge_hashes(values: Tensor) -> Tensor:
     """Hash attributes of corners along each edge, to add to the hashes of colours that depend on them.
 
     Args:
-        values: Attributes of the corners, [F, 3, C] float32; equal ones match to about one part in 4000.
+        values: Attributes of the corners, [F, 3, C] or [B, F, 3, C] float32; equal ones match to about one part in
+            4000.
 
     Returns:
-        [1, F, 3, 2] int64.
+        [1 or B, F, 3, 2] int64.
     """
-    return _mixed(_along(_hash(_digits(values.detach()).long())))[None]
+    hashes = _mixed(_along(_hash(_digits(values.detach()).long())))
+    return hashes if values.dim() == 4 else hashes[None]
 
 
 def _along(corners: Tensor) -> Tensor:
-    """Combine hashes of corners, [F, 3], to those of edges in both directions, [F, 3, 2]."""
-    following = corners.roll(-1, 1)
-    return torch.stack((corners * _THERE + following * _BACK, following * _THERE + corners * _BACK), 2)
+    """Combine hashes of corners, [..., F, 3], to those of edges in both directions, [..., F, 3, 2]."""
+    following = corners.roll(-1, -1)
+    return torch.stack((corners * _THERE + following * _BACK, following * _THERE + corners * _BACK), -1)
 
 
 def _light_hash(light: Tensor) -> Tensor:

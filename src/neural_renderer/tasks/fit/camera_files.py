@@ -1,13 +1,16 @@
-"""Camera files of posed images, in the format of NeRF or with distances and angles.
+"""Camera files of posed images, in the format of NeRF, with distances and angles, or with matrices.
 
 ``transforms.json`` is the format of NeRF. Intrinsics are given for all frames or for each: ``camera_angle_x`` (whole
 horizontal field of view in radians), or ``fl_x``, ``fl_y``, ``cx``, ``cy``, ``w``, ``h`` in pixels; and optionally the
-distortion ``k1``, ``k2``, ``p1``, ``p2``, ``k3``. Each of the ``frames`` has ``file_path``, ``transform_matrix``
-(camera to world [4, 4]; the camera looks along −z, +y is up) and optionally ``mask_path``.
+distortion ``k1``, ``k2``, ``p1``, ``p2``, ``k3``, or ``k1`` to ``k4`` with ``"camera_model": "OPENCV_FISHEYE"``. Each
+of the ``frames`` has ``file_path``, ``transform_matrix`` (camera to world [4, 4]; the camera looks along −z, +y is up)
+and optionally ``mask_path``.
 
 ``cameras.json`` is ``{"viewing_angle": 30, "views": [{"file": "000.png", "azimuth": 0, "elevation": 30, "distance":
 2.7}, …]}``; ``cameras.csv`` has these columns. ``mask`` is optional. Angles are in degrees, as in
 `get_points_from_angles`. ``viewing_angle`` is half the vertical field of view; the default is 30.
+
+The module `camera_entries` describes files with matrices. Their entries may have ``file`` and ``mask``, too.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from ... import validate
 from ...camera import Camera, get_points_from_angles
 from ...io.files import read_text, reason, short
 from ...io.named_files import is_file, is_outside, outside_error
+from .camera_entries import KINDS, entry_camera, entry_size
 
 _CAMERA_FILES = ("transforms.json", "transforms_train.json", "cameras.json", "cameras.csv")
 _LARGEST = torch.finfo(torch.float32).max
@@ -38,7 +42,7 @@ class Frame:
 
     Attributes:
         where: Place in the camera file, for messages.
-        image: Image file.
+        image: Image file; the camera file itself if images are not needed.
         mask: Mask file, or None.
         numbers: All keys of the entry.
     """
@@ -61,8 +65,39 @@ def camera_file(path: Path) -> Path:
     raise FileNotFoundError(f"{path}: expected one of {', '.join(_CAMERA_FILES)} in the folder, got none")
 
 
-def read_frames(path: Path, allow_outside: bool) -> tuple[dict[str, Any], list[Frame]]:
-    """Parse a camera file: the keys for all images, and the entry of each image."""
+def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, tuple[int, int] | None]:
+    """Load the cameras of a file, whether or not its images are there.
+
+    Args:
+        path: Camera file, or a folder that contains one.
+        size: Height and width of the images in pixels, where the file does not say it.
+
+    Returns:
+        The cameras, on the CPU, and the height and width of the first image, if the file says it.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ValueError: The file is malformed, or the lens needs a size and there is none.
+    """
+    path = camera_file(path)
+    common, frames = read_frames(path, allow_outside=False, images=False)
+    given = {**common, **frames[0].numbers}
+    own = entry_size(frames[0].where, given)
+    if own is None and "w" in given and "h" in given:
+        pair = (_above_zero(frames[0].where, given, key) for key in ("h", "w"))
+        own = tuple(round(side) for side in pair)  # type: ignore[assignment]
+    if own is None and size is None and any("K" in frame.numbers or "fl_x" in given for frame in frames):
+        keys = "w and h" if "frames" in common else "width and height"
+        raise ValueError(f"{path}: expected the keys {keys}, or a size of the picture, got neither")
+    full = own or size or (1, 1)
+    return make_camera(path, common, frames, full), own
+
+
+def read_frames(path: Path, allow_outside: bool, images: bool = True) -> tuple[dict[str, Any], list[Frame]]:
+    """Parse a camera file: the keys for all images, and the entry of each image.
+
+    Without ``images``, the entries need not name images that exist.
+    """
     if path.suffix.lower() == ".csv":
         try:
             rows: list[Any] = list(csv.DictReader(read_text(path).splitlines(), skipinitialspace=True))
@@ -74,9 +109,14 @@ def read_frames(path: Path, allow_outside: bool) -> tuple[dict[str, Any], list[F
             common = json.loads(read_text(path))
         except (ValueError, RecursionError) as error:
             raise ValueError(f"{path}: expected JSON, got {reason(error)}") from None
-        if not isinstance(common, dict) or not ("frames" in common or "views" in common):
-            raise ValueError(f'{path}: expected the key "frames" (NeRF) or "views", got neither')
-        rows = common["frames" if "frames" in common else "views"]
+        if isinstance(common, dict) and isinstance(common.get("camera"), dict):  # report.json of fit
+            common = common["camera"]
+        if isinstance(common, dict) and any(kind in common for kind in KINDS):
+            common = {"cameras": [common]}
+        kind = next((key for key in ("frames", "views", "cameras") if isinstance(common, dict) and key in common), None)
+        if kind is None:
+            raise ValueError(f'{path}: expected the key "frames" (NeRF), "views" or "cameras", got none of them')
+        rows = common[kind]
     if not isinstance(rows, list) or not rows:
         raise ValueError(f"{path}: expected at least one image, got none")
     image_key, mask_key = ("file_path", "mask_path") if "frames" in common else ("file", "mask")
@@ -85,8 +125,8 @@ def read_frames(path: Path, allow_outside: bool) -> tuple[dict[str, Any], list[F
         where = f"{path}: image {index}"
         if not isinstance(row, dict):
             raise ValueError(f"{where}: expected an object with keys, got {type(row).__name__}")
-        image = _file(path, _key(where, row, image_key), allow_outside)
-        mask = _file(path, row[mask_key], allow_outside) if row.get(mask_key) else None
+        image = _file(path, _key(where, row, image_key), allow_outside) if images else path
+        mask = _file(path, row[mask_key], allow_outside) if images and row.get(mask_key) else None
         frames.append(Frame(where, image, mask, row))
     return common, frames
 
@@ -144,6 +184,8 @@ def make_camera(path: Path, common: dict[str, Any], frames: list[Frame], size: t
     Raises:
         ValueError: A key is missing or out of range; the message names the place in the file.
     """
+    if "cameras" in common:
+        return Camera.cat([entry_camera(frame.where, frame.numbers, size) for frame in frames])
     return (_nerf_camera if "frames" in common else _angles_camera)(path, common, frames, size)
 
 
@@ -165,12 +207,13 @@ def _angles_camera(path: Path, common: dict[str, Any], frames: list[Frame], full
 
 def _nerf_camera(path: Path, common: dict[str, Any], frames: list[Frame], full: tuple[int, int]) -> Camera:
     """Make calibrated cameras (``transforms.json``)."""
-    matrices, lenses, distortions = [], [], []
+    matrices, lenses, distortions, fisheye = [], [], [], []
     for frame in frames:
         given = {**{k: v for k, v in common.items() if k != "frames"}, **frame.numbers}
         matrices.append(_pose(frame))
-        if "FISHEYE" in str(given.get("camera_model", "")).upper() or _number(frame.where, given, "k4", 0.0):
-            raise ValueError(f"{frame.where}: expected a pinhole lens with k1, k2, p1, p2 and k3, got a fisheye lens")
+        fisheye.append("FISHEYE" in str(given.get("camera_model", "")).upper())
+        if not fisheye[-1] and _number(frame.where, given, "k4", 0.0):
+            raise ValueError(f"{frame.where}: expected k1, k2, p1, p2 and k3, got k4 without a fisheye in camera_model")
         width, height = _above_zero(frame.where, given, "w", full[1]), _above_zero(frame.where, given, "h", full[0])
         if "fl_x" in given:
             across = _above_zero(frame.where, given, "fl_x")
@@ -185,11 +228,16 @@ def _nerf_camera(path: Path, common: dict[str, Any], frames: list[Frame], full: 
         cx, cy = _number(frame.where, given, "cx", width / 2), _number(frame.where, given, "cy", height / 2)
         sx, sy = full[1] / width, full[0] / height  # images may have been scaled since their calibration
         lenses.append([[across * sx, 0.0, cx * sx], [0.0, down * sy, cy * sy], [0.0, 0.0, 1.0]])
-        distortions.append([_number(frame.where, given, key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")])
+        keys = ("k1", "k2", "k3", "k4") if fisheye[-1] else ("k1", "k2", "p1", "p2", "k3")
+        distortions.append([_number(frame.where, given, key, 0.0) for key in keys])
+    if len(set(fisheye)) > 1:
+        raise ValueError(f"{path}: expected all lenses to be fisheyes or none, got both")
     pose, distortion = torch.tensor(matrices), torch.tensor(distortions)
     # OpenGL's camera looks along −z with y up; OpenCV's looks along z with y down.
     rotation = torch.diag(torch.tensor([1.0, -1.0, -1.0])) @ pose[:, :3, :3].transpose(1, 2)
     translation = -torch.einsum("bij,bj->bi", rotation, pose[:, :3, 3])
+    if fisheye[0]:
+        return Camera.fisheye(torch.tensor(lenses), rotation, translation, distortion, orig_size=full)
     coefficients = distortion if bool(distortion.any()) else None
     return Camera.projection(torch.tensor(lenses), rotation, translation, coefficients, orig_size=full)
 

@@ -1,0 +1,80 @@
+"""Images of the visible surface: normals, positions, texture coordinates, faces and weights at every pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .camera import Camera
+from .deferred import Fragments, visible_fragments
+from .meshes.batch import mesh_parts
+from .meshes.normals import face_normals
+from .meshes.uv_mesh import UVMesh
+from .raster.faces import checked_faces, world_corners
+from .raster.images import SURFACE
+from .shading.visible_surface import VisibleSurface
+
+
+def surface_outputs(outputs: Collection[str], mesh: Any, has_camera: bool) -> list[str]:
+    """Choose the outputs that `surface_images` makes; raise ValueError for those that the scene does not have."""
+    names = [name for name in outputs if name in SURFACE]
+    if "uv" in names and not isinstance(mesh, UVMesh):
+        raise ValueError(f'outputs: expected a UVMesh for "uv", got {type(mesh).__name__}')
+    placed = [name for name in names if name in ("normal", "position")]
+    if placed and not has_camera:
+        raise ValueError(f'outputs: expected a camera for "{placed[0]}", got None: clip space is not the world')
+    return names
+
+
+def surface_images(
+    names: Collection[str], visible: Fragments, screen: Tensor, mesh: Any, camera: Camera, smooth: bool
+) -> dict[str, Tensor]:
+    """Make images of the visible surface; `Images` explains each.
+
+    Args:
+        names: Some of `SURFACE`.
+        visible: Fragments of the mesh.
+        screen: Vertices of the mesh on the screen, [B, V, 3].
+        mesh: As in `render`.
+        camera: The camera of the fragments.
+        smooth: Whether normals are smooth, else those of faces.
+
+    Returns:
+        The images, by name.
+    """
+    settings = visible.settings
+    images: dict[str, Tensor] = {}
+    if "face_index" in names or "barycentric" in names:
+        centres = visible
+        if settings.anti_aliasing:
+            centres = visible_fragments(screen, visible.triangles, replace(settings, anti_aliasing=False), 4)
+        images["face_index"] = centres.face_index.clone()
+        images["barycentric"] = centres.weights.movedim(3, 1).contiguous()
+    # Only "edge" differentiates shading inside faces.
+    inside = visible if settings.gradient == "edge" else replace(visible, corners=visible.corners.detach())
+    values: dict[str, Tensor] = {}
+    if "normal" in names or "position" in names:
+        surface = VisibleSurface.of(inside, mesh, camera)
+        normals = surface.normals if smooth else _flat_normals(inside, mesh) * surface.sides
+        values |= {"normal": normals, "position": surface.points}
+    if "uv" in names:
+        values["uv"] = inside.interpolate(mesh.uv if mesh.uv.dim() == 4 else mesh.uv[None])
+    values = {name: value for name, value in values.items() if name in names}
+    if values:
+        jumps = "uv" in values or ("normal" in values and not smooth)
+        together = visible.composite(torch.cat(list(values.values()), -1), seams=jumps)
+        parts = together.split([value.shape[-1] for value in values.values()], 1)
+        # Copies: autograd forbids in-place changes of one of several views.
+        images |= {name: part.clone() for name, part in zip(values, parts, strict=True)}
+    return {name: images[name] for name in names}
+
+
+def _flat_normals(fragments: Fragments, mesh: Any) -> Tensor:
+    """Compute the normal of the visible face at every pixel, [B, H, W, 3], of its front."""
+    vertices, faces, _ = mesh_parts(mesh)
+    corners = world_corners(vertices, checked_faces(faces), len(fragments.corners), in_range=True)
+    return fragments.interpolate(-face_normals(corners.float())[:, :, None].expand(-1, -1, 3, -1))

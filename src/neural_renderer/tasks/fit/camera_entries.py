@@ -1,0 +1,75 @@
+"""Cameras of files that give matrices: K, R and t, view matrices, matrices to clip space, or an eye and a direction.
+
+A file is one camera, or ``{"cameras": [{…}, …]}``. Each has one of
+
+- ``K``, ``R``, ``t`` of OpenCV, and optionally ``dist_coeffs``: five numbers, or four with ``"fisheye": true``;
+- ``world_to_camera`` or ``camera_to_world``, [3, 4] or [4, 4], and optionally ``convention`` (as in
+  `Camera.from_matrix`; the default is "opencv"), with ``K`` and so on, ``viewing_angle`` (half, vertical, in degrees),
+  or ``"orthographic": true`` and ``scale``;
+- ``clip``, [4, 4], as in `Camera.from_clip`;
+- ``eye``, ``direction``, ``up`` and ``viewing_angle``, as in `Camera.look` and in ``report.json`` of fit.
+
+``width`` and ``height`` are the size in pixels of the image that K describes, and of the picture.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...camera import Camera
+from ...io.files import short
+
+KINDS = ("K", "world_to_camera", "camera_to_world", "clip", "eye")
+_KEYS = {
+    "K": ("R", "t", "dist_coeffs", "fisheye"),
+    "world_to_camera": ("convention", "K", "dist_coeffs", "fisheye", "viewing_angle", "orthographic", "scale"),
+    "clip": (),
+    "eye": ("direction", "up", "viewing_angle"),
+}
+_KEYS["camera_to_world"] = _KEYS["world_to_camera"]
+_FREE = ("width", "height", "file", "mask")
+
+
+def entry_camera(where: str, entry: dict[str, Any], size: tuple[int, int] | None) -> Camera:
+    """Make the camera of an entry.
+
+    Args:
+        where: Place in the file, for messages.
+        entry: Keys and values.
+        size: Height and width in pixels, if the entry has none.
+
+    Raises:
+        ValueError: A key is missing or unknown, or a value does not fit; the message names the place.
+    """
+    # A matrix comes before K, which is then its lens.
+    kind = next((name for name in (*KINDS[1:], "K") if name in entry), None)
+    if kind is None:
+        raise ValueError(f"{where}: expected one of the keys {', '.join(KINDS)}, got {short(', '.join(entry))}")
+    unknown = [name for name in entry if name not in (kind, *_KEYS[kind], *_FREE)]
+    if unknown:
+        raise ValueError(f"{where}: expected the keys {', '.join((kind, *_KEYS[kind]))}, got {short(unknown[0])}")
+    own = {name: value for name, value in entry.items() if name not in _FREE}
+    if "K" in own:
+        own["orig_size"] = entry_size(where, entry) or size
+    try:
+        if kind == "clip":
+            return Camera.from_clip(own["clip"])
+        if kind == "eye":
+            return Camera.look(**own)
+        if kind != "K":
+            return Camera.from_matrix(**own)
+        make = Camera.fisheye if own.pop("fisheye", False) else Camera.projection
+        return make(**own)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def entry_size(where: str, entry: dict[str, Any]) -> tuple[int, int] | None:
+    """Return the height and width of an entry in pixels, or None if it has neither."""
+    pair = entry.get("height"), entry.get("width")
+    if pair == (None, None):
+        return None
+    height, width = pair
+    if not all(isinstance(side, int) and not isinstance(side, bool) and side > 0 for side in pair):
+        raise ValueError(f"{where}: expected width and height in pixels, got {width!r} and {height!r}")
+    return height, width  # type: ignore[return-value]
