@@ -24,6 +24,7 @@ from .textures.gutters import fill_gutters
 from .textures.sample_texture import sample_texture
 from .validate import check_values
 from .version import __version__
+from .viewer.viewer import Viewer, view
 
 __all__ = [
     "Adam",
@@ -37,6 +38,7 @@ __all__ = [
     "SphericalHarmonicLight",
     "SurfacePoints",
     "UVMesh",
+    "Viewer",
     "__version__",
     "batch",
     "check_values",
@@ -73,6 +75,7 @@ __all__ = [
     "torus",
     "vertex_normals",
     "vertices_to_faces",
+    "view",
 ]
 
 _show_in_notebooks()
