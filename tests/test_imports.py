@@ -32,6 +32,7 @@ ROOMS = [
     "features",
     "pictures",
     "tasks",
+    "viewer",
     "commands",
     "cli",
     "interface",

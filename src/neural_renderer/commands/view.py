@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
-
-from ..tasks.fit import Views
+from ..tasks.fit.fit_pictures import up_axis
 from ..viewer.results import Results, read_results
 from ..viewer.viewer import Viewer
 from .common import check_outputs, say
@@ -86,11 +84,3 @@ def _show(viewer: Viewer, results: Results, options: ViewOptions) -> None:
     up = options.up or (None if results.views is None else up_axis(results.views))
     if up is not None:
         viewer.set_up(up)
-
-
-def up_axis(views: Views) -> str:
-    """Find the axis of the world that is up in most views, such as "+z"."""
-    camera = views.camera
-    up = camera.rotation[:, 1].mean(0) * (-1 if camera.K is not None else 1)
-    axis = int(up.abs().argmax())
-    return f"{'+' if float(torch.sign(up[axis])) >= 0 else '-'}{'xyz'[axis]}"

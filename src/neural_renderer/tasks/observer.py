@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Protocol, TypeVar
 
+from .. import validate
+
+LEAST_RATE = 1e-9
+"""Least value of a learning rate that must be positive."""
 _POLL = 0.05  # seconds
+_Weights = TypeVar("_Weights")
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,18 @@ class Knob:
     least: float = 0.0
     most: float = 1e9
     choices: tuple[str, ...] = ()
+
+
+def weight_knobs(weights: Any) -> list[Knob]:
+    """Make knobs of the loss weights in a dataclass; none of None."""
+    return [] if weights is None else [Knob(name, float(value)) for name, value in asdict(weights).items()]
+
+
+def turn_weight(weights: _Weights, name: str, value: float | str) -> _Weights:
+    """Return loss weights of which one has a new value, ≥ 0; raise ValueError if there is none of this name."""
+    if weights is None or name not in asdict(weights):  # type: ignore[call-overload]
+        raise ValueError(f"name: expected a setting that can change, got {name!r}")
+    return replace(weights, **{name: validate.not_negative(name, value)})  # type: ignore[type-var]
 
 
 class Observer(Protocol):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from .display_panel import DisplayPanel
 from .frusta import Frusta, Photograph
-from .renderer_panel import RendererPanel
-from .results_panel import PicturesPanel, StepsPanel
-from .run_panel import Run, RunPanel
+from .panels.display import DisplayPanel
+from .panels.renderer import RendererPanel
+from .panels.results import PicturesPanel, StepsPanel
+from .panels.run import Run, RunPanel
 from .scene import Scene
 from .server import start_server, stop_server
 from .worker import Worker

@@ -13,7 +13,7 @@ from ..camera import Camera
 from ..io.files import reason
 from ..meshes.uv_mesh import UVMesh
 from ..tasks.fit import Views, load_photo, load_views
-from .replay import Record, is_record
+from .records.replay import Record, is_record
 
 MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 """Suffixes of mesh files."""

@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 
 from ..meshes.normals import vertex_normals
-from .glb import Drawable, write_glb
-from .snapshot import Snapshot
-from .surface import Look, drawables
+from .drawing.glb import Drawable, write_glb
+from .drawing.snapshot import Snapshot
+from .drawing.surface import Look, drawables
 from .worker import Worker
 
 if TYPE_CHECKING:

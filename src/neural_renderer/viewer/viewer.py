@@ -13,10 +13,10 @@ from .. import validate
 from ..camera import Camera
 from ..io.files import existing
 from ..tasks.observer import Knob, goes_on
+from .drawing.snapshot import Snapshot, take_snapshot
 from .frusta import photographs
-from .recorder import DEFAULT_LIMIT, Recorder
-from .run_panel import Run
-from .snapshot import Snapshot, take_snapshot
+from .panels.run import Run
+from .records.recorder import DEFAULT_LIMIT, Recorder
 from .worker import Worker
 
 if TYPE_CHECKING:

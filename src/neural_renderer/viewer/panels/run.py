@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..tasks.observer import Knob
+from ...tasks.observer import Knob
 
 if TYPE_CHECKING:
     import viser

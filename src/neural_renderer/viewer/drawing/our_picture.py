@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import losses
-from ..camera import Camera
-from ..pictures.lamp import lamp_direction
-from ..raster import Images
-from ..rendering import render
-from ..shading.lights import Light
+from ... import losses
+from ...camera import Camera
+from ...pictures.lamp import lamp_direction
+from ...raster import Images
+from ...rendering import render
+from ...shading.lights import Light
 from .snapshot import Snapshot
 
 IMAGE_LOSSES = ("silhouette IoU", "photometric")

@@ -11,10 +11,10 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from ..io.atlas import build_atlas, coordinates
-from ..meshes.normals import vertex_normals
-from ..meshes.uv_mesh import UVMesh
-from ..pictures.clay import CLAY
+from ...io.atlas import build_atlas, coordinates
+from ...meshes.normals import vertex_normals
+from ...meshes.uv_mesh import UVMesh
+from ...pictures.clay import CLAY
 from .glb import Drawable
 from .snapshot import Snapshot
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch.nn.functional as F
 
-from ..io import load_image
+from ...io import load_image
 
 if TYPE_CHECKING:
     import viser

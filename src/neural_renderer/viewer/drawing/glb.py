@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-_FLOAT, _UINT, _USHORT, _BYTE = 5126, 5125, 5123, 5120  # component types of glTF
-_QUANTIZED = "KHR_mesh_quantization"  # normals of one byte
+_FLOAT, _UINT, _USHORT = 5126, 5125, 5123  # component types of glTF
 _VERTICES, _FACES = 34962, 34963  # targets of buffer views
 _LINEAR, _REPEAT, _CLAMP = 9729, 10497, 33071
 
@@ -74,10 +73,8 @@ def write_glb(parts: Sequence[Drawable]) -> bytes:
         limits = {"min": positions.min(0).tolist(), "max": positions.max(0).tolist()}
         attributes = {"POSITION": body.array(positions, "VEC3", _FLOAT, _VERTICES, **limits)}
         if part.normals is not None and part.lit:
-            four = np.zeros((len(positions), 4), np.int8)  # glTF aligns to four bytes
             normals = part.normals if part.corners is None else part.normals[part.corners]
-            four[:, :3] = np.rint(normals * 127)
-            attributes["NORMAL"] = body.array(four, "VEC3", _BYTE, _VERTICES, normalized=True)
+            attributes["NORMAL"] = body.array(normals.astype(np.float32), "VEC3", _FLOAT, _VERTICES)
         surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
         if part.colors is not None:
             linear = np.full((len(positions), 4), 65535, np.uint16)
@@ -112,11 +109,7 @@ def write_glb(parts: Sequence[Drawable]) -> bytes:
         "buffers": [{"byteLength": body.size}],
     }
     gltf |= {"textures": textures, "images": images, "samplers": samplers} if images else {}
-    used = [] if all(part.lit for part in parts) else ["KHR_materials_unlit"]
-    if any(part.normals is not None for part in parts):
-        used.append(_QUANTIZED)
-        gltf["extensionsRequired"] = [_QUANTIZED]
-    gltf |= {"extensionsUsed": used} if used else {}
+    gltf |= {} if all(part.lit for part in parts) else {"extensionsUsed": ["KHR_materials_unlit"]}
     head = json.dumps(gltf).encode()
     head += b" " * (-len(head) % 4)
     total = 12 + 8 + len(head) + 8 + body.size
@@ -148,9 +141,8 @@ class _Body:
         return len(self.views) - 1
 
     def array(self, values: np.ndarray, kind: str, component: int, target: int, **more: Any) -> int:
-        """Add an array, whose rows may be padded to four values; return the number of its accessor."""
-        stride = {} if kind == "SCALAR" else {"byteStride": values.shape[1] * values.itemsize}
-        view = self.view(np.ascontiguousarray(values).tobytes(), target=target, **stride)
+        """Add an array; return the number of its accessor."""
+        view = self.view(np.ascontiguousarray(values).tobytes(), target=target)
         self.accessors.append(
             {"bufferView": view, "componentType": component, "count": len(values), "type": kind, **more}
         )

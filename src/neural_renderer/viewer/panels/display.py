@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
-from .scene import Scene
-from .surface import SURFACES
-from .worker import Worker
+from ..drawing.surface import SURFACES
+from ..scene import Scene
+from ..worker import Worker
 
 if TYPE_CHECKING:
     import viser

@@ -14,11 +14,11 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from ..io.cubes import bake_corners
-from ..io.files import existing, reason
-from ..meshes.uv_mesh import UVMesh
+from ...io.cubes import bake_corners
+from ...io.files import existing, reason
+from ...meshes.uv_mesh import UVMesh
+from ..drawing.snapshot import Snapshot
 from .recorder import BEGIN, END, FORMAT
-from .snapshot import Snapshot
 
 _LARGEST = 2**30  # bytes of an array: more is a damaged file
 

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from ..camera import Camera
-from .frusta import Frusta
-from .our_picture import (
+from ...camera import Camera
+from ..drawing.our_picture import (
     FREE_LOSSES,
     IMAGE_LOSSES,
     Target,
@@ -20,8 +19,9 @@ from .our_picture import (
     loss_gradient,
     picture,
 )
-from .scene import Scene, Shown
-from .worker import Worker
+from ..frusta import Frusta
+from ..scene import Scene, Shown
+from ..worker import Worker
 
 if TYPE_CHECKING:
     import viser

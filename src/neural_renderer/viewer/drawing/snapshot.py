@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..meshes.mesh import Mesh
-from ..meshes.uv_mesh import UVMesh
+from ... import validate
+from ...meshes.mesh import Mesh
+from ...meshes.uv_mesh import UVMesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ..io.atomic_write import write_file
-from ..version import __version__
-from .glb import Drawable
-from .snapshot import Snapshot
-from .surface import Look, drawables
+from ...io.atomic_write import write_file
+from ...version import __version__
+from ..drawing.glb import Drawable
+from ..drawing.snapshot import Snapshot
+from ..drawing.surface import Look, drawables
 
 FORMAT = 1
 """Number of the format, in every file."""
