@@ -34,6 +34,7 @@ ROOMS = [
     "features",
     "pictures",
     "tasks",
+    "viewer",
     "commands",
     "cli",
     "interface",

@@ -26,6 +26,7 @@ COMMANDS = {
     "reconstruct": "Reconstruct a mesh from a single picture.",
     "style": "Transfer the style of a painting to a mesh.",
     "dream": "Apply DeepDream to a mesh.",
+    "view": "Show meshes, results and records in the browser.",
     "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
 _EXTRAS = {"lightning": "reconstruction", "tensorboard": "reconstruction"}  # packages that commands import

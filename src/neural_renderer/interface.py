@@ -33,6 +33,7 @@ from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture
 from .validate import check_values
 from .version import __version__
+from .viewer.viewer import Viewer, view
 
 __all__ = [
     "PBR",
@@ -54,6 +55,7 @@ __all__ = [
     "SurfacePoints",
     "Texture",
     "UVMesh",
+    "Viewer",
     "VisibleSurface",
     "__version__",
     "batch",
@@ -97,6 +99,7 @@ __all__ = [
     "torus",
     "vertex_normals",
     "vertices_to_faces",
+    "view",
 ]
 
 _show_in_notebooks()

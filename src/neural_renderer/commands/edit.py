@@ -22,8 +22,9 @@ from .common import check_counts, check_outputs, choose_device
 from .edit_report import RESULTS, report_edit, write_results
 from .options.edit import EditOptions
 from .task_runner import TaskRunner, setting_value
+from .watch import stay, watching
 
-_MAY_DIFFER = ("output", "iterations", "preview", "turntable", "allow_outside", "resume", "force", "device")
+_MAY_DIFFER = ("output", "iterations", "preview", "turntable", "allow_outside", "resume", "force", "device", "watch")
 """Options that may differ when an edit is resumed."""
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
@@ -135,16 +136,23 @@ def run_edit(
         seed=options.seed,
     )
     settings = asdict(options) | chosen | asdict(weights)
-    runner = TaskRunner(
-        options.output,
-        edit,
-        {name: setting_value(value) for name, value in settings.items() if name not in _MAY_DIFFER},
-        lambda path: save_image(path, preview(edit)),
-        options.preview,
-        choose_device(options.device),
-    )
-    with validate.called(steps="--iterations"):
-        finished = runner.run(options.resume)
-    write_results(options, edit, mesh, runner.history)
-    report_edit(options.output, edit, runner, mesh, settings, finished)
-    return 0 if finished else 130
+    del settings["watch"]
+    with watching(options.watch) as viewer:
+        if viewer is not None:
+            viewer.show(mesh, "before")
+        runner = TaskRunner(
+            options.output,
+            edit,
+            {name: setting_value(value) for name, value in settings.items() if name not in _MAY_DIFFER},
+            lambda path: save_image(path, preview(edit)),
+            options.preview,
+            choose_device(options.device),
+            viewer,
+            lambda: {"mesh": edit.mesh(fill=False)},
+        )
+        with validate.called(steps="--iterations"):
+            finished = runner.run(options.resume)
+        write_results(options, edit, mesh, runner.history)
+        report_edit(options.output, edit, runner, mesh, settings, finished)
+        stay(viewer, finished or runner.stopped)
+    return 0 if finished or runner.stopped else 130

@@ -70,11 +70,15 @@ def report_edit(
         "steps": edit.step,
         "vertices": len(mesh.vertices),
         "faces": len(mesh.faces),
+        "inputs": {
+            name: str(settings[name].resolve()) for name in ("mesh", "painting") if settings.get(name) is not None
+        },
         "settings": settings,
         "held_out": {"before": edit.before, "after": after},
         "moved": moved,
         "seconds": round(runner.seconds, 1),
         "share_of_time": {name: round(part / total, 4) for name, part in edit.seconds.items()},
+        "changes": runner.changes,
         "history": runner.history,
     }
     write_file(folder / "report.json", json.dumps(report, indent=1, default=str) + "\n")

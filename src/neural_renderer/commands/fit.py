@@ -5,7 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
@@ -14,13 +14,20 @@ from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
 from ..tasks.fit.camera_files import camera_file
-from ..tasks.fit.fit_pictures import comparison
+from ..tasks.fit.fit_pictures import comparison, up_axis
 from .common import check_counts, check_outputs, choose_device, make_folder
 from .fit_report import RESULTS, report_camera, report_mesh, write_mesh
 from .options.fit import FitOptions
 from .task_runner import TaskRunner, setting_value
+from .watch import stay, watching
 
-_MAY_DIFFER = ("images", "output", "steps", "texture_steps", "turntable", "allow_outside", "resume", "force", "device")
+if TYPE_CHECKING:
+    from ..viewer.viewer import Viewer
+
+_MAY_DIFFER = (
+    *("images", "output", "steps", "texture_steps", "turntable"),
+    *("allow_outside", "resume", "force", "device", "watch"),
+)
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _PREVIEW_COLUMNS = 4
 
@@ -51,6 +58,15 @@ def _fit_mesh(options: FitOptions) -> int:
     start: Any = options.start
     if options.mesh is not None:
         start = Mesh.load(options.mesh, texture_size=2, allow_outside=options.allow_outside)
+    with watching(options.watch) as viewer:
+        if viewer is not None:
+            viewer.set_up(up_axis(fitted))
+            viewer.show_cameras(fitted.camera, fitted.photos, fitted.masks)
+        return _run_mesh_fit(options, fitted, held_out, start, viewer)
+
+
+def _run_mesh_fit(options: FitOptions, fitted: Views, held_out: Views | None, start: Any, viewer: Viewer | None) -> int:
+    """Fit a mesh to views, and write the results; return the exit code."""
     fit = MeshFit(
         fitted,
         start,
@@ -67,11 +83,13 @@ def _fit_mesh(options: FitOptions) -> int:
     )
     make_folder("--output", options.output)
     camera = (getattr(fitted.camera, part.name) for part in fields(fitted.camera))
-    runner = _runner(options, fit, (fitted.masks, fitted.photos, *camera), lambda: (fit.views, fit.shape))
+    images = fitted.masks, fitted.photos, *camera
+    runner = _runner(options, fit, images, lambda: (fit.views, fit.shape), viewer, fit.mesh)
     finished = runner.run(options.resume)
     write_mesh(options, fit, fitted)
     report_mesh(options, runner, fit, held_out, finished)
-    return 0 if finished else 130
+    stay(viewer, finished or runner.stopped)
+    return 0 if finished or runner.stopped else 130
 
 
 def _fit_camera(options: FitOptions) -> int:
@@ -100,10 +118,21 @@ def _fit_camera(options: FitOptions) -> int:
     def state() -> tuple[Views, tuple[Tensor, ...]]:
         return Views(fit.best(), mask[None], None if photo is None else photo[None]), shape
 
-    runner = _runner(options, fit, (mask, photo, *shape), state)
-    finished = runner.run(options.resume)
-    report_camera(options, runner, fit, *state(), finished)
-    return 0 if finished else 130
+    with watching(options.watch) as viewer:
+
+        def known_mesh() -> Mesh:
+            if viewer is not None:
+                viewer.show_cameras(fit.cameras())
+            return mesh
+
+        runner = _runner(options, fit, (mask, photo, *shape), state, viewer, known_mesh)
+        finished = runner.run(options.resume)
+        views, known = state()
+        if viewer is not None:
+            viewer.show_cameras(views.camera, views.photos, views.masks)
+        report_camera(options, runner, fit, views, known, finished)
+        stay(viewer, finished or runner.stopped)
+    return 0 if finished or runner.stopped else 130
 
 
 def _runner(
@@ -111,6 +140,8 @@ def _runner(
     fit: MeshFit | CameraFit,
     images: tuple[Any, ...],
     state: Callable[[], tuple[Views, tuple[Tensor, ...]]],
+    viewer: Viewer | None,
+    mesh: Callable[[], Any],
 ) -> TaskRunner:
     """Make the runner of a fit.
 
@@ -119,6 +150,8 @@ def _runner(
         fit: The fit.
         images: Tensors that identify the fit by their values. Other values are ignored.
         state: Returns the views and the shape for previews.
+        viewer: Shows the fit, or None.
+        mesh: Makes the mesh to show.
     """
     settings = {name: setting_value(value) for name, value in asdict(options).items() if name not in _MAY_DIFFER}
     contents = b"".join(part.cpu().numpy().tobytes() for part in images if isinstance(part, Tensor))
@@ -127,7 +160,8 @@ def _runner(
     def preview(path: Any) -> None:
         save_image(path, comparison(*state(), columns=_PREVIEW_COLUMNS))
 
-    return TaskRunner(options.output, fit, settings, preview, device=choose_device(options.device))
+    device = choose_device(options.device)
+    return TaskRunner(options.output, fit, settings, preview, device=device, observer=viewer, mesh=mesh)
 
 
 def _split(views: Views, every: int) -> tuple[Views, Views | None]:

@@ -91,10 +91,17 @@ def _report(options: FitOptions, runner: TaskRunner, results: dict[str, Any], fi
     report = {
         "version": __version__,
         "recover": options.recover,
+        "inputs": {
+            "images": str(options.images.resolve()),
+            "mesh": None if options.mesh is None else str(options.mesh.resolve()),
+            "photos": options.photos,
+            "background": options.background,
+        },
         "gradient": options.gradient,
         "finished": finished,
         "seconds": round(runner.seconds, 1),
         **results,
+        "changes": runner.changes,
         "history": runner.history,
     }
     write_file(options.output / "report.json", json.dumps(report, indent=1) + "\n")

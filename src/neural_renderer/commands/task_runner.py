@@ -15,8 +15,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from ..io.atomic_write import write_file
 from ..io.files import load_tensors, why_not_loaded
+from ..tasks.observer import Knob, Observer, goes_on
 from ..version import __version__
-from .common import interruption
+from .common import interruption, say
 
 _SECONDS = 4.0  # between two previews and checkpoints, unless their number of steps is given
 
@@ -40,6 +41,8 @@ class Task(Protocol):
     @property
     def done(self) -> bool: ...
     def advance(self) -> dict[str, float]: ...
+    def knobs(self) -> list[Knob]: ...
+    def turn(self, name: str, value: float | str, /) -> None: ...
     def state_dict(self) -> dict[str, Any]: ...
     def load_state_dict(self, state: dict[str, Any], /) -> None: ...
 
@@ -54,8 +57,12 @@ class TaskRunner:
         preview: Writes a preview to the given path.
         every: Steps between two previews and checkpoints; None for every few seconds.
         device: Device of the task; a checkpoint may come from another.
+        observer: Sees the steps, may pause and stop the task, and change its settings.
+        mesh: Makes the current mesh for the observer, or several by name.
 
     Attributes:
+        stopped: Whether the observer has stopped the task.
+        changes: Settings that the observer has changed: "phase", "step" and the new value by name.
         history: Numbers of each step (the result of ``advance``), with its "phase".
         seconds: Time of all steps, including those before an interruption.
     """
@@ -68,11 +75,16 @@ class TaskRunner:
         preview: Callable[[Path], None],
         every: int | None = None,
         device: torch.device | str = "cpu",
+        observer: Observer | None = None,
+        mesh: Callable[[], Any] = dict,
     ) -> None:
         self._folder, self._task, self._settings, self._preview, self._every = folder, task, settings, preview, every
         self._checkpoint, self._device = folder / "checkpoint.pt", device
+        self._observer, self._mesh = observer, mesh
         self.history: list[dict[str, Any]] = []
+        self.changes: list[dict[str, Any]] = []
         self.seconds = 0.0
+        self.stopped = False
 
     def run(self, resume: bool) -> bool:
         """Take all remaining steps.
@@ -81,7 +93,7 @@ class TaskRunner:
             resume: Whether to continue from the checkpoint, if there is one.
 
         Returns:
-            False if Ctrl-C interrupted the task.
+            False if Ctrl-C interrupted the task, or the observer stopped it.
 
         Raises:
             ValueError: The checkpoint is unreadable, or belongs to a task with other settings or of another version.
@@ -93,19 +105,43 @@ class TaskRunner:
         columns = label, BarColumn(), note, TimeElapsedColumn(), TimeRemainingColumn()
         with Progress(*columns, console=Console()) as progress, interruption() as interrupted:
             bars: dict[str, Any] = {}
-            while not task.done and not interrupted:
+            self._offer()
+            while not task.done and not interrupted and goes_on(self._observer, interrupted):
+                phase = task.phase
                 row = task.advance()
                 self.history.append({"phase": task.phase, **{name: round(value, 6) for name, value in row.items()}})
                 if task.phase not in bars:
                     bars[task.phase] = progress.add_task(task.phase, note="", completed=task.step - 1, total=task.steps)
                 text = "  ".join(f"{name} {value:.4f}" for name, value in list(row.items())[:2])
                 progress.update(bars[task.phase], completed=task.step, total=task.steps, note=text)
+                self._observe(row, task.phase != phase)
                 self.seconds = time.monotonic() - start
                 if self.seconds - saved > _SECONDS if self._every is None else task.step % self._every == 0:
                     self._save()
                     saved = self.seconds
             self._save()
-        return not interrupted
+            self.stopped = not task.done and not interrupted
+        return not interrupted and not self.stopped
+
+    def _offer(self) -> None:
+        """Tell the observer which settings may change."""
+        if self._observer is not None:
+            self._observer.offer(self._task.knobs())
+
+    def _observe(self, row: dict[str, float], is_new_phase: bool) -> None:
+        """Show a step to the observer, and make the changes that it asks for."""
+        task, observer = self._task, self._observer
+        if observer is None:
+            return
+        observer.observe(task.phase, task.step, task.steps, row, self._mesh)
+        if is_new_phase:
+            self._offer()
+        for name, value in observer.changes().items():
+            try:
+                task.turn(name, value)
+                self.changes.append({"phase": task.phase, "step": task.step, name: value})
+            except (TypeError, ValueError) as error:
+                say(str(error), "yellow")
 
     def _save(self) -> None:
         """Write preview and checkpoint."""

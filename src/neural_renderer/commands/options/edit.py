@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+
+from .watch import WatchOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,3 +71,5 @@ class EditOptions:
     """Replace mesh.mtl and mesh_texture.png in the output folder even if another program wrote them."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device to compute on; auto is CUDA if available."""
+    watch: Annotated[WatchOptions, tyro.conf.arg(name="")] = field(default_factory=WatchOptions)
+    """Follow the run."""

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from ...tasks.settings import FitWeights
+from .watch import WatchOptions
 
 
 @dataclass(frozen=True)
@@ -80,3 +81,5 @@ class FitOptions:
     """Replace mesh.mtl and mesh_texture.png in the output folder even if another program wrote them."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device to compute on; auto is CUDA if available."""
+    watch: Annotated[WatchOptions, tyro.conf.arg(name="")] = field(default_factory=WatchOptions)
+    """Follow the run."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from rich.console import Console
@@ -12,6 +13,7 @@ from torch import Tensor
 from ...io import load_image, save_animation, save_image, save_mesh
 from ...pictures.clay import clay_mesh
 from ...pictures.turntable import turntable
+from ...tasks.observer import goes_on
 from ...tasks.reconstruction.data.drawing import MESH_COLOR
 from ...tasks.reconstruction.data.framing import SIZE
 from ...tasks.reconstruction.evaluation.cutout import cut_out
@@ -19,8 +21,13 @@ from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshe
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
 from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.networks.checkpoint import load_model
+from ...tasks.reconstruction.networks.make_network import Model
 from ..common import check_counts, check_outputs, choose_device, say
 from ..options.reconstruct.predict import PredictOptions
+from ..watch import Renamed, stay, watching
+
+if TYPE_CHECKING:
+    from ...viewer.viewer import Viewer
 
 _SUFFIXES = (".obj", ".glb", ".ply")
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
@@ -30,26 +37,39 @@ _TURNTABLE_SIZE = 256  # pixels
 def run(options: PredictOptions) -> int:
     """Predict and write meshes; return the exit code: 0, or 1 if one of several pictures failed."""
     targets = _check(options)
+    model = load_model(options.checkpoint, choose_device(options.device))
+    with watching(options.watch) as viewer:
+        failures = _predict(options, targets, model, viewer)
+        stay(viewer, True)
+    if len(options.images) == 1 and failures:
+        raise ValueError(failures[0])
+    for text in failures:
+        say(text, "red")
+    return 1 if failures else 0
+
+
+def _predict(options: PredictOptions, targets: dict[Path, Path], model: Model, viewer: Viewer | None) -> list[str]:
+    """Predict and write a mesh for each picture; return sentences about those that failed."""
     device = choose_device(options.device)
-    model = load_model(options.checkpoint, device)
     refine = refine_steps(model, options.refine)
     predict = network_predictor(model, options.threshold)
     console, failures = Console(stderr=True), []
     alone = len(options.images) == 1
     for path in track(options.images, "Meshes", console=console, transient=True, disable=alone):
+        if not goes_on(viewer):
+            break
+        observer = None if viewer is None else Renamed(viewer, path.stem)
         try:
             picture, image = _load(options, path, predict, device)
-            [(vertices, faces)] = predict_meshes(model, image[None].to(device), options.threshold, refine)
+            [(vertices, faces)] = predict_meshes(model, image[None].to(device), options.threshold, refine, observer)
         except (ValueError, OSError) as error:
             failures.append(_failure(path, error))
             continue
         _write(options, targets[path], picture, image, vertices, faces)
         say(str(targets[path]))
-    if alone and failures:
-        raise ValueError(failures[0])
-    for text in failures:
-        say(text, "red")
-    return 1 if failures else 0
+        if viewer is not None:
+            viewer.show((vertices, faces), path.stem)
+    return failures
 
 
 def _check(options: PredictOptions) -> dict[Path, Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import threading
 import warnings
 from collections.abc import Iterator
@@ -21,6 +22,8 @@ from ...tasks.reconstruction.networks.configs import Config, make_config
 from ...tasks.reconstruction.networks.encoders import FeatureEncoder
 from ..common import check_counts, choose_device, interruption, make_folder, say
 from ..options.reconstruct.train import TrainOptions
+from ..options.watch import WatchOptions
+from ..watch import stay, watching
 
 
 def run(options: TrainOptions) -> int:
@@ -34,31 +37,43 @@ def run(options: TrainOptions) -> int:
     features = None if options.features is None else load_features(options.features)
     checkpoint = _check_checkpoint(options, config, data, features)
     make_folder("OUT", options.out)
-    from ...tasks.reconstruction.training.train import train  # Lightning takes seconds to import
+    # Lightning takes seconds to import.
+    from ...tasks.reconstruction.training.train import train
+    from ...tasks.reconstruction.training.watch import STOPPED
 
-    with _quiet(), interruption() as interrupted:
-        training = train(
-            options.model,
-            config,
-            data,
-            val,
-            options.out,
-            minutes=math.inf if options.minutes is None else options.minutes,
-            every=options.every,
-            seed=options.seed,
-            workers=options.workers,
-            devices=options.devices,
-            nodes=options.nodes,
-            device=options.device,
-            low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
-            checkpoint=checkpoint,
-            features=features,
-            interrupted=interrupted,
-        )
-    if training.trainer.is_global_zero:
-        resume = "" if training.done else "; interrupted, --resume continues"
-        say(f"{training.steps_done} steps in {training.seconds:.0f} s{resume}; the results are in {options.out}")
-    return 0 if training.done else 130
+    with watching(_watch_options(options)) as viewer:
+        with _quiet(), interruption() as interrupted:
+            training = train(
+                options.model,
+                config,
+                data,
+                val,
+                options.out,
+                minutes=math.inf if options.minutes is None else options.minutes,
+                every=options.every,
+                seed=options.seed,
+                workers=options.workers,
+                devices=options.devices,
+                nodes=options.nodes,
+                device=options.device,
+                low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
+                checkpoint=checkpoint,
+                features=features,
+                interrupted=interrupted,
+                observer=viewer,
+            )
+        is_kept = training.done or interrupted == [STOPPED]
+        if training.trainer.is_global_zero:
+            resume = "" if training.done else "; interrupted, --resume continues"
+            say(f"{training.steps_done} steps in {training.seconds:.0f} s{resume}; the results are in {options.out}")
+        stay(viewer, is_kept)
+    return 0 if is_kept else 130
+
+
+def _watch_options(options: TrainOptions) -> WatchOptions:
+    """Return the options of the viewer; only the first of several processes has one."""
+    ranks = [os.environ.get(name, "0") for name in ("LOCAL_RANK", "NODE_RANK", "GROUP_RANK", "SLURM_PROCID")]
+    return options.watch if all(rank == "0" for rank in ranks) else WatchOptions()
 
 
 def _open_data(options: TrainOptions) -> tuple[Split, Split | None]:

@@ -58,6 +58,7 @@ class Dream:
     Attributes:
         name: "dream".
         plain: [3], grey, the initial colour of a mesh without colours.
+        weights: Weights of the other losses. They may be replaced between two steps.
 
     Raises:
         ValueError: The layer or the channel is unknown, or a weight is below 0.
@@ -87,7 +88,7 @@ class Dream:
         for name, value in asdict(weights).items():
             validate.not_negative(name, value)
         (self._layer,) = network.checked(layer)
-        self._network, self._channel, self._weights, self._relative = network, channel, weights, relative
+        self._network, self._channel, self.weights, self._relative = network, channel, weights, relative
         device = next(network.parameters()).device
         self.plain = torch.full((3,), 0.5, device=device)
         with torch.no_grad():
@@ -131,9 +132,9 @@ class Dream:
             edges = edges * ((len(shape.topology.edges) + len(shape.topology.hinges)) / 3)
         return {
             "dream": -norm,
-            "bend": self._weights.bend * shape.bend,
-            "variation": self._weights.variation * variation,
-            "edges": self._weights.edges * edges,
+            "bend": self.weights.bend * shape.bend,
+            "variation": self.weights.variation * variation,
+            "edges": self.weights.edges * edges,
         }
 
     @torch.no_grad()

@@ -19,12 +19,15 @@ from ...meshes.uv_mesh import UVMesh
 from ...raster import Images
 from ...rendering import render
 from ...shading.lights import Light
+from ..observer import Knob, turn_weight, weight_knobs
 from ..seeds import generator
 from .deformation import Deformation
 from .paint import FacePaint, ImagePaint, Paint
 from .random_views import RandomViews
 
 _DARKEST = 0.05  # initial colours are in [0.05, 0.95]: closer to 0 or 1, the gradient of the sigmoid vanishes
+_RATES = ("vertex_rate", "texture_rate")
+_BACKGROUNDS = {"the objective's": None, "black": 0.0, "grey": 0.5, "white": 1.0}
 _RARELY = 0.05  # texels visible in a smaller share of the steps are filled from adjacent ones
 _NOISE = 0.05  # standard deviation of the noise on plain initial colours, before the sigmoid
 _HELD_OUT, _HELD_OUT_AZIMUTH = 8, 11.0  # number of the views of `MeshEdit.measure`, and azimuth of the first in degrees
@@ -99,6 +102,9 @@ class MeshEdit:
         >>> while not edit.done:
         ...     losses = edit.advance()
         >>> edit.mesh().save("painted.glb")
+        >>> edit.turn("texture_rate", 0.01)
+        >>> [knob.name for knob in edit.knobs()][:3]
+        ['vertex_rate', 'texture_rate', 'content']
         >>> moved, style_loss = edit.displacement()["mean"], edit.measure()
         >>> edit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
@@ -127,8 +133,9 @@ class MeshEdit:
         self._objective, self._gradient, self._seed = objective, gradient, validate.whole("seed", seed, 0)
         self._views = views
         texture_size = validate.whole("texture_size", texture_size, 1)
-        rates = {"vertex_rate": vertex_rate, "texture_rate": texture_rate}
-        self._rates = [validate.not_negative(name, rate) for name, rate in rates.items()]
+        rates = zip(_RATES, (vertex_rate, texture_rate), strict=True)
+        self._rates = [validate.not_negative(name, rate) for name, rate in rates]
+        self._background = next(iter(_BACKGROUNDS))
         self._settle = validate.number("settle", settle)
         if not 0 <= self._settle <= 1:
             raise ValueError(f"settle: expected a fraction in [0, 1], got {settle}")
@@ -169,17 +176,27 @@ class MeshEdit:
         """Whether all steps are taken."""
         return self.step >= self.steps
 
-    def mesh(self) -> Mesh | UVMesh:
+    def mesh(self, fill: bool = True) -> Mesh | UVMesh:
         """Make the current mesh.
 
+        Args:
+            fill: Fill texels that were rarely visible from those around them. Without, this is fast.
+
         Returns:
-            The mesh, in its own coordinates and of the class of the original. Texels that were rarely visible are
-            filled from those around them.
+            The mesh, in its own coordinates and of the class of the original.
+
+        Raises:
+            TypeError: ``fill`` is not a bool.
         """
+        fill = validate.flag("fill", fill)
         vertices = self._vertices.detach()[self._merged] * self._scale + self._center
         if self._unpainted:
             mesh = self._paint.unpainted(vertices)
             return mesh if isinstance(mesh, UVMesh) else Mesh(*mesh)
+        if not fill:
+            with torch.no_grad():
+                rough = self._paint.apply(vertices, torch.sigmoid(self._colors))
+            return rough if isinstance(rough, UVMesh) else Mesh(rough[0], rough[1], rough[2])
         known = self._visible_steps > _RARELY * self.step
         return self._paint.finish(vertices, torch.sigmoid(self._colors.detach()), known)
 
@@ -205,6 +222,8 @@ class MeshEdit:
         random = generator(self._seed, self.step)
         camera, light = self._views.sample(self._batch, random)
         background = self._objective.background(self._batch, random)
+        if _BACKGROUNDS[self._background] is not None:
+            background = torch.full_like(background, _BACKGROUNDS[self._background])  # type: ignore[arg-type]
         mesh = self._mesh_to_draw()
         started = clock()
         images = self._draw(mesh, camera, light, background)
@@ -227,6 +246,36 @@ class MeshEdit:
         self.seconds["network"] += judged - drawn
         self.seconds["rest"] += started - clock.start + clock() - returned
         return {"loss": loss.item(), **{name: part.item() for name, part in parts.items()}}
+
+    def knobs(self) -> list[Knob]:
+        """List the settings that may change between two steps.
+
+        Returns:
+            "vertex_rate", "texture_rate", the weights of the objective, and "background".
+        """
+        rates = [Knob(name, rate) for name, rate in zip(_RATES, self._rates, strict=True)]
+        weights = weight_knobs(getattr(self._objective, "weights", None))
+        return [*rates, *weights, Knob("background", self._background, choices=tuple(_BACKGROUNDS))]
+
+    def turn(self, name: str, value: float | str) -> None:
+        """Change a setting. `state_dict` does not contain it.
+
+        Args:
+            name: Its name, as in `knobs`.
+            value: Its new value.
+
+        Raises:
+            TypeError, ValueError: There is no such setting, or the value does not fit.
+        """
+        if name == "background":
+            if value not in _BACKGROUNDS:
+                raise ValueError(f"background: expected one of {', '.join(_BACKGROUNDS)}, got {value!r}")
+            self._background = str(value)
+        elif name in _RATES:
+            self._rates[_RATES.index(name)] = validate.not_negative(name, value)
+        else:
+            weights = turn_weight(getattr(self._objective, "weights", None), name, value)
+            self._objective.weights = weights  # type: ignore[attr-defined]
 
     def measure(self) -> float:
         """Compute the objective's main measure on eight fixed views that are not used by steps.

@@ -76,6 +76,7 @@ class Style:
     Attributes:
         name: "style".
         plain: [3], mean colour of the painting, the initial colour of a mesh without colours.
+        weights: Weights of the other losses. They may be replaced between two steps.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit, the painting is too small or fully transparent, or a layer
@@ -106,7 +107,7 @@ class Style:
         relative: bool = True,
     ) -> None:
         self._network, self._layers = network, network.checked(layers)
-        self._weights, self._relative = weights, relative
+        self.weights, self._relative = weights, relative
         for name, value in asdict(weights).items():
             validate.not_negative(name, value)
         side = size * validate.positive("painting_scale", painting_scale)
@@ -154,10 +155,10 @@ class Style:
             variation, palette, content = variation / pixels, palette / pixels, content / len(shape.start)
         return {
             "style": self._distances(images, masks).mean(),
-            "content": self._weights.content * content,
-            "bend": self._weights.bend * shape.bend,
-            "variation": self._weights.variation * variation,
-            "palette": self._weights.palette * palette,
+            "content": self.weights.content * content,
+            "bend": self.weights.bend * shape.bend,
+            "variation": self.weights.variation * variation,
+            "palette": self.weights.palette * palette,
         }
 
     @torch.no_grad()

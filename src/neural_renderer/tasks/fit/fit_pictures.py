@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from ...meshes.mesh import Mesh
@@ -44,9 +43,17 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
 
 def upright(mesh: Mesh, views: Views) -> Mesh:
     """Scale a mesh to [-1, 1]³, and turn the coordinate axis that is up in most of its views to +y."""
-    up = F.normalize(views.camera.rotation[:, 1].mean(0) * (-1 if views.camera.K is not None else 1), dim=0)
-    axis = F.one_hot(up.abs().argmax(), 3).to(up) * up[up.abs().argmax()].sign()
+    name = up_axis(views)
+    axis = torch.zeros(3)
+    axis["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
     return Mesh(mesh.vertices @ _rotation_to_y(axis).t().to(mesh.vertices), mesh.faces, mesh.textures).normalize()
+
+
+def up_axis(views: Views) -> str:
+    """Find the coordinate axis that is up in most views, such as "+z"."""
+    up = views.camera.rotation[:, 1].mean(0) * (-1 if views.camera.K is not None else 1)
+    axis = int(up.abs().argmax())
+    return f"{'-' if float(up[axis]) < 0 else '+'}{'xyz'[axis]}"
 
 
 def _rotation_to_y(axis: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from ...deprecated import old_argument, old_method
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
 from ...pictures.clay import plain_texture
+from ..observer import Knob
 from ..settings import FitWeights
 from .fit_views import Views
 from .hull import carve, object_bounds
@@ -56,6 +57,8 @@ class MeshFit:
         >>> while not fit.done:
         ...     losses = fit.advance()
         >>> fit.mesh().save("object.glb")
+        >>> fit.knobs()  # in the texture phase
+        []
         >>> iou = fit.normalize(views).quality(fit.shape)["iou"]
         >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
@@ -147,6 +150,28 @@ class MeshFit:
             self.phase = "texture"
             self._fit = self._start_phase(vertices, faces)
         return self._fit.advance()
+
+    def knobs(self) -> list[Knob]:
+        """List the settings that may change between two steps.
+
+        Returns:
+            Those of the shape phase, see `ShapeFit.knobs`; none in the texture phase, which has none.
+        """
+        return self._fit.knobs() if isinstance(self._fit, ShapeFit) else []
+
+    def turn(self, name: str, value: float | str) -> None:
+        """Change a setting. `state_dict` does not contain it.
+
+        Args:
+            name: Its name, as in `knobs`.
+            value: Its new value.
+
+        Raises:
+            TypeError, ValueError: There is no such setting, or the value does not fit.
+        """
+        if not isinstance(self._fit, ShapeFit):
+            raise ValueError(f"name: expected a setting that can change, got {name!r} in the texture phase")
+        self._fit.turn(name, value)
 
     def state_dict(self) -> dict[str, Any]:
         """Collect everything that changes from step to step.

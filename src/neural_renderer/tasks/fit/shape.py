@@ -12,6 +12,7 @@ from ...deprecated import old_argument
 from ...io.cubes import bake_corners
 from ...meshes.subdivision import split_faces
 from ...meshes.topology import Topology
+from ..observer import LEAST_RATE, Knob, turn_weight, weight_knobs
 from ..settings import FitWeights
 from .descent import SmoothDescent
 from .fit_views import Views, mask_iou, views_of_step
@@ -57,7 +58,10 @@ class ShapeFit:
         >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     numbers = fit.advance()
+        ...     fit.turn("laplacian", 50.0)
         >>> vertices, faces = fit.shape
+        >>> [knob.name for knob in fit.knobs()][:2]
+        ['rate', 'silhouette']
         >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
 
@@ -161,6 +165,29 @@ class ShapeFit:
         colors = None if self._colors is None else torch.cat((self._colors, self._colors[edges].mean(1)))
         self._set_shape(vertices, faces, colors)
         self._subdivided += 1
+
+    def knobs(self) -> list[Knob]:
+        """List the settings that may change between two steps.
+
+        Returns:
+            "rate", the distance that the fastest vertex moves, and the weights of the losses.
+        """
+        return [Knob("rate", self._rate, LEAST_RATE), *weight_knobs(self._weights)]
+
+    def turn(self, name: str, value: float | str) -> None:
+        """Change a setting. `state_dict` does not contain it.
+
+        Args:
+            name: Its name, as in `knobs`.
+            value: Its new value.
+
+        Raises:
+            TypeError, ValueError: There is no such setting, or the value does not fit.
+        """
+        if name == "rate":
+            self._rate = validate.positive(name, value)
+        else:
+            self._weights = turn_weight(self._weights, name, value)
 
     def state_dict(self) -> dict[str, Any]:
         """Collect everything that changes from step to step.

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+
+from ..watch import WatchOptions
 
 
 @dataclass(frozen=True)
@@ -47,3 +49,5 @@ class PredictOptions:
     silhouette of its image."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device to compute on; auto is CUDA if available."""
+    watch: Annotated[WatchOptions, tyro.conf.arg(name="")] = field(default_factory=WatchOptions)
+    """Follow the run."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from ....tasks.settings import ConfigName, ModelName
+from ..watch import WatchOptions
 
 
 @dataclass(frozen=True)
@@ -69,3 +70,5 @@ class TrainOptions:
     """Precision of the networks. auto is bfloat16 if the configuration allows it and the hardware is fast at it."""
     workers: int = 0
     """Processes that load images ahead. Slow disks need some."""
+    watch: Annotated[WatchOptions, tyro.conf.arg(name="")] = field(default_factory=WatchOptions)
+    """Follow the run."""

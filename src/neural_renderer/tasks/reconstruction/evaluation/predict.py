@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from ....meshes.isosurface import isosurface
 from ....metrics import silhouette_iou
+from ...observer import Observer, goes_on
 from ..data.drawing import draw_mesh, on_paper
 from ..data.framing import VIEWS, mirror
 from .cutout import frame_object
@@ -49,7 +51,9 @@ def best_frame(predict: Predictor, rgba: Tensor, device: torch.device | str = "c
 
 
 @torch.no_grad()
-def predict_meshes(model: Any, images: Tensor, threshold: float = 0.5, refine: int = 0) -> list[tuple[Tensor, Tensor]]:
+def predict_meshes(
+    model: Any, images: Tensor, threshold: float = 0.5, refine: int = 0, observer: Observer | None = None
+) -> list[tuple[Tensor, Tensor]]:
     """Predict meshes from images.
 
     Args:
@@ -58,6 +62,7 @@ def predict_meshes(model: Any, images: Tensor, threshold: float = 0.5, refine: i
         threshold: Probability at the surface, for a voxel network. The mesh is an isosurface of the interpolated
             probabilities.
         refine: Steps of test-time refinement, for a mesh network (see `refine.refine_meshes`).
+        observer: Sees the steps of the refinement of the first mesh, and may pause and stop it; or None.
 
     Returns:
         Vertices [V, 3] and outward faces [F, 3] of each image, in the frame of the models, on the CPU.
@@ -68,7 +73,14 @@ def predict_meshes(model: Any, images: Tensor, threshold: float = 0.5, refine: i
     pixels = images.float() / 255
     if model.kind == "mesh":
         faces = model.faces.flip(1).cpu()
-        meshes = refine_meshes(model, model.vertices(pixels), pixels, refine)
+
+        def observe(step: int, loss: float, vertices: Callable[[], Tensor]) -> bool:
+            if observer is not None:
+                numbers = {"loss": loss}
+                observer.observe("refinement", step, refine, numbers, lambda: (mirror(vertices()[0].cpu()), faces))
+            return goes_on(observer)
+
+        meshes = refine_meshes(model, model.vertices(pixels), pixels, refine, None if observer is None else observe)
         return [(mirror(vertices), faces) for vertices in meshes.cpu()]
     return [_voxel_mesh(occupancy, threshold) for occupancy in model.occupancy(pixels).cpu()]
 

@@ -6,6 +6,8 @@ from one side, and the renderer's gradient transfers them to the mesh.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -25,7 +27,13 @@ def refine_steps(model: Model, requested: int | None) -> int:
     return model.config.refine if requested is None else requested
 
 
-def refine_meshes(network: MeshNetwork, vertices: Tensor, images: Tensor, steps: int) -> Tensor:
+def refine_meshes(
+    network: MeshNetwork,
+    vertices: Tensor,
+    images: Tensor,
+    steps: int,
+    observe: Callable[[int, float, Callable[[], Tensor]], bool] | None = None,
+) -> Tensor:
     """Fit predicted meshes to the silhouettes of their input images.
 
     The view of an image is unknown. Of the 24 views, the one with the best IoU between prediction and image is used.
@@ -37,6 +45,8 @@ def refine_meshes(network: MeshNetwork, vertices: Tensor, images: Tensor, steps:
         vertices: [B, 642, 3] floating, predicted vertices.
         images: [B, 4, 64, 64] in [0, 1], the input images.
         steps: Number of steps; 0 returns ``vertices``.
+        observe: Called after each step with the number of steps taken, the loss before it, and a function that makes
+            the current vertices. The refinement ends when it returns False.
 
     Returns:
         [B, 642, 3] in [-½, ½], detached.
@@ -61,13 +71,17 @@ def refine_meshes(network: MeshNetwork, vertices: Tensor, images: Tensor, steps:
 
     displacement = torch.zeros_like(vertices, requires_grad=True)
     optimizer = torch.optim.Adam([displacement], _RATE, _BETAS)
-    for _ in range(steps):
+    for step in range(1, steps + 1):
         with torch.enable_grad():
             shapes = displaced()
             error = silhouette_iou_loss(network.silhouettes(shapes, views), masks)
             loss = len(shapes) * (error + _LAPLACIAN * laplacian(shapes, network.topology))
         (displacement.grad,) = torch.autograd.grad(loss, displacement)
         optimizer.step()
+        if observe is None:
+            continue
+        if not observe(step, float(loss.detach()) / len(vertices), lambda: displaced().detach()):
+            break
     return displaced().detach()
 
 

@@ -10,11 +10,13 @@ import torch
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from ....features import FeatureNetwork
+from ...observer import Observer
 from ..data.arrays import Split
 from ..networks.configs import Config
 from .callbacks import Checkpoints, Log
 from .sampling import Batches
 from .training import Training
+from .watch import Watch
 
 
 def train(
@@ -35,6 +37,7 @@ def train(
     checkpoint: Path | None = None,
     features: FeatureNetwork | None = None,
     interrupted: list[int] | None = None,
+    observer: Observer | None = None,
 ) -> Training:
     """Train a network until it is done or interrupted.
 
@@ -55,6 +58,8 @@ def train(
         checkpoint: A "last.ckpt" to resume from.
         features: Recognition network of the encoder "features".
         interrupted: The training ends when this list is not empty.
+        observer: Sees the steps, with predictions for a few pictures, and may pause and stop the training and change
+            its learning rate; or None. Only the first process asks it.
 
     Returns:
         The training after its last step.
@@ -69,6 +74,8 @@ def train(
         kind, config, data, val, minutes=minutes, every=every, seed=seed, workers=workers, features=features
     )
     many = devices * nodes > 1
+    interrupted = [] if interrupted is None else interrupted
+    watchers = [] if observer is None else [Watch(observer, interrupted)]
     trainer = lightning.Trainer(
         accelerator={"cuda": "gpu"}.get(device, device),
         devices=devices,
@@ -80,7 +87,7 @@ def train(
         num_sanity_val_steps=0,
         use_distributed_sampler=False,
         logger=TensorBoardLogger(out, name="tensorboard", version=""),
-        callbacks=[Checkpoints(out, [] if interrupted is None else interrupted), Log(out)],
+        callbacks=[*watchers, Checkpoints(out, interrupted), Log(out)],
         enable_checkpointing=False,
         enable_progress_bar=False,
         enable_model_summary=False,

@@ -56,6 +56,7 @@ class Training(lightning.LightningModule):
         seconds: Time of these steps.
         progress: Finished fraction of the training, 1 at the end.
         latest: Latest values of "loss", "iou" and "val_iou".
+        rate_factor: Factor on the learning rate. It may change between two steps; checkpoints do not contain it.
     """
 
     def __init__(
@@ -83,6 +84,7 @@ class Training(lightning.LightningModule):
         self.progress = 0.0
         self._clock = 0.0
         self.latest: dict[str, float] = {}
+        self.rate_factor = 1.0
 
     @property
     def model(self) -> Model:
@@ -141,7 +143,7 @@ class Training(lightning.LightningModule):
         """Set the learning rate of this step."""
         factor = schedule(self.config.schedule, self.progress)
         for group in self.optimizers().param_groups:  # type: ignore[union-attr]
-            group["lr"] = group["base"] * factor
+            group["lr"] = group["base"] * factor * self.rate_factor
 
     def training_step(self, batch: dict[str, Tensor], batch_idx: int) -> Tensor:
         """Compute the loss of a batch."""

@@ -1,0 +1,86 @@
+"""`neural-renderer view`: meshes, results and records in the browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..tasks.fit.fit_pictures import up_axis
+from ..viewer.results import Results, read_results
+from ..viewer.viewer import Viewer
+from .common import check_outputs, say
+from .options.view import ViewOptions
+
+
+def run(options: ViewOptions) -> int:
+    """Show the files until Ctrl-C; return the exit code."""
+    if not options.paths:
+        raise ValueError("paths: expected at least one file or folder, got none")
+    if not options.browser and options.record is None:
+        raise ValueError("--record: expected a file with --no-browser, got none")
+    if options.record is not None:
+        check_outputs([options.record], [path for path in options.paths if path.is_file()])
+    results = _read(options)
+    for note in results.notes:
+        say(note, "yellow")
+    with Viewer(host=options.host, port=options.port, browser=options.browser, title="neural-renderer") as viewer:
+        viewer.finish("")  # no work goes on here
+        _show(viewer, results, options)
+        if options.record is not None:
+            viewer.flush()
+            say(viewer.save_record(options.record))
+        if viewer.url is not None:
+            say(f"open {viewer.url} in a browser; Ctrl-C ends the viewer")
+            try:
+                viewer.wait()
+            except KeyboardInterrupt:
+                say("the viewer has ended")
+    return 0
+
+
+def _read(options: ViewOptions) -> Results:
+    """Read all files, or the only folder or record."""
+    found = [read_results(path, options.allow_outside) for path in options.paths]
+    if len(found) == 1:
+        return found[0]
+    several = Results()
+    for path, results in zip(options.paths, found, strict=True):
+        if path.is_dir() or results.record is not None:
+            raise ValueError(f"paths: expected several meshes, or one folder or record, got {path} among others")
+        for name, mesh in results.meshes.items():
+            several.meshes[_free_name(name, path, several)] = mesh
+    return several
+
+
+def _free_name(name: str, path: Path, results: Results) -> str:
+    """Choose a name for a mesh that no other one has."""
+    for candidate in (name, path.name, str(path)):
+        if candidate not in results.meshes:
+            return candidate
+    return f"{path} {len(results.meshes)}"
+
+
+def _show(viewer: Viewer, results: Results, options: ViewOptions) -> None:
+    """Show what was read."""
+    if results.record is not None:
+        record = results.record
+        if not len(record):
+            raise ValueError(f"{options.paths[0]}: expected a record with frames, got an empty one")
+
+        def choose(number: int) -> None:
+            for name, mesh in record.meshes(number).items():
+                viewer.show(mesh, name)
+
+        choose(len(record) - 1)
+        viewer.show_steps(record.labels, choose)
+    names = [name for name in results.meshes if results.record is None or name == "before"]
+    for name in names:
+        viewer.show(results.meshes[name], name)
+    if results.numbers:
+        viewer.show_curves(results.numbers)
+    if results.pictures:
+        viewer.show_pictures(results.pictures)
+    if results.views is not None:
+        viewer.show_cameras(results.views.camera, results.views.photos, results.views.masks)
+    up = options.up or (None if results.views is None else up_axis(results.views))
+    if up is not None:
+        viewer.set_up(up)

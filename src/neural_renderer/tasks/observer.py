@@ -1,0 +1,95 @@
+"""What a task shows while it runs, and what may be changed meanwhile. The viewer is one observer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Protocol, TypeVar
+
+from .. import validate
+
+LEAST_RATE = 1e-9
+"""Least value of a learning rate that must be positive."""
+_POLL = 0.05  # seconds
+_Weights = TypeVar("_Weights")
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A setting of a task that may change between two steps.
+
+    Attributes:
+        name: Its name.
+        value: Its value now.
+        least, most: Limits of a number.
+        choices: The values of a setting that is no number.
+    """
+
+    name: str
+    value: float | str
+    least: float = 0.0
+    most: float = 1e9
+    choices: tuple[str, ...] = ()
+
+
+def weight_knobs(weights: Any) -> list[Knob]:
+    """Make knobs of the loss weights in a dataclass; none of None."""
+    return [] if weights is None else [Knob(name, float(value)) for name, value in asdict(weights).items()]
+
+
+def turn_weight(weights: _Weights, name: str, value: float | str) -> _Weights:
+    """Return loss weights of which one has a new value, ≥ 0; raise ValueError if there is none of this name."""
+    if weights is None or name not in asdict(weights):  # type: ignore[call-overload]
+        raise ValueError(f"name: expected a setting that can change, got {name!r}")
+    return replace(weights, **{name: validate.not_negative(name, value)})  # type: ignore[type-var]
+
+
+class Observer(Protocol):
+    """Sees the steps of a task, and says whether it goes on.
+
+    Attributes:
+        paused: Whether the task is to wait.
+        stopped: Whether the task is to end after this step, and keep its result.
+    """
+
+    @property
+    def paused(self) -> bool: ...
+    @property
+    def stopped(self) -> bool: ...
+
+    def observe(
+        self, phase: str, step: int, steps: int, numbers: Mapping[str, float], mesh: Callable[[], Any], /
+    ) -> None:
+        """See a step.
+
+        Args:
+            phase: Name of the phase.
+            step: Number of steps taken in it.
+            steps: Number of its steps.
+            numbers: Losses and measures of the step.
+            mesh: Makes the current mesh, or several by name. Called in this thread, at some of the steps only.
+        """
+        ...
+
+    def offer(self, knobs: Sequence[Knob], /) -> None:
+        """Learn which settings may change."""
+        ...
+
+    def changes(self) -> dict[str, float | str]:
+        """Return the settings that were changed since the last call."""
+        ...
+
+
+def goes_on(observer: Observer | None, interrupted: Sequence[int] = ()) -> bool:
+    """Wait while a task is paused; tell whether it goes on.
+
+    Args:
+        observer: Its observer, or None.
+        interrupted: Ends the pause when it is not empty, as after Ctrl-C.
+    """
+    if observer is None:
+        return True
+    while observer.paused and not observer.stopped and not interrupted:
+        time.sleep(_POLL)
+    return not observer.stopped

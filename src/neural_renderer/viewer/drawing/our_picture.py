@@ -1,0 +1,241 @@
+"""What a loss sees: our own renderer's picture from the browser's view, and the gradient of a loss on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ... import losses
+from ...camera import Camera
+from ...pictures.lamp import lamp_direction
+from ...raster import Images
+from ...rendering import render
+from ...shading.lights import Light
+from .snapshot import Snapshot
+
+IMAGE_LOSSES = ("silhouette IoU", "photometric")
+"""Losses that compare with a target."""
+FREE_LOSSES = ("area", "brightness", "laplacian", "edge length", "normal consistency", "smoothness")
+"""Losses without a target: the first two of the picture, the others of the mesh."""
+_AMBIENT, _DIRECTIONAL = 0.45, 0.6
+_NEAREST, _FARTHEST = 1e-3, 1e3  # planes, relative to the distance of the eye from the mesh
+_LENGTH, _LEAST = 0.12, 0.02  # of the longest arrow, relative to the mesh; shorter ones, relative to it, are left out
+_MOST_ARROWS = 3000
+_COLD, _WARM, _HOT = (0.80, 0.83, 0.88), (0.96, 0.62, 0.20), (0.72, 0.05, 0.12)  # colours of small to large gradients
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The camera of a browser.
+
+    Attributes:
+        wxyz: [4], its rotation as a quaternion; its axes are right, down and forward.
+        position: [3].
+        field: Vertical field of view in radians.
+        aspect: Width over height.
+    """
+
+    wxyz: np.ndarray
+    position: np.ndarray
+    field: float
+    aspect: float
+
+    def camera(self, place: np.ndarray) -> Camera:
+        """Make the camera in the coordinates of a mesh whose origin is at ``place`` [3]."""
+        w, x, y, z = (float(value) for value in self.wxyz / np.linalg.norm(self.wxyz))
+        pose = torch.eye(4)
+        pose[:3, :3] = torch.tensor(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        pose[:3, 3] = torch.from_numpy(np.asarray(self.position - place, np.float64))
+        return Camera.from_matrix(camera_to_world=pose, viewing_angle=math.degrees(self.field) / 2)
+
+    def size(self, height: int) -> tuple[int, int]:
+        """Return height and width of a picture."""
+        return height, max(round(height * self.aspect), 1)
+
+
+def draw(
+    snapshot: Snapshot,
+    camera: Camera,
+    size: tuple[int, int],
+    *,
+    lit: bool,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    vertices: Tensor | None = None,
+    gradient: str = "edge",
+) -> Images:
+    """Render a mesh.
+
+    Args:
+        snapshot: The mesh.
+        camera: One camera in its coordinates.
+        size: Height and width in pixels.
+        lit: Whether a lamp over the viewer's shoulder lights it.
+        background: RGB in [0, 1].
+        vertices: Other vertices [V, 3], such as those that require a gradient.
+        gradient: Gradient estimator.
+
+    Returns:
+        "rgb", "alpha" and "depth".
+    """
+    light = Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera)) if lit else None
+    low, high = snapshot.bounds()
+    eye = camera.origin[0] - camera.rotation[0].T @ camera.translation[0]
+    reach = float(np.linalg.norm(eye.numpy() - (low + high) / 2) + np.linalg.norm(high - low))
+    return render(
+        snapshot.shape() if vertices is None else snapshot.moved(vertices),
+        camera,
+        size,
+        light=light,
+        background=background,
+        near=reach * _NEAREST,
+        far=reach * _FARTHEST,
+        gradient=gradient,
+    )
+
+
+@torch.no_grad()
+def picture(
+    meshes: Iterable[tuple[Snapshot, np.ndarray]],
+    view: View,
+    height: int,
+    *,
+    output: str = "rgb",
+    lit: bool = True,
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+) -> np.ndarray:
+    """Draw meshes, the nearest surface in front.
+
+    Args:
+        meshes: Each with the place [3] of its origin.
+        view: The view.
+        height: Height of the picture in pixels.
+        output: "rgb", "alpha" or "depth".
+        lit: Whether a lamp lights them.
+        background: RGB in [0, 1].
+
+    Returns:
+        [H, W, 3] uint8.
+    """
+    size = view.size(height)
+    rgb = torch.tensor(background)[:, None, None].expand(3, *size)
+    alpha, depth = torch.zeros(size), torch.full(size, math.inf)
+    for snapshot, place in meshes:
+        images = draw(snapshot, view.camera(place), size, lit=lit)
+        covers = images.alpha[0]
+        own = torch.where(covers > 0, images.depth[0], math.inf)
+        front = own <= depth
+        # Colours over black are multiplied by alpha. The outlines of the mesh in front blend with what is behind.
+        over = images.rgb[0] + (1 - covers) * rgb
+        rgb = torch.where(front, over, rgb)
+        alpha, depth = torch.maximum(alpha, covers), torch.minimum(own, depth)
+    shown = rgb if output == "rgb" else (alpha if output == "alpha" else _grey(depth)).expand(3, *size)
+    return (shown.permute(1, 2, 0).clamp(0, 1) * 255 + 0.5).byte().numpy()
+
+
+def _grey(depth: Tensor) -> Tensor:
+    """Convert depth to grey: the nearest point is white, the farthest dark, the background black."""
+    known = depth[torch.isfinite(depth)]
+    if not len(known):
+        return torch.zeros_like(depth)
+    low, high = torch.quantile(known[:: max(len(known) // 100_000, 1)], torch.tensor([0.0, 0.98]))
+    grey = 1 - 0.75 * ((depth - low) / (high - low).clamp(min=1e-6)).clamp(0, 1)
+    return torch.where(torch.isfinite(depth), grey, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What a loss compares with.
+
+    Attributes:
+        alpha: [1, H, W] in [0, 1].
+        rgb: [1, 3, H, W] in [0, 1], multiplied by alpha; or None.
+    """
+
+    alpha: Tensor
+    rgb: Tensor | None
+
+
+def loss_gradient(
+    snapshot: Snapshot,
+    camera: Camera,
+    size: tuple[int, int],
+    loss: str,
+    *,
+    target: Target | None = None,
+    gradient: str = "edge",
+    lit: bool = True,
+) -> tuple[float, Tensor]:
+    """Compute a loss and its gradient on the vertices.
+
+    Args:
+        snapshot: The mesh.
+        camera: One camera in its coordinates.
+        size: Height and width in pixels.
+        loss: One of `IMAGE_LOSSES` or `FREE_LOSSES`.
+        target: What an image loss compares with.
+        gradient: Gradient estimator.
+        lit: Whether a lamp lights the mesh.
+
+    Returns:
+        The loss, and [V, 3].
+
+    Raises:
+        ValueError: An image loss has no target.
+    """
+    vertices = snapshot.vertices.clone().requires_grad_()
+    if loss in ("laplacian", "edge length", "normal consistency", "smoothness"):
+        value = getattr(losses, loss.replace(" ", "_"))(vertices, snapshot.faces)
+    else:
+        images = draw(snapshot, camera, size, lit=lit, vertices=vertices, gradient=gradient)
+        if loss == "area":
+            value = images.alpha.mean()
+        elif loss == "brightness":
+            value = images.rgb.mean()
+        elif target is None:
+            raise ValueError(f"target: expected one for the loss {loss}, got none")
+        elif loss == "silhouette IoU":
+            value = losses.silhouette_iou_loss(images.alpha, target.alpha)
+        else:
+            rgb = target.alpha[:, None].expand(-1, 3, -1, -1) if target.rgb is None else target.rgb
+            value = losses.photometric(images.rgb, rgb)
+    (found,) = torch.autograd.grad(value, vertices)
+    return float(value.detach()), found.nan_to_num(posinf=0.0, neginf=0.0)
+
+
+def arrows(snapshot: Snapshot, gradient: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Make arrows of descent, from vertices against their gradients.
+
+    Returns:
+        Starts and ends [N, 2, 3], and colours [N, 3] uint8. Lengths are proportional to the gradients.
+    """
+    size = gradient.norm(dim=1)
+    most = size.max() if len(size) else size.new_zeros(())
+    if not float(most) > 0:
+        return np.zeros((0, 2, 3), np.float32), np.zeros((0, 3), np.uint8)
+    rows = torch.nonzero(size > _LEAST * most).flatten()
+    if len(rows) > _MOST_ARROWS:
+        rows = rows[size[rows].topk(_MOST_ARROWS).indices]
+    low, high = snapshot.bounds()
+    length = _LENGTH * float((high - low).max())
+    starts = snapshot.vertices[rows]
+    ends = starts - gradient[rows] / most * length
+    colors = (heat(size[rows] / most) * 255 + 0.5).byte()
+    return torch.stack((starts, ends), 1).numpy(), colors.numpy()
+
+
+def heat(values: Tensor) -> Tensor:
+    """Choose colours [N, 3] for values [N] in [0, 1]: grey, orange, red; small ones are told apart, too."""
+    cold, warm, hot = (torch.tensor(color) for color in (_COLD, _WARM, _HOT))
+    t = values.clamp(0, 1).sqrt()[:, None]
+    return torch.where(t < 0.5, cold + (warm - cold) * 2 * t, warm + (hot - warm) * (2 * t - 1))

@@ -1,0 +1,125 @@
+"""`Snapshot`: a copy of a mesh on the CPU, taken in the thread that changes the mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ... import validate
+from ...meshes.mesh import Mesh
+from ...meshes.uv_mesh import UVMesh
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """Copy of a mesh.
+
+    Attributes:
+        vertices: [V, 3] float32, on the CPU.
+        faces: [F, 3] int32, on the CPU.
+        textures: [F, T, T, T, 3] float32, or None.
+        uv_mesh: The mesh with its images, or None.
+    """
+
+    vertices: Tensor
+    faces: Tensor
+    textures: Tensor | None = None
+    uv_mesh: UVMesh | None = None
+
+    def finite(self) -> tuple[Snapshot, int]:
+        """Leave out faces with a vertex that is not finite, as in an optimisation that diverged.
+
+        Returns:
+            The rest, whose unusable vertices are at the origin, and the number of faces left out.
+        """
+        good = torch.isfinite(self.vertices).all(1)
+        if bool(good.all()):
+            return self, 0
+        vertices = torch.where(good[:, None], self.vertices, 0.0)
+        kept = good[self.faces.long()].all(1)
+        textures = None if self.textures is None else self.textures[kept]
+        uv_mesh = self.uv_mesh
+        if uv_mesh is not None:
+            own: dict[str, Any] = {name: getattr(uv_mesh, name)[kept] for name in ("uv", "image_index", "colors")}
+            uv_mesh = replace(uv_mesh, vertices=vertices, faces=self.faces[kept], **own)
+        return Snapshot(vertices, self.faces[kept], textures, uv_mesh), int((~kept).sum())
+
+    def shape(self) -> UVMesh | tuple[Tensor, ...]:
+        """Return the mesh in a form that `render` takes; without colours it is white."""
+        if self.uv_mesh is not None:
+            return self.uv_mesh
+        textures = torch.ones(len(self.faces), 1, 1, 1, 3) if self.textures is None else self.textures
+        return self.vertices, self.faces, textures
+
+    def moved(self, vertices: Tensor) -> UVMesh | tuple[Tensor, ...]:
+        """Return the mesh as `shape`, with other vertices."""
+        shape = self.shape()
+        return replace(shape, vertices=vertices) if isinstance(shape, UVMesh) else (vertices, *shape[1:])
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least and greatest coordinates of the faces' vertices, [3] each; 0 without faces."""
+        used = self.vertices[self.faces.long().reshape(-1)]
+        if not len(used):
+            return np.zeros(3), np.zeros(3)
+        return used.amin(0).double().numpy(), used.amax(0).double().numpy()
+
+
+def take_snapshot(mesh: Any) -> Snapshot:
+    """Copy a mesh.
+
+    Args:
+        mesh: A `Mesh`, a `UVMesh`, or (vertices, faces) or (vertices, faces, textures) of one mesh as in `render`.
+
+    Returns:
+        The copy.
+
+    Raises:
+        TypeError, ValueError: It is none of these, or its tensors do not fit together.
+    """
+    if isinstance(mesh, Snapshot):
+        return mesh
+    if isinstance(mesh, UVMesh):
+        own: dict[str, Any] = {
+            name: _copy(getattr(mesh, name)) for name in ("vertices", "faces", "uv", "image_index", "colors")
+        }
+        copy = replace(mesh, **own, images=tuple(_copy(image) for image in mesh.images))
+        return Snapshot(*_checked(copy.vertices, copy.faces), None, copy)
+    if isinstance(mesh, Mesh):
+        mesh = mesh.vertices, mesh.faces, mesh.textures
+    if not isinstance(mesh, (tuple, list)) or len(mesh) not in (2, 3):
+        raise TypeError(
+            f"mesh: expected a Mesh, a UVMesh, (vertices, faces) or (vertices, faces, textures), got "
+            f"{type(mesh).__name__}"
+        )
+    vertices, faces = _checked(*(_copy(_single(part)) for part in mesh[:2]))
+    textures = None
+    if len(mesh) == 3 and mesh[2] is not None:
+        textures = _copy(_single(mesh[2], 5)).float()
+        validate.cubes("textures", textures, len(faces))
+    return Snapshot(vertices, faces, textures)
+
+
+def _checked(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
+    """Check shapes and indices; vertices may be infinite, or no numbers, in an optimisation that diverges."""
+    validate.floating("vertices", vertices, ("V", 3))
+    faces = validate.indices("faces", faces, ("F", 3))
+    validate.in_range("faces", faces, len(vertices), always=True)
+    return vertices.float(), faces.int()
+
+
+def _single(value: Any, dimensions: int = 2) -> Tensor:
+    """Return the only mesh of a batch of one, as a tensor."""
+    if isinstance(value, np.ndarray):
+        value = torch.from_numpy(value)
+    if not isinstance(value, Tensor):
+        raise TypeError(f"mesh: expected tensors or arrays, got {type(value).__name__}")
+    return value[0] if value.ndim == dimensions + 1 and len(value) == 1 else value
+
+
+def _copy(value: Tensor) -> Tensor:
+    """Copy a tensor to the CPU, without its gradient."""
+    return value.detach().to("cpu", copy=True)

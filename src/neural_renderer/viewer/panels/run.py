@@ -1,0 +1,188 @@
+"""The part of the page's panel that follows a run: its state, curves, pause and stop, and settings that may change."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...tasks.observer import Knob
+
+if TYPE_CHECKING:
+    import viser
+
+_MOST_POINTS = 400  # of a curve
+_MOST_CURVES = 4
+_CURVE_HEIGHT = 120  # pixels
+_COLOR = "#2b5a8c"
+
+
+class Run:
+    """State of a run that the browser may change. For any thread.
+
+    Attributes:
+        paused: Whether the work is to wait.
+        stopped: Whether it is to end and to keep its result.
+        is_used: Whether there is a run: something looks at these, or logs numbers.
+        knobs: The settings that may change.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self.paused = self.stopped = self.is_used = False
+        self.text = ""
+        self.numbers: dict[str, list[tuple[float, float]]] = {}
+        self._steps = 0
+        self._changes: dict[str, float | str] = {}
+        self._values: dict[str, float | str] = {}
+        self.knobs: dict[str, Knob] = {}
+
+    def log(self, text: str, numbers: Mapping[str, float]) -> None:
+        """Keep the numbers of a step."""
+        with self._lock:
+            self.text = text
+            self._steps += 1
+            for name, value in numbers.items():
+                points = self.numbers.setdefault(name, [])
+                points.append((self._steps, float(value)))
+                if len(points) > 2 * _MOST_POINTS:
+                    del points[1:-1:2]
+
+    def curves(self) -> dict[str, np.ndarray]:
+        """Return the points of the curves, [N, 2] each, without those that are not finite."""
+        with self._lock:
+            arrays = {name: np.array(points, np.float64) for name, points in self.numbers.items()}
+        return {name: points[np.isfinite(points).all(1)] for name, points in arrays.items()}
+
+    def offer(self, knobs: Sequence[Knob]) -> None:
+        """Replace the settings that may change."""
+        with self._lock:
+            self.knobs = {knob.name: knob for knob in knobs}
+
+    def change(self, name: str, value: float | str) -> None:
+        """Ask for a change."""
+        with self._lock:
+            self._changes[name] = self._values[name] = value
+
+    def present(self, name: str, value: float) -> float | str:
+        """Return the last change of a setting, or ``value`` without one."""
+        with self._lock:
+            return self._values.get(name, value)
+
+    def changes(self) -> dict[str, float | str]:
+        """Return the changes since the last call."""
+        with self._lock:
+            changes, self._changes = self._changes, {}
+        return changes
+
+
+class RunPanel:
+    """Controls of a run. The methods are called in the worker's thread."""
+
+    def __init__(self, server: viser.ViserServer, run: Run) -> None:
+        import viser
+
+        self._server, self._run = server, run
+        gui = server.gui
+        self._folder = gui.add_folder("Run", order=-2)
+        with self._folder:
+            self._status = gui.add_markdown("")
+            self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+            hint = "End after this step, and keep the result"
+            self._stop = gui.add_button("Stop and keep", color="red", icon=viser.Icon.PLAYER_STOP, hint=hint)
+        self._curves: dict[str, Any] = {}
+        self._settings: Any = None
+        self._offered: dict[str, Knob] = {}
+
+        def pause(_: Any) -> None:
+            run.paused = not run.paused
+            self._show_pause()
+            self.update()
+
+        def stop(_: Any) -> None:
+            run.stopped = True
+            self._pause.disabled = self._stop.disabled = True
+            self.update()
+
+        self._pause.on_click(pause)
+        self._stop.on_click(stop)
+
+    def update(self) -> None:
+        """Show the state of the run."""
+        run = self._run
+        state = "stopping" if run.stopped else "paused" if run.paused else ""
+        text = f"**{state}** · {run.text}" if state and run.text else f"**{state}**" if state else run.text
+        if self._status.content != text:
+            self._status.content = text
+        for name, points in list(run.curves().items())[:_MOST_CURVES]:
+            if len(points):
+                self._show_curve(name, points)
+        if run.knobs != self._offered:
+            self._show_settings(dict(run.knobs))
+
+    def finish(self, text: str) -> None:
+        """Show that the run is over."""
+        self._pause.visible = self._stop.visible = False
+        if self._settings is not None:
+            self._settings.remove()
+            self._settings = None
+        self._run.text, self._run.paused, self._run.stopped = text, False, False
+        self._offered = self._run.knobs = {}
+        self.update()
+
+    def _show_pause(self) -> None:
+        """Name the button by what it does."""
+        import viser
+
+        paused = self._run.paused
+        self._pause.label = "Go on" if paused else "Pause"
+        self._pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
+
+    def _show_curve(self, name: str, points: np.ndarray) -> None:
+        """Draw a curve."""
+        import viser
+
+        thin = points[:: -(-len(points) // _MOST_POINTS)]
+        x, y = np.ascontiguousarray(thin[:, 0]), np.ascontiguousarray(thin[:, 1])
+        if name in self._curves:
+            self._curves[name].data = (x, y)
+            return
+        with self._folder:
+            self._curves[name] = self._server.gui.add_uplot(
+                (x, y),
+                (viser.uplot.Series(label="step"), viser.uplot.Series(label=name, stroke=_COLOR, width=2)),
+                title=name,
+                scales={"x": viser.uplot.Scale(time=False)},
+                legend=viser.uplot.Legend(show=False),
+                height=_CURVE_HEIGHT,
+            )
+
+    def _show_settings(self, knobs: dict[str, Knob]) -> None:
+        """Show a field for each setting that may change."""
+        self._offered = knobs
+        if self._settings is not None:
+            self._settings.remove()
+            self._settings = None
+        if not knobs:
+            return
+        with self._folder:
+            self._settings = self._server.gui.add_folder("Settings")
+        with self._settings:
+            for knob in knobs.values():
+                self._add_field(knob)
+
+    def _add_field(self, knob: Knob) -> None:
+        """Add the field of a setting."""
+        gui, label = self._server.gui, knob.name.replace("_", " ")
+        field: Any
+        if knob.choices:
+            field = gui.add_dropdown(label, knob.choices, initial_value=str(knob.value))
+        else:
+            value = float(knob.value)
+            step = 10.0 ** (math.floor(math.log10(abs(value))) - 2) if value else 0.01
+            field = gui.add_number(label, value, min=knob.least, max=knob.most, step=step)
+
+        field.on_update(lambda _: self._run.change(knob.name, field.value))

@@ -1,0 +1,1 @@
+"""Records: the steps of a run in one HTML file."""

@@ -1,0 +1,209 @@
+"""`Recorder`: the steps of a run as one HTML file that any browser opens, without Python and without a network."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+import time
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...io.atomic_write import write_file
+from ...version import __version__
+from ..drawing.glb import Drawable
+from ..drawing.snapshot import Snapshot
+from ..drawing.surface import Look, drawables
+
+FORMAT = 1
+"""Number of the format, in every file."""
+BEGIN, END = '<script id="record" type="application/json">', "</script>"
+"""What stands before and after the data in a file."""
+DEFAULT_LIMIT = 32.0
+"""Size of a file in MiB at most."""
+_LEVELS = 2**14 - 1  # of a coordinate, over the mesh's bounding box
+_UV_LEVELS = 2**16 - 1
+_PAGE = Path(__file__).with_name("record.html")
+_MARK = "<!-- record -->"
+_WRITING = 0.02  # share of the time that writing the file while work goes on may take
+_LEAST_INTERVAL = 10.0  # seconds between two such writings
+_MOST_NUMBERS = 2000  # of steps, in the curves
+
+
+class Recorder:
+    """Collects frames and writes them as an HTML file.
+
+    A frame whose numbers of faces, indices, texture coordinates or images are those of another one shares them. If the
+    file would be larger than its limit, every second frame is left out, and from then on every second one is skipped.
+
+    Args:
+        path: Name that ends in ``.html``.
+        limit: Size of the file in MiB at most.
+
+    Raises:
+        ValueError: The name does not end in ``.html``.
+        OSError: The folder cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], limit: float = DEFAULT_LIMIT) -> None:
+        self.path = Path(path)
+        if self.path.suffix.lower() not in (".html", ".htm"):
+            raise ValueError(f"record: expected a name that ends in .html, got {self.path.name!r}")
+        if self.path.is_dir():
+            raise ValueError(f"record: expected a file, got the folder {self.path}")
+        page = _PAGE.read_text(encoding="utf-8")
+        self._before, self._after = page.split(_MARK)
+        self._most = limit * 2**20 - len(page) - 2**16
+        self._frames: list[dict[str, Any]] = []
+        self._blobs: dict[str, str] = {}
+        self._numbers: dict[str, list[tuple[int, float]]] = {}
+        self._seen, self._stride = 0, 1
+        self._written, self._interval = time.monotonic(), _LEAST_INTERVAL
+        self._too_large = 0
+        write_file(self.path, self._content())  # a name that cannot be written is told at the start
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def add(self, step: int, meshes: Mapping[str, Snapshot], label: str = "", always: bool = False) -> None:
+        """Add a frame.
+
+        Args:
+            step: Number of the step.
+            meshes: The meshes by name.
+            label: What the step belongs to, such as a phase.
+            always: Keep this frame even if others of its kind are skipped, as the last one.
+        """
+        self._seen += 1
+        if self._seen % self._stride and not always:
+            return
+        frame: dict[str, Any] = {"step": step, "label": label, "number": self._seen, "meshes": {}}
+        for name, snapshot in meshes.items():
+            usable, _ = snapshot.finite()
+            if len(usable.faces):
+                frame["meshes"][name] = [self._part(part) for part in drawables(usable, Look())]
+        if self._frames and self._frames[-1]["step"] == step and self._frames[-1]["label"] == label:
+            self._frames.pop()
+        self._frames.append(frame)
+        while self._size() > self._most and len(self._frames) > 1:
+            self._thin_out()
+        if self._size() > self._most:
+            self._too_large += 1
+            self._frames.clear()
+            self._forget_unused()
+        self._write_sometimes()
+
+    def log(self, step: int, numbers: Mapping[str, float]) -> None:
+        """Add numbers of a step, for the curves."""
+        for name, value in numbers.items():
+            self._numbers.setdefault(name, []).append((step, value))
+
+    def write(self) -> str:
+        """Write the file; return a sentence about it."""
+        content = self._content()
+        write_file(self.path, content)
+        count = len(self._frames)
+        text = f"{self.path}: {count} {'frame' if count == 1 else 'frames'}, {len(content) / 2**20:.1f} MiB"
+        if self._stride > 1:
+            text += f" (every {_ordinal(self._stride)} update, to keep it below {self._most / 2**20:.0f} MiB)"
+        if self._too_large:
+            text += f"; {self._too_large} frames were larger than the limit and are left out"
+        return text
+
+    def _part(self, part: Drawable) -> dict[str, Any]:
+        """Encode a part of a mesh."""
+        low, high = part.vertices.min(0).astype(float), part.vertices.max(0).astype(float)
+        size = np.maximum(high - low, 1e-30)
+        levels = np.rint((part.vertices - low) / size * _LEVELS).astype(np.uint16)
+        found: dict[str, Any] = {
+            "low": low.tolist(),
+            "size": size.tolist(),
+            "vertices": self._blob(_planes(levels)),
+            "color": [round(value, 4) for value in part.color],
+        }
+        if part.corners is not None:
+            found["corners"] = self._blob(_planes(part.corners.astype(np.uint32)[:, None]))
+        if part.index is not None:
+            found["index"] = self._blob(_planes(part.index.astype(np.uint32).reshape(-1, 1)))
+        if part.colors is not None:
+            found["colors"] = self._blob(_planes(part.colors))
+        if part.uv is not None and part.image is not None:
+            least, most = part.uv.min(0).astype(float), part.uv.max(0).astype(float)
+            extent = np.maximum(most - least, 1e-30)
+            found |= {"uv_low": least.tolist(), "uv_size": extent.tolist(), "wrap": part.wrap}
+            found["uv"] = self._blob(_planes(np.rint((part.uv - least) / extent * _UV_LEVELS).astype(np.uint16)))
+            found["image"] = self._blob(part.image, compress=False)
+        return found
+
+    def _blob(self, data: bytes, compress: bool = True) -> str:
+        """Keep bytes once; return their name."""
+        name = hashlib.blake2b(data, digest_size=9).hexdigest()
+        if name not in self._blobs:
+            self._blobs[name] = base64.b64encode(zlib.compress(data, 6) if compress else data).decode()
+        return name
+
+    def _size(self) -> int:
+        """Estimate the size of the file."""
+        return sum(map(len, self._blobs.values())) + 700 * len(self._frames)
+
+    def _thin_out(self) -> None:
+        """Leave out every second frame, but neither the first nor the last."""
+        self._stride *= 2
+        first, *middle, last = self._frames if len(self._frames) > 1 else (*self._frames, *self._frames)
+        self._frames = [first, *(frame for frame in middle if not frame["number"] % self._stride), last]
+        if len(self._frames) == 2 and not middle:
+            self._frames = [last]
+        self._forget_unused()
+
+    def _forget_unused(self) -> None:
+        """Drop the bytes that no frame uses."""
+        used = {
+            value
+            for frame in self._frames
+            for parts in frame["meshes"].values()
+            for part in parts
+            for value in part.values()
+            if isinstance(value, str)
+        }
+        self._blobs = {name: blob for name, blob in self._blobs.items() if name in used}
+
+    def _write_sometimes(self) -> None:
+        """Write the file now and then, so that a killed process leaves one."""
+        start = time.monotonic()
+        if start - self._written > self._interval:
+            self.write()
+            self._written = time.monotonic()
+            self._interval = max(_LEAST_INTERVAL, (self._written - start) / _WRITING)
+
+    def _content(self) -> str:
+        """Make the file."""
+        numbers = {name: values[:: -(-len(values) // _MOST_NUMBERS)] for name, values in self._numbers.items()}
+        record = {
+            "format": FORMAT,
+            "version": __version__,
+            "title": self.path.stem,
+            "levels": _LEVELS,
+            "uv_levels": _UV_LEVELS,
+            "frames": self._frames,
+            "numbers": numbers,
+            "blobs": self._blobs,
+        }
+        text = json.dumps(record, separators=(",", ":")).replace("</", "<\\/")
+        return f"{self._before}{BEGIN}{text}{END}{self._after}"
+
+
+def _planes(values: np.ndarray) -> bytes:
+    """Make integers [N, C] easy to compress: differences from row to row, column by column, byte by byte."""
+    differences = np.diff(values, axis=0, prepend=values[:1] * 0)  # wraps around
+    columns = np.ascontiguousarray(differences.T)
+    return np.ascontiguousarray(columns.view(np.uint8).reshape(-1, values.itemsize).T).tobytes()
+
+
+def _ordinal(number: int) -> str:
+    """Write a power of two, ≥ 2, as an ordinal."""
+    return f"{number}{'nd' if number % 10 == 2 and number != 12 else 'th'}"

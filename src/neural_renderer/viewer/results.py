@@ -1,0 +1,189 @@
+"""What lies in files and folders: meshes, pictures, cameras, curves and steps of the commands."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ..camera import Camera
+from ..io.files import reason
+from ..meshes.uv_mesh import UVMesh
+from ..tasks.fit import Views, load_photo, load_views
+from .records.replay import Record, is_record
+
+MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+"""Suffixes of mesh files."""
+_PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+_MOST_MESHES, _MOST_PICTURES = 12, 200
+_GREY = 0.5  # of meshes without colours
+_VIEW_SIZE = 256  # longer side of a photograph in pixels
+
+
+@dataclass
+class Results:
+    """What there is to show.
+
+    Attributes:
+        meshes: Meshes by name, for `Viewer.show`.
+        pictures: Image files by name.
+        views: Cameras with photographs, or None.
+        record: Frames of a record, or None.
+        numbers: Points (step, value) of curves.
+        notes: Sentences about what is missing.
+    """
+
+    meshes: dict[str, Any] = field(default_factory=dict)
+    pictures: dict[str, Path] = field(default_factory=dict)
+    views: Views | None = None
+    record: Record | None = None
+    numbers: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def read_results(path: Path, allow_outside: bool = False) -> Results:
+    """Read a mesh file, a record, or a folder.
+
+    Args:
+        path: The file or folder.
+        allow_outside: Read materials and images outside of a file's folder, too.
+
+    Returns:
+        What it contains. Damaged files in a folder are left out, with a note.
+
+    Raises:
+        OSError, ValueError: There is no such file or folder, the file is none that can be shown, or the folder has
+            nothing to show.
+    """
+    if path.is_dir():
+        return _read_folder(path, allow_outside)
+    if is_record(path):
+        record = Record(path)
+        return Results(record=record, numbers=record.numbers)
+    return Results(meshes={path.stem: read_mesh_to_show(path, allow_outside)})
+
+
+def read_mesh_to_show(path: Path, allow_outside: bool = False) -> Any:
+    """Read a mesh with its images; one without any colours is returned as (vertices, faces)."""
+    mesh = UVMesh.load(path, grey=_GREY, allow_outside=allow_outside)
+    if not mesh.images and bool((mesh.colors == _GREY).all()):
+        return mesh.vertices, mesh.faces
+    return mesh
+
+
+def _read_folder(folder: Path, allow_outside: bool) -> Results:
+    """Read a folder of results, of meshes or of records."""
+    files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    results = Results()
+    report = _read_report(folder / "report.json", results)
+    found = [path for path in files if path.suffix.lower() in MESHES]
+    stems = {path.stem for path in found if path.suffix.lower() == ".glb"}  # commands write a mesh as OBJ and GLB
+    found = [path for path in found if path.suffix.lower() == ".glb" or path.stem not in stems]
+    if len(found) > _MOST_MESHES:
+        results.notes.append(f"{len(found)} meshes, of which the first {_MOST_MESHES} are shown")
+    inputs = report.get("inputs", {}) if isinstance(report.get("inputs"), dict) else {}
+    before = inputs.get("mesh")
+    if before:
+        _try_mesh(results, "before", Path(before), allow_outside)
+    for path in found[:_MOST_MESHES]:
+        is_result = bool(report) and path.stem == "mesh"
+        _try_mesh(results, "result" if is_result else path.stem, path, allow_outside)
+    pictures = [path for path in files if path.suffix.lower() in _PICTURES and not _is_texture(path, found)]
+    pictures += sorted((folder / "pictures").glob("*.png")) if (folder / "pictures").is_dir() else []
+    for name in ("painting", "image"):
+        if inputs.get(name) and Path(inputs[name]).is_file():
+            results.pictures[name] = Path(inputs[name])
+    results.pictures |= {path.relative_to(folder).as_posix(): path for path in pictures[-_MOST_PICTURES:]}
+    if inputs.get("images"):
+        reads = _read_camera if isinstance(report.get("camera"), dict) else _read_views
+        _try(results, Path(inputs["images"]), lambda: reads(results, report, inputs, allow_outside))
+    for path in files:
+        if is_record(path) and results.record is None:
+            _try(results, path, partial(_read_record, results, path))
+    _read_log(folder / "log.csv", results)
+    if not (results.meshes or results.pictures or results.record):
+        notes = f" ({'; '.join(results.notes)})" if results.notes else ""
+        raise ValueError(f"{folder}: expected meshes, pictures or a record, got none{notes}")
+    return results
+
+
+def _read_record(results: Results, path: Path) -> None:
+    """Read a record."""
+    results.record = Record(path)
+
+
+def _try(results: Results, path: Path, read: Any) -> None:
+    """Read a file of a folder; note it if that fails."""
+    try:
+        read()
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        text = reason(error)
+        results.notes.append(text if str(path) in text else f"{path}: {text}")
+
+
+def _try_mesh(results: Results, name: str, path: Path, allow_outside: bool) -> None:
+    """Read a mesh of a folder."""
+    while name in results.meshes:
+        name += "'"
+
+    def read() -> None:
+        results.meshes[name] = read_mesh_to_show(path, allow_outside)
+
+    _try(results, path, read)
+
+
+def _read_views(results: Results, _: dict[str, Any], inputs: dict[str, Any], allow_outside: bool) -> None:
+    """Read the photographs of a fit."""
+    results.views = load_views(inputs["images"], size=_VIEW_SIZE, allow_outside=allow_outside, **_photo_options(inputs))
+
+
+def _read_camera(results: Results, report: dict[str, Any], inputs: dict[str, Any], _: bool) -> None:
+    """Read the camera that a fit found, and its photograph."""
+    mask, photo = load_photo(inputs["images"], size=_VIEW_SIZE, **_photo_options(inputs))
+    found = report["camera"]
+    camera = Camera.look(found["eye"], found["direction"], found["up"], viewing_angle=found["viewing_angle"])
+    results.views = Views(camera, mask[None], None if photo is None else photo[None])
+
+
+def _photo_options(inputs: dict[str, Any]) -> dict[str, Any]:
+    """Return the options with which a fit read its photographs."""
+    background = inputs.get("background")
+    return {"photos": inputs.get("photos", True), "background": None if background is None else tuple(background)}
+
+
+def _is_texture(path: Path, meshes: list[Path]) -> bool:
+    """Tell whether a picture is the texture that was written with a mesh."""
+    return any(path.stem == f"{mesh.stem}_texture" or path.stem.startswith(f"{mesh.stem}_texture_") for mesh in meshes)
+
+
+def _read_report(path: Path, results: Results) -> dict[str, Any]:
+    """Read the report of a command: its history as curves. Returns an empty one if there is none."""
+    if not path.is_file():
+        return {}
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+        for number, row in enumerate(report.get("history", []), 1):
+            for name, value in row.items():
+                if isinstance(value, (int, float)):
+                    results.numbers.setdefault(name, []).append((number, float(value)))
+    except (ValueError, AttributeError, TypeError) as error:
+        results.notes.append(f"{path}: cannot be read ({reason(error)})")
+        return {}
+    return report
+
+
+def _read_log(path: Path, results: Results) -> None:
+    """Read the log of a training as curves."""
+    if not path.is_file():
+        return
+    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+        for row in csv.DictReader(file):
+            for name in ("loss", "iou", "val_iou"):
+                try:
+                    point = float(row["step"]), float(row[name])
+                except (KeyError, TypeError, ValueError):  # a row has some of the numbers only
+                    continue
+                results.numbers.setdefault(name, []).append(point)

@@ -1,0 +1,131 @@
+"""Starting viser: its import, the port, and what listening on other addresses means."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import ipaddress
+import socket
+import sys
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from ..io.files import warn
+
+if TYPE_CHECKING:
+    import viser
+
+_PORTS = 100  # tried one after the other
+_NOT_HERE = (errno.EADDRNOTAVAIL,)
+_THEME = (43, 90, 140)  # RGB of buttons
+
+
+def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, str]:
+    """Start a server for browsers.
+
+    Args:
+        host: Name or address of this machine to listen on.
+        port: First port to try, from 1 to 65535; 0 for any.
+        label: Title of the page's panel.
+
+    Returns:
+        The server, and its address for a browser.
+
+    Raises:
+        ModuleNotFoundError: viser is not installed.
+        OSError: The host is unknown, or no port is free.
+
+    Warns:
+        UserWarning: The port is in use, so that the next free one is taken; or the page is open to other machines.
+    """
+    viser = _import_viser()
+    free = _free_port(host, port)
+    thread = threading.get_ident()
+    with _without_output(lambda _: threading.get_ident() == thread):  # a table
+        server = viser.ViserServer(host=host, port=free, verbose=False)
+    # A browser may ask for a public address of this page at a company's server: refused.
+    server.request_share_url = lambda *_, **__: None
+    server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=_THEME)
+    server.gui.set_panel_label(label)
+    server.gui.main_panel.dock_right()
+    found = server.get_port()
+    if port and found != port:
+        warn(f"port {port} is in use; the viewer takes {found}")
+    if not _is_loopback(host):
+        warn(
+            f"host {host}: anyone who reaches port {found} of this machine can see the meshes and stop the work; there "
+            "is no password and no encryption. 127.0.0.1 with `ssh -L` is safer"
+        )
+    name = "127.0.0.1" if host in ("0.0.0.0", "") else host
+    return server, f"http://{f'[{name}]' if ':' in name else name}:{found}"
+
+
+def stop_server(server: viser.ViserServer) -> None:
+    """End a server; browsers show that the connection is lost."""
+    with _without_output(lambda text: "viser" in text):  # "Server stopped"
+        server.stop()
+
+
+class _Filtered(io.TextIOBase):
+    """Standard output without some of the texts."""
+
+    def __init__(self, stream: Any, drops: Callable[[str], bool]) -> None:
+        self._stream, self._drops = stream, drops
+
+    def write(self, text: str) -> int:
+        return len(text) if self._drops(text) else self._stream.write(text)
+
+    def flush(self) -> None:
+        self._stream.flush()
+
+    def isatty(self) -> bool:
+        return bool(self._stream.isatty())
+
+
+def _without_output(drops: Callable[[str], bool]) -> contextlib.redirect_stdout[Any]:
+    """Drop some of what is printed: viser prints what a program that uses it should say in its own way."""
+    return contextlib.redirect_stdout(_Filtered(sys.stdout, drops))
+
+
+def _import_viser() -> Any:
+    """Import viser; raise ModuleNotFoundError with the command that installs it."""
+    try:
+        import viser
+    except ModuleNotFoundError as error:
+        if error.name != "viser":
+            raise
+        raise ModuleNotFoundError(
+            "expected viser to be installed for the viewer (pip install 'neural-renderer[view]')", name="viser"
+        ) from None
+    return viser
+
+
+def _free_port(host: str, port: int) -> int:
+    """Find a port that is free, from ``port`` on."""
+    try:
+        family, _, _, _, _ = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM)[0]
+    except socket.gaierror as error:
+        raise OSError(f"host: expected a name or an address of this machine, got {host!r} ({error.strerror})") from None
+    for candidate in range(port, min(port + _PORTS, 65536)) if port else (0,):
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server does: ports of closed ones
+            try:
+                probe.bind((host, candidate))
+            except PermissionError as error:
+                raise OSError(f"port: expected one that this user may open, got {candidate}") from error
+            except OSError as error:
+                if error.errno in _NOT_HERE:
+                    raise OSError(f"host: expected an address of this machine, got {host!r}") from None
+                continue
+            return int(probe.getsockname()[1])
+    raise OSError(f"port: expected a free one from {port} to {port + _PORTS - 1}, got none")
+
+
+def _is_loopback(host: str) -> bool:
+    """Tell whether only this machine reaches a host."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
