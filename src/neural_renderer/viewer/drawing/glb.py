@@ -11,7 +11,8 @@ import numpy as np
 
 _FLOAT, _UINT, _USHORT = 5126, 5125, 5123  # component types of glTF
 _VERTICES, _FACES = 34962, 34963  # targets of buffer views
-_LINEAR, _REPEAT, _CLAMP = 9729, 10497, 33071
+_LINEAR = 9729
+_WRAPS = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +28,7 @@ class Drawable:
         colors: [N, 3] uint8 sRGB, or None.
         uv: [N, 2] float32, v down, or None.
         image: A PNG or JPEG file, or None.
-        wrap: "repeat" or "clamp", beyond the border of the image.
+        wrap: "repeat", "clamp" or "mirror" beyond the border of the image, or a pair of them, for u and v.
         lit: Whether light falls on the mesh; otherwise colours are shown unchanged.
     """
 
@@ -39,7 +40,7 @@ class Drawable:
     colors: np.ndarray | None = None
     uv: np.ndarray | None = None
     image: bytes | None = None
-    wrap: str = "repeat"
+    wrap: str | tuple[str, str] = "repeat"
     lit: bool = True
 
     @property
@@ -84,8 +85,8 @@ def write_glb(parts: Sequence[Drawable]) -> bytes:
             attributes["TEXCOORD_0"] = body.array(part.uv.astype(np.float32), "VEC2", _FLOAT, _VERTICES)
             mime = "image/png" if part.image.startswith(b"\x89PNG") else "image/jpeg"
             # Without mipmaps, which would blend adjacent tiles of an atlas.
-            wrap = _REPEAT if part.wrap == "repeat" else _CLAMP
-            samplers.append({"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": wrap, "wrapT": wrap})
+            across, down = (_WRAPS[part.wrap],) * 2 if isinstance(part.wrap, str) else (_WRAPS[w] for w in part.wrap)
+            samplers.append({"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": across, "wrapT": down})
             textures.append({"source": len(images), "sampler": len(images)})
             surface["baseColorTexture"] = {"index": len(images)}
             images.append({"bufferView": body.view(part.image), "mimeType": mime})

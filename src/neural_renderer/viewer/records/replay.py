@@ -77,7 +77,7 @@ class Record:
         vertices: list[Tensor] = []
         faces, uvs, colors, image_index = [], [], [], []
         images: list[Tensor] = []
-        wraps: list[str] = []
+        wraps: list[str | tuple[str, str]] = []
         first: dict[str, int] = {}  # the vertices of several parts are the same
         for part in parts:
             if part["vertices"] not in first:
@@ -95,7 +95,7 @@ class Record:
                 places = np.array(part["uv_low"]) + np.array(part["uv_size"]) * whole
                 uv = torch.from_numpy(places[corners] * [1, -1] + [0, 1]).float()
                 images.append(self._image(part["image"]))
-                wraps.append(part["wrap"])
+                wraps.append(part["wrap"] if isinstance(part["wrap"], str) else tuple(part["wrap"]))
             image_index.append(torch.full((count,), len(images) - 1 if "image" in part else -1))
             uvs.append(uv)
             colors.append(color)
