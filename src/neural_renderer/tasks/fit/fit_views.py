@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -14,6 +14,7 @@ from ... import metrics, validate
 from ...camera import Camera
 from ...deprecated import old_method
 from ...meshes.mesh import Mesh
+from ...meshes.uv_mesh import UVMesh
 from ...raster import Images
 from ...rendering import render
 from ..seeds import generator
@@ -76,7 +77,7 @@ class Views:
         return self.masks.shape[1], self.masks.shape[2]
 
     @classmethod
-    def of(cls, mesh: Mesh, camera: Camera, size: int | tuple[int, int] = 256, **options: Any) -> Views:
+    def of(cls, mesh: Mesh | UVMesh, camera: Camera, size: int | tuple[int, int] = 256, **options: Any) -> Views:
         """Render a known mesh from N cameras.
 
         Args:
@@ -98,8 +99,7 @@ class Views:
     def __getitem__(self, index: Sequence[int] | slice) -> Views:
         """Select views by a slice or a list of numbers."""
         rows = torch.arange(len(self))[index].to(self.masks.device)
-        camera = _select(self.camera, rows)
-        return Views(camera, self.masks[rows], None if self.photos is None else self.photos[rows])
+        return Views(self.camera[rows], self.masks[rows], None if self.photos is None else self.photos[rows])
 
     def to(self, device: torch.device | str) -> Views:
         """Copy the views to another device.
@@ -215,10 +215,3 @@ def downscale(image: Tensor, size: int) -> Tensor:
         return image
     scale = size / max(height, width)
     return F.interpolate(image[None], (max(round(height * scale), 1), max(round(width * scale), 1)), mode="area")[0]
-
-
-def _select(camera: Camera, rows: Tensor) -> Camera:
-    """Select cameras of a batch."""
-    tensors = {f.name: v for f in fields(camera) if isinstance(v := getattr(camera, f.name), Tensor) and v.ndim}
-    selected: dict[str, Any] = {name: v[rows] if len(v) == len(camera) else v for name, v in tensors.items()}
-    return replace(camera, **selected)
