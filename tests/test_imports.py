@@ -27,6 +27,7 @@ ROOMS = [
     "layers",
     "deferred",
     "shading",
+    "shadows",
     "losses",
     "rendering",
     "compat",

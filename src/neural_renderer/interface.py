@@ -28,6 +28,7 @@ from .shading.phong import Phong, shade_diffuse, shade_phong
 from .shading.point_lights import PointLight, SpotLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
 from .shading.visible_surface import VisibleSurface
+from .shadows import ShadowedLight
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture
@@ -49,6 +50,7 @@ __all__ = [
     "PointLight",
     "Rasterize",
     "Renderer",
+    "ShadowedLight",
     "SphericalHarmonicLight",
     "SpotLight",
     "SurfacePoints",
