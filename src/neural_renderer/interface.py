@@ -9,6 +9,7 @@ from .compat.rasterize import Rasterize, rasterize, rasterize_depth, rasterize_r
 from .compat.renderer import Renderer
 from .deferred import Fragments, fragments
 from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
+from .layers import Layers
 from .meshes.batch import batch, join
 from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals
@@ -27,6 +28,7 @@ from .shading.phong import Phong, shade_diffuse, shade_phong
 from .shading.point_lights import PointLight, SpotLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
 from .shading.visible_surface import VisibleSurface
+from .shadows import ShadowedLight
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture
@@ -40,6 +42,7 @@ __all__ = [
     "EnvironmentLight",
     "Fragments",
     "Images",
+    "Layers",
     "Light",
     "Material",
     "Mesh",
@@ -47,6 +50,7 @@ __all__ = [
     "PointLight",
     "Rasterize",
     "Renderer",
+    "ShadowedLight",
     "SphericalHarmonicLight",
     "SpotLight",
     "SurfacePoints",

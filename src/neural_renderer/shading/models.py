@@ -67,10 +67,18 @@ def shade_pixels(
     maps = MaterialMaps(fragments, mesh) if isinstance(mesh, UVMesh) and mesh.materials else None
     if maps is not None:
         surface = maps.bumped(surface)
-    if not isinstance(model, str):
-        colors = model.shade(surface, albedo, lights)
-        return validate.floating("shading", colors, tuple(albedo.shape)).float()
-    if model == "smooth" or (not lights and model != "pbr"):
+    if isinstance(model, str):
+        colors = _by_name(model, surface, maps, albedo, lights)
+        if len(colors) != len(albedo):
+            raise ValueError(f"light: expected parameters for {len(albedo)} images or for all, got {len(colors)}")
+        return colors
+    return validate.floating("shading", model.shade(surface, albedo, lights), tuple(albedo.shape)).float()
+
+
+def _by_name(
+    model: str, surface: VisibleSurface, maps: MaterialMaps | None, albedo: Tensor, lights: Sequence[Any]
+) -> Tensor:
+    if model == "smooth" or (not lights and model == "phong"):
         return shade_diffuse(surface, albedo, lights)
     if maps is None:
         return (Phong() if model == "phong" else PBR()).shade(surface, albedo, lights)

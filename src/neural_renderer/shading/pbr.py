@@ -151,7 +151,8 @@ def _reflected(n: Tensor, v: Tensor, towards: Tensor, nv: Tensor, matt: Tensor, 
     # (n · h)² (α² − 1) + 1 = α² (n · h)² + |n × h|²; in this form nothing cancels for sharp highlights.
     n, h = torch.broadcast_tensors(n, h)
     across = torch.linalg.cross(n, h, dim=-1)
-    spread = square / (square * dot(n, h) ** 2 + dot(across, across)) ** 2
+    # For unit vectors it is at least α²; normals of the background are 0.
+    spread = square / torch.maximum(square * dot(n, h) ** 2 + dot(across, across), 0.99 * square) ** 2
     masked = _smith(nl, square) * _smith(nv, square)
     fresnel = schlick(f0, dot(v, h))
     return ((1 - fresnel) * matt + fresnel * (spread * masked)) * nl

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from .. import validate
-from ..camera.parameters import Array, Scalar, batch_size, parameter
+from ..camera.parameters import Array, Scalar, parameter
 from .lights import Ambience, Beam, pixel_lights
 from .visible_surface import VisibleSurface, dot
 
@@ -164,5 +164,6 @@ def of_images(name: str, value: Any, channels: int, points: Tensor) -> Tensor:
     """
     found = parameter(name, value, (3,) if channels == 3 else (), points.dtype, points.device, shared=True)
     found = found.reshape(-1, 1, 1, channels)
-    batch_size(points=len(points), **{name: len(found)})
+    if len(found) not in (1, len(points)):
+        raise ValueError(f"{name}: expected a batch of 1 or {len(points)} like the images, got {len(found)}")
     return found

@@ -126,7 +126,9 @@ def _weights(alpha: float, height: int, width: int) -> Tensor:
 def _sampled(mipmaps: list[Tensor], alpha: float, rows: int, columns: int) -> Tensor:
     """Average the light over the lobe about each direction, over samples; [B, rows, columns, 3]."""
     batch, height, width, _ = mipmaps[0].shape
-    halfway = half_vectors(_SAMPLES, torch.tensor(alpha, dtype=torch.float64))
+    index = torch.arange(_SAMPLES, dtype=torch.float64)
+    turn = index * (math.pi * (1 + 5**0.5))  # the golden angle spreads them evenly
+    halfway = half_vectors((index + 0.5) / _SAMPLES, turn, alpha)
     x, y, z = halfway.unbind(-1)
     local = torch.stack((2 * z * x, 2 * z * y, 2 * z * z - 1), -1)  # the lobe's axis mirrored at the halfway vectors
     weight = local[:, 2].clamp(min=0)

@@ -13,7 +13,7 @@ from ..constants import on_device
 from ..textures.sample_texture import sampled
 
 _SIZE = 32  # entries along each axis of the table
-_SAMPLES = 1024  # halfway vectors of each entry
+_STEPS = (64, 16)  # angles from the normal and about it, over which each entry is summed
 
 
 def split_sum(cosine: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -38,20 +38,16 @@ def split_sum(cosine: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor, Tensor
     return scale, bias, fresnel
 
 
-def half_vectors(count: int, alpha: Tensor) -> Tensor:
-    """Spread halfway vectors about the z axis with the density D (n · h) of GGX, [..., count, 3] float64.
+def half_vectors(uniform: Tensor, turn: Tensor, alpha: Tensor | float) -> Tensor:
+    """Map numbers in [0, 1) and angles to halfway vectors about the z axis, with the density D (n · h) of GGX.
 
-    Args:
-        count: Number of vectors, of Hammersley's points.
-        alpha: [...] float64, > 0.
+    Returns:
+        [..., 3], unit vectors.
     """
-    index = torch.arange(count, dtype=torch.int64)
-    reversed_bits = sum(((index >> bit) & 1).double() / 2 ** (bit + 1) for bit in range(max(1, count.bit_length())))
-    uniform = (index.double() + 0.5) / count
-    cosine = ((1 - uniform) / (1 + (alpha[..., None] ** 2 - 1) * uniform)).sqrt()
+    rest = 1 - uniform
+    cosine = (rest / (rest + alpha**2 * uniform)).sqrt()
     sine = (1 - cosine**2).clamp(min=0).sqrt()
-    turn = (2 * math.pi * reversed_bits).expand_as(cosine)
-    return torch.stack((sine * turn.cos(), sine * turn.sin(), cosine), -1)
+    return torch.stack(torch.broadcast_tensors(sine * turn.cos(), sine * turn.sin(), cosine), -1)
 
 
 @functools.lru_cache(maxsize=1)
@@ -59,29 +55,26 @@ def _table() -> Tensor:
     """Compute scale, bias and fresnel, [1, roughness, √cosine, 3] float32."""
     with torch.inference_mode(False), torch.no_grad():
         axis = torch.linspace(0, 1, _SIZE, dtype=torch.float64)
-        roughness, cosine = axis.clamp(min=0.03)[:, None], axis.clamp(min=0.01)[None] ** 2
-        alpha = (roughness**2).expand(_SIZE, _SIZE)
-        v = torch.stack(torch.broadcast_tensors((1 - cosine**2).sqrt(), torch.zeros_like(cosine), cosine), -1)
-        h = half_vectors(_SAMPLES, alpha)
-        vh = (v[..., None, :] * h).sum(-1).clamp(min=0)
-        nl = 2 * vh * h[..., 2] - v[..., None, 2]
-        nl = nl.clamp(min=0)
-        # A sample weighs D V (n · l) / density of l, where the density is D (n · h) / (4 v · h).
-        square = alpha[..., None] ** 2
-        visible = 1 / ((nl + _root(square, nl)) * (v[..., None, 2] + _root(square, v[..., None, 2])))
-        weight = visible * nl * 4 * vh / h[..., 2].clamp(min=1e-6)
+        alpha, cosine = axis.clamp(min=0.03)[:, None, None] ** 2, axis.clamp(min=0.01)[:, None] ** 2
+        v = torch.stack(((1 - cosine**2).sqrt(), torch.zeros_like(cosine), cosine), -1)
+        # Steps are shorter where halfway vectors lean far to the side: these reflect light at grazing angles.
+        step = (torch.arange(_STEPS[0], dtype=torch.float64) + 0.5) / _STEPS[0]
+        step = step.repeat_interleave(_STEPS[1])
+        turn = (torch.arange(_STEPS[1], dtype=torch.float64) + 0.5) * (math.pi / _STEPS[1])
+        turn, uniform, share = turn.repeat(_STEPS[0]), 1 - (1 - step) ** 4, 4 * (1 - step) ** 3 / len(step)
+        h = half_vectors(uniform, turn, alpha)
+        vh = (v * h).sum(-1).clamp(min=0)
+        nl = (2 * vh * h[..., 2] - cosine).clamp(min=0)
+        # A direction weighs D V (n · l) / its density, which is D (n · h) / (4 v · h).
+        visible = 1 / ((nl + _root(alpha**2, nl)) * (cosine + _root(alpha**2, cosine)))
+        weight = share * visible * nl * 4 * vh / h[..., 2].clamp(min=1e-6)
         grazing = (1 - vh) ** 5
-        scale, bias = (weight * (1 - grazing)).mean(-1), (weight * grazing).mean(-1)
-        fresnel = _matt_fresnel(v[0]).expand(_SIZE, _SIZE)
-        return torch.stack((scale, bias, fresnel), -1)[None].float()
-
-
-def _matt_fresnel(v: Tensor) -> Tensor:
-    """Average (1 − v · h)⁵ over light l that falls on a surface evenly, for eyes v [N, 3]; [N]."""
-    # Of GGX with α = 1 the density of h is (n · h) / π: h serves as l, with Lambert's weights.
-    towards = half_vectors(4 * _SAMPLES, torch.ones((), dtype=torch.float64))
-    h = functional.normalize(towards + v[:, None], dim=-1)
-    return ((1 - (v[:, None] * h).sum(-1).clamp(0, 1)) ** 5).mean(-1)
+        # Of GGX with α = 1 the density of h is (n · h) / π: h serves as the light's direction, with Lambert's weights.
+        towards = half_vectors(uniform, turn, 1.0)
+        between = functional.normalize(towards + v, dim=-1)
+        fresnel = (share * (1 - (v * between).sum(-1).clamp(0, 1)) ** 5).sum(-1).expand(_SIZE, _SIZE)
+        parts = ((weight * (1 - grazing)).sum(-1), (weight * grazing).sum(-1), fresnel)
+        return torch.stack(parts, -1)[None].float()
 
 
 def _root(square: Tensor, cosine: Tensor) -> Tensor:
