@@ -32,6 +32,7 @@ class Views:
         camera: N cameras.
         masks: [N, H, W] float32 in [0, 1], silhouettes: 1 where the object covers a pixel.
         photos: [N, 3, H, W] float32 in [0, 1], RGB multiplied by the mask; or None.
+        region: Where the object is, if that is known: centre [3] and half the side of a cube, in the world; or None.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit, there are no views, or a mask is empty.
@@ -55,6 +56,7 @@ class Views:
     camera: Camera
     masks: Tensor
     photos: Tensor | None = None
+    region: tuple[Tensor, float] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
@@ -99,7 +101,8 @@ class Views:
     def __getitem__(self, index: Sequence[int] | slice) -> Views:
         """Select views by a slice or a list of numbers."""
         rows = torch.arange(len(self))[index].to(self.masks.device)
-        return Views(self.camera[rows], self.masks[rows], None if self.photos is None else self.photos[rows])
+        photos = None if self.photos is None else self.photos[rows]
+        return Views(self.camera[rows], self.masks[rows], photos, self.region)
 
     def to(self, device: torch.device | str) -> Views:
         """Copy the views to another device.
@@ -111,7 +114,8 @@ class Views:
             The copy.
         """
         photos = None if self.photos is None else self.photos.to(device)
-        return Views(self.camera.to(device), self.masks.to(device), photos)
+        region = self.region and (self.region[0].to(device), self.region[1])
+        return Views(self.camera.to(device), self.masks.to(device), photos, region)
 
     moved = old_method("moved", "normalized")
 
@@ -135,7 +139,9 @@ class Views:
         else:
             translation = camera.translation
         lens: dict[str, Any] = {} if camera.perspective else {"scale": camera.scale * scale}
-        return replace(self, camera=replace(camera, origin=origin / scale, translation=translation / scale, **lens))
+        moved = replace(camera, origin=origin / scale, translation=translation / scale, **lens)
+        region = self.region and ((self.region[0] - center) / scale, self.region[1] / scale)
+        return replace(self, camera=moved, region=region)
 
     def eyes(self) -> tuple[Tensor, Tensor]:
         """Compute the cameras' positions and viewing directions in world space.
