@@ -32,6 +32,7 @@ from .shadows import ShadowedLight
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture
+from .transparency import surface_opacity
 from .validate import check_values
 from .version import __version__
 
@@ -96,6 +97,7 @@ __all__ = [
     "shade_pbr",
     "shade_phong",
     "srgb_to_linear",
+    "surface_opacity",
     "torus",
     "vertex_normals",
     "vertices_to_faces",
