@@ -66,7 +66,20 @@ def write_obj(folder: Path) -> list[str]:
     maps = "map_Kd -clamp on -s 2 2 1 -o 0.5 -bm 1 n.png -mm 0 1"
     (folder / "n.mtl").write_text(f"# made by hand\nnewmtl b\nKa 0 0 0\nKd 0.5 0.25 1\n{maps}\nnewmtl c\nKd 1\n")
     nr.save_image(folder / "n.png", torch.rand(5, 4, 3))
-    return ["m.obj", "n.obj", "m.mtl", "n.mtl"]
+    shiny().save(folder / "o.obj")
+    return ["m.obj", "n.obj", "o.obj", "m.mtl", "n.mtl", "o.mtl"]
+
+
+def shiny() -> nr.UVMesh:
+    """A mesh with all that a glTF material can have."""
+    corners = torch.tensor([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    picture = nr.Texture(torch.rand(2, 3, 3), wrap=("clamp", "mirror"), offset=(0.5, 0.0), rotation=0.5)
+    alpha = nr.Texture(torch.rand(2, 3, 1))
+    textures = {f"{name}_texture": picture for name in ("emissive", "normal", "occlusion", "metallic_roughness")}
+    material = nr.Material("m", alpha_mode="BLEND", opacity_texture=alpha, emissive=(2.0, 1.0, 0.0), **textures)
+    geometry = torch.nn.functional.pad(corners, (0, 1)), torch.tensor([[0, 1, 2]]), corners
+    directions = {"normals": torch.tensor([[[0.0, 0.0, 1.0]] * 3]), "tangents": torch.tensor([[[1.0, 0, 0, 1]] * 3])}
+    return nr.UVMesh(*geometry, torch.rand(2, 3, 3), materials=(material,), uv1=corners[None], **directions)
 
 
 def write_mesh(suffix: str) -> Callable[[Path], list[str]]:
@@ -74,12 +87,20 @@ def write_mesh(suffix: str) -> Callable[[Path], list[str]]:
         vertices, faces, textures = sphere()
         if suffix in (".glb", ".gltf"):
             nr.save_mesh(folder / "m.glb", vertices, faces, textures)
+            shiny().save(folder / "n.glb")
             if suffix == ".glb":
-                return ["m.glb"]
+                return ["m.glb", "n.glb"]
+            data = (folder / "n.glb").read_bytes()
+            end = 20 + int.from_bytes(data[12:16], "little")
+            tree = json.loads(data[20:end])
+            tree["buffers"][0]["uri"] = "n.bin"
+            (folder / "n.gltf").write_text(json.dumps(tree))
+            (folder / "n.bin").write_bytes(data[end + 8 :])
+            (folder / "n.glb").unlink()
             for name, content in trimesh.exchange.gltf.export_gltf(trimesh.load(folder / "m.glb")).items():
                 (folder / name.replace("model", "m")).write_bytes(content)
             (folder / "m.glb").unlink()
-            return ["m.gltf", "gltf_buffer_0.bin"]
+            return ["m.gltf", "gltf_buffer_0.bin", "n.gltf", "n.bin"]
         mesh = trimesh.Trimesh(vertices.numpy(), faces.numpy(), process=False, vertex_colors=[[9, 99, 200, 255]] * 12)
         mesh.export(folder / f"m{suffix}")
         texts = {".ply": {"encoding": "ascii"}, ".stl": {"file_type": "stl_ascii"}}

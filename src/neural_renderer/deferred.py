@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
 
 import torch
 from torch import Tensor
@@ -11,6 +11,7 @@ from torch import Tensor
 from . import validate
 from .camera import Camera
 from .camera.screen import causes, screen_positions
+from .layers import Layers
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
@@ -20,6 +21,7 @@ from .raster.colors.composite import composite
 from .raster.colors.interpolate import interpolate
 from .raster.faces import checked_faces, corners_of
 from .raster.ops.corners import gather_corners
+from .raster.ops.peel import peel
 from .raster.settings import Settings
 from .raster.visible import VisibleFaces
 
@@ -190,6 +192,38 @@ class Fragments(VisibleFaces):
         return self.image(image, seams=validate.flag("seams", seams)).contiguous()
 
 
+@overload
+def fragments(
+    mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
+    camera: Camera,
+    size: int | tuple[int, int] = 256,
+    *,
+    near: float = 0.1,
+    far: float = 100.0,
+    anti_aliasing: bool = True,
+    two_sided: bool = True,
+    gradient: str = "edge",
+    eps: float = 1e-3,
+    layers: None = None,
+) -> Fragments: ...
+
+
+@overload
+def fragments(
+    mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
+    camera: Camera,
+    size: int | tuple[int, int] = 256,
+    *,
+    near: float = 0.1,
+    far: float = 100.0,
+    anti_aliasing: bool = True,
+    two_sided: bool = True,
+    gradient: str = "edge",
+    eps: float = 1e-3,
+    layers: int,
+) -> Layers: ...
+
+
 @validate.checked_together
 def fragments(
     mesh: Mesh | UVMesh | list[Mesh] | tuple[Tensor, ...],
@@ -202,16 +236,20 @@ def fragments(
     two_sided: bool = True,
     gradient: str = "edge",
     eps: float = 1e-3,
-) -> Fragments:
+    layers: int | None = None,
+) -> Fragments | Layers:
     """Rasterise a mesh from every camera of a batch, for deferred shading.
 
     Args:
         mesh: `Mesh`; a list of them, of any sizes, one per image (see `batch`); `UVMesh`; or (vertices, faces) with
             vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or [B, F, 3] integer.
         camera, size, near, far, anti_aliasing, two_sided, gradient, eps: As in `render`.
+        layers: Number of faces of each pixel, the nearest ones, for transparency and cut-outs; None for `Fragments` of
+            the visible ones. Faces nearer to each other than 1e-5 of their depth count as one.
 
     Returns:
-        Fragments. Their H and W are twice ``size`` under anti-aliasing.
+        Fragments, or with ``layers`` a sequence of them, `Layers`. Their H and W are twice ``size`` under
+        anti-aliasing.
 
     Raises:
         TypeError: An argument of another type.
@@ -229,7 +267,9 @@ def fragments(
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     load_kernels(settings, ("rgb",), ATTRIBUTES, *causes(vertices, camera), scene=SCENE[:1])
     screen = screen_positions(camera, vertices, settings.width / settings.height)
-    return visible_fragments(screen, checked_faces(faces), settings, 8)
+    if layers is None:
+        return visible_fragments(screen, checked_faces(faces), settings, 8)
+    return visible_layers(screen, checked_faces(faces), settings, validate.whole("layers", layers, 1))
 
 
 def visible_fragments(screen: Tensor, faces: Tensor, settings: Settings, channels: int) -> Fragments:
@@ -243,3 +283,13 @@ def visible_fragments(screen: Tensor, faces: Tensor, settings: Settings, channel
     """
     corners = settings.corners(corners_of(screen, faces), channels)
     return Fragments(corners, settings.face_index(corners), settings, settings.rings(corners, faces), faces)
+
+
+def visible_layers(screen: Tensor, faces: Tensor, settings: Settings, layers: int) -> Layers:
+    """Find the nearest faces of each pixel, as `visible_fragments`."""
+    corners = settings.corners(corners_of(screen, faces), 8 * layers)
+    height, width = settings.height * settings.scale, settings.width * settings.scale
+    limits = (settings.near, settings.far, settings.two_sided, settings.perspective)
+    rings = settings.rings(corners, faces)
+    shown = peel(corners.detach(), height, width, *limits, layers)
+    return Layers(tuple(Fragments(corners, index, settings, rings, faces) for index in shown.unbind(0)))

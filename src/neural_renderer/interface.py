@@ -9,6 +9,7 @@ from .compat.rasterize import Rasterize, rasterize, rasterize_depth, rasterize_r
 from .compat.renderer import Renderer
 from .deferred import Fragments, fragments
 from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
+from .layers import Layers
 from .meshes.batch import batch, join
 from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals
@@ -27,9 +28,11 @@ from .shading.pixels.normal_maps import corner_tangents
 from .shading.pixels.visible_surface import VisibleSurface
 from .shading.point_lights import PointLight, SpotLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
+from .shadows import ShadowedLight
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture
+from .transparency import surface_opacity
 from .validate import check_values
 from .version import __version__
 
@@ -40,6 +43,7 @@ __all__ = [
     "EnvironmentLight",
     "Fragments",
     "Images",
+    "Layers",
     "Light",
     "Material",
     "Mesh",
@@ -47,6 +51,7 @@ __all__ = [
     "PointLight",
     "Rasterize",
     "Renderer",
+    "ShadowedLight",
     "SphericalHarmonicLight",
     "SpotLight",
     "SurfacePoints",
@@ -92,6 +97,7 @@ __all__ = [
     "shade_pbr",
     "shade_phong",
     "srgb_to_linear",
+    "surface_opacity",
     "torus",
     "vertex_normals",
     "vertices_to_faces",

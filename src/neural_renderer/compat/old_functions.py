@@ -44,8 +44,10 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
 def load_mtl(filename_mtl: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Read the colours (Kd, [3] float64) and the image names (map_Kd) of an MTL file, by material."""
     materials = read_mtl(existing(filename_mtl))
-    colors = {name: np.array(material.color) for name, material in materials.items() if material.color is not None}
-    images = {name: material.image for name, material in materials.items() if material.image is not None}
+    colors = {
+        name: np.array(material.colors["color"]) for name, material in materials.items() if "color" in material.colors
+    }
+    images = {name: material.maps["color"].image for name, material in materials.items() if "color" in material.maps}
     return colors, images
 
 

@@ -56,7 +56,7 @@ def bake_image(
     image: np.ndarray,
     uv: np.ndarray,
     size: int,
-    wrapping: str = "REPEAT",
+    wrapping: str | tuple[str, str] = "REPEAT",
     bilinear: bool = True,
     pixel_centers: bool = False,
 ) -> np.ndarray:
@@ -67,8 +67,9 @@ def bake_image(
         uv: [N, 3, 2] float64, finite, texture coordinates of the faces' corners: u to the right, v **up**, the image
             over [0, 1]².
         size: T, texels along a cube's edge.
-        wrapping: Wrapping outside [0, 1], one of `WRAPPINGS`. ``"CLAMP_TO_BORDER"`` gives black. With ``"REPEAT"``,
-            exactly 1 is the far border of the image, unless the face begins there.
+        wrapping: Wrapping outside [0, 1], one of `WRAPPINGS`, or a pair of them for u and v. ``"CLAMP_TO_BORDER"``
+            gives black, and is no part of a pair. With ``"REPEAT"``, exactly 1 is the far border of the image, unless
+            the face begins there.
         bilinear: Interpolate between the four nearest pixels; otherwise take the nearest one.
         pixel_centers: Whether u = 0 and 1 are the borders of the image, as in glTF and OpenGL. Otherwise they are the
             centres of the outermost pixels, as the first packages read OBJ files.
@@ -76,10 +77,11 @@ def bake_image(
     Returns:
         [N, T, T, T, 3] float32.
     """
-    if wrapping == "REPEAT":
+    repeat = _axes(wrapping, "REPEAT")
+    if repeat.any():
         # Shift faces outside by whole images, so that they start in the first one and may end exactly at 1.
         low, high = uv.min(axis=1, keepdims=True), uv.max(axis=1, keepdims=True)
-        uv = np.where((low < -_BORDER) | (high > 1 + _BORDER), uv - np.floor(low + _BORDER), uv)
+        uv = np.where(repeat & ((low < -_BORDER) | (high > 1 + _BORDER)), uv - np.floor(low + _BORDER), uv)
     grid = barycentric_grid(size)
     cubes = np.empty((len(uv), len(grid), 3), dtype=np.float32)
     step = max(1, _SAMPLES_AT_ONCE // len(grid))
@@ -89,14 +91,22 @@ def bake_image(
     return cubes.reshape(-1, size, size, size, 3)
 
 
-def _sample(image: np.ndarray, uv: np.ndarray, wrapping: str, bilinear: bool, pixel_centers: bool) -> np.ndarray:
+def _axes(wrapping: str | tuple[str, str], mode: str) -> np.ndarray:
+    """Test for u and v whether they wrap in a mode, [2] bool."""
+    return np.array([one == mode for one in ((wrapping, wrapping) if isinstance(wrapping, str) else wrapping)])
+
+
+def _sample(
+    image: np.ndarray, uv: np.ndarray, wrapping: str | tuple[str, str], bilinear: bool, pixel_centers: bool
+) -> np.ndarray:
     """Sample an image at texture coordinates [..., 2]; arguments as `bake_image`. Returns [..., 3]."""
     height, width = image.shape[:2]
     outside = (uv < -_BORDER) | (uv > 1 + _BORDER)
-    if wrapping == "REPEAT":
-        uv = np.where(outside, uv - np.floor(uv), uv)
-    elif wrapping == "MIRRORED_REPEAT":
-        uv = 1 - np.abs(uv % 2 - 1)
+    repeat, mirror = _axes(wrapping, "REPEAT"), _axes(wrapping, "MIRRORED_REPEAT")
+    if repeat.any():
+        uv = np.where(repeat & outside, uv - np.floor(uv), uv)
+    if mirror.any():
+        uv = np.where(mirror, 1 - np.abs(uv % 2 - 1), uv)
     uv = uv.clip(0, 1)
     x, y = uv[..., 0], 1 - uv[..., 1]
     if pixel_centers:

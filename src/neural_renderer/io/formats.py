@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 from collections.abc import Iterator
@@ -12,10 +13,13 @@ from urllib.parse import unquote
 
 import numpy as np
 import torch
+from PIL import Image
 from torch import Tensor
 
 from .cubes import check_size
 from .files import existing, fits_float32, read_bytes, reason, short, warn
+from .gltf.container import KEPT, prepared
+from .gltf.materials import GltfMaterial
 from .images import unpack
 from .named_files import find_file
 from .obj import obj_surface_colors
@@ -75,9 +79,13 @@ def load_mesh(
 
 
 def read_mesh(
-    path: str | os.PathLike[str], allow_outside: bool = False
+    path: str | os.PathLike[str], allow_outside: bool = False, materials: bool = False
 ) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None, bool]:
     """Read a mesh file without baking; arguments and errors as `load_mesh`.
+
+    Args:
+        path, allow_outside: As in `load_mesh`.
+        materials: Read materials, normals and second texture coordinates, too.
 
     Returns:
         Vertices [V, 3] float64, faces [F, 3] int64, surface colours or None, and ``pixel_centers`` of `bake_image`.
@@ -89,25 +97,33 @@ def read_mesh(
     existing(path)
     if suffix == ".obj":
         obj = read_obj(path, with_uv=True)
-        return obj.vertices, obj.faces, obj_surface_colors(obj, allow_outside=allow_outside), False
-    return *_read_others(path, suffix, allow_outside), True
+        surface = obj_surface_colors(obj, allow_outside=allow_outside, with_materials=materials)
+        return obj.vertices, obj.faces, surface, False
+    return *_read_others(path, suffix, allow_outside, materials), True
 
 
-def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
+def _read_others(
+    path: Path, suffix: str, allow_outside: bool, materials: bool
+) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
     """Read a mesh file through trimesh: vertices, faces and surface colours or None."""
     import trimesh  # imported here because it is slow
 
     if suffix == ".glb":
         _check_chunks(path)
+    source: Any = path
+    parser = _PartReader({}, materials)
     with _NamedFiles(path, allow_outside) as named, _reading(path, suffix):
-        loaded = trimesh.load(path, process=False, maintain_order=True, resolver=named)  # type: ignore[arg-type]
+        if suffix in (".glb", ".gltf"):
+            data, parser.tree = prepared(read_bytes(path), suffix == ".glb")
+            source = io.BytesIO(data)
+        options: dict[str, Any] = {"process": False, "maintain_order": True, "resolver": named}
+        loaded = trimesh.load(source, file_type=suffix[1:], **options)
         parts = list(_parts(loaded))
     count = sum(len(part.faces) for part, _ in parts)
     if not count:
         known = sum(len(part.vertices) for part, _ in parts) or len(getattr(loaded, "vertices", ()))
         raise ValueError(f"{path}: expected faces, got {known} vertices but no faces")
     vertices, faces, surfaces = [], [], []
-    known_pixels: dict[tuple[float, ...], np.ndarray] = {}
     offset = 0
     for part, matrix in parts:
         corners = np.asarray(part.faces, dtype=np.int64)
@@ -124,7 +140,7 @@ def _read_others(path: Path, suffix: str, allow_outside: bool) -> tuple[np.ndarr
         vertices.append(points)
         faces.append(corners[:, order] + offset)
         with _reading(path, suffix):
-            surfaces.append(_part_surface_colors(part, corners, order, suffix in (".glb", ".gltf"), known_pixels))
+            surfaces.append(parser.surface_colors(part, corners, order, matrix[:3, :3]))
         offset += len(points)
     points, corners = np.concatenate(vertices), np.concatenate(faces)
     if suffix == ".stl":
@@ -216,47 +232,151 @@ def _join_equal(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np
     return points[np.sort(first)], rank[inverse.reshape(-1)[corners]]
 
 
-def _part_surface_colors(
-    part: Any, corners: np.ndarray, order: list[int], linear: bool, known_pixels: dict[tuple[float, ...], np.ndarray]
-) -> SurfaceColors | None:
-    """Collect the colours of one part, or None if it has none.
+class _PartReader:
+    """Reader of the surface colours and materials of the parts of a file.
 
     Args:
-        part: Mesh of trimesh.
-        corners: [F, 3] int64, its faces.
-        order: Order of the corners in the result.
-        linear: Whether colours are linear and not sRGB.
-        known_pixels: Images of earlier parts, by image and colour factor; new ones are added.
+        tree: JSON of a glTF file; empty for other formats.
+        materials: Whether to read materials, normals and second texture coordinates.
     """
-    visual = part.visual
-    kind = visual.kind if visual is not None and visual.defined else None
-    surface = SurfaceColors.plain(len(corners), 1.0)
-    if kind == "vertex":
-        surface.colors[:] = _srgb(visual.vertex_colors[:, :3] / 255, linear)[corners][:, order]
-        return surface
-    if kind == "face":
-        surface.colors[:] = _srgb(visual.face_colors[:, :3] / 255, linear)[:, None]
-        return surface
-    if kind != "texture":
-        return None
-    material = visual.material
-    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-    factor = getattr(material, "baseColorFactor", None)
-    factor = np.ones(3) if factor is None else np.asarray(factor, dtype=np.float64)[:3] / 255
-    if image is not None and visual.uv is not None:
-        key = (id(image), *factor)
-        if key not in known_pixels:
-            pixels = unpack("its image", image, transparency=False)
-            if (factor < 1).any():
+
+    def __init__(self, tree: dict[str, Any], materials: bool) -> None:
+        self.tree, self._with_materials = tree, materials
+        self._pixels: dict[tuple[float, ...], np.ndarray] = {}  # by image, channels and colour factor
+        self._materials: dict[int, dict[str, Any]] = {}
+
+    def surface_colors(
+        self, part: Any, corners: np.ndarray, order: list[int], matrix: np.ndarray
+    ) -> SurfaceColors | None:
+        """Collect the colours of one part, or None if it has none.
+
+        Args:
+            part: Mesh of trimesh.
+            corners: [F, 3] int64, its faces.
+            order: Order of the corners in the result.
+            matrix: [3, 3], linear part of its transform.
+        """
+        surface = SurfaceColors.plain(len(corners), 1.0)
+        own = corners[:, order]
+        material = self._paint(surface, part, own)
+        if self._with_materials and self.tree:
+            self._add_directions(surface, part, own, matrix)
+            surface.has_colors = material is not None
+            if isinstance(material, GltfMaterial):
+                self._add_material(surface, part, own, material)
+            return surface
+        return None if material is None else surface
+
+    def _paint(self, surface: SurfaceColors, part: Any, corners: np.ndarray) -> GltfMaterial | bool | None:
+        """Set colours and images. Returns the part's material if it has one, else whether it has colours, or None."""
+        visual, linear = part.visual, bool(self.tree)
+        kind = visual.kind if visual is not None and visual.defined else None
+        if kind == "vertex":
+            surface.colors[:] = _srgb(visual.vertex_colors[:, :3] / 255, linear)[corners]
+            return True
+        if kind == "face":
+            surface.colors[:] = _srgb(visual.face_colors[:, :3] / 255, linear)[:, None]
+            return True
+        if kind != "texture":
+            return None
+        material, slot = visual.material, None
+        name = str(getattr(material, "name", ""))
+        if self.tree and name.isdigit():
+            slot = GltfMaterial(self.tree, int(name))
+        image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+        factor = getattr(material, "baseColorFactor", None)
+        factor = np.ones(3) if factor is None else np.asarray(factor, dtype=np.float64)[:3] / 255
+        if slot is not None:
+            factor = np.array(slot.factor[:3])
+        uv = visual.uv if slot is None or slot.base.uv_set == 0 else _upwards(_attribute(part, "TEXCOORD_1", 2))
+        if uv is not None:
+            uv = uv if slot is None else slot.base.transformed(np.asarray(uv, dtype=np.float64))
+            surface.uv[:] = np.where(fits_float32(uv), uv, 0)[corners]
+        if image is not None and uv is not None:
+            wrapping = "REPEAT" if slot is None else _wrapping(slot.base.wrap)
+            surface.paint(np.arange(len(corners)), self._image(image, 3, factor), surface.uv.copy(), wrapping)
+            return slot or True
+        if not linear and not hasattr(material, "baseColorFactor"):
+            factor = np.asarray(material.main_color, dtype=np.float64)[:3] / 255
+        surface.colors[:] = _srgb(factor, linear)
+        shades = getattr(visual, "vertex_attributes", {}).get("color")
+        if linear and isinstance(shades, np.ndarray) and shades.ndim == 2 and shades.shape[1] in (3, 4):
+            full = np.iinfo(shades.dtype).max if shades.dtype.kind in "iu" else 1.0
+            shades = np.nan_to_num(shades[:, :3].astype(np.float64) / full).clip(0, 1)
+            surface.colors[:] = _srgb(shades * factor, linear)[corners]
+        return slot or True
+
+    def _image(self, image: Any, channels: int, factor: np.ndarray | None = None) -> np.ndarray:
+        """Decode an image to [H, W, channels] float32, in linear light times a factor: RGB, or alpha alone."""
+        factor = np.ones(3) if factor is None else factor
+        key = (id(image), channels, *factor)
+        if key not in self._pixels:
+            pixels = unpack("its image", image, transparency=channels == 1)
+            if channels == 1:
+                pixels = pixels[..., 3:] if pixels.shape[2] == 4 else np.ones_like(pixels[..., :1])
+            elif (factor < 1).any():
                 pixels = _srgb(_unsrgb(pixels) * factor, True).astype(np.float32)
-            known_pixels[key] = pixels
-        uv = np.where(fits_float32(visual.uv), visual.uv, 0)
-        surface.paint(np.arange(len(corners)), known_pixels[key], uv[corners][:, order])
-        return surface
-    if not linear and not hasattr(material, "baseColorFactor"):
-        factor = np.asarray(material.main_color, dtype=np.float64)[:3] / 255
-    surface.colors[:] = _srgb(factor, linear)
-    return surface
+            self._pixels[key] = pixels
+        return self._pixels[key]
+
+    def _add_material(self, surface: SurfaceColors, part: Any, corners: np.ndarray, material: GltfMaterial) -> None:
+        """Set the material of a part, and the texture coordinates that it needs."""
+
+        def image(name: str, channels: int) -> np.ndarray | None:
+            found = getattr(part.visual.material, name, None)
+            return self._image(found, channels) if isinstance(found, Image.Image) else None
+
+        if material.number not in self._materials:
+            self._materials[material.number] = material.arguments(image)
+        surface.materials = [self._materials[material.number]]
+        surface.material = np.zeros(len(corners), np.int64)
+        raw = material.raw_set()
+        if raw is not None:
+            uv = _upwards(_attribute(part, f"TEXCOORD_{raw}", 2))
+            surface.uv1 = np.zeros((len(corners), 3, 2)) if uv is None else uv[corners]
+
+    @staticmethod
+    def _add_directions(surface: SurfaceColors, part: Any, corners: np.ndarray, matrix: np.ndarray) -> None:
+        """Set normals and tangents, turned as the part is. Those without a direction become 0."""
+        determinant = np.linalg.det(matrix)
+        normals, tangents = _attribute(part, "NORMAL", 3), _attribute(part, "TANGENT", 4)
+        if normals is not None and determinant:
+            surface.normals = _unit(normals @ np.linalg.inv(matrix))[corners]
+        if tangents is not None:
+            sign = np.where(tangents[:, 3:] < 0, -1.0, 1.0) * np.sign(determinant)
+            surface.tangents = np.concatenate((_unit(tangents[:, :3] @ matrix.T), sign), -1)[corners]
+
+
+def _attribute(part: Any, name: str, width: int) -> np.ndarray | None:
+    """Return a vertex attribute of a part, [V, width] float64, as the file has it; None without usable values."""
+    values = (part.vertex_attributes or {}).get(KEPT[name])
+    if not isinstance(values, np.ndarray) or values.shape != (len(part.vertices), width):
+        return None
+    if values.dtype.kind in "iu":  # normalised
+        values = np.maximum(values / np.iinfo(values.dtype).max, -1.0)
+    values = values.astype(np.float64)
+    return np.where(fits_float32(values), values, 0)
+
+
+def _upwards(uv: np.ndarray | None) -> np.ndarray | None:
+    """Turn texture coordinates [V, 2] from v down to v up."""
+    return None if uv is None else np.stack((uv[:, 0], 1 - uv[:, 1]), -1)
+
+
+def _unit(directions: np.ndarray) -> np.ndarray:
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(directions, axis=-1, keepdims=True)
+        unit = directions / np.where(length > 0, length, 1)
+    return np.where(np.isfinite(unit), unit, 0)
+
+
+_WRAPPINGS = {"repeat": "REPEAT", "clamp": "CLAMP_TO_EDGE", "mirror": "MIRRORED_REPEAT"}
+
+
+def _wrapping(wrap: tuple[str, str]) -> str | tuple[str, str]:
+    """Convert the modes of u and v to those of `SurfaceColors`, one if they are equal."""
+    u, v = (_WRAPPINGS[mode] for mode in wrap)
+    return u if u == v else (u, v)
 
 
 def _srgb(colors: np.ndarray, linear: bool) -> np.ndarray:

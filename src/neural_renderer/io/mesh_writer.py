@@ -14,7 +14,8 @@ from .atlas import build_atlas, coordinates
 from .atomic_write import write_file
 from .cubes import bake_corners
 from .files import mesh_to_write
-from .obj.writer import Part, save_cubes, write_obj
+from .gltf.writer import glb_bytes
+from .obj.writer import Part, as_bytes, save_cubes, write_obj
 from .surface_colors import SurfaceColors
 
 if TYPE_CHECKING:
@@ -75,20 +76,10 @@ def save_uv_mesh(
     """Write a mesh with images as OBJ or GLB; see `UVMesh.save`. Colours are clamped to [0, 1]."""
     path = _checked(path, (".obj", ".glb"))
     points, corners, _ = mesh_to_write(vertices, faces)
-    parts = _parts(surface)
-    if path.suffix.lower() == ".obj":
-        write_obj(path, points, corners, parts, f"{path.stem}_texture", overwrite)
+    if path.suffix.lower() == ".glb":
+        write_file(path, glb_bytes(points, corners, surface))
         return
-    import trimesh
-
-    scene = trimesh.Scene()
-    for number, part in enumerate(parts, 1):
-        # A glTF vertex has one texture coordinate, so a vertex with several is duplicated.
-        both = np.stack([corners[part.faces], part.corners], axis=2).reshape(-1, 2)
-        own, index = np.unique(both, axis=0, return_inverse=True)
-        mesh = _with_picture(points[own[:, 0]], index.reshape(-1, 3), part.places[own[:, 1]], part.picture)
-        scene.add_geometry(mesh, geom_name=f"part_{number}")
-    write_file(path, scene.export(file_type="glb"))
+    write_obj(path, points, corners, _parts(surface), f"{path.stem}_texture", overwrite)
 
 
 def _checked(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
@@ -100,22 +91,30 @@ def _checked(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
 
 
 def _parts(surface: SurfaceColors) -> list[Part]:
-    """Group faces by image; faces without an image share one with a tile for each."""
+    """Group faces by image and material; those without an image share one with a tile for each, or have one colour."""
+    own = np.full(len(surface.image), -1) if surface.material is None else surface.material
     found = []
-    for number, (image, wrapping) in enumerate(zip(surface.images, surface.wrapping, strict=True)):
-        own = np.flatnonzero(surface.image == number)
-        if len(own):
-            pixels = (image.clip(0, 1) * 255 + 0.5).astype(np.uint8)
-            found.append(_part(own, surface.uv[own], pixels, wrapping != "REPEAT"))
-    plain = np.flatnonzero(surface.image < 0)
-    if len(plain):
-        cubes = bake_corners(torch.from_numpy(surface.colors[plain].clip(0, 1)), 2)
-        pixels, place = build_atlas(cubes.numpy())
-        found.append(_part(plain, coordinates(place, pixels), pixels, True))
-    return found
+    for image, number in np.unique(np.stack((surface.image, own), 1), axis=0).tolist():
+        faces = np.flatnonzero((surface.image == image) & (own == number))
+        material = surface.materials[number] if number >= 0 else {}
+        colors = surface.colors[faces].clip(0, 1)
+        if image >= 0:
+            pixels = as_bytes(surface.images[image])
+            clamp = surface.wrapping[image] == "CLAMP_TO_EDGE"
+            part = _part(faces, surface.uv[faces], pixels, clamp)
+        elif material and (colors == colors[0, 0]).all():
+            red, green, blue = colors[0, 0].tolist()
+            part = _part(faces, surface.uv[faces], None, False)._replace(color=(red, green, blue))
+        else:
+            tiles, place = build_atlas(bake_corners(torch.from_numpy(colors), 2).numpy())
+            part = _part(faces, coordinates(place, tiles), tiles, True)
+        normals = None if surface.normals is None else surface.normals[faces]
+        found.append(part._replace(material=material, normals=normals))
+    # Faces with images first.
+    return sorted(found, key=lambda part: surface.image[part.faces[0]] < 0)
 
 
-def _part(faces: np.ndarray, uv: np.ndarray, picture: np.ndarray, clamp: bool) -> Part:
+def _part(faces: np.ndarray, uv: np.ndarray, picture: np.ndarray | None, clamp: bool) -> Part:
     """Make a part of faces [n] with texture coordinates [n, 3, 2]; equal coordinates are merged."""
     places, corners = np.unique(uv.reshape(-1, 2), axis=0, return_inverse=True)
     return Part(faces, places, corners.reshape(-1, 3), picture, clamp)

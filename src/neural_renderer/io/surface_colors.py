@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from .cubes import bake_corners, bake_image, check_size
+
+
+class FileTexture(NamedTuple):
+    """A texture of a material, with the attributes of `Texture`; the image is an array."""
+
+    image: np.ndarray
+    wrap: str | tuple[str, str] = "repeat"
+    offset: tuple[float, float] = (0.0, 0.0)
+    scale: tuple[float, float] = (1.0, 1.0)
+    rotation: float = 0.0
+    uv_set: int = 0
 
 
 @dataclass
@@ -19,15 +31,28 @@ class SurfaceColors:
         image: [F] int, index into ``images``; −1 for a face without an image.
         uv: [F, 3, 2] float64, texture coordinates of the corners: u to the right, v up, the image over [0, 1]².
         images: [H, W, 3] float32 each, row 0 at the top.
-        wrapping: One of `cubes.WRAPPINGS` for each image.
+        wrapping: One of `cubes.WRAPPINGS` for each image, or a pair of them, for u and v.
+        materials: Arguments of a `Material` each, with a `FileTexture` for each texture; empty if they were not read.
+        material: [F] int, index into ``materials``; −1 for none.
+        normals: [F, 3, 3], of the corners, or None.
+        tangents: [F, 3, 4], of the corners, with the sign of the bitangent, or None. 0 for faces without any.
+        uv1: [F, 3, 2], second texture coordinates, or None. 0 for faces without any.
+        has_colors: Whether the file has colours.
     """
 
     colors: np.ndarray
     image: np.ndarray
     uv: np.ndarray
     images: list[np.ndarray] = field(default_factory=list)
-    wrapping: list[str] = field(default_factory=list)
-    _numbers: dict[tuple[int, str], int] = field(default_factory=dict, repr=False)
+    wrapping: list[Any] = field(default_factory=list)
+    materials: list[dict[str, Any]] = field(default_factory=list)
+    material: np.ndarray | None = None
+    normals: np.ndarray | None = None
+    tangents: np.ndarray | None = None
+    uv1: np.ndarray | None = None
+    has_colors: bool = True
+    _numbers: dict[tuple[int, Any], int] = field(default_factory=dict, repr=False)
+    _opaque: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def plain(cls, faces: int, grey: float) -> SurfaceColors:
@@ -48,14 +73,45 @@ class SurfaceColors:
             ]
             surface.image[begin:end] = np.array([*numbers, -1])[part.image]  # −1 reads the last entry
             begin = end
+        surface._join_materials(parts)
+        surface.has_colors = any(part.has_colors for part in parts)
+        for name, width in (("normals", 3), ("tangents", 4), ("uv1", 2)):
+            known = [getattr(part, name) for part in parts]
+            if any(value is not None for value in known):
+                empty = (np.zeros((len(part.image), 3, width)) for part in parts)
+                filled = [zero if value is None else value for value, zero in zip(known, empty, strict=True)]
+                setattr(surface, name, np.concatenate(filled))
         return surface
 
-    def paint(self, faces: np.ndarray, image: np.ndarray, uv: np.ndarray, wrapping: str = "REPEAT") -> None:
+    def _join_materials(self, parts: list[SurfaceColors]) -> None:
+        """Collect the materials of several parts. Parts may share one."""
+        if not any(part.materials for part in parts):
+            return
+        places: dict[int, int] = {}
+        index = []
+        for part in parts:
+            for material in part.materials:
+                if id(material) not in places:
+                    places[id(material)] = len(self.materials)
+                    self.materials.append(material)
+            numbers = np.array([*(places[id(material)] for material in part.materials), -1])
+            index.append(numbers[np.full(len(part.image), -1) if part.material is None else part.material])
+        self.material = np.concatenate(index)
+
+    def paint(self, faces: np.ndarray, image: np.ndarray, uv: np.ndarray, wrapping: Any = "REPEAT") -> None:
         """Assign an image [H, W, 3] and texture coordinates [n, 3, 2] to faces [n]. An array is stored once."""
         self.image[faces] = self._number(image, wrapping)
         self.uv[faces] = uv
 
-    def _number(self, image: np.ndarray, wrapping: str) -> int:
+    def opaque(self, image: np.ndarray) -> np.ndarray:
+        """Return the first three channels of an image, the same array for the same image."""
+        if image.shape[2] == 3:
+            return image
+        if id(image) not in self._opaque:
+            self._opaque[id(image)] = image, np.ascontiguousarray(image[..., :3])
+        return self._opaque[id(image)][1]
+
+    def _number(self, image: np.ndarray, wrapping: Any) -> int:
         """Return the index of an image; append it if it is new."""
         number = self._numbers.setdefault((id(image), wrapping), len(self.images))
         if number == len(self.images):

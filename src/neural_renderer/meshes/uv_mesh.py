@@ -16,6 +16,7 @@ from ..deprecated import old_argument
 from ..io.formats import read_mesh
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
+from ..textures.file_materials import arrays_of_materials, attributes_of_file, wrap_of, wrapping
 from ..textures.gutters import fill_gutters
 from ..textures.material import Material
 from ..textures.sample_texture import Wrap, checked_wrap, sampled
@@ -128,7 +129,8 @@ class UVMesh:
         """Read a mesh file with its materials and images, to the CPU.
 
         The gaps between an image's charts are filled (`fill_gutters`). An image that several materials share appears
-        once in ``images``. Images of GLB and glTF files always repeat beyond [0, 1]; their samplers are ignored.
+        once in ``images``. Materials of OBJ, GLB and glTF files, and the normals of the files, are read, too. Texture
+        coordinates have the transform of the base colour's texture (`KHR_texture_transform`).
 
         Args:
             path: OBJ, PLY, STL, OFF, GLB or glTF file.
@@ -146,11 +148,14 @@ class UVMesh:
             >>> nr.UVMesh.load("sphere.obj").uv.shape
             torch.Size([320, 3, 2])
         """
-        vertices, faces, surface, _ = read_mesh(path, allow_outside)
-        surface = surface or SurfaceColors.plain(len(faces), validate.number("grey", grey))
+        grey = validate.number("grey", grey)
+        vertices, faces, surface, _ = read_mesh(path, allow_outside, materials=True)
+        surface = surface or SurfaceColors.plain(len(faces), grey)
+        if not surface.has_colors:
+            surface.colors[:] = grey
         uv = torch.from_numpy(surface.uv).float()
         index = torch.from_numpy(surface.image).long()
-        wraps = tuple("repeat" if wrapping == "REPEAT" else "clamp" for wrapping in surface.wrapping)
+        wraps = tuple(map(wrap_of, surface.wrapping))
         images = [
             fill_gutters(torch.from_numpy(image).float(), uv[index == number], wrap=wrap)
             for number, (image, wrap) in enumerate(zip(surface.images, wraps, strict=True))
@@ -163,14 +168,15 @@ class UVMesh:
             images=tuple(images),
             colors=torch.from_numpy(surface.colors),
             wraps=wraps,
+            **attributes_of_file(surface),
         )
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the mesh as OBJ or GLB, with colours clamped to [0, 1].
 
         With ``spot.obj`` this writes ``spot.mtl`` and ``spot_texture.png``, or ``spot_texture_1.png`` and so on. Faces
-        are grouped by image; those without an image share one more image, with a tile for each. Images of GLB files
-        always repeat beyond [0, 1].
+        are grouped by image and material; in OBJ files, those without an image share one more, with a tile for each.
+        GLB files have no highlight of Phong, MTL files neither `KHR_texture_transform` nor ``uv1``.
 
         Args:
             path: Name that ends in ``.obj`` or ``.glb``. A file of this name is replaced, missing folders are made.
@@ -193,7 +199,8 @@ class UVMesh:
             self.image_index.long().cpu().numpy(),
             self.uv.detach().double().cpu().numpy(),
             [image.detach().float().cpu().numpy() for image in self.images],
-            ["REPEAT" if wrap == "repeat" else "CLAMP_TO_EDGE" for wrap in self.wraps],
+            [wrapping(wrap) for wrap in self.wraps],
+            **arrays_of_materials(self),
         )
         save_uv_mesh(path, self.vertices, self.faces, surface, overwrite=overwrite)
 

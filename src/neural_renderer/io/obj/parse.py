@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,8 @@ import numpy as np
 
 from ..files import fits_float32, read_text, short
 from .polygons import triangulate
+
+_MOST = 2**31  # of indices
 
 
 @dataclass
@@ -22,6 +25,7 @@ class ObjFile:
         colors: [V, 3] float64 in [0, 1]; NaN for a vertex without a colour.
         faces: [F, 3] int64, indices from 0.
         uv: [F, 3, 2] float64; NaN for a corner without texture coordinates.
+        normals: [F, 3, 3] float64, unit normals of the corners; 0 for a corner without one. None if there are none.
         material: [F] int, index into ``names``, or −1.
         names: Names of materials.
         libraries: Text after each ``mtllib``.
@@ -32,17 +36,18 @@ class ObjFile:
     colors: np.ndarray
     faces: np.ndarray
     uv: np.ndarray
+    normals: np.ndarray | None
     material: np.ndarray
     names: list[str]
     libraries: list[str]
 
 
 def read_obj(path: Path, with_uv: bool) -> ObjFile:
-    """Read an OBJ file and triangulate its polygons. Points, lines, curves, groups and normals are ignored.
+    """Read an OBJ file and triangulate its polygons. Points, lines, curves and groups are ignored.
 
     Args:
         path: Path of the file.
-        with_uv: Read texture coordinates. Otherwise they are ignored, even if they are invalid.
+        with_uv: Read texture coordinates and normals. Otherwise they are ignored, even if they are invalid.
 
     Raises:
         ValueError: A statement is invalid, a vertex is not finite in float32, a face has fewer than three corners, an
@@ -83,6 +88,25 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
         yield first, " ".join(parts)
 
 
+def _normal(words: list[str]) -> tuple[float, float, float]:
+    """Parse a normal and scale it to 1; 0 for what is none, because programs write all sorts of them."""
+    try:
+        x, y, z = map(float, words)
+    except ValueError:
+        return 0.0, 0.0, 0.0
+    length = math.hypot(x, y, z)
+    return (x / length, y / length, z / length) if 0 < length < math.inf else (0.0, 0.0, 0.0)
+
+
+def _normal_index(text: str, known: int) -> int:
+    """Convert the index of a normal to one from 0; −1 if there is none, or if it is wrong."""
+    try:
+        index = int(text) if text else 0
+    except ValueError:
+        return -1
+    return index - 1 if 0 < index < _MOST else max(known + index, -1) if index < 0 else -1
+
+
 class _Parser:
     """Collects the statements of a file; `finish` makes an `ObjFile` of them."""
 
@@ -95,6 +119,8 @@ class _Parser:
         # Indices from 0, of the corners of all polygons in a row; −1 for a corner without texture coordinate.
         self.corners: list[int] = []
         self.texture_corners: list[int] = []
+        self.normals: list[tuple[float, float, float]] = []
+        self.normal_corners: list[int] = []
         self.sizes: list[int] = []
         self.face_lines: list[int] = []
         self.material: list[int] = []
@@ -112,6 +138,8 @@ class _Parser:
             self._vertex(number, words)
         elif keyword == "vt":
             self.texture.append((float(words[1]), float(words[2]) if words[2:] and words[2][0] != "#" else 0.0))
+        elif keyword == "vn":
+            self.normals.append(_normal(words[1:4]))
         elif keyword in ("usemtl", "mtllib"):
             name = line.split(None, 1)[1].strip() if len(words) > 1 else ""
             if keyword == "mtllib":
@@ -134,9 +162,10 @@ class _Parser:
             if word[0] == "#":
                 break
             vertex, _, rest = word.partition("/")
-            texture = rest.partition("/")[0]
+            texture, _, normal = rest.partition("/")
             self.corners.append(self._index(int(vertex), vertices, "vertex"))
             self.texture_corners.append(self._index(int(texture), textures, "texture coordinate") if texture else -1)
+            self.normal_corners.append(_normal_index(normal, len(self.normals)))
             count += 1
         if count < 3:
             raise _OutOfRange(f"expected a face of at least three corners, got {count}")
@@ -173,6 +202,11 @@ class _Parser:
             self._check(texture_corners, len(self.texture), "texture coordinate")
             # −1, a corner without coordinates, reads the extra entry at the end.
             uv = np.array([*self.texture, (np.nan, np.nan)])[texture_corners[triangles]]
+        normals = None
+        if with_uv and self.normals:
+            known = np.array([*self.normals, (0.0, 0.0, 0.0)])
+            normal_corners = np.array(self.normal_corners)[triangles]
+            normals = known[np.where(normal_corners < len(self.normals), normal_corners, -1)]
         colors = np.full(vertices.shape, np.nan)
         if self.colors:
             colors[list(self.colors)] = list(self.colors.values())
@@ -186,6 +220,7 @@ class _Parser:
             colors=colors,
             faces=corners[triangles],
             uv=uv,
+            normals=normals,
             material=np.array(self.material)[polygon],
             names=list(self.names),
             libraries=self.libraries,

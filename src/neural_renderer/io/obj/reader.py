@@ -16,7 +16,8 @@ from ..files import existing, fits_float32, short, warn
 from ..images import load_image
 from ..named_files import find_file
 from ..surface_colors import SurfaceColors
-from .mtl import Material, read_mtl
+from .materials import material_arguments
+from .mtl import Map, Material, read_mtl
 from .parse import ObjFile, read_obj
 
 
@@ -91,6 +92,7 @@ def obj_surface_colors(
     wrapping: str = "REPEAT",
     allow_outside: bool = False,
     materials: dict[str, Material] | None = None,
+    with_materials: bool = False,
 ) -> SurfaceColors | None:
     """Collect the surface colours of an OBJ file. Faces without a colour are grey 0.5.
 
@@ -99,6 +101,7 @@ def obj_surface_colors(
         wrapping: Wrapping of texture coordinates outside [0, 1].
         allow_outside: Read materials and images outside the file's folder, too.
         materials: Materials by name, in place of those in the file's material files.
+        with_materials: Collect materials and normals, too.
 
     Returns:
         The colours, or None if the file has neither colours nor material files.
@@ -126,35 +129,56 @@ def obj_surface_colors(
             if materials:
                 warn(f"{obj.path}: material {short(name)} is not in its material files")
             continue
-        if material.color is not None:
-            surface.colors[chosen] = material.color
+        if "color" in material.colors:
+            surface.colors[chosen] = material.colors["color"]
             has_color = True
-        if material.image is not None and len(chosen):
-            path = find_file(obj.path, material.image, material.folder, obj.path.parent, allow_outside=allow_outside)
+        if not len(chosen):
+            continue
+        base = material.maps.get("color")
+
+        def image(used: Map, material: Material = material) -> np.ndarray | None:
+            path = find_file(obj.path, used.image, material.folder, obj.path.parent, allow_outside=allow_outside)
             if path is None:
-                _warn_missing(obj, "image", material.image, allow_outside)
-                continue
-            _paint(surface, chosen, material, obj, load(path), wrapping)
+                _warn_missing(obj, "image", used.image, allow_outside)
+            return None if path is None else load(path)
+
+        pixels = None if base is None else image(base)
+        if base is not None and pixels is not None:
+            _paint(surface, chosen, base, obj, pixels, wrapping)
             has_color = True
+        if with_materials:
+            if pixels is None:
+                base = None
+                placed = fits_float32(obj.uv[chosen]).all(axis=(1, 2))
+                surface.uv[chosen[placed]] = obj.uv[chosen[placed]]
+            if surface.material is None:
+                surface.material = np.full(len(obj.faces), -1)
+            surface.material[chosen] = len(surface.materials)
+            surface.materials.append(material_arguments(name, material, base, image))
+    if with_materials:
+        surface.normals = obj.normals
+        surface.has_colors = has_color or bool(obj.libraries)
+        return surface if surface.has_colors or surface.normals is not None else None
     return surface if has_color or obj.libraries else None
 
 
 def _pixels(path: Path) -> np.ndarray:
-    """Load an image as [H, W, 3] float32, without transparency."""
-    return np.ascontiguousarray(load_image(path)[..., :3].numpy())
+    """Load an image as [H, W, 3 or 4] float32."""
+    return load_image(path).numpy()
 
 
 def _paint(
-    surface: SurfaceColors, chosen: np.ndarray, material: Material, obj: ObjFile, image: np.ndarray, wrapping: str
+    surface: SurfaceColors, chosen: np.ndarray, used: Map, obj: ObjFile, image: np.ndarray, wrapping: str
 ) -> None:
     """Assign a material's image to the chosen faces that have texture coordinates."""
     with np.errstate(over="ignore", invalid="ignore"):
-        uv = obj.uv[chosen] * material.scale + material.offset
+        uv = obj.uv[chosen] * used.scale + used.offset
     placed = fits_float32(uv).all(axis=(1, 2))
     if not placed.all():
-        missing, name = int((~placed).sum()), short(material.image)
+        missing, name = int((~placed).sum()), short(used.image)
         warn(f"{obj.path}: {missing} faces have no texture coordinates for the image {name}")
-    surface.paint(chosen[placed], image, uv[placed], "CLAMP_TO_EDGE" if material.clamp else wrapping)
+    image = surface.opaque(image)
+    surface.paint(chosen[placed], image, uv[placed], "CLAMP_TO_EDGE" if used.clamp else wrapping)
 
 
 def _materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:

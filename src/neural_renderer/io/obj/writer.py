@@ -19,6 +19,7 @@ from PIL import Image, PngImagePlugin
 from ..atlas import build_atlas
 from ..atomic_write import replacing
 from ..files import mesh_to_write
+from .mtl_writer import statements
 
 
 class Part(NamedTuple):
@@ -30,13 +31,19 @@ class Part(NamedTuple):
         corners: [n, 3] int64, indices into ``places`` of the faces' corners.
         picture: [H, W, 3] uint8, row 0 at the top.
         clamp: Whether the image is clamped beyond [0, 1]; otherwise it repeats.
+        material: Arguments of a `Material`, with a `FileTexture` for each texture; empty for a matt one.
+        color: Colour of the faces if ``picture`` is None, sRGB.
+        normals: [n, 3, 3], or None.
     """
 
     faces: np.ndarray
     places: np.ndarray
     corners: np.ndarray
-    picture: np.ndarray
+    picture: np.ndarray | None
     clamp: bool = False
+    material: dict[str, Any] = {}  # noqa: RUF012 (never changed)
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    normals: np.ndarray | None = None
 
 
 def save_obj(
@@ -99,9 +106,8 @@ def write_obj(
     """
     if parts and (not path.stem.isprintable() or "\\" in path.stem):  # such a name breaks the line of `mtllib`
         raise ValueError(f"path: expected a name that an OBJ file can hold, got {path.name!r}")
-    numbers = [""] if len(parts) == 1 else [f"_{number}" for number in range(1, len(parts) + 1)]
-    pictures = [f"{texture}{number}.png" for number in numbers]
     library = f"{path.stem}.mtl"
+    names, materials, pictures = _materials(parts, texture)
     if parts and not overwrite:
         check_own(path, [path.with_name(name) for name in (library, *pictures)], "overwrite=True replaces it")
     text = [f"# {path.name}\n#\n\n"]
@@ -110,25 +116,50 @@ def write_obj(
     text.append(_lines("v %.9g %.9g %.9g\n", points))
     if not parts:
         text.append("\n" + _lines("f %d %d %d\n", corners + 1))
-    first = 1
-    for number, part in enumerate(parts, 1):
-        text.append("\n" + _lines("vt %.9g %.9g\n", part.places) + f"\nusemtl material_{number}\n")
+    first = normal = 1
+    for name, part in zip(names, parts, strict=True):
+        text.append("\n" + _lines("vt %.9g %.9g\n", part.places))
         both = np.stack([corners[part.faces] + 1, part.corners + first], axis=2)
-        text.append(_lines("f %d/%d %d/%d %d/%d\n", both.reshape(-1, 6)))
+        form = "f %d/%d %d/%d %d/%d\n"
+        if part.normals is not None:
+            known, index = np.unique(part.normals.reshape(-1, 3), axis=0, return_inverse=True)
+            text.append(_lines("vn %.9g %.9g %.9g\n", known))
+            both = np.concatenate([both, index.reshape(-1, 3, 1) + normal], axis=2)
+            form, normal = "f %d/%d/%d %d/%d/%d %d/%d/%d\n", normal + len(known)
+        text.append(f"\nusemtl {name}\n")
+        text.append(_lines(form, both.reshape(len(both), -1)))
         first += len(part.places)
     with replacing(path) as fresh:
         fresh.write_text("".join(text), encoding="utf-8")
         if parts:
-            materials = [_material(number, *shown) for number, shown in enumerate(zip(pictures, parts, strict=True), 1)]
             fresh.with_name(library).write_text("\n".join([f"# {_note(path)}", *materials]), encoding="utf-8")
-        for name, part in zip(pictures, parts, strict=True):
-            fresh.with_name(name).write_bytes(_png(part.picture, _note(path)))
+        for name, picture in pictures.items():
+            fresh.with_name(name).write_bytes(_png(picture, _note(path)))
 
 
-def _material(number: int, picture: str, part: Part) -> str:
-    """Format the statements of the material ``material_<number>`` of an MTL file."""
-    option = "-clamp on " if part.clamp else ""
-    return f"newmtl material_{number}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {option}{picture}\n"
+def _materials(parts: list[Part], texture: str) -> tuple[list[str], list[str], dict[str, np.ndarray]]:
+    """Name the materials of parts; return the names, the statements, and the images by file name."""
+    names: list[str] = []
+    texts: list[str] = []
+    pictures: dict[str, np.ndarray] = {}
+    for number, part in enumerate(parts, 1):
+        name = str(part.material.get("name", ""))
+        usable = name.isprintable() and name == name.strip() and "#" not in name and "\\" not in name
+        names.append(name if name and usable and name not in names else f"material_{number}")
+        begin = texture if len(parts) == 1 else f"{texture}_{number}"
+        picture = None if part.picture is None else f"{begin}.png"
+        if part.picture is not None:
+            pictures[f"{begin}.png"] = part.picture
+        text, others = statements(names[-1], part.material, np.array(part.color), picture, part.clamp, begin)
+        texts.append(text)
+        pictures |= {file: as_bytes(pixels) for file, pixels in others.items()}
+    return names, texts, pictures
+
+
+def as_bytes(pixels: np.ndarray) -> np.ndarray:
+    """Convert an image [H, W, 1 or 3] with values in [0, 1] to uint8, [H, W] if it has one channel."""
+    values = (pixels.clip(0, 1) * 255 + 0.5).astype(np.uint8)
+    return values[..., 0] if values.shape[2] < 3 else np.ascontiguousarray(values[..., :3])
 
 
 def _lines(form: str, rows: np.ndarray) -> str:
@@ -158,7 +189,7 @@ def check_own(path: Path, files: Iterable[Path] | None, advice: str) -> None:
         advice: End of the message.
     """
     if files is None:
-        names = (f"{glob.escape(path.stem)}_texture{number}.png" for number in ("", "_[0-9]*"))
+        names = (f"{glob.escape(path.stem)}_texture{number}.png" for number in ("", "_*"))
         files = [path.with_suffix(".mtl"), *(file for name in names for file in path.parent.glob(name))]
     for file in files:
         if file.exists() and not _is_own(path, file):

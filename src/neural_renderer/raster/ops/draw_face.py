@@ -45,7 +45,7 @@ _TEST = """
             const FLOATS e1 = (x2 - x) * y0 - y2 * (x0 - x);
             const FLOATS e2 = (x0 - x) * y1 - y0 * (x1 - x);
             const FLOATS z = (e0 * n[0] + e1 * n[1] + e2 * n[2]) / (e0 * d[0] + e1 * d[1] + e2 * d[2]);
-            const auto inside = (e0 >= 0.0f) & (e1 >= 0.0f) & (e2 >= 0.0f) & (z > near);
+            const auto inside = (e0 >= 0.0f) & (e1 >= 0.0f) & (e2 >= 0.0f) & (z > NEAR);
 """
 # The nearest face is visible; at equal depth, the one of lowest index.
 _SINGLE = """
@@ -89,8 +89,15 @@ _EIGHT = """
 """
 
 
-def _loop(pixels: str, floats: str, at_once: int, see: str = "", lane: str = "0", lanes: str = "1") -> str:
-    pixels = pixels.replace("TEST", _TEST.replace("FLOATS", floats)).replace("SEE", see)
+# The depth behind which each pixel is drawn, in place of `near`.
+_FLOOR = "floor_depth.data[row + i]"
+_FLOORS = "([&] { floats floor; memcpy(&floor, floor_depth.data + row + at, sizeof(floor)); return floor; })()"
+
+
+def _loop(
+    pixels: str, floats: str, at_once: int, see: str = "", lane: str = "0", lanes: str = "1", near: str = "near"
+) -> str:
+    pixels = pixels.replace("TEST", _TEST.replace("FLOATS", floats).replace("NEAR", near)).replace("SEE", see)
     pixels = pixels.replace("LANES", lanes).replace("LANE", lane)
     return _ROWS.replace("PIXELS", pixels).replace("AT_ONCE", str(at_once))
 
@@ -153,6 +160,65 @@ def draw_into_rows(
     top: int,
 ):
     """Draw a face into its box on the CPU; ``nearest`` holds the least depth of each pixel so far, initially far."""
+    ...
+
+
+@wp.func_native(f"""
+#if defined(__CUDA_ARCH__)
+    {_loop(_SINGLE, "float", 0, _KEY, near=_FLOOR)}
+#endif
+""")
+def draw_behind_keys(
+    key: wp.array3d(dtype=wp.int64),
+    floor_depth: wp.array3d(dtype=float),
+    b: int,
+    index: int,
+    v0: wp.vec3,
+    v1: wp.vec3,
+    v2: wp.vec3,
+    n: wp.vec3,
+    d: wp.vec3,
+    far: float,
+    height: int,
+    width: int,
+    left: int,
+    right: int,
+    bottom: int,
+    top: int,
+):
+    """Draw a face as `draw_into_keys`, where it is behind a depth that each pixel has."""
+    ...
+
+
+@wp.func_native(f"""
+#if !defined(__CUDA_ARCH__)
+    if (width < 8) {{ {_loop(_SINGLE, "float", 0, _NEAREST, near=_FLOOR)} return; }}
+    typedef float floats __attribute__((ext_vector_type(8)));
+    typedef int ints __attribute__((ext_vector_type(8)));
+    const floats ahead = {{0.0f, 2.0f, 4.0f, 6.0f, 8.0f, 10.0f, 12.0f, 14.0f}};
+    const ints column = {{0, 1, 2, 3, 4, 5, 6, 7}};
+    {_loop(_EIGHT, "floats", 8, near=_FLOORS)}
+#endif
+""")
+def draw_behind_rows(
+    nearest: wp.array3d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    floor_depth: wp.array3d(dtype=float),
+    b: int,
+    index: int,
+    v0: wp.vec3,
+    v1: wp.vec3,
+    v2: wp.vec3,
+    n: wp.vec3,
+    d: wp.vec3,
+    height: int,
+    width: int,
+    left: int,
+    right: int,
+    bottom: int,
+    top: int,
+):
+    """Draw a face as `draw_into_rows`, where it is behind a depth that each pixel has."""
     ...
 
 

@@ -29,17 +29,20 @@ def edge_gradient_reference(
     perspective: bool,
     seams: bool,
     edge_hashes: Tensor | None = None,
+    layered: bool = False,
 ) -> Tensor:
     """Compute the gradient to the faces, [B, F, 3, 3] float64; see `edge_gradient`.
 
     Args:
         grad: Gradient to the image, [B, C, H, W].
         image, faces, face_index, two_sided, perspective, seams, edge_hashes: As in `edge_gradient`.
+        layered: Whether this is a layer of several, in which edges behind folds are visible, and left out.
     """
     result = torch.zeros(faces.shape, dtype=torch.float64)
     adjacent = neighbors_reference(faces, two_sided, perspective).cpu()
     drawn, side = drawn_faces(faces, two_sided, perspective).cpu(), exact_sides(faces, perspective).cpu()
     corners = faces.detach().double().cpu()
+    folds = neighbors_reference(faces, two_sided, perspective, folds=True).cpu()
     for b in range(len(faces)):
         pull, color, shown = (m[b].detach().cpu() for m in (grad.double(), image.double(), face_index))
         for axis in range(2):
@@ -48,11 +51,24 @@ def edge_gradient_reference(
                 is_outline = bool(adjacent[b, f, k] < 0)
                 if not is_outline and not (seams and _is_seam(edge_hashes, corners[b], adjacent[b], b, f, k)):
                     continue
+                other = int(folds[b, f, k])
+                if layered and is_outline and other >= 0 and _in_front(scan, other, f, (k + 2) % 3):
+                    continue
                 to_start, to_end = _move_edge(scan, f, k, bool(side[b, f] > 0))
                 result[b, f, k, axis] += to_start
                 result[b, f, (k + 1) % 3, axis] += to_end
             result[b] += intersections_reference(pull, color, shown, corners[b], axis, perspective)
     return result.to(faces.device)
+
+
+def _in_front(scan: _Scan, other: int, f: int, k: int) -> bool:
+    """Test whether the plane of a face lies in front of corner k of face f."""
+    if scan.perspective and min(*scan.depths[other], scan.depths[f][k]) <= 0:
+        return False
+    arms = [(p[0] - scan.places[f][k][0], p[1] - scan.places[f][k][1]) for p in scan.places[other]]
+    parts = [arms[i][0] * arms[j][1] - arms[i][1] * arms[j][0] for i, j in ((1, 2), (2, 0), (0, 1))]
+    value = sum(part * scan.nearness(other, n) for n, part in enumerate(parts)) / sum(parts)
+    return value > scan.nearness(f, k)
 
 
 def _is_seam(edge_hashes: Tensor | None, corners: Tensor, adjacent: Tensor, b: int, f: int, k: int) -> bool:

@@ -10,9 +10,9 @@ from torch import Tensor
 from .operators import in_camera_space
 
 
-def neighbors_reference(faces: Tensor, two_sided: bool, perspective: bool) -> Tensor:
+def neighbors_reference(faces: Tensor, two_sided: bool, perspective: bool, folds: bool = False) -> Tensor:
     """Find the face across each edge, [B, F, 3] int32; see `neighbors`. Any number of faces may meet at an edge."""
-    result = torch.full(faces.shape[:3], -1, dtype=torch.int32)
+    result, way = torch.full(faces.shape[:3], -1, dtype=torch.int32), 1 if folds else -1
     drawn = drawn_faces(faces, two_sided, perspective).tolist()
     for b, image in enumerate(faces.double().tolist()):
         edges = [(f, k) for f in range(len(image)) for k in range(3 if drawn[b][f] else 0)]
@@ -26,7 +26,9 @@ def neighbors_reference(faces: Tensor, two_sided: bool, perspective: bool) -> Te
         for numbers in meeting.values():
             for n in numbers:
                 f, k = edges[n]
-                result[b, f, k] = min((edges[m][0] for m in numbers if side[n] * side[m] < 0), default=-1)
+                result[b, f, k] = min(
+                    (edges[m][0] for m in numbers if m != n and way * side[n] * side[m] > 0), default=-1
+                )
     return result.to(faces.device)
 
 

@@ -113,18 +113,48 @@ def edge_gradient_backward(
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or image.numel() == 0:
         return result
-    batch, _, height, width = image.shape
-    count = faces.shape[1]
-    visible = visible_faces(face_index, count)
+    visible = visible_faces(face_index, faces.shape[1])
     adjacent = neighbors(faces, two_sided, perspective, visible, rings)
+    add_edges(result, grad, image, faces, face_index, visible, adjacent, perspective, seams, edge_hashes)
+    add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
+    return result
+
+
+def add_edges(
+    result: Tensor,
+    grad: Tensor,
+    image: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    visible: Tensor,
+    adjacent: Tensor,
+    perspective: bool,
+    seams: bool,
+    edge_hashes: Tensor | None,
+    folds: Tensor | None = None,
+) -> None:
+    """Compute the gradient of outlines and seams.
+
+    Args:
+        result: Gradient to the corners, [B, F, 3, 3] float32 of zeros; written.
+        grad: Gradient to the image, [B, C, H, W] float32.
+        image: [B, C, H, W] float32.
+        faces, face_index, perspective, seams, edge_hashes: As in `edge_gradient`.
+        visible: As from `visible_faces`.
+        adjacent: As from `neighbors`.
+        folds: Faces that the surface folds back to, as from `neighbors`; an edge behind its fold has no gradient, for
+            the face in front has it. None: edges behind folds are hidden anyway.
+    """
+    batch, _, height, width = image.shape
     maps = [array(image), array(grad), array(face_index)]
     if edge_hashes is None:
         edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=faces.device)  # 0 matches nothing
-    arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), int(perspective), int(seams)]
+    if folds is None:
+        folds = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
+    options = [array(folds), int(perspective), int(seams)]
+    arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), *options]
     arguments += [array(edge_hashes), array(result, wp.vec3)]
-    launch_lines(_move, arguments, batch * count, 1, faces.device, face_tasks(faces, height * width))
-    add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
-    return result
+    launch_lines(_move, arguments, batch * faces.shape[1], 1, faces.device, face_tasks(faces, height * width))
 
 
 @torch.library.register_fake("neural_renderer::edge_gradient_backward")
@@ -238,6 +268,26 @@ def has_moving_edge(
     ...
 
 
+_FOLDS_BEHIND = """
+    if (folds.shape[0] == 0) return false;
+    const wp::int64 first_face = (wp::int64)b * faces.shape[1], own = first_face + f;
+    const int other = folds.data[own * 3 + k];
+    if (other < 0) return false;
+    const auto* v = faces.data + (first_face + other) * 3;
+    const auto r = faces.data[own * 3 + (k + 2) % 3];
+    if (perspective && ((v[0][2] <= 0.0f) | (v[1][2] <= 0.0f) | (v[2][2] <= 0.0f) | (r[2] <= 0.0f))) return false;
+    return Nearness::at(v, r[0], r[1], perspective) > Nearness::of(r[2], perspective);
+"""
+
+
+@wp.func_native(NEARNESS + _FOLDS_BEHIND)
+def folds_behind(
+    faces: wp.array3d(dtype=wp.vec3), folds: wp.array3d(dtype=int), b: int, f: int, k: int, perspective: int
+) -> bool:
+    """Test whether a surface folds at edge k of face f, and the other face of the fold is in front of f."""
+    ...
+
+
 @wp.func
 def may_move(
     adjacent: wp.array3d(dtype=int),
@@ -247,11 +297,13 @@ def may_move(
     f: int,
     k: int,
     seams: int,
+    folds: wp.array3d(dtype=int),
+    perspective: int,
 ) -> bool:
     """Test whether edge k of a face is an outline, or a seam to a face of higher index (each seam counts once)."""
     other = adjacent[b, f, k]
     if other < 0:
-        return True
+        return not folds_behind(faces, folds, b, f, k, perspective)
     if seams == 0 or other < f:
         return False
     return not colors_continue(edge_hashes, faces, adjacent, b, f, k)
@@ -264,6 +316,7 @@ def move_face(
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
     adjacent: wp.array3d(dtype=int),
+    folds: wp.array3d(dtype=int),
     perspective: int,
     seams: int,
     edge_hashes: wp.array4d(dtype=wp.int64),
@@ -278,7 +331,7 @@ def move_face(
     clockwise = facing(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], perspective) < 0
     edges = int(0)
     for k in range(3):
-        if may_move(adjacent, faces, edge_hashes, b, f, k, seams):
+        if may_move(adjacent, faces, edge_hashes, b, f, k, seams, folds, perspective):
             edges += 1 << k
     move_edges(
         edges, clockwise, faces, image, grad, face_index, adjacent, perspective, b, f, part, parts, alone, result
@@ -294,6 +347,7 @@ def _move(
     face_index: wp.array3d(dtype=int),
     visible: wp.array2d(dtype=int),
     adjacent: wp.array3d(dtype=int),
+    folds: wp.array3d(dtype=int),
     perspective: int,
     seams: int,
     edge_hashes: wp.array4d(dtype=wp.int64),
@@ -320,7 +374,7 @@ def _move(
             b = face // faces.shape[1]
             f = face % faces.shape[1]
             move_face(
-                faces, image, grad, face_index, adjacent, perspective, seams, edge_hashes, result, b, f, part,
-                parts, alone,
+                faces, image, grad, face_index, adjacent, folds, perspective, seams, edge_hashes, result, b, f,
+                part, parts, alone,
             )  # fmt: skip
         thread += wp.int64(wp.max(threads, 1))

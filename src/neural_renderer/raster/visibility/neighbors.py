@@ -26,9 +26,14 @@ _LEAST = 512  # faces that are worth another CPU thread
 
 
 def neighbors(
-    faces: Tensor, two_sided: bool, perspective: bool, visible: Tensor | None = None, rings: Tensor | None = None
+    faces: Tensor,
+    two_sided: bool,
+    perspective: bool,
+    visible: Tensor | None = None,
+    rings: Tensor | None = None,
+    folds: bool = False,
 ) -> Tensor:
-    """Find the adjacent face across each edge.
+    """Find the adjacent face across each edge, or with ``folds`` the one that the surface folds back to.
 
     Args:
         faces: Screen-space corners, [B, F, 3, 3] float32.
@@ -36,6 +41,7 @@ def neighbors(
         perspective: As in `coverage`.
         visible: 1 for each visible face, [B, F + 1] int32, as from `visible_faces`. Used with ``rings`` only.
         rings: [1 or B, F + 1, 3] int32 from `edge_rings` for the vertex indices of the faces.
+        folds: Find faces with the same two corners on the same side of the edge.
 
     Returns:
         [B, F, 3] int32: the face across edge k, from corner k to the next; -1 for none and for faces that are not
@@ -44,10 +50,10 @@ def neighbors(
     batch, count = faces.shape[:2]
     result = torch.empty((batch, count, 3), dtype=torch.int32, device=faces.device)
     corners = array(faces, wp.vec3)
-    options = [int(two_sided), int(perspective)]
+    options, way = [int(two_sided), int(perspective)], 1 if folds else -1
     most = 3 * count
     if rings is not None and visible is not None:
-        arguments = [corners, array(visible), array(rings), *options, array(result)]
+        arguments = [corners, array(visible), array(rings), *options, way, array(result)]
         launch(_search_rings, batch * count, arguments, faces.device, _LEAST)
         if readable(faces.device):
             most = int(rings[0, -1, 0])
@@ -62,7 +68,9 @@ def neighbors(
     lanes = max(count, 1) if in_any_order(faces.device) else 1
     alone = array(rings)
     launch(_insert_edges, batch * lanes, [corners, array(table), alone, *options, lanes], faces.device)
-    launch(_search_table, batch * count, [corners, array(table), alone, *options, array(result)], faces.device, _LEAST)
+    launch(
+        _search_table, batch * count, [corners, array(table), alone, *options, way, array(result)], faces.device, _LEAST
+    )
     return result
 
 
@@ -143,8 +151,9 @@ _SEARCH_RINGS = """
         for (int n = 0; n < MOST && entry != 3 * f + k; ++n, entry = next[entry]) {
             const int g = entry / 3, m = entry % 3;
             const auto* u = corners + 3 * (wp::int64)g;
-            const float across = side * Drawn::beside(p, q, u[m == 0 ? 2 : m - 1], perspective);
-            if (g != f && across < 0.0f && (to[k] < 0 || g < to[k]) && Drawn::is(u, two_sided, perspective)) to[k] = g;
+            const float same = side * Drawn::beside(p, q, u[m == 0 ? 2 : m - 1], perspective);
+            const bool meets = g != f && (float)way * same > 0.0f && Drawn::is(u, two_sided, perspective);
+            if (meets && (to[k] < 0 || g < to[k])) to[k] = g;
         }
     }
 """
@@ -157,11 +166,15 @@ def search_rings(
     rings: wp.array3d(dtype=int),
     two_sided: int,
     perspective: int,
+    way: int,
     b: int,
     f: int,
     result: wp.array3d(dtype=int),
 ):
-    """Find the faces adjacent to one face, among those that share the vertices of its edges."""
+    """Find the faces adjacent to one face, among those that share the vertices of its edges.
+
+    They lie on the other side of an edge if ``way`` is −1, on the same side if it is 1.
+    """
     ...
 
 
@@ -173,13 +186,15 @@ def _search_rings(
     rings: wp.array3d(dtype=int),
     two_sided: int,
     perspective: int,
+    way: int,
     result: wp.array3d(dtype=int),
 ):
     """Find the faces adjacent to one face of one image by the rings of its edges."""
     task = first + wp.tid()
     search_rings(
-        faces, visible, rings, two_sided, perspective, task // int(faces.shape[1]), task % int(faces.shape[1]), result
-    )
+        faces, visible, rings, two_sided, perspective, way, task // int(faces.shape[1]), task % int(faces.shape[1]),
+        result,
+    )  # fmt: skip
 
 
 @wp.func
@@ -250,6 +265,7 @@ def _search_table(
     rings: wp.array3d(dtype=int),
     two_sided: int,
     perspective: int,
+    way: int,
     result: wp.array3d(dtype=int),
 ):
     """Find the faces adjacent to one face of one image by the table of its edges."""
@@ -273,8 +289,8 @@ def _search_table(
         while entry != 0:
             g = (entry - 1) // 3
             if g != f and same_edge(faces, b, entry, p, q):
-                across = side * beside(p, q, faces[b, g, (entry + 1) % 3], perspective)
-                if across < 0.0 and (adjacent < 0 or g < adjacent):
+                same_side = side * beside(p, q, faces[b, g, (entry + 1) % 3], perspective)
+                if float(way) * same_side > 0.0 and (adjacent < 0 or g < adjacent):
                     adjacent = g
             at = (at + 1) & (size - 1)
             entry = table[b, at]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -37,6 +38,10 @@ class MaterialMaps:
         """Return a factor of the materials at every pixel, [B, H, W, C], or [1, 1, 1, C] if it is the same."""
         rows = [getattr(material, name).reshape(-1) for material in self.materials]
         return self._spread(torch.stack([row.to(self.fragments.corners.device) for row in rows]))
+
+    def each(self, values: Sequence[float]) -> Tensor:
+        """Return a number of each material at every pixel, [B, H, W, 1], or [1, 1, 1, 1] if there is one."""
+        return self._spread(torch.tensor(values, dtype=torch.float32, device=self.fragments.corners.device)[:, None])
 
     def textured(self, name: str, channels: slice = slice(None), otherwise: float = 1.0) -> Tensor | None:
         """Sample a texture at every pixel, [B, H, W, C]; None if no material has it.

@@ -1,0 +1,1 @@
+"""Materials of glTF and GLB files: what trimesh leaves out of them."""

@@ -1,0 +1,222 @@
+"""Writing of GLB files with the materials of a mesh."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ..obj.writer import as_bytes
+from ..surface_colors import FileTexture, SurfaceColors
+
+_MODES = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
+_WRAPS = {"REPEAT": "repeat", "CLAMP_TO_EDGE": "clamp", "CLAMP_TO_BORDER": "clamp", "MIRRORED_REPEAT": "mirror"}
+_MATT: dict[str, Any] = {"metallic": 0.0, "roughness": 1.0, "double_sided": True}
+_TEXTURES = {
+    "emissive_texture": "emissiveTexture",
+    "occlusion_texture": "occlusionTexture",
+    "normal_texture": "normalTexture",
+}
+_FLOAT, _UNSIGNED = 5126, 5125
+_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+
+
+def glb_bytes(points: np.ndarray, corners: np.ndarray, surface: SurfaceColors) -> bytes:
+    """Encode a mesh as GLB: a primitive for each pair of a base colour's image and a material.
+
+    Args:
+        points: [V, 3] vertices.
+        corners: [F, 3] faces.
+        surface: Colours and materials; colours beyond [0, 1] are clamped.
+    """
+    writer = _Writer(surface)
+    material = np.full(len(corners), -1) if surface.material is None else surface.material
+    pairs, group = np.unique(np.stack((surface.image, material), 1), axis=0, return_inverse=True)
+    for number, (image, own) in enumerate(pairs.tolist()):
+        writer.add(points, corners, np.flatnonzero(group.reshape(-1) == number), image, own)
+    return writer.encoded()
+
+
+class _Writer:
+    """Collects the parts of a file."""
+
+    def __init__(self, surface: SurfaceColors) -> None:
+        self._surface = surface
+        self._data = bytearray()
+        self._primitives: list[dict[str, Any]] = []
+        self._lists: dict[str, list[Any]] = {
+            name: [] for name in ("bufferViews", "accessors", "materials", "textures", "samplers", "images")
+        }
+        self._known: dict[Any, int] = {}  # numbers of textures, samplers and images
+        self._extensions: set[str] = set()
+
+    def add(self, points: np.ndarray, corners: np.ndarray, faces: np.ndarray, image: int, material: int) -> None:
+        """Add the faces [n] of one image (−1: their colours) and material (−1: matt and two-sided)."""
+        surface = self._surface
+        own = _MATT if material < 0 else surface.materials[material]
+        color = np.ones(3)
+        attributes = {"TEXCOORD_0": surface.uv[faces] * [1, -1] + [0, 1]}
+        if image < 0:
+            colors = _linear(surface.colors[faces].astype(np.float64).clip(0, 1))
+            if (colors == colors[0, 0]).all():
+                color = colors[0, 0]
+            else:
+                attributes["COLOR_0"] = colors
+        if surface.uv1 is not None:
+            attributes["TEXCOORD_1"] = surface.uv1[faces] * [1, -1] + [0, 1]
+        for name, values in (("NORMAL", surface.normals), ("TANGENT", surface.tangents)):
+            if values is not None and values[faces, :, :3].any(-1).all():
+                attributes[name] = values[faces]
+        flat = {name: values.reshape(-1, values.shape[-1]).astype("<f4") for name, values in attributes.items()}
+        keys = [np.unique(values, axis=0, return_inverse=True)[1].reshape(-1) for values in flat.values()]
+        # A glTF vertex has one value of each attribute, so a vertex with several is duplicated.
+        keys = [corners[faces].reshape(-1), *keys]
+        _, first, index = np.unique(np.stack(keys, 1), axis=0, return_index=True, return_inverse=True)
+        position = points[corners[faces].reshape(-1)[first]].astype("<f4")
+        numbers = {name: self._accessor(values[first]) for name, values in flat.items()}
+        self._primitives.append(
+            {
+                "attributes": {"POSITION": self._accessor(position, bounds=True), **numbers},
+                "indices": self._accessor(index.reshape(-1, 1).astype("<u4")),
+                "material": len(self._lists["materials"]),
+            }
+        )
+        self._lists["materials"].append(self._material(own, image, color))
+
+    def _accessor(self, values: np.ndarray, bounds: bool = False) -> int:
+        """Append an array [n, width] to the data; return the number of its accessor."""
+        view = self._view(values.tobytes())
+        kind = _FLOAT if values.dtype.kind == "f" else _UNSIGNED
+        accessor: dict[str, Any] = {"bufferView": view, "componentType": kind, "count": len(values)}
+        accessor["type"] = _TYPES[values.shape[1]]
+        if bounds:
+            accessor |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
+        self._lists["accessors"].append(accessor)
+        return len(self._lists["accessors"]) - 1
+
+    def _view(self, data: bytes) -> int:
+        begin = len(self._data)
+        self._data += data + b"\0" * (-len(data) % 4)
+        self._lists["bufferViews"].append({"buffer": 0, "byteOffset": begin, "byteLength": len(data)})
+        return len(self._lists["bufferViews"]) - 1
+
+    def _material(self, own: dict[str, Any], image: int, color: np.ndarray) -> dict[str, Any]:
+        """Describe a material; its base colour is an image of the mesh times a factor, or the factor alone."""
+        base = np.asarray(own.get("base_color", (1.0, 1.0, 1.0))) * color
+        pbr: dict[str, Any] = {
+            "baseColorFactor": [*base.clip(0, 1).tolist(), float(own.get("opacity", 1.0))],
+            "metallicFactor": float(own.get("metallic", 0.0)),
+            "roughnessFactor": float(own.get("roughness", 1.0)),
+        }
+        alpha: FileTexture | None = own.get("opacity_texture")
+        wrap: Any = None if alpha is None else alpha.wrap
+        pixels = None
+        if image >= 0:
+            pixels, wrapping = self._surface.images[image], self._surface.wrapping[image]
+            wrap = _WRAPS[wrapping] if isinstance(wrapping, str) else tuple(_WRAPS[one] for one in wrapping)
+        if wrap is not None:
+            pbr["baseColorTexture"] = self._texture(pixels, wrap, None if alpha is None else alpha.image)
+        if own.get("metallic_roughness_texture") is not None:
+            pbr["metallicRoughnessTexture"] = self._used(own["metallic_roughness_texture"])
+        emissive = np.asarray(own.get("emissive", (0.0, 0.0, 0.0)), dtype=np.float64).clip(0)
+        strength = float(max(1.0, emissive.max()))
+        result: dict[str, Any] = {
+            "pbrMetallicRoughness": pbr,
+            "emissiveFactor": (emissive / strength).tolist(),
+            "alphaMode": own.get("alpha_mode", "OPAQUE"),
+            "doubleSided": bool(own.get("double_sided", True)),
+        }
+        if own.get("name"):
+            result["name"] = own["name"]
+        if result["alphaMode"] == "MASK":
+            result["alphaCutoff"] = float(own.get("alpha_cutoff", 0.5))
+        if strength > 1:
+            result["extensions"] = self._extended("KHR_materials_emissive_strength", {"emissiveStrength": strength})
+        for name, key in _TEXTURES.items():
+            if own.get(name) is not None:
+                result[key] = self._used(own[name])
+        for key, option, factor in (
+            ("occlusionTexture", "strength", "occlusion_strength"),
+            ("normalTexture", "scale", "normal_scale"),
+        ):
+            if key in result:
+                result[key][option] = float(own.get(factor, 1.0))
+        return result
+
+    def _used(self, texture: FileTexture) -> dict[str, Any]:
+        """Describe how a material uses a texture."""
+        info = self._texture(texture.image, texture.wrap)
+        if texture.uv_set:
+            info["texCoord"] = texture.uv_set
+        transform: dict[str, Any] = {}
+        if any(texture.offset):
+            transform["offset"] = list(texture.offset)
+        if any(one != 1 for one in texture.scale):
+            transform["scale"] = list(texture.scale)
+        if texture.rotation:
+            transform["rotation"] = texture.rotation
+        if transform:
+            info["extensions"] = self._extended("KHR_texture_transform", transform)
+        return info
+
+    def _extended(self, name: str, values: dict[str, Any]) -> dict[str, Any]:
+        self._extensions.add(name)
+        return {name: values}
+
+    def _texture(self, pixels: np.ndarray | None, wrap: Any, alpha: np.ndarray | None = None) -> dict[str, Any]:
+        """Add a texture of an image with its alpha channel, or white if it has none, unless it is known."""
+        modes = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
+        picture = self._number("images", (id(pixels), id(alpha)), lambda: self._image(pixels, alpha))
+        options = {"magFilter": 9729, "minFilter": 9987, "wrapS": _MODES[modes[0]], "wrapT": _MODES[modes[1]]}
+        sampler = self._number("samplers", modes, lambda: options)
+        entry = {"source": picture, "sampler": sampler}
+        return {"index": self._number("textures", (picture, sampler), lambda: entry)}
+
+    def _number(self, name: str, key: Any, make: Any) -> int:
+        """Return the number of an entry of a list; append it if it is new."""
+        values = self._lists[name]
+        if (name, key) not in self._known:
+            self._known[name, key] = len(values)
+            values.append(make())
+        return self._known[name, key]
+
+    def _image(self, pixels: np.ndarray | None, alpha: np.ndarray | None) -> dict[str, Any]:
+        file = io.BytesIO()
+        picture = Image.new("RGB", alpha.shape[1::-1], "white") if pixels is None else _picture(pixels)  # type: ignore[union-attr]
+        if alpha is not None:
+            mask = _picture(alpha[..., :1])
+            size = max(picture.size, mask.size)
+            picture, mask = (one if one.size == size else one.resize(size) for one in (picture, mask))
+            picture = picture.convert("RGB")
+            picture.putalpha(mask)
+        picture.save(file, "PNG")
+        return {"mimeType": "image/png", "bufferView": self._view(file.getvalue())}
+
+    def encoded(self) -> bytes:
+        """Encode the file."""
+        tree: dict[str, Any] = {"asset": {"version": "2.0", "generator": "neural_renderer"}, "scene": 0}
+        tree |= {"scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "meshes": [{"primitives": self._primitives}]}
+        tree |= {name: values for name, values in self._lists.items() if values}
+        tree["buffers"] = [{"byteLength": len(self._data)}]
+        if self._extensions:
+            tree["extensionsUsed"] = sorted(self._extensions)
+        text = json.dumps(tree, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        length = 12 + 8 + len(text) + 8 + len(self._data)
+        head = struct.pack("<4sII", b"glTF", 2, length)
+        chunk = struct.pack("<I4s", len(self._data), b"BIN\0")
+        return b"".join((head, struct.pack("<I4s", len(text), b"JSON"), text, chunk, self._data))
+
+
+def _picture(pixels: np.ndarray) -> Image.Image:
+    """Convert an image [H, W, 1 or 3] to one of Pillow."""
+    return Image.fromarray(as_bytes(pixels))
+
+
+def _linear(colors: np.ndarray) -> np.ndarray:
+    """Convert sRGB colours to linear ones."""
+    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)

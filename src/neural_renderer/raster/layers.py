@@ -1,0 +1,114 @@
+"""The derivative of a picture of several layers through the visibility of each: `edge_gradient` for transparency.
+
+Maths. Layer k shows the k-th nearest face of each pixel, and S is the picture of this layer and those behind it, of
+which the share T passes the layers in front. Where a face of layer k ends, the next one behind it becomes layer k of
+the next pixel, so the picture jumps by the jump of T S, as if it were opaque, and `edge` computes the gradient of each
+layer from T S and its faces. Nothing counts twice:
+
+- The faces behind move one layer up where a face ends, but none of them has an edge there.
+- Where two faces intersect, they change places; only in the layer of the nearer one does each lie in front at its own
+  pixel, as `intersections` requires.
+- At the outline of a closed surface, its front and its back end at the same edge. The jump of the front's layer has
+  both; the back's edge, which is behind a fold, is left out.
+
+Pitfalls. Those of `edge`; its "gaps narrower than a pixel" are here also those between the edges of two layers. Faces
+behind the last layer are taken for nothing.
+"""
+
+# The types of operators are read at run time, so no `from __future__ import annotations` here.
+from typing import Optional
+
+import torch
+from torch import Tensor
+
+from .colors.downsample import halve, halve_backward
+from .ops.visible_faces import visible_faces
+from .visibility.edge import add_edges
+from .visibility.intersections import add_intersections
+from .visibility.neighbors import neighbors
+from .warp.launch import copy, zeros
+from .warp.registration import differentiable, differentiable_once, operator
+
+
+@operator
+def layers_gradient(
+    image: Tensor,
+    pictures: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    two_sided: bool,
+    perspective: bool,
+    seams: bool,
+    edge_hashes: Optional[Tensor] = None,  # noqa: UP045 (schemas are inferred from it)
+    rings: Optional[Tensor] = None,  # noqa: UP045
+    halved: bool = False,
+) -> Tensor:
+    """Return the picture, and in backward send a gradient through the visibility of each layer to the faces.
+
+    Args:
+        image: Picture with its background, before anti-aliasing, [B, C, H, W] float32.
+        pictures: T S of each layer, [K, B, C, H, W] float32; they get no gradient.
+        faces: Screen-space corners, [B, F, 3, 3] float32.
+        face_index: [K, B, H, W] int32, as from `peel`.
+        two_sided, perspective, seams, edge_hashes, rings, halved: As in `edge_gradient`.
+
+    Returns:
+        As `edge_gradient`.
+    """
+    return halve(image) if halved else copy(image)
+
+
+@torch.library.register_fake("neural_renderer::layers_gradient")
+def _(image, pictures, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None, halved=False):
+    scale = 2 if halved else 1
+    return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
+
+
+@differentiable_once
+def layers_gradient_backward(
+    grad: Tensor,
+    pictures: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    two_sided: bool,
+    perspective: bool,
+    seams: bool,
+    edge_hashes: Optional[Tensor] = None,  # noqa: UP045
+    rings: Optional[Tensor] = None,  # noqa: UP045
+) -> Tensor:
+    """Compute the gradient [B, F, 3, 3] float32 that `layers_gradient` sends to its faces; arguments as there."""
+    grad, faces = grad.contiguous(), faces.contiguous()
+    result = zeros(faces.shape, faces.device)
+    if result.numel() == 0 or pictures.numel() == 0:
+        return result
+    for image, index in zip(pictures.contiguous(), face_index.contiguous(), strict=True):
+        visible = visible_faces(index, faces.shape[1])
+        adjacent, folds = (neighbors(faces, two_sided, perspective, visible, rings, fold) for fold in (False, True))
+        own = zeros(faces.shape, faces.device)
+        add_edges(own, grad, image, faces, index, visible, adjacent, perspective, seams, edge_hashes, folds)
+        add_intersections(own, grad, image, faces, index, adjacent, perspective)
+        result += own
+    return result
+
+
+@torch.library.register_fake("neural_renderer::layers_gradient_backward")
+def _(grad, pictures, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None):
+    return torch.empty_like(faces, memory_format=torch.contiguous_format)
+
+
+def _save(ctx, inputs, output):
+    _, pictures, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, hashes, rings, ctx.halved = inputs
+    ctx.save_for_backward(pictures, faces, face_index, hashes, rings)
+
+
+def _backward(ctx, grad):
+    pictures, faces, face_index, *rest = ctx.saved_tensors
+    grad = halve_backward(grad) if ctx.halved else grad
+    to_faces = None
+    if ctx.needs_input_grad[2]:
+        options = (ctx.two_sided, ctx.perspective, ctx.seams, *rest)
+        to_faces = layers_gradient_backward(grad, pictures, faces, face_index, *options)
+    return grad, None, to_faces, *[None] * 7
+
+
+differentiable(layers_gradient, _backward, _save)
