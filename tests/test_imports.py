@@ -28,6 +28,7 @@ ROOMS = [
     "deferred",
     "shading",
     "shadows",
+    "transparency",
     "losses",
     "surface_images",
     "rendering",

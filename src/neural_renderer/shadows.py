@@ -109,7 +109,7 @@ class ShadowedLight:
 
         Example:
             >>> lamp = nr.ShadowedLight(nr.Light(direction=(1.0, 2.0, -1.0)), mesh, size=256)
-            >>> lamp.visibility(torch.tensor([[[1.0, 3.0, -1.0], [-0.6, -1.2, 0.6]]])).flatten()  # before, behind
+            >>> lamp.visibility(torch.tensor([[[1.0, 3.0, -1.0], [-0.6, -1.2, 0.6]]])).flatten().round()
             tensor([1., 0.])
         """
         validate.floating("points", points, (*points.shape[:-1], 3))
