@@ -27,6 +27,8 @@ ROOMS = [
     "layers",
     "deferred",
     "shading",
+    "shadows",
+    "transparency",
     "losses",
     "surface_images",
     "rendering",

@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
+import neural_renderer as nr
 from neural_renderer import losses, metrics, validate
 from neural_renderer.meshes.topology import Topology
 
@@ -249,3 +250,22 @@ def test_a_masked_mean_is_over_all_pixels():
     image, target, mask = torch.rand(2, 3, 4, 5), torch.rand(2, 3, 4, 5), torch.rand(2, 4, 5)
     expected = ((image - target).square().mean(1) * mask).sum() / mask.sum()
     torch.testing.assert_close(losses.photometric(image, target, mask), expected)
+
+
+@pytest.mark.parametrize("name", ["laplacian", "edge_length", "normal_consistency", "smoothness"])
+def test_batches_of_meshes_of_different_size(name: str) -> None:
+    meshes = [nr.Mesh.icosphere(1), nr.Mesh.icosphere(2), nr.Mesh(*nr.cube())]
+    vertices, faces, _ = nr.batch(meshes)
+    loss = getattr(nr.losses, name)
+    expected = torch.stack([loss(mesh.vertices, mesh.faces) for mesh in meshes])
+    torch.testing.assert_close(loss(vertices, faces, reduction="none"), expected)
+    torch.testing.assert_close(loss(vertices, faces), expected.mean())
+    torch.testing.assert_close(loss(vertices, faces, reduction="sum"), expected.sum())
+    several, one = meshes[0].get_batch(4)[:2]
+    torch.testing.assert_close(loss(several, one, reduction="none"), expected[:1].expand(4))
+    loss(vertices, faces).backward()
+    assert all(mesh.vertices.grad.any() for mesh in meshes[:2])
+    with pytest.raises(ValueError, match="faces: expected"):
+        loss(vertices[:2], faces)
+    with pytest.raises(ValueError, match="faces: expected"):
+        loss(vertices, faces.where(faces != 5, 999))

@@ -272,7 +272,7 @@ def fragments(
     screen = screen_positions(camera, vertices, settings.width / settings.height)
     if layers is None:
         return visible_fragments(screen, checked_faces(faces), settings, 8)
-    return _layers(screen, checked_faces(faces), settings, validate.whole("layers", layers, 1))
+    return visible_layers(screen, checked_faces(faces), settings, validate.whole("layers", layers, 1))
 
 
 def visible_fragments(screen: Tensor, faces: Tensor, settings: Settings, channels: int) -> Fragments:
@@ -288,7 +288,7 @@ def visible_fragments(screen: Tensor, faces: Tensor, settings: Settings, channel
     return Fragments(corners, settings.face_index(corners), settings, settings.rings(corners, faces), faces)
 
 
-def _layers(screen: Tensor, faces: Tensor, settings: Settings, layers: int) -> Layers:
+def visible_layers(screen: Tensor, faces: Tensor, settings: Settings, layers: int) -> Layers:
     """Find the nearest faces of each pixel, as `visible_fragments`."""
     corners = settings.corners(corners_of(screen, faces), 8 * layers)
     height, width = settings.height * settings.scale, settings.width * settings.scale

@@ -20,17 +20,19 @@ from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
 from .rendering import render
 from .shading.color_space import linear_to_srgb, srgb_to_linear
-from .shading.environment import EnvironmentLight
+from .shading.environments.light import EnvironmentLight
 from .shading.lights import Light
-from .shading.normal_maps import corner_tangents
 from .shading.pbr import PBR, shade_pbr
 from .shading.phong import Phong, shade_diffuse, shade_phong
+from .shading.pixels.normal_maps import corner_tangents
+from .shading.pixels.visible_surface import VisibleSurface
 from .shading.point_lights import PointLight, SpotLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
-from .shading.visible_surface import VisibleSurface
+from .shadows import ShadowedLight
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture
+from .transparency import surface_opacity
 from .validate import check_values
 from .version import __version__
 from .viewer.viewer import Viewer, view
@@ -50,6 +52,7 @@ __all__ = [
     "PointLight",
     "Rasterize",
     "Renderer",
+    "ShadowedLight",
     "SphericalHarmonicLight",
     "SpotLight",
     "SurfacePoints",
@@ -96,6 +99,7 @@ __all__ = [
     "shade_pbr",
     "shade_phong",
     "srgb_to_linear",
+    "surface_opacity",
     "torus",
     "vertex_normals",
     "vertices_to_faces",

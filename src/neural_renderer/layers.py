@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -82,8 +82,18 @@ class Layers:
             >>> round(alpha.max().item(), 2)
             0.75
         """
+        return self.blend(self._of_layers("colors", colors, "C"), opacity, background, seams)
+
+    def blend(
+        self,
+        colors: list[Tensor],
+        opacity: Any,
+        background: Any,
+        seams: bool,
+        edge_hashes: Callable[[], Tensor] | None = None,
+    ) -> Tensor:
+        """Apply `composite` to valid colours, with the function that returns the hashes for `edge_gradient`."""
         first = self.layers[0]
-        colors = self._of_layers("colors", colors, "C")
         channels = colors[0].shape[3]
         opacities = self._opacities(opacity)
         behind = background_image(background, len(first.face_index), channels, first.settings, first.corners.device)
@@ -102,7 +112,7 @@ class Layers:
         seams = validate.flag("seams", seams)
         moving = first.corners.requires_grad and torch.is_grad_enabled()
         if first.settings.gradient == "nmr" or not moving:
-            return first.image(picture, seams=seams).contiguous()
+            return first.image(picture, seams=seams, edge_hashes=edge_hashes).contiguous()
         settings = first.settings
         shown = torch.stack([layer.face_index for layer in self.layers])
         return layers_gradient(
@@ -113,6 +123,7 @@ class Layers:
             settings.two_sided,
             settings.perspective,
             seams,
+            edge_hashes() if edge_hashes is not None and seams else None,
             first.rings,
             settings.anti_aliasing,
         ).contiguous()

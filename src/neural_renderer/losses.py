@@ -8,7 +8,10 @@ while values are checked (`check_values`).
 
 from __future__ import annotations
 
+import functools
 import warnings
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -16,6 +19,8 @@ from torch import Tensor
 from . import validate
 from .meshes.normals import face_normals
 from .meshes.topology import Topology
+
+_Loss = TypeVar("_Loss", bound=Callable[..., Tensor])
 
 
 def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *, reduction: str = "mean") -> Tensor:
@@ -137,13 +142,37 @@ def total_variation(images: Tensor, mask: Tensor | None = None, *, reduction: st
     return _reduced(right.sum((1, 2, 3)) + down.sum((1, 2, 3)), reduction)
 
 
+def _of_each_mesh(loss: _Loss) -> _Loss:
+    """Let a loss of vertices and faces take faces [B, F, 3], as `batch` makes them: the loss of each mesh."""
+
+    @functools.wraps(loss)
+    def of_each(vertices: Tensor, faces: Any, *, reduction: str = "mean") -> Tensor:
+        if getattr(faces, "ndim", 2) != 3:
+            return loss(vertices, faces, reduction=reduction)
+        validate.floating("vertices", vertices, ("B", "V", 3))
+        validate.indices("faces", faces, (len(vertices), "F", 3))
+        if not faces.stride(0):  # one mesh, expanded
+            return loss(vertices, faces[0], reduction=reduction)
+        losses = []
+        for own, rows in zip(vertices, faces, strict=True):
+            topology = Topology.of(rows[(rows != -1).any(1)])
+            # Vertices beyond the last that a face uses are padding.
+            if topology.vertices > len(own):
+                raise ValueError(f"faces: expected indices in [0, {len(own)}), got {topology.vertices - 1}")
+            losses.append(loss(own[: topology.vertices], topology, reduction="sum"))
+        return _reduced(torch.stack(losses) if losses else vertices.sum((1, 2)), reduction)
+
+    return of_each  # type: ignore[return-value]
+
+
+@_of_each_mesh
 def laplacian(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "mean") -> Tensor:
     """Compute the uniform Laplacian loss: the mean squared distance of vertices to the centroid of their neighbours.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
         faces: [F, 3] whole numbers of any real dtype, or a `Topology` built from them once. torch.compile needs a
-            `Topology`.
+            `Topology`. Or [B, F, 3], as `batch` makes them; rows of −1, and vertices behind the last, are padding.
         reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
 
     Returns:
@@ -166,12 +195,13 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "m
     return _reduced(offset.square().sum((-2, -1)) / max(offset.shape[-2], 1), reduction)
 
 
+@_of_each_mesh
 def edge_length(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "mean") -> Tensor:
     """Compute the mean squared edge length.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] whole numbers, or a `Topology`; see `laplacian`.
+        faces: [F, 3] or [B, F, 3] whole numbers, or a `Topology`; see `laplacian`.
         reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
 
     Returns:
@@ -191,6 +221,7 @@ def edge_length(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = 
     return _reduced(edge.square().sum((-2, -1)) / max(edge.shape[-2], 1), reduction)
 
 
+@_of_each_mesh
 def normal_consistency(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "mean") -> Tensor:
     """Compute the mean of 1 − cos φ over edges; φ is the angle between the normals of the two adjacent faces.
 
@@ -198,7 +229,7 @@ def normal_consistency(vertices: Tensor, faces: Tensor | Topology, *, reduction:
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] whole numbers, or a `Topology`; see `laplacian`.
+        faces: [F, 3] or [B, F, 3] whole numbers, or a `Topology`; see `laplacian`.
         reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
 
     Returns:
@@ -216,6 +247,7 @@ def normal_consistency(vertices: Tensor, faces: Tensor | Topology, *, reduction:
     return _reduced(bend.sum(-1) / max(bend.shape[-1], 1), reduction)
 
 
+@_of_each_mesh
 def smoothness(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "mean") -> Tensor:
     """Sum (cos θ + 1)² over edges and average over the batch: the paper's smoothness loss (section 4.1).
 
@@ -223,7 +255,7 @@ def smoothness(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] whole numbers, or a `Topology`; see `laplacian`.
+        faces: [F, 3] or [B, F, 3] whole numbers, or a `Topology`; see `laplacian`.
         reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
 
     Returns:

@@ -13,7 +13,7 @@ from torch import Tensor
 from . import validate
 from .camera import Camera
 from .camera.screen import causes, scene_camera, screen_positions
-from .deferred import Fragments, visible_fragments
+from .deferred import Fragments, visible_fragments, visible_layers
 from .meshes.batch import batch, mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
@@ -27,8 +27,9 @@ from .raster.images import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.continuity import image_edge_hashes
 from .shading.lights import AnyLight, Light, light_factors, pixel_lights
-from .shading.models import Shading, checked_shading, shade_pixels, surface_edge_hashes
+from .shading.pixels.models import Shading, checked_shading, shade_pixels, surface_edge_hashes
 from .surface_images import surface_images, surface_outputs
+from .transparency import layered_images
 
 
 @validate.checked_together
@@ -47,6 +48,7 @@ def render(
     two_sided: bool = True,
     gradient: str = "edge",
     eps: float = 1e-3,
+    layers: int | None = None,
 ) -> Images:
     """Render a mesh from every camera of a batch, differentiably.
 
@@ -76,6 +78,8 @@ def render(
         gradient: Estimator of the gradient through visibility: ``"edge"``, unbiased, or ``"nmr"``, the paper's (see
             `rasterize_images`).
         eps: Added to distances in the denominators of ``"nmr"``, in screen units; cube coordinates end at T - 1 - eps.
+        layers: Number of faces that are blended at each pixel, for a `UVMesh` whose materials are transparent, cut out
+            or not double-sided. None draws the visible faces, all opaque. Depth is that of the nearest face.
 
     Returns:
         Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, and what else ``outputs`` names.
@@ -111,16 +115,20 @@ def render(
     )
     screen = validate.in_float32("vertices on the screen", screen_positions(camera, vertices, aspect))
     faces = checked_faces(faces)
+    if layers is not None:
+        if not isinstance(mesh, UVMesh):
+            raise TypeError(f"mesh: expected a UVMesh to draw layers, got {type(mesh).__name__}")
+        if surface:
+            raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)} with layers, got {surface[0]}")
+        found = visible_layers(screen, faces, settings, validate.whole("layers", layers, 1))
+        factors = _light_on_faces(lights, vertices, faces, camera, len(screen)) if model is None else None
+        return layered_images(found, mesh, camera, lights, model, factors, background, outputs)
     visible = visible_fragments(screen, faces, settings, 1 + 3 * ("rgb" in outputs))
     colors: tuple[Any, ...] = ()
     if "rgb" in outputs and model is not None:
         colors = _shaded(visible, mesh, textures, camera, lights, model, background)
     elif "rgb" in outputs:
-        factors = None
-        if lights:
-            corners = world_corners(vertices, faces, screen.shape[0], in_range=True)
-            several = [light_factors(one, corners, camera.mirrored) for one in lights]
-            factors = several[0] if len(several) == 1 else torch.stack(several).sum(0)
+        factors = _light_on_faces(lights, vertices, faces, camera, len(screen))
         if isinstance(mesh, UVMesh):
             colors = _image_colors(visible, mesh, factors, background)
         else:
@@ -129,6 +137,17 @@ def render(
     if surface:
         vars(images).update(surface_images(surface, visible, screen, mesh, camera, model is not None))
     return images
+
+
+def _light_on_faces(
+    lights: list[AnyLight], vertices: Tensor, faces: Tensor, camera: Camera, batch: int
+) -> Tensor | None:
+    """Add up the light on both sides of faces, [B, 2, F, 3]; None without lights."""
+    if not lights:
+        return None
+    corners = world_corners(vertices, faces, batch, in_range=True)
+    several = [light_factors(one, corners, camera.mirrored) for one in lights]
+    return several[0] if len(several) == 1 else torch.stack(several).sum(0)
 
 
 def _checked_cubes(textures: Tensor | None) -> Tensor:

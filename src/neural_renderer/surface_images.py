@@ -16,7 +16,7 @@ from .meshes.normals import face_normals
 from .meshes.uv_mesh import UVMesh
 from .raster.faces import checked_faces, world_corners
 from .raster.images import SURFACE
-from .shading.visible_surface import VisibleSurface
+from .shading.pixels.visible_surface import VisibleSurface
 
 
 def surface_outputs(outputs: Collection[str], mesh: Any, has_camera: bool) -> list[str]:

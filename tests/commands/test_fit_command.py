@@ -80,9 +80,17 @@ def test_masks_and_backgrounds(folder: Path) -> None:
         pixels = torch.cat((views.photos[index], views.masks[index][None]))  # type: ignore[index]
         nr.save_image(folder / f"m_{index}.png", pixels[3])
         nr.save_image(folder / f"r_{index}.png", pixels[:3] + (1 - pixels[3]))
-    with pytest.raises(ValueError, match="expected an alpha channel, a mask or a background"):
+    plain, white = load_views(folder).masks, load_views(folder, background=(1.0, 1.0, 1.0)).masks
+    assert (plain - views.masks).abs().mean() < 0.03 and (white - views.masks).abs().mean() < 0.03
+    wider = load_views(folder, background=(1.0, 1.0, 1.0), tolerance=0.6).masks
+    assert wider.sum() < 0.9 * white.sum()
+    noise = torch.rand(3, 48, 48, generator=torch.Generator().manual_seed(0))
+    pixels = torch.cat((views.photos[3], views.masks[3][None]))  # type: ignore[index]
+    nr.save_image(folder / "r_3.png", pixels[:3] + (1 - pixels[3]) * noise)
+    with pytest.raises(
+        ValueError, match=r"r_3\.png: expected an alpha channel, a mask or a plain background .*--background"
+    ):
         load_views(folder)
-    assert (load_views(folder, background=(1.0, 1.0, 1.0)).masks - views.masks).abs().mean() < 0.03
     given = json.loads((folder / "cameras.json").read_text())
     for index, row in enumerate(given["views"]):
         row["mask"] = f"m_{index}.png"
@@ -190,7 +198,7 @@ def test_bad_input(folder: Path, spoil: Any, sentence: str, capsys: pytest.Captu
         ("transforms.json", "[" * 100_000, "expected JSON, got "),
         ("transforms.json", '{"frames": ' + "1" * 5000, "expected JSON, got "),
         ("cameras.csv", "file,azimuth\n" + "x" * 200_000 + ",1", "expected CSV, got a file that cannot be parsed"),
-        ("cameras.csv", "file,azimuth\n" + "x" * 5000 + ",1", "expected a file 'xxx"),
+        ("cameras.csv", "file,azimuth,elevation,distance\n" + "x" * 5000 + ",1,2,3", "expected a file 'xxx"),
     ],
 )
 def test_hostile_camera_files(tmp_path: Path, name: str, text: str, sentence: str) -> None:
@@ -283,8 +291,13 @@ def test_impossible_cameras_are_named(folder: Path, key: str, value: float, sent
         ("camera_angle_x", 60, "camera_angle_x: expected radians below π, got 60"),
         ("camera_angle_x", 0, "camera_angle_x: expected a number above 0"),
         ("fl_x", -100, "fl_x: expected a number above 0, got -100"),
-        ("w", 0, "w: expected a number above 0"),
-        ("k4", 0.1, "expected k1, k2, p1, p2 and k3, got k4 without a fisheye"),
+        ("h", 0, "h: expected a number above 0"),
+        ("w", 100, 'expected the key "h"'),
+        (
+            "camera_model",
+            "EQUIRECTANGULAR",
+            "camera_model: expected OPENCV, PINHOLE or OPENCV_FISHEYE, got EQUIRECTANGULAR",
+        ),
     ],
 )
 def test_impossible_lenses_are_named(folder: Path, key: str, value: object, sentence: str) -> None:

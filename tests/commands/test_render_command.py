@@ -52,7 +52,7 @@ FORMATS: dict[str, tuple[dict[str, Any], nr.Camera]] = {
         nr.Camera.fisheye(K, R, T, ROUND, orig_size=(48, 64)),
     ),
     "angles": (
-        {"viewing_angle": 20, "views": [{"file": "no", "azimuth": 30, "elevation": 10, "distance": 3}], **SIZE},
+        {"viewing_angle": 20, "views": [{"file": "no", "azimuth": 30, "elevation": 10, "distance": 3}]},
         nr.Camera.look_at(nr.get_points_from_angles(3.0, 10.0, 30.0), viewing_angle=20),
     ),
     "fit's report": (
@@ -194,7 +194,7 @@ def test_errors(meshes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture
     assert "image 0: R: expected a rotation matrix" in about({**full, "R": K})
     assert "expected the keys width and height, or a size" in about({"K": K, "R": R, "t": T})
     assert "expected width and height in pixels, got 0 and 48" in about({**full, "width": 0})
-    assert 'expected the key "frames" (NeRF), "views" or "cameras", got none' in about({"k": 1})
+    assert 'expected the key "frames" (NeRF) or "views", got neither' in about({"k": 1})
     assert "--frame: expected less than 1, the number of cameras, got 4" in about(full, "--frame", "4")
     assert "all of it behind" in about({**full, "t": [0, 0, -9]})
     assert "--turntable: expected a turntable or --camera, got both" in fails(

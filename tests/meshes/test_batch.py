@@ -157,3 +157,16 @@ def test_a_list_is_shaded_as_each_mesh_alone(shading):
         own = nr.Light((0.2, 0.5)[b], (0.8, 0.3)[b], direction=((0.0, 1, -1), (1.0, 1, -1))[b])
         alone = nr.render(mesh, camera[b], 48, shading=shading, light=own)
         torch.testing.assert_close(together.rgb[b], alone.rgb[0], rtol=1e-4, atol=1e-4)
+
+
+def test_layers_of_a_list_are_those_of_each_mesh():
+    glass = nr.Material(opacity=0.4, alpha_mode="BLEND")
+    meshes = [nr.UVMesh(**{**vars(painted("cpu", seed, (8, 4))), "materials": (glass,)}) for seed in (0, 1)]
+    camera = nr.Camera.look_at([[0.3, 1.0, -2.5], [1.5, 0.2, -2.0]], viewing_angle=30)
+    together = nr.render(meshes, camera, 32, layers=2)
+    for b, mesh in enumerate(meshes):
+        alone = nr.render(mesh, camera[b], 32, layers=2)
+        for name in ("rgb", "alpha"):
+            torch.testing.assert_close(getattr(together, name)[b], getattr(alone, name)[0], rtol=1e-4, atol=1e-4)
+    with pytest.raises(ValueError, match="outputs: expected some of rgb, alpha, depth with layers, got normal"):
+        nr.render(meshes, camera, 8, layers=2, outputs=("rgb", "normal"))

@@ -83,5 +83,5 @@ def test_each_image_has_its_own_gloss():
     for number in range(2):
         one = nr.Phong(specular[number], shininess[number]).shade(seen, white, light)
         torch.testing.assert_close(both[number], one[number])
-    with pytest.raises(ValueError, match="shininess: expected a batch of 1 or 2 like points, got 3"):
+    with pytest.raises(ValueError, match="shininess: expected a batch of 1 or 2 like the images, got 3"):
         nr.Phong(shininess=torch.ones(3)).shade(seen, white, light)

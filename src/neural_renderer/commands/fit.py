@@ -5,16 +5,18 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
+from ..camera.files import find_camera_file, read_camera_file
 from ..io import save_image
 from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
-from ..tasks.fit.camera_files import camera_file
 from ..tasks.fit.fit_pictures import comparison, up_axis
+from ..tasks.fit.load import list_images
 from .common import check_counts, check_outputs, choose_device, make_folder
 from .fit_report import RESULTS, report_camera, report_mesh, write_mesh
 from .options.fit import FitOptions
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
 
 _MAY_DIFFER = (
-    *("images", "output", "steps", "texture_steps", "turntable"),
+    *("images", "masks", "output", "steps", "texture_steps", "turntable"),
     *("allow_outside", "resume", "force", "device", "watch"),
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
@@ -38,9 +40,23 @@ def run(options: FitOptions) -> int:
     check_counts(options, turntable=0, seed=0)
     if options.recover != "shape" and options.mesh is None:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
-    images = options.images if options.recover == "camera" else camera_file(options.images)
-    check_outputs([options.output / name for name in RESULTS], [images, options.mesh])
+    check_outputs([options.output / name for name in RESULTS], [*_inputs(options), options.mesh])
     return _fit_camera(options) if options.recover == "camera" else _fit_mesh(options)
+
+
+def _inputs(options: FitOptions) -> list[Path]:
+    """List the files that are read: one image, or the camera file with its images and masks."""
+    if options.recover == "camera":
+        return [options.images]
+    source = find_camera_file(options.images)
+    found = list_images(read_camera_file(source), options.masks, options.allow_outside)
+    return [source, *(file for _, image, mask in found for file in (image, mask) if file is not None)]
+
+
+def _mask_rule(options: FitOptions) -> dict[str, Any]:
+    """Collect the arguments of `load_views` and `load_photo` that find masks by colour."""
+    names = ("background", "tolerance", "mask_below", "mask_open", "mask_close")
+    return {name: getattr(options, name) for name in names}
 
 
 def _fit_mesh(options: FitOptions) -> int:
@@ -51,8 +67,10 @@ def _fit_mesh(options: FitOptions) -> int:
         options.images,
         size=options.size,
         photos=options.photos,
-        background=options.background,
+        masks=options.masks,
+        box=options.box,
         allow_outside=options.allow_outside,
+        **_mask_rule(options),
     ).to(choose_device(options.device))
     fitted, held_out = _split(views, options.held_out)
     start: Any = options.start
@@ -95,7 +113,7 @@ def _run_mesh_fit(options: FitOptions, fitted: Views, held_out: Views | None, st
 def _fit_camera(options: FitOptions) -> int:
     """Fit the camera of one image; return the exit code."""
     device = choose_device(options.device)
-    mask, photo = load_photo(options.images, size=options.size, photos=options.photos, background=options.background)
+    mask, photo = load_photo(options.images, size=options.size, photos=options.photos, **_mask_rule(options))
     mask, photo = mask.to(device), None if photo is None else photo.to(device)
     mesh = Mesh.load(
         options.mesh,  # type: ignore[arg-type]

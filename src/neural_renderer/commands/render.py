@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from .. import deferred
 from ..camera import Camera, get_points_from_angles
+from ..camera.files.load import load_cameras
 from ..io import load_image, load_mesh, save_animation, save_image
 from ..meshes.batch import join
 from ..meshes.mesh import Mesh
@@ -24,7 +25,6 @@ from ..pictures.lamp import lamp_direction
 from ..raster.settings import image_size
 from ..rendering import render
 from ..shading.lights import Light
-from ..tasks.fit.camera_files import load_cameras
 from .common import check_counts, check_outputs, choose_device, say
 from .options.render import RenderOptions
 from .render_outputs import check_saved, save_outputs

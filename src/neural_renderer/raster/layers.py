@@ -39,7 +39,8 @@ def layers_gradient(
     two_sided: bool,
     perspective: bool,
     seams: bool,
-    rings: Optional[Tensor] = None,  # noqa: UP045 (schemas are inferred from it)
+    edge_hashes: Optional[Tensor] = None,  # noqa: UP045 (schemas are inferred from it)
+    rings: Optional[Tensor] = None,  # noqa: UP045
     halved: bool = False,
 ) -> Tensor:
     """Return the picture, and in backward send a gradient through the visibility of each layer to the faces.
@@ -49,7 +50,7 @@ def layers_gradient(
         pictures: T S of each layer, [K, B, C, H, W] float32; they get no gradient.
         faces: Screen-space corners, [B, F, 3, 3] float32.
         face_index: [K, B, H, W] int32, as from `peel`.
-        two_sided, perspective, seams, rings, halved: As in `edge_gradient`.
+        two_sided, perspective, seams, edge_hashes, rings, halved: As in `edge_gradient`.
 
     Returns:
         As `edge_gradient`.
@@ -58,7 +59,7 @@ def layers_gradient(
 
 
 @torch.library.register_fake("neural_renderer::layers_gradient")
-def _(image, pictures, faces, face_index, two_sided, perspective, seams, rings=None, halved=False):
+def _(image, pictures, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None, halved=False):
     scale = 2 if halved else 1
     return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
 
@@ -72,6 +73,7 @@ def layers_gradient_backward(
     two_sided: bool,
     perspective: bool,
     seams: bool,
+    edge_hashes: Optional[Tensor] = None,  # noqa: UP045
     rings: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
     """Compute the gradient [B, F, 3, 3] float32 that `layers_gradient` sends to its faces; arguments as there."""
@@ -83,30 +85,30 @@ def layers_gradient_backward(
         visible = visible_faces(index, faces.shape[1])
         adjacent, folds = (neighbors(faces, two_sided, perspective, visible, rings, fold) for fold in (False, True))
         own = zeros(faces.shape, faces.device)
-        add_edges(own, grad, image, faces, index, visible, adjacent, perspective, seams, None, folds)
+        add_edges(own, grad, image, faces, index, visible, adjacent, perspective, seams, edge_hashes, folds)
         add_intersections(own, grad, image, faces, index, adjacent, perspective)
         result += own
     return result
 
 
 @torch.library.register_fake("neural_renderer::layers_gradient_backward")
-def _(grad, pictures, faces, face_index, two_sided, perspective, seams, rings=None):
+def _(grad, pictures, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None):
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
 def _save(ctx, inputs, output):
-    _, pictures, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, rings, ctx.halved = inputs
-    ctx.save_for_backward(pictures, faces, face_index, rings)
+    _, pictures, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, hashes, rings, ctx.halved = inputs
+    ctx.save_for_backward(pictures, faces, face_index, hashes, rings)
 
 
 def _backward(ctx, grad):
-    pictures, faces, face_index, rings = ctx.saved_tensors
+    pictures, faces, face_index, *rest = ctx.saved_tensors
     grad = halve_backward(grad) if ctx.halved else grad
     to_faces = None
     if ctx.needs_input_grad[2]:
-        options = (ctx.two_sided, ctx.perspective, ctx.seams, rings)
+        options = (ctx.two_sided, ctx.perspective, ctx.seams, *rest)
         to_faces = layers_gradient_backward(grad, pictures, faces, face_index, *options)
-    return grad, None, to_faces, *[None] * 6
+    return grad, None, to_faces, *[None] * 7
 
 
 differentiable(layers_gradient, _backward, _save)

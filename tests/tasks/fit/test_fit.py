@@ -188,6 +188,8 @@ def test_a_mesh_as_files_split_it(views: Views) -> None:
     faces = torch.cat((torch.arange(3 * len(mesh.faces)).view(-1, 3), torch.tensor([[0, 0, 1]])))
     fit = MeshFit(views, nr.Mesh(split, faces, torch.zeros(len(faces), 2, 2, 2, 3)), steps=2)
     assert len(fit.shape[0]) == len(mesh.vertices)
+    same = MeshFit(views, nr.UVMesh(split, faces, torch.zeros(len(split), 2), torch.ones(2, 2, 3)), steps=2)
+    assert torch.equal(same.shape[0], fit.shape[0])
     fit.advance()
     with pytest.raises(ValueError, match="start: expected a mesh in the world of the cameras"):
         MeshFit(views, nr.Mesh(mesh.vertices + 50, mesh.faces, mesh.textures))

@@ -16,8 +16,9 @@ from .watch import WatchOptions
 class FitOptions:
     """Recover a textured mesh from images with cameras, the texture of a known mesh, or the camera of one image.
 
-    IMAGES is a folder with a camera file, or that file: transforms.json (NeRF), cameras.json or cameras.csv (file,
-    azimuth, elevation, distance). For --recover camera it is one image.
+    IMAGES is a folder with cameras, or their file: transforms.json (NeRF, Blender, nerfstudio), cameras.json (K, R, t,
+    or distances and angles), cameras.csv, a model of COLMAP (sparse/0), *_par.txt (Middlebury). For --recover camera it
+    is one image.
 
     Example: neural-renderer fit photos -o out
 
@@ -43,8 +44,22 @@ class FitOptions:
     """Grid cells along each axis for the visual hull (at least 8). Thin parts need more."""
     photos: bool = True
     """Use the colours of the images. Without photos, images are silhouettes."""
+    masks: Path | None = None
+    """Folder of masks, white on black, named like the images; by default the folder masks beside them, if there is
+    one. Images without transparency or mask are cut out by the following options, else from a plain background."""
     background: tuple[float, float, float] | None = None
     """Red, green and blue (0 to 1) of the background, for images without transparency or mask."""
+    tolerance: float = 0.05
+    """Largest difference from --background, in any channel (0 to 1), of a background pixel."""
+    mask_below: float | None = None
+    """Pixels whose brightest channel is below this (0 to 1) are background."""
+    mask_open: int = 0
+    """Remove parts of such masks that are thinner than this radius in pixels."""
+    mask_close: tuple[int, int] = (0, 0)
+    """Dilate such masks by the first radius in pixels, then erode them by the second, which fills gaps."""
+    box: tuple[float, float, float, float, float, float] | None = None
+    """Opposite corners (x y z x y z) of a box around the object, in the world of the cameras. What is outside is
+    background."""
     size: int = 256
     """Scale larger images down to this longer side in pixels (at least 16)."""
     held_out: int = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -14,6 +14,7 @@ from ... import metrics, validate
 from ...camera import Camera
 from ...deprecated import old_method
 from ...meshes.mesh import Mesh
+from ...meshes.uv_mesh import UVMesh
 from ...raster import Images
 from ...rendering import render
 from ..seeds import generator
@@ -31,6 +32,7 @@ class Views:
         camera: N cameras.
         masks: [N, H, W] float32 in [0, 1], silhouettes: 1 where the object covers a pixel.
         photos: [N, 3, H, W] float32 in [0, 1], RGB multiplied by the mask; or None.
+        region: Where the object is, if that is known: centre [3] and half the side of a cube, in the world; or None.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit, there are no views, or a mask is empty.
@@ -54,6 +56,7 @@ class Views:
     camera: Camera
     masks: Tensor
     photos: Tensor | None = None
+    region: tuple[Tensor, float] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
@@ -76,7 +79,7 @@ class Views:
         return self.masks.shape[1], self.masks.shape[2]
 
     @classmethod
-    def of(cls, mesh: Mesh, camera: Camera, size: int | tuple[int, int] = 256, **options: Any) -> Views:
+    def of(cls, mesh: Mesh | UVMesh, camera: Camera, size: int | tuple[int, int] = 256, **options: Any) -> Views:
         """Render a known mesh from N cameras.
 
         Args:
@@ -98,8 +101,8 @@ class Views:
     def __getitem__(self, index: Sequence[int] | slice) -> Views:
         """Select views by a slice or a list of numbers."""
         rows = torch.arange(len(self))[index].to(self.masks.device)
-        camera = _select(self.camera, rows)
-        return Views(camera, self.masks[rows], None if self.photos is None else self.photos[rows])
+        photos = None if self.photos is None else self.photos[rows]
+        return Views(self.camera[rows], self.masks[rows], photos, self.region)
 
     def to(self, device: torch.device | str) -> Views:
         """Copy the views to another device.
@@ -111,7 +114,8 @@ class Views:
             The copy.
         """
         photos = None if self.photos is None else self.photos.to(device)
-        return Views(self.camera.to(device), self.masks.to(device), photos)
+        region = self.region and (self.region[0].to(device), self.region[1])
+        return Views(self.camera.to(device), self.masks.to(device), photos, region)
 
     moved = old_method("moved", "normalized")
 
@@ -135,7 +139,9 @@ class Views:
         else:
             translation = camera.translation
         lens: dict[str, Any] = {} if camera.perspective else {"scale": camera.scale * scale}
-        return replace(self, camera=replace(camera, origin=origin / scale, translation=translation / scale, **lens))
+        moved = replace(camera, origin=origin / scale, translation=translation / scale, **lens)
+        region = self.region and ((self.region[0] - center) / scale, self.region[1] / scale)
+        return replace(self, camera=moved, region=region)
 
     def eyes(self) -> tuple[Tensor, Tensor]:
         """Compute the cameras' positions and viewing directions in world space.
@@ -215,10 +221,3 @@ def downscale(image: Tensor, size: int) -> Tensor:
         return image
     scale = size / max(height, width)
     return F.interpolate(image[None], (max(round(height * scale), 1), max(round(width * scale), 1)), mode="area")[0]
-
-
-def _select(camera: Camera, rows: Tensor) -> Camera:
-    """Select cameras of a batch."""
-    tensors = {f.name: v for f in fields(camera) if isinstance(v := getattr(camera, f.name), Tensor) and v.ndim}
-    selected: dict[str, Any] = {name: v[rows] if len(v) == len(camera) else v for name, v in tensors.items()}
-    return replace(camera, **selected)

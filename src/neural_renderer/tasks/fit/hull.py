@@ -13,10 +13,12 @@ from ...meshes.topology import Topology
 from ..components import connected_components
 from .descent import SmoothDescent
 from .fit_views import Views
+from .lookup import mask_values
 
 _HALF = 1.08  # half the side of the carved cube; the object lies in [-1, 1]³
 _COARSE, _FINE = 48, 64  # grid points along each axis, in the two passes that find the object
 _REACH = 0.7  # the first pass looks this far around the centre, relative to the distance of the nearest camera
+_DOUBLINGS = 3  # of a given region that the object leaves, at most
 _LEAST_COMPONENT = 0.01  # smaller components, relative to the largest one, are dropped as noise
 
 
@@ -39,18 +41,17 @@ def object_bounds(views: Views) -> tuple[Tensor, float]:
         >>> 0.9 < half < 1.2
         True
     """
-    eye, forward = views.eyes()
-    # Start at the point nearest to all optical axes. For parallel axes, the ridge picks the one nearest to the origin.
-    across = torch.eye(3).to(eye) - forward[:, :, None] * forward[:, None, :]
-    matrix = across.sum(0) + 1e-4 * len(views) * torch.eye(3).to(eye)
-    center = torch.linalg.solve(matrix, torch.einsum("bij,bj->i", across, eye))
-    near = float((eye - center).norm(dim=1).min())
-    half = max(_REACH * near if views.camera.perspective else _orthographic_half_width(views), 1e-6)
+    center, half = views.region or view_center(views)
     margin = max(views.size) // 64  # thin parts must not fall between grid points
     grown = F.max_pool2d(views.masks[:, None], 2 * margin + 1, 1, margin)[:, 0]
+    wider = 0 if views.region is None else _DOUBLINGS
     for cells in (_COARSE, _FINE):
-        points = _grid(cells).to(eye) * half + center
-        inside = points[_occupancy(views, grown, points) > 0.5]
+        while True:
+            points = _grid(cells).to(grown) * half + center
+            inside = points[_occupancy(views, grown, points) > 0.5]
+            if not wider or not _reaches_border(inside, center, half):
+                break
+            half, wider = 2 * half, wider - 1  # the region was that of a part
         if not len(inside):
             raise ValueError(
                 "masks: expected silhouettes of one object that meet in space, got some that do not: "
@@ -59,6 +60,22 @@ def object_bounds(views: Views) -> tuple[Tensor, float]:
         center, found = bounding_box(inside)
         half = found + 2 * half / cells
     return center, half
+
+
+def view_center(views: Views) -> tuple[Tensor, float]:
+    """Find where the cameras look: the point [3] nearest to all optical axes, and how far around it to search."""
+    eye, forward = views.eyes()
+    # For parallel axes, the ridge picks the point nearest to the origin.
+    across = torch.eye(3).to(eye) - forward[:, :, None] * forward[:, None, :]
+    matrix = across.sum(0) + 1e-4 * len(views) * torch.eye(3).to(eye)
+    center = torch.linalg.solve(matrix, torch.einsum("bij,bj->i", across, eye))
+    near = float((eye - center).norm(dim=1).min())
+    return center, max(_REACH * near if views.camera.perspective else _orthographic_half_width(views), 1e-6)
+
+
+def _reaches_border(points: Tensor, center: Tensor, half: float) -> bool:
+    """Tell whether points [P, 3] reach the border of a cube, or there are none."""
+    return not len(points) or float((points - center).abs().max()) > 0.99 * half
 
 
 def carve(views: Views, cells: int = 64) -> tuple[Tensor, Tensor]:
@@ -113,13 +130,9 @@ def large_components(vertices: Tensor, faces: Tensor, least: float = _LEAST_COMP
 
 def _occupancy(views: Views, masks: Tensor, points: Tensor) -> Tensor:
     """Look up points [P, 3] in all masks [N, H, W] and return the least values [P]; masks are clamped at the border."""
-    aspect = views.size[1] / views.size[0]
     least = torch.ones(len(points), device=points.device)
-    for index in range(len(views)):
-        screen = views[index : index + 1].camera(points, aspect=aspect)[0]
-        place = torch.stack((screen[:, 0], -screen[:, 1]), -1)[None, None]
-        value = F.grid_sample(masks[index][None, None], place, padding_mode="border", align_corners=False)[0, 0, 0]
-        least = torch.minimum(least, torch.where(screen[:, 2] > 0, value, 0.0))
+    for value in mask_values(views, masks, points):
+        least = torch.minimum(least, value)
     return least
 
 

@@ -1,20 +1,30 @@
-"""Posed images from files; see `camera_files` for the formats of cameras."""
+"""Posed images from files; see `camera.files` for the formats of cameras."""
 
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from ... import validate
+from ...camera.files import CameraFile, PosedImage, find_camera_file, read_camera_file
+from ...camera.files.distortion import undistort
+from ...camera.files.read import find_image
 from ...io import load_image
 from ...io.files import existing
-from .camera_files import Frame, camera_file, make_camera, read_frames
+from ..masks.rule import MaskRule, mask_in_file, transparency
 from .fit_views import Views, downscale
+from .region import outline_of_box, region_of_points
 
 _LEAST_SIZE = 16  # pixels
+_MASK_FOLDERS = ("masks", "mask")
+_MASK_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+
+Color = tuple[float, float, float]
+Box = tuple[float, float, float, float, float, float]
 
 
 def load_views(
@@ -22,32 +32,45 @@ def load_views(
     *,
     size: int = 256,
     photos: bool = True,
-    background: tuple[float, float, float] | None = None,
+    background: Color | None = None,
     tolerance: float = 0.05,
+    mask_below: float | None = None,
+    mask_open: int = 0,
+    mask_close: tuple[int, int] = (0, 0),
+    masks: str | os.PathLike[str] | None = None,
+    box: Box | None = None,
     allow_outside: bool = False,
 ) -> Views:
     """Load posed images from a folder.
 
-    The mask of an image is, in this order: the mask file of its entry; its alpha channel; all pixels that differ from
-    ``background``.
+    The mask of an image is, in this order: the mask file that the camera file names; a file of its name in the folder
+    ``masks``; its alpha channel; what ``mask_below`` or ``background`` leaves; what differs from a plain background;
+    the outline of ``box``. A box limits all masks to its outline.
 
     Args:
-        path: Camera file (``transforms.json``, ``cameras.json`` or ``cameras.csv``), or a folder that contains one. The
-            module `camera_files` describes the formats.
+        path: Camera file, or a folder that contains one: ``transforms.json`` (NeRF, Blender, nerfstudio),
+            ``cameras.json`` or ``cameras.csv``, a model of COLMAP, or ``*_par.txt`` (Middlebury). The modules in
+            `neural_renderer.camera.files` describe the formats.
         size: Longer side in pixels, ≥ 16; larger images are scaled down.
         photos: Whether to use colours. Without colours, an image without a mask is a mask itself, white on black.
         background: RGB in [0, 1] of the background, for images without mask and alpha channel.
         tolerance: Largest difference from ``background``, in any channel, of a background pixel.
+        mask_below: Pixels whose brightest channel is below this, in (0, 1], are background.
+        mask_open: Radius in pixels of an erosion and dilation of masks that were found by colour: removes thin parts.
+        mask_close: Radii in pixels of a dilation and the erosion after it, likewise: fills gaps.
+        masks: Folder of mask files, named like the images, with any suffix or one more; None searches the folders
+            ``masks`` and ``mask`` beside the images.
+        box: Corners (x, y, z, x, y, z) of a box around the object, in the world of the cameras.
         allow_outside: Whether the camera file may name images outside of its folder.
 
     Returns:
-        The views, on the CPU.
+        The views, on the CPU. The sparse points of COLMAP, or the box, give their ``region``.
 
     Raises:
         FileNotFoundError: The folder, the camera file or an image does not exist.
-        ValueError: A file is malformed, a key is missing, image sizes differ, an image is larger than `load_image`
-            accepts or outside of the folder without ``allow_outside``, a mask is empty, or ``background`` is None and
-            an image has no mask and no alpha channel.
+        TypeError, ValueError: An argument is out of range, a file is malformed, a key is missing, image sizes differ,
+            an image is larger than `load_image` accepts or outside of the folder without ``allow_outside``, a mask is
+            empty, or nothing separates the object from the background.
 
     Example:
         >>> disc = nr.render(nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 0.0, -2.7)), 64).alpha[0]
@@ -59,21 +82,72 @@ def load_views(
         (1, (32, 32))
     """
     size = validate.whole("size", size, _LEAST_SIZE)
-    _check_background(background)
-    source = camera_file(Path(path))
-    common, frames = read_frames(source, allow_outside)
-    images: list[Tensor] = []
-    masks: list[Tensor] = []
+    rule = MaskRule(background, tolerance, mask_below, mask_open, mask_close)
+    source = read_camera_file(find_camera_file(Path(path)))
+    folder = None if masks is None else Path(masks)
+    if folder is not None and not folder.is_dir():
+        raise FileNotFoundError(f"masks: expected a folder of masks, got {folder}, which is none")
+    found: list[tuple[Tensor, Tensor]] = []
     full = (0, 0)
-    for frame in frames:
-        image = load_image(frame.image)
-        full = full if images else (image.shape[0], image.shape[1])
-        _same_size(frame.image, image, full)
-        rgb, mask = _prepare(frame, image, size, photos, background, tolerance)
-        images.append(rgb)
-        masks.append(mask)
-    camera = make_camera(source, common, frames, full)
-    return Views(camera, torch.stack(masks), torch.stack(images) if photos else None)
+    for entry, file, mask_file in list_images(source, folder, allow_outside):
+        image = _load_as_calibrated(file, entry)
+        full = full if found else (image.shape[0], image.shape[1])
+        _check_size(file, image, full)
+        mask = _mask(file, mask_file, image, photos, rule, box is not None)
+        rgba = _premultiplied(file, mask_file, image, mask)
+        if entry.lens.needs_undistortion:
+            rgba = undistort(rgba, entry.lens.model, entry.lens.values, entry.lens.intrinsics(full))
+        small = downscale(rgba, size)
+        found.append((small[:3], small[3]))
+    camera, alphas = source.cameras(full), torch.stack([mask for _, mask in found])
+    colors = torch.stack([rgb for rgb, _ in found]) if photos else None
+    if box is not None:
+        outlines, region = outline_of_box(camera, box, (alphas.shape[1], alphas.shape[2]))
+        colors = None if colors is None else colors * outlines[:, None]
+        return Views(camera, alphas * outlines, colors, region)
+    views = Views(camera, alphas, colors)
+    return views if source.points is None else replace(views, region=region_of_points(views, source.points))
+
+
+def list_images(
+    source: CameraFile, masks: Path | None = None, allow_outside: bool = False
+) -> list[tuple[PosedImage, Path, Path | None]]:
+    """Find the image, and the mask or None, of each entry of a camera file.
+
+    Args:
+        source: The camera file.
+        masks: Folder of masks; None searches the usual folders beside the images.
+        allow_outside: Whether the file may name images outside of its folder.
+
+    Raises:
+        FileNotFoundError, ValueError: An image is missing, or outside of the folder.
+    """
+    found = []
+    for entry in source.images:
+        image = find_image(source, entry.name, allow_outside)
+        if entry.mask is not None:
+            mask: Path | None = find_image(source, entry.mask, allow_outside)
+        else:
+            folders = (
+                [masks]
+                if masks is not None
+                else [root / name for root in (image.parent, *source.folders) for name in _MASK_FOLDERS]
+            )
+            mask = next(filter(None, (_mask_beside(folder, entry.name) for folder in folders)), None)
+            if mask is None and masks is not None:
+                raise FileNotFoundError(f"{masks}: expected a mask {Path(entry.name).stem}.png, got none")
+        found.append((entry, image, mask))
+    return found
+
+
+def _mask_beside(folder: Path, name: str) -> Path | None:
+    """Find the mask of an image in a folder: ``photo.jpg`` has ``photo.png``, or ``photo.jpg.png`` as in COLMAP."""
+    base = Path(name).name
+    for stem in (base, Path(base).stem):
+        for suffix in _MASK_SUFFIXES:
+            if (folder / (stem + suffix)).is_file():
+                return folder / (stem + suffix)
+    return folder / base if (folder / base).is_file() else None
 
 
 def load_photo(
@@ -81,8 +155,11 @@ def load_photo(
     *,
     size: int = 256,
     photos: bool = True,
-    background: tuple[float, float, float] | None = None,
+    background: Color | None = None,
     tolerance: float = 0.05,
+    mask_below: float | None = None,
+    mask_open: int = 0,
+    mask_close: tuple[int, int] = (0, 0),
 ) -> tuple[Tensor, Tensor | None]:
     """Load one image without a camera.
 
@@ -92,6 +169,7 @@ def load_photo(
         photos: Whether to use colours; see `load_views`.
         background: RGB in [0, 1] of the background, for an image without alpha channel.
         tolerance: Largest difference from ``background``, in any channel, of a background pixel.
+        mask_below, mask_open, mask_close: As in `load_views`.
 
     Returns:
         The mask [H, W], and RGB multiplied by the mask [3, H, W], or None without ``photos``.
@@ -105,62 +183,61 @@ def load_photo(
         >>> mask.shape
         torch.Size([32, 32])
     """
-    _check_background(background)
-    frame = Frame(str(path), existing(path), None, {})
-    image = load_image(path)
-    rgb, mask = _prepare(frame, image, validate.whole("size", size, _LEAST_SIZE), photos, background, tolerance)
-    return mask, rgb if photos else None
+    size = validate.whole("size", size, _LEAST_SIZE)
+    rule = MaskRule(background, tolerance, mask_below, mask_open, mask_close)
+    image = load_image(existing(path))
+    mask = _mask(Path(path), None, image, photos, rule, False)
+    small = downscale(_premultiplied(Path(path), None, image, mask), size)
+    return small[3], small[:3] if photos else None
 
 
-def _prepare(
-    frame: Frame,
-    image: Tensor,
-    size: int,
-    photos: bool,
-    background: tuple[float, float, float] | None,
-    tolerance: float,
-) -> tuple[Tensor, Tensor]:
-    """Scale an image to the size of the fit: RGB multiplied by the mask [3, H, W], and mask [H, W]."""
-    mask = _mask(frame, image, photos, background, tolerance)
+def _load_as_calibrated(file: Path, entry: PosedImage) -> Tensor:
+    """Load an image as its pixels are stored, or turned by its EXIF data if only this fits the calibrated size."""
+    image = load_image(file)
+    if entry.lens.size is None or _has_aspect(image, entry.lens.size):
+        return image
+    upright = load_image(file, upright=True)
+    return upright if _has_aspect(upright, entry.lens.size) else image
+
+
+def _has_aspect(image: Tensor, size: tuple[float, float]) -> bool:
+    """Tell whether an image [H, W, C] has the aspect of a size (height, width), to a pixel."""
+    height, width = image.shape[:2]
+    return abs(width * size[0] - height * size[1]) <= max(size[0], size[1], height, width)
+
+
+def _premultiplied(file: Path, mask_file: Path | None, image: Tensor, mask: Tensor) -> Tensor:
+    """Multiply colours by the mask: [4, H, W]. Raises ValueError if the mask is empty."""
     if float(mask.max()) <= 0.5:
-        raise ValueError(f"{frame.mask or frame.image}: expected an object in the mask, got an empty one")
-    return downscale((image[..., :3] * mask[..., None]).permute(2, 0, 1), size), downscale(mask[None], size)[0]
+        raise ValueError(f"{mask_file or file}: expected an object in the mask, got an empty one")
+    return torch.cat((image[..., :3] * mask[..., None], mask[..., None]), 2).permute(2, 0, 1)
 
 
-def _check_background(background: tuple[float, float, float] | None) -> None:
-    """Raise ValueError if a colour is outside [0, 1]."""
-    for value in background or ():
-        if not 0 <= validate.number("background", value) <= 1:
-            raise ValueError(f"background: expected red, green and blue in [0, 1], got {background}")
-
-
-def _same_size(path: Path, image: Tensor, full: tuple[int, int]) -> None:
-    """Raise ValueError if an image [H, W, C] is not of this height and width."""
+def _check_size(path: Path, image: Tensor, full: tuple[int, int]) -> None:
+    """Raise ValueError if an image [H, W, ...] is not of this height and width."""
     if tuple(image.shape[:2]) != full:
         raise ValueError(
             f"{path}: expected {full[1]} x {full[0]} pixels like the others, got {image.shape[1]} x {image.shape[0]}"
         )
 
 
-def _mask(
-    frame: Frame,
-    image: Tensor,
-    photos: bool,
-    background: tuple[float, float, float] | None,
-    tolerance: float,
-) -> Tensor:
+def _mask(file: Path, mask_file: Path | None, image: Tensor, photos: bool, rule: MaskRule, has_box: bool) -> Tensor:
     """Find the mask of an image, [H, W] in [0, 1]; see `load_views`."""
-    if frame.mask is not None:
-        mask = load_image(frame.mask)
-        _same_size(frame.mask, mask, (image.shape[0], image.shape[1]))
-        transparent = mask.shape[2] == 4 and float(mask[..., 3].min()) < 1
-        return mask[..., 3] if transparent else mask[..., :3].mean(2)
-    if image.shape[2] == 4:
-        return image[..., 3]
-    if background is not None:
-        return ((image - torch.tensor(background)).abs().amax(2) > tolerance).float()
-    if not photos:
-        return image.mean(2)
-    raise ValueError(
-        f"{frame.image}: expected an alpha channel, a mask or a background colour to separate the object, got none"
-    )
+    if mask_file is not None:
+        mask = mask_in_file(mask_file)
+        _check_size(mask_file, mask, (image.shape[0], image.shape[1]))
+        return mask
+    alpha = transparency(image)
+    if alpha is not None:
+        return alpha
+    if not photos and rule.background is None and rule.below is None:
+        return image[..., :3].mean(2)
+    try:
+        return rule.find(image)
+    except ValueError:
+        if has_box:
+            return torch.ones(image.shape[:2])
+        raise ValueError(
+            f"{file}: expected an alpha channel, a mask or a plain background to separate the object, got none; give "
+            "masks (--masks FOLDER), a threshold (--mask-below), a colour (--background) or a box (--box)"
+        ) from None

@@ -11,6 +11,7 @@ from ... import validate
 from ...deprecated import old_argument, old_method
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
+from ...meshes.uv_mesh import UVMesh
 from ...pictures.clay import plain_texture
 from ..observer import Knob
 from ..settings import FitWeights
@@ -28,8 +29,8 @@ class MeshFit:
 
     Args:
         views: Views with or without photos. Without photos there is no texture phase.
-        start: Initial shape: "hull", the visual hull of the silhouettes; "sphere"; or a `Mesh` in the world of the
-            cameras.
+        start: Initial shape: "hull", the visual hull of the silhouettes; "sphere"; or a `Mesh` or `UVMesh` in the world
+            of the cameras.
         recover: "shape" fits shape and texture; "texture" keeps the shape of the given mesh.
         steps: Steps of the shape phase, ≥ 1.
         texture_steps: Steps of the texture phase, ≥ 1.
@@ -67,7 +68,7 @@ class MeshFit:
     def __init__(
         self,
         views: Views,
-        start: Literal["hull", "sphere"] | Mesh = "hull",
+        start: Literal["hull", "sphere"] | Mesh | UVMesh = "hull",
         *,
         recover: Literal["shape", "texture"] = "shape",
         steps: int = 150,
@@ -80,7 +81,7 @@ class MeshFit:
         gradient: str = "edge",
         seed: int = 0,
     ) -> None:
-        if recover == "texture" and not isinstance(start, Mesh):
+        if recover == "texture" and not isinstance(start, (Mesh, UVMesh)):
             raise ValueError('start: expected a Mesh with recover="texture", got none')
         self._center, self._scale = object_bounds(views)
         self.views = views.normalized(self._center, self._scale)
@@ -203,7 +204,7 @@ class MeshFit:
     def _initial_shape(self, start: Any, cells: int) -> tuple[Tensor, Tensor]:
         """Make the vertices and faces of ``start``."""
         device = self.views.masks.device
-        if isinstance(start, Mesh):
+        if isinstance(start, (Mesh, UVMesh)):
             return self._weld(start)
         if start == "hull":
             return carve(self.views, cells)
@@ -212,7 +213,7 @@ class MeshFit:
         vertices, faces = icosphere(3, _SPHERE_RADIUS)
         return vertices.to(device), faces.to(device)
 
-    def _weld(self, mesh: Mesh) -> tuple[Tensor, Tensor]:
+    def _weld(self, mesh: Mesh | UVMesh) -> tuple[Tensor, Tensor]:
         """Normalise a mesh and merge equal vertices, because files split vertices at seams of the texture."""
         corners = mesh.vertices.detach()[mesh.faces[(mesh.faces >= 0).all(1)].long()].to(self.views.masks.device)
         vertices, faces = torch.unique((corners.flatten(0, 1) - self._center) / self._scale, dim=0, return_inverse=True)

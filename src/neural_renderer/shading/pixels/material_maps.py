@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from ..meshes.uv_mesh import UVMesh
-from ..textures.material import Material, Texture
+from ...meshes.uv_mesh import UVMesh
+from ...textures.material import Material, Texture
 from .normal_maps import bumped, corner_tangents
+from .planes import planar
 from .visible_surface import VisibleSurface, at_pixels
 
 if TYPE_CHECKING:
-    from ..deferred import Fragments
+    from ...deferred import Fragments
 
 
 class MaterialMaps:
@@ -35,6 +37,10 @@ class MaterialMaps:
         """Return a factor of the materials at every pixel, [B, H, W, C], or [1, 1, 1, C] if it is the same."""
         rows = [getattr(material, name).reshape(-1) for material in self.materials]
         return self._spread(torch.stack([row.to(self.fragments.corners.device) for row in rows]))
+
+    def each(self, values: Sequence[float]) -> Tensor:
+        """Return a number of each material at every pixel, [B, H, W, 1], or [1, 1, 1, 1] if there is one."""
+        return self._spread(torch.tensor(values, dtype=torch.float32, device=self.fragments.corners.device)[:, None])
 
     def textured(self, name: str, channels: slice = slice(None), otherwise: float = 1.0) -> Tensor | None:
         """Sample a texture at every pixel, [B, H, W, C]; None if no material has it.
@@ -104,8 +110,8 @@ class MaterialMaps:
         face_index = self.fragments.face_index
         if self.shown is not None:
             face_index = torch.where(self.shown == number, face_index, -1)
-        return texture.sample(self._uv[texture.uv_set], face_index)
+        return planar(texture.sample(self._uv[texture.uv_set], face_index))
 
     def _spread(self, rows: Tensor) -> Tensor:
         """Take a row [M, C] of the material of each pixel."""
-        return rows[0].reshape(1, 1, 1, -1) if self.shown is None else rows[self.shown]
+        return rows[0].reshape(1, 1, 1, -1) if self.shown is None else planar(rows[self.shown])

@@ -8,15 +8,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..camera import Camera
-from ..camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
-from ..constants import on_device
-from ..raster.warp.registration import is_plain
-from .color_space import linear_to_srgb
+from ... import validate
+from ...camera import Camera
+from ...camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
+from ...constants import on_device
+from ...raster.warp.registration import is_plain
+from ..color_space import linear_to_srgb
+from ..spherical_harmonics import SphericalHarmonicLight, harmonics
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 from .prefilter import prefiltered, reflected
-from .spherical_harmonics import SphericalHarmonicLight, harmonics
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class EnvironmentLight:
             >>> nr.EnvironmentLight(sky).radiance(torch.tensor([[[[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]]]))[..., 0]
             tensor([[[1., 0.]]])
         """
-        return self._strength(look_up(self._pixels(directions), direction_uv(directions)))
+        return self._strength(look_up(self._looked_up(directions), direction_uv(directions)))
 
     def background(self, camera: Camera, size: int | tuple[int, int]) -> Tensor:
         """Draw the environment as a camera sees it, for ``background`` of `render`.
@@ -123,8 +123,9 @@ class EnvironmentLight:
             tensor(1.0000)
         """
         if roughness is None:
+            self._looked_up(directions)
             return self._strength(self._matt(directions).on(directions))
-        image = self._pixels(directions)
+        image = self._looked_up(directions)
         return self._strength(reflected(image, self._kept("levels", image), directions, roughness))
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
@@ -167,8 +168,13 @@ class EnvironmentLight:
         """Return the image as [1 or B, H, W, 3] float32 on the device of ``like``."""
         image = on_device(torch.as_tensor(self.image), like.new_empty(0, dtype=torch.float32))
         validate.finite("image", image)
-        image = image if image.ndim == 4 else image[None]
-        batch_size(points=len(like), image=len(image))
+        return image if image.ndim == 4 else image[None]
+
+    def _looked_up(self, directions: Tensor) -> Tensor:
+        """Return `_pixels` for images of directions; raise ValueError if there are more environments than images."""
+        image = self._pixels(directions)
+        if len(image) not in (1, len(directions)):
+            raise ValueError(f"image: expected a batch of 1 or {len(directions)} like directions, got {len(image)}")
         return image
 
     def _matt(self, like: Tensor) -> SphericalHarmonicLight:

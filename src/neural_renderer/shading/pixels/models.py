@@ -8,18 +8,19 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..camera import Camera
-from ..meshes.uv_mesh import UVMesh
-from ..raster.visibility.continuity import attribute_edge_hashes, image_edge_hashes
-from .color_space import linear_to_srgb, srgb_to_linear
+from ... import validate
+from ...camera import Camera
+from ...meshes.uv_mesh import UVMesh
+from ...raster.visibility.continuity import attribute_edge_hashes, image_edge_hashes
+from ..color_space import linear_to_srgb, srgb_to_linear
+from ..pbr import PBR, shade_pbr
+from ..phong import Phong, shade_diffuse, shade_phong
 from .material_maps import MaterialMaps
-from .pbr import PBR, shade_pbr
-from .phong import Phong, shade_diffuse, shade_phong
+from .planes import planar
 from .visible_surface import VisibleSurface
 
 if TYPE_CHECKING:
-    from ..deferred import Fragments
+    from ...deferred import Fragments
 
 MODELS = ("smooth", "phong", "pbr")
 
@@ -63,14 +64,22 @@ def shade_pixels(
     Raises:
         TypeError, ValueError: An argument does not fit.
     """
-    surface = VisibleSurface.of(fragments, mesh, camera)
+    surface, albedo = VisibleSurface.of(fragments, mesh, camera), planar(albedo)
     maps = MaterialMaps(fragments, mesh) if isinstance(mesh, UVMesh) and mesh.materials else None
     if maps is not None:
         surface = maps.bumped(surface)
-    if not isinstance(model, str):
-        colors = model.shade(surface, albedo, lights)
-        return validate.floating("shading", colors, tuple(albedo.shape)).float()
-    if model == "smooth" or (not lights and model != "pbr"):
+    if isinstance(model, str):
+        colors = _by_name(model, surface, maps, albedo, lights)
+        if len(colors) != len(albedo):
+            raise ValueError(f"light: expected parameters for {len(albedo)} images or for all, got {len(colors)}")
+        return colors
+    return validate.floating("shading", model.shade(surface, albedo, lights), tuple(albedo.shape)).float()
+
+
+def _by_name(
+    model: str, surface: VisibleSurface, maps: MaterialMaps | None, albedo: Tensor, lights: Sequence[Any]
+) -> Tensor:
+    if model == "smooth" or (not lights and model == "phong"):
         return shade_diffuse(surface, albedo, lights)
     if maps is None:
         return (Phong() if model == "phong" else PBR()).shade(surface, albedo, lights)

@@ -16,8 +16,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from ...camera import Camera
 from ...io.files import short
+from ..camera import Camera
 
 KINDS = ("K", "world_to_camera", "camera_to_world", "clip", "eye")
 _KEYS = {

@@ -1,0 +1,73 @@
+"""Cameras of a file, for drawing: of any format, whether or not the images are there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ..camera import Camera
+from .entries import KINDS, entry_camera, entry_size
+from .keys import read_json, rows_of
+from .posed import CameraFile
+from .read import find_camera_file, read_camera_file
+
+# Lenses of COLMAP that are those of `Camera.fisheye`, some with fewer coefficients.
+_FISHEYES = ("OPENCV_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE")
+
+
+def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, tuple[int, int] | None]:
+    """Load the cameras of a file.
+
+    Args:
+        path: Camera file of any format, or with the matrices that `entries` describes, or a folder that contains one.
+        size: Height and width of the images in pixels, where the file does not say it.
+
+    Returns:
+        The cameras, on the CPU, and the height and width of the first image, if the file says it.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ValueError: The file is malformed, or `Camera` does not have the lens, or the lens needs a size and there is
+            none.
+    """
+    path = find_camera_file(path)
+    rows = _entries(read_json(path)) if path.suffix.lower() == ".json" else None
+    if rows is None:
+        file = read_camera_file(path)
+        first = file.images[0].lens.size
+        own = None if first is None else (round(first[0]), round(first[1]))
+        return _posed_cameras(file, own or size), own
+    places = rows_of(path, rows)
+    own = entry_size(*places[0])
+    if own is None and size is None and any("K" in row for _, row in places):
+        raise ValueError(f"{path}: expected the keys width and height, or a size of the picture, got neither")
+    return Camera.cat([entry_camera(where, row, own or size) for where, row in places]), own
+
+
+def _entries(content: Any) -> Any:
+    """Find the entries of a file with matrices; return None for other files."""
+    if not isinstance(content, dict) or "views" in content or "frames" in content:
+        return None
+    if "cameras" in content:
+        return content["cameras"]
+    one = content["camera"] if isinstance(content.get("camera"), dict) else content  # report.json of fit
+    return [one] if any(kind in one for kind in KINDS) else None
+
+
+def _posed_cameras(file: CameraFile, size: tuple[int, int] | None) -> Camera:
+    """Make the cameras of a file of posed images, with the lenses of their images."""
+    lenses = [image.lens for image in file.images]
+    # A lens with an angle of view is that of any size of the same aspect.
+    full = size or ((1, 1) if all(lens.field is not None for lens in lenses) else None)
+    if all(lens.model in _FISHEYES for lens in lenses) and full is not None:
+        K = torch.tensor([lens.intrinsics(full) for lens in lenses])
+        rotation = torch.stack([image.rotation for image in file.images]).float()
+        translation = torch.stack([image.translation for image in file.images]).float()
+        bends = torch.tensor([[lens.values.get(name, 0.0) for name in ("k1", "k2", "k3", "k4")] for lens in lenses])
+        return Camera.fisheye(K, rotation, translation, bends, orig_size=full)
+    for image in file.images:
+        if image.lens.needs_undistortion:
+            raise ValueError(f"{image.where}: expected a pinhole, OPENCV or fisheye lens, got {image.lens.model}")
+    return file.cameras(full)

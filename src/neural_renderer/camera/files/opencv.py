@@ -1,0 +1,73 @@
+"""``cameras.json`` with K, R and t of each image, as OpenCV has them; a file that is quickly written by hand.
+
+``{"K": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], "views": [{"file": "000.png", "R": [[…], […], […]], "t": [x, y, z]},
+…]}`` has one K for all images, or one in each view. The pixel at X is K · (R · X + t): R turns from the world to the
+camera, x right, y down, z forward. ``dist`` (k1, k2, p1, p2, k3), ``width`` and ``height`` of the calibrated image, and
+``mask`` are optional. A list of views, or an object with a view for each name of an image, will do, too.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from .keys import above_zero, check_rotation, matrix, rows_of, value_of
+from .lens import Lens
+from .posed import CameraFile, PosedImage
+
+
+def views_by_hand(content: Any) -> dict[str, Any] | None:
+    """Bring the three forms of the file to the first; return None if the content has none of them."""
+    if isinstance(content, list):
+        return {"views": content}
+    if not isinstance(content, dict) or "frames" in content:
+        return None
+    if "views" in content:
+        return content
+    named = {name: row for name, row in content.items() if isinstance(row, dict) and ("R" in row or "t" in row)}
+    if not named:
+        return None
+    common = {name: value for name, value in content.items() if name not in named}
+    return {**common, "views": [{"file": name, **row} for name, row in named.items()]}
+
+
+def has_matrices(content: dict[str, Any]) -> bool:
+    """Tell whether views have matrices, rather than distances and angles."""
+    views = content["views"]
+    return isinstance(views, list) and any(isinstance(row, dict) and not row.keys().isdisjoint("KRt") for row in views)
+
+
+def parse_opencv(path: Path, content: dict[str, Any]) -> CameraFile:
+    """Convert the content of a file; raises ValueError with the place if a key is missing or out of range."""
+    common = {key: value for key, value in content.items() if key != "views"}
+    images = []
+    for where, row in rows_of(path, content["views"]):
+        name, given = str(value_of(where, row, "file")), {**common, **row}
+        K = matrix(where, given, "K", (3, 3))
+        rotation, translation = matrix(where, given, "R", (3, 3)), matrix(where, given, "t", (3,), (3, 1), (1, 3))
+        check_rotation(where, "R", rotation, given["R"])
+        size = None
+        if given.get("width") is not None and given.get("height") is not None:
+            size = above_zero(where, given, "height"), above_zero(where, given, "width")
+        mask = str(row["mask"]) if row.get("mask") else None
+        lens = Lens("OPENCV", {**intrinsic_values(where, K), **_distortion(where, given)}, size)
+        images.append(PosedImage(where, name, rotation, translation.reshape(3), lens, mask))
+    return CameraFile(path, images, (path.parent,))
+
+
+def intrinsic_values(where: str, K: Any) -> dict[str, float]:
+    """Return the values of an intrinsic matrix [3, 3] by name; raise ValueError if it is none."""
+    (fx, skew, cx), (zero, fy, cy), last = K.tolist()
+    if not (fx > 0 and fy > 0):
+        raise ValueError(f"{where}: K: expected focal lengths above 0, got {fx:g} and {fy:g}")
+    if abs(zero) > 1e-6 * fy or max(abs(last[0]), abs(last[1]), abs(last[2] - 1)) > 1e-6:
+        raise ValueError(f"{where}: K: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}")
+    return {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "skew": skew}
+
+
+def _distortion(where: str, row: dict[str, Any]) -> dict[str, float]:
+    """Read ``dist``, four or five coefficients."""
+    if row.get("dist") in (None, []):
+        return {}
+    values = matrix(where, row, "dist", (5,), (4,)).tolist()
+    return dict(zip(("k1", "k2", "p1", "p2", "k3"), values, strict=False))

@@ -1,0 +1,1 @@
+"""Masks of objects in pictures: from files, transparency, backgrounds, thresholds and boxes."""

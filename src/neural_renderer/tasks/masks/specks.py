@@ -1,0 +1,34 @@
+"""Connected components of masks."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..components import connected_components
+from .resize import limit_size
+
+_MOST_SEARCHED = 640  # larger masks are scaled down to this larger side in pixels
+_SPECK = 0.02  # components smaller than this, relative to the largest one, are dropped
+
+
+def remove_specks(alpha: Tensor) -> Tensor:
+    """Set the small connected components of a mask [H, W] to 0."""
+    small = limit_size(alpha[..., None], _MOST_SEARCHED)[..., 0]
+    label = label_components(small > 0.5)
+    count = torch.bincount(label[label >= 0])
+    kept = torch.isin(label, (count >= _SPECK * count.max()).nonzero()[:, 0])
+    wide = F.max_pool2d(kept[None, None].float(), 5, 1, 2)  # includes the soft outline
+    return alpha * F.interpolate(wide, tuple(alpha.shape), mode="nearest")[0, 0]
+
+
+def label_components(mask: Tensor) -> Tensor:
+    """Label the connected components of a mask [H, W] bool: int64 [H, W], -1 outside of the mask."""
+    height, width = mask.shape
+    index = torch.arange(height * width).reshape(height, width)
+    across, down = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
+    horizontal = torch.stack((index[:, 1:][across], index[:, :-1][across]), 1)
+    vertical = torch.stack((index[1:][down], index[:-1][down]), 1)
+    label = connected_components(torch.cat((horizontal, vertical)), height * width)
+    return torch.where(mask, label.reshape(height, width), -1)

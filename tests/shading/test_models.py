@@ -1,0 +1,198 @@
+"""`render` with light in each pixel: flat surfaces as before, materials, gradients, messages."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+
+import neural_renderer as nr
+
+CAMERA = nr.Camera.look_at((0.4, 1.0, -2.5), viewing_angle=30)
+LAMPS = [nr.Light(0.2, 0.0), nr.PointLight((1.0, 2.0, -2.0), 4.0)]
+
+
+def soup(mesh):
+    """The mesh with vertices of its own for each face."""
+    corners = mesh.vertices.detach()[mesh.faces.long()].reshape(-1, 3)
+    return nr.Mesh(corners, torch.arange(len(corners)).view(-1, 3), mesh.textures)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_smooth_shading_of_flat_faces_is_flat_shading(mirrored, device):
+    """Faces with vertices of their own, outside and, through a hole, inside."""
+    ball = nr.Mesh(*nr.icosphere(1), torch.rand(80, 4, 4, 4, 3)).to(device)
+    opened = soup(ball.submesh(ball.vertices[ball.faces.long()].mean(1)[:, 2] > -0.6))
+    camera = dataclasses.replace(nr.Camera.look_at((0.4, 1.0, -2.5), viewing_angle=30, mirrored=mirrored))
+    lights = [nr.Light(0.3, 0.6, direction=(0.5, 1.0, -0.4)), nr.SphericalHarmonicLight(torch.rand(9, 3))]
+    images = [nr.render(opened.to(device), camera, 32, light=lights, shading=name).rgb for name in ("flat", "smooth")]
+    torch.testing.assert_close(images[1], images[0], rtol=0, atol=1e-5)
+
+
+def textured():
+    vertices, faces = nr.icosphere(2)
+    uv = torch.stack((0.5 + 0.5 * vertices[:, 0], 0.5 + 0.5 * vertices[:, 1]), -1)
+    return nr.UVMesh(vertices, faces, uv, torch.rand(16, 16, 3))
+
+
+@pytest.mark.parametrize("gradient", ["edge", "nmr"])
+@pytest.mark.parametrize("shading", ["smooth", "phong", "pbr"])
+def test_it_is_deferred_shading_in_one_call(shading, gradient):
+    """The same image and the same gradients as by `fragments` and the functions of each model."""
+    mesh, position = textured(), torch.tensor([1.0, 2.0, -2.0], requires_grad=True)
+    light = [LAMPS[0], nr.PointLight(position, 4.0)]
+    roots = [mesh.vertices.clone().requires_grad_(), mesh.images[0].clone().requires_grad_()]
+    mesh = dataclasses.replace(mesh, vertices=roots[0], images=(roots[1],))
+    target, behind = torch.rand(1, 3, 16, 16), torch.rand(3, 16, 16)
+
+    def by_hand():
+        fragments = nr.fragments(mesh, CAMERA, 16, gradient=gradient)
+        frozen = dataclasses.replace(fragments, corners=fragments.corners.detach())
+        still = frozen if gradient == "nmr" else fragments
+        surface, albedo = nr.VisibleSurface.of(still, mesh, CAMERA), mesh.shade(still)
+        if shading == "smooth":
+            colors = nr.shade_diffuse(surface, albedo, light)
+        elif shading == "phong":
+            colors = nr.shade_phong(surface, albedo, light, 0.5, 32.0)
+        else:
+            colors = nr.linear_to_srgb(nr.shade_pbr(surface, nr.srgb_to_linear(albedo), 0.0, 0.5, light))
+        return fragments.composite(colors, behind)
+
+    results = []
+    for draw in (
+        by_hand,
+        lambda: nr.render(mesh, CAMERA, 16, light=light, shading=shading, background=behind, gradient=gradient).rgb,
+    ):
+        image = draw()
+        grads = torch.autograd.grad((image * target).sum(), (*roots, position))
+        results.append((image, *grads))
+    for one, other in zip(*results, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
+
+
+def test_materials_are_those_of_their_faces():
+    """Two materials with textures: each half of a sphere as if it were alone."""
+    mesh, draw = textured(), torch.Generator().manual_seed(0)
+
+    def texture(channels):
+        return nr.Texture(torch.rand(8, 8, channels, generator=draw))
+
+    metal = nr.Material(
+        metallic=0.9,
+        roughness=0.8,
+        metallic_roughness_texture=texture(3),
+        occlusion_texture=texture(1),
+        occlusion_strength=0.7,
+        emissive=(0.2, 0.1, 0.3),
+        emissive_texture=texture(3),
+        base_color=(0.5, 0.9, 0.7),
+        normal_texture=texture(3),
+    )
+    glossy = nr.Material(roughness=0.2, specular=(0.5, 0.4, 0.3), shininess=20.0, specular_texture=texture(3))
+    index = torch.arange(len(mesh.faces)) % 3 - 1  # of −1, 0, 1
+    light = [*LAMPS, nr.EnvironmentLight(torch.rand(8, 16, 3, generator=draw))]
+    for shading in ("smooth", "phong", "pbr"):
+        options = {"light": light, "shading": shading, "anti_aliasing": False}
+        whole = dataclasses.replace(mesh, materials=(metal, glossy), material_index=index)
+        image = nr.render(whole, CAMERA, 64, **options).rgb
+        shown = nr.fragments(whole, CAMERA, 64, anti_aliasing=False).face_index.long()
+        for number, material in ((0, metal), (1, glossy), (-1, nr.Material())):
+            alone = nr.render(dataclasses.replace(mesh, materials=(material,)), CAMERA, 64, **options).rgb
+            mine = ((shown >= 0) & (index[shown] == number))[:, None].expand(-1, 3, -1, -1)
+            assert mine.sum() > 500
+            torch.testing.assert_close(image[mine], alone[mine], rtol=1e-4, atol=1e-5)
+
+
+def test_a_material_is_read_by_hand():
+    """Channels and colour spaces as glTF says: blue metallic, green roughness, red occlusion, sRGB emission."""
+    mesh = textured()
+    values = torch.tensor([0.3, 0.6, 0.8])
+    material = nr.Material(
+        base_color=(0.5, 0.9, 0.7),
+        metallic=0.5,
+        roughness=0.9,
+        metallic_roughness_texture=nr.Texture(values.expand(2, 2, 3)),
+        occlusion_texture=nr.Texture(values.expand(2, 2, 3)),
+        occlusion_strength=0.4,
+        emissive=(1.0, 0.5, 2.0),
+        emissive_texture=nr.Texture(values.expand(2, 2, 3)),
+    )
+    light = [*LAMPS, nr.SphericalHarmonicLight(torch.rand(9, 3))]
+    fragments = nr.fragments(mesh, CAMERA, 32)
+    surface = nr.VisibleSurface.of(fragments, mesh, CAMERA)
+    base = nr.srgb_to_linear(mesh.shade(fragments)) * torch.tensor([0.5, 0.9, 0.7])
+    occlusion, emissive = 1 + 0.4 * (0.3 - 1), torch.tensor([1.0, 0.5, 2.0]) * nr.srgb_to_linear(values)
+    radiance = nr.shade_pbr(surface, base, 0.5 * 0.8, 0.9 * 0.6, light, occlusion, emissive)
+    wanted = fragments.composite(nr.linear_to_srgb(radiance))
+    found = nr.render(dataclasses.replace(mesh, materials=(material,)), CAMERA, 32, light=light, shading="pbr").rgb
+    torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-5)
+
+
+def test_without_light_textures_are_drawn_as_they_are():
+    mesh = textured()
+    plain = nr.render(mesh, CAMERA, 32, light=None).rgb
+    for shading in ("smooth", "phong", "pbr", nr.Phong(), nr.PBR(1.0, 0.1)):
+        torch.testing.assert_close(nr.render(mesh, CAMERA, 32, light=None, shading=shading).rgb, plain)
+
+
+def test_edges_of_corner_normals_have_the_gradient_of_their_motion():
+    """A crease between two squares of one colour under a lamp: moved, it changes the image as the gradient says."""
+    x = torch.tensor(0.013, dtype=torch.float32, requires_grad=True)
+
+    def drawn(x):
+        along = torch.tensor([[-1.0], [0.0], [1.0]]).repeat(1, 2).reshape(-1)
+        middle = torch.tensor([0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
+        up = torch.tensor([-1.0, 1.0]).repeat(3)
+        vertices = torch.stack((along + middle * x, up, torch.zeros(6)), -1)
+        faces = torch.tensor([[0, 1, 3], [0, 3, 2], [2, 3, 5], [2, 5, 4]])
+        normals = torch.tensor([[-0.6, 0.0, -0.8], [0.6, 0.0, -0.8]]).repeat_interleave(2, 0)[:, None].expand(4, 3, 3)
+        mesh = nr.UVMesh(vertices, faces, torch.zeros(4, 3, 2), torch.ones(1, 1, 3), normals=normals)
+        camera = nr.Camera.look_at((0.0, 0.0, -4.0), viewing_angle=10)
+        light = nr.Light(0.0, 1.0, direction=(-0.6, 0.0, -0.8))
+        return nr.render(mesh, camera, 32, light=light, shading="smooth", outputs=("rgb",)).rgb
+
+    image = drawn(x)
+    assert image.max() > 0.99 and 0.2 < image.min() < 0.35
+    image.mean().backward()
+    # The bright half loses what the dark half (0.28) gains: per unit of x, 1 / (4 tan 10° · 2) of the picture's width;
+    # x grows to the left of the picture, where the bright side −x is on the right.
+    across = 2 * 4 * torch.tan(torch.deg2rad(torch.tensor(10.0)))
+    torch.testing.assert_close(x.grad, (1 - 0.28) / across, rtol=2e-2, atol=0)
+
+
+class FacesOnly:
+    def two_sided(self, corners, mirrored=False):
+        return torch.ones(len(corners), 2, corners.shape[1], 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"shading": "gouraud"}, ValueError, "shading: expected flat, smooth, phong, pbr, or an object"),
+        ({"shading": 3}, TypeError, r"shading: expected a name, Phong, PBR, …, got int"),
+        ({"shading": nr.Phong}, TypeError, "shading: expected a name, Phong, PBR, …, got type"),
+        ({"shading": "smooth", "light": FacesOnly()}, TypeError, "light: FacesOnly lights whole faces only"),
+        ({"shading": nr.PBR(roughness=torch.ones(2))}, ValueError, "roughness: expected a batch of 1 or 1 like the"),
+        ({"shading": "pbr", "light": nr.Light(direction=torch.ones(2, 3))}, ValueError, "light: expected parameters"),
+        (
+            {"shading": "pbr", "light": nr.EnvironmentLight(torch.ones(2, 4, 8, 3))},
+            ValueError,
+            "image: expected a batch",
+        ),
+    ],
+)
+def test_messages(options, error, message):
+    with pytest.raises(error, match=message):
+        nr.render(nr.Mesh.icosphere(1), CAMERA, 16, **options)
+
+
+def test_a_model_of_ones_own():
+    """Two tones, as in a drawing."""
+
+    class Tones:
+        def shade(self, surface, albedo, lights):
+            return albedo * (0.4 + 0.6 * ((surface.normals * surface.views).sum(-1, keepdim=True) > 0.7))
+
+    image = nr.render(nr.Mesh.icosphere(3), CAMERA, 32, shading=Tones(), background=1.0, anti_aliasing=False).rgb
+    assert {round(value, 4) for value in image.unique().tolist()} == {0.4, 1.0}
