@@ -101,6 +101,23 @@ def test_a_render_shows_the_surface_at_its_pixels() -> None:
     assert (points.norm(dim=1) - 1).abs().max() < 2e-3
 
 
+def test_the_camera_may_be_inside_of_a_mesh() -> None:
+    """Faces beside and behind it do not cover those before it."""
+    vertices, faces = nr.cube()
+    room = nr.Mesh(2 * vertices, faces.flip(1)).subdivide(4)
+    intrinsic = [[30.0, 0.0, 32.0], [0.0, 30.0, 32.0], [0.0, 0.0, 1.0]]
+    camera = Camera.fisheye(intrinsic, R, (0.1, -0.2, 0.3), orig_size=64)
+    images = nr.render(room, camera, 64, outputs=("position", "depth"), anti_aliasing=False, near=0.05)
+    rows, columns = torch.meshgrid(torch.arange(64) + 0.5, torch.arange(64) + 0.5, indexing="ij")
+    centres = torch.stack((columns, rows), -1)
+    shown = (centres - 32).norm(dim=-1) < 30 * np.radians(80)
+    assert (images.depth[0][shown] < 100).all()
+    pixels, _ = camera.project(images.position[0].movedim(0, 2)[shown])
+    # Straight edges are up to 0.85 pixels off where faces of 10° reach beyond 80°, and a quarter of it after one more
+    # subdivision. If points behind the camera were not mirrored, 5 pixels.
+    assert (pixels[0] - centres[shown]).abs().max() < 1.5
+
+
 def test_cameras_of_a_batch() -> None:
     both = Camera.cat([lens(), lens((0.1, 0.0, 0.0, 0.0))])
     assert both.is_fisheye and both.dist_coeffs.shape == (2, 4) and not Camera.look_at((0, 0, 1)).is_fisheye

@@ -70,7 +70,7 @@ class CalibratedCamera(CameraModel):
         A point at the angle θ from the viewing direction appears at the distance θ · (1 + k1·θ² + k2·θ⁴ + k3·θ⁶ +
         k4·θ⁸) from the axis, before the multiplication by K. Edges of faces are drawn straight, so that large faces
         need `Mesh.subdivide`. Depth is along the viewing direction, as for all cameras: what lies 90° or more off the
-        axis is not drawn.
+        axis is not drawn, and faces that reach beyond it are drawn inexactly near it.
 
         Args:
             K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels, with the third row (0, 0, 1).

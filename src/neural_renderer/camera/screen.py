@@ -73,6 +73,8 @@ def screen_positions(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
     Raises:
         TypeError, ValueError: As `Camera.__call__`.
     """
+    if camera.is_fisheye:
+        return _before_the_camera(camera(vertices, aspect=aspect))
     is_simple = type(camera) is Camera and camera.K is None
     if not is_simple or getattr(vertices, "dtype", None) != torch.float32 or not is_plain((vertices, camera.rotation)):
         return camera(vertices, aspect=aspect)
@@ -84,6 +86,12 @@ def screen_positions(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
     width = _width(camera, vertices.device, max(views, meshes))
     points = vertices if vertices.dim() == 3 else vertices[None]
     return pinhole(points, rotation, origin, width, aspect, camera.perspective)
+
+
+def _before_the_camera(screen: Tensor) -> Tensor:
+    """Mirror the points behind a fisheye, as a pinhole does: so the rasteriser cuts faces at the camera's plane."""
+    place, depth = screen[..., :2], screen[..., 2:]
+    return torch.cat((torch.where(depth < 0, -place, place), depth), -1)
 
 
 def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
