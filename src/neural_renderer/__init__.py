@@ -7,10 +7,11 @@
 
 Where to look; `help(nr.render)` and so on explain each name:
 
-    a scene      Mesh, UVMesh, Camera, Light, SphericalHarmonicLight; icosphere, cube, torus, batch, join
-    materials    Material, Texture
+    a scene      Mesh, UVMesh, Camera; icosphere, cube, torus, batch, join
+    light        Light, PointLight, SpotLight, SphericalHarmonicLight, EnvironmentLight, ShadowedLight
+    materials    Material, Texture; Phong, PBR
     its images   render, which returns Images
-    your shader  fragments, which returns Fragments or Layers; sample_texture, vertex_normals, fill_gutters
+    your shader  fragments, which returns Fragments or Layers; sample_texture, VisibleSurface, shade_pbr, …
     losses       the modules losses and metrics
     files        load_mesh, save_mesh, load_image, save_image, save_animation
     old code     Renderer, look_at, look, load_obj, Adam, …: the names of the first `neural_renderer` packages

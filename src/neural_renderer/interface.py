@@ -20,14 +20,14 @@ from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
 from .rendering import render
 from .shading.color_space import linear_to_srgb, srgb_to_linear
-from .shading.environment import EnvironmentLight
+from .shading.environments.light import EnvironmentLight
 from .shading.lights import Light
-from .shading.normal_maps import corner_tangents
 from .shading.pbr import PBR, shade_pbr
 from .shading.phong import Phong, shade_diffuse, shade_phong
+from .shading.pixels.normal_maps import corner_tangents
+from .shading.pixels.visible_surface import VisibleSurface
 from .shading.point_lights import PointLight, SpotLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
-from .shading.visible_surface import VisibleSurface
 from .shadows import ShadowedLight
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture

@@ -27,7 +27,7 @@ from .raster.images import OUTPUTS, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.continuity import image_edge_hashes
 from .shading.lights import AnyLight, Light, light_factors, pixel_lights
-from .shading.models import Shading, checked_shading, shade_pixels, surface_edge_hashes
+from .shading.pixels.models import Shading, checked_shading, shade_pixels, surface_edge_hashes
 from .transparency import layered_images
 
 

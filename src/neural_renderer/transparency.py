@@ -16,8 +16,8 @@ from .meshes.uv_mesh import UVMesh
 from .raster.colors.light_pixels import light_pixels
 from .raster.images import Images
 from .raster.visibility.continuity import image_edge_hashes
-from .shading.material_maps import MaterialMaps
-from .shading.models import Shading, shade_pixels, surface_edge_hashes
+from .shading.pixels.material_maps import MaterialMaps
+from .shading.pixels.models import Shading, shade_pixels, surface_edge_hashes
 
 
 def surface_opacity(fragments: Fragments, mesh: UVMesh, *, mirrored: bool = False) -> Tensor:

@@ -9,8 +9,8 @@ import torch
 from torch.nn.functional import normalize
 
 import neural_renderer as nr
-from neural_renderer.shading.equirectangular import direction_uv, directions_of, solid_angles
-from neural_renderer.shading.prefilter import LEVELS
+from neural_renderer.shading.environments.equirectangular import direction_uv, directions_of, solid_angles
+from neural_renderer.shading.environments.prefilter import LEVELS
 
 
 def clouds(height=32, width=64):

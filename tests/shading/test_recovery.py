@@ -50,7 +50,7 @@ def test_shape_material_and_light_are_recovered():
             return [apart, *((found - true).abs().mean() for found, true in zip(guess(), truth, strict=True))]
 
     before, losses = errors(), []
-    for _ in range(60):
+    for _ in range(80):
         vertices = sphere + moved
         loss = (drawn(vertices, *guess(), harmonics) - target).square().mean()
         optimizer.zero_grad()

@@ -21,14 +21,14 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from ..camera.parameters import Scalar
 from .color_space import linear_to_srgb, srgb_to_linear
 from .lights import Ambience, Beam, pixel_lights
 from .phong import of_images, total
+from .pixels.planes import dot, planar, unit
+from .pixels.visible_surface import VisibleSurface
 from .split_sum import split_sum
-from .visible_surface import VisibleSurface, dot
 
 DIELECTRIC = 0.04  # reflectance of plastics and glass (index of refraction 1.5) at normal incidence
 SMOOTHEST = 0.03  # roughness below which highlights stay as they are: float32 cannot hold sharper ones
@@ -73,6 +73,7 @@ def shade_pbr(
     # Tensors, so that the parameters broadcast in any combination.
     metallic, roughness = (torch.as_tensor(value, **_like(surface)) for value in (metallic, roughness))
     n, v = surface.normals, surface.views
+    base_color = planar(base_color.expand(n.shape))
     matt = (1 - metallic) * base_color
     f0 = DIELECTRIC + (base_color - DIELECTRIC) * metallic
     nv = dot(n, v).clamp(_GRAZING, 1)
@@ -80,7 +81,8 @@ def shade_pbr(
     for light in lights:
         if isinstance(light, Beam):
             towards, rgb = light.beam(surface.points)
-            parts.append(rgb * _reflected(n, v, towards, nv, matt, f0, roughness.clamp(min=SMOOTHEST) ** 2))
+            alpha = roughness.clamp(min=SMOOTHEST) ** 2
+            parts.append(_reflected(n, v, towards, nv, matt, f0, alpha) * rgb)
     ambient = [light for light in lights if isinstance(light, Ambience)]
     if ambient:
         scale, bias, fresnel = split_sum(nv, roughness)
@@ -146,13 +148,11 @@ def _like(surface: VisibleSurface) -> dict[str, Any]:
 def _reflected(n: Tensor, v: Tensor, towards: Tensor, nv: Tensor, matt: Tensor, f0: Tensor, alpha: Tensor) -> Tensor:
     """Compute π f (n · l): what is reflected of light that shows a white matt surface in front of it as 1."""
     nl = torch.relu(dot(n, towards))
-    h = functional.normalize(towards + v, dim=-1, eps=1e-6)
+    h = unit(towards + v)
     square = alpha * alpha
-    # (n · h)² (α² − 1) + 1 = α² (n · h)² + |n × h|²; in this form nothing cancels for sharp highlights.
-    n, h = torch.broadcast_tensors(n, h)
-    across = torch.linalg.cross(n, h, dim=-1)
-    # For unit vectors it is at least α²; normals of the background are 0.
-    spread = square / torch.maximum(square * dot(n, h) ** 2 + dot(across, across), 0.99 * square) ** 2
+    # With (n · h)² = 1 − s, (n · h)² (α² − 1) + 1 = α² + s (1 − α²). From n − h, s is exact for sharp highlights, too.
+    apart = dot(n - h, n - h) / 2
+    spread = square / (square + apart * (2 - apart) * (1 - square)) ** 2
     masked = _smith(nl, square) * _smith(nv, square)
     fresnel = schlick(f0, dot(v, h))
     return ((1 - fresnel) * matt + fresnel * (spread * masked)) * nl
@@ -164,7 +164,7 @@ def _lobe(n: Tensor, mirrored: Tensor, roughness: Tensor) -> Tensor:
     After Lagarde and de Rousiers, "Moving Frostbite to Physically Based Rendering", 2014, section 4.9.
     """
     smooth = (1 - roughness * roughness).clamp(min=1e-6)
-    return functional.normalize(n + (mirrored - n) * smooth * (smooth.sqrt() + 1 - smooth), dim=-1, eps=1e-6)
+    return unit(n + (mirrored - n) * (smooth * (smooth.sqrt() + 1 - smooth)))
 
 
 def _smith(cosine: Tensor, square: Tensor) -> Tensor:

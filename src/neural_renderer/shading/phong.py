@@ -8,12 +8,12 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from .. import validate
 from ..camera.parameters import Array, Scalar, parameter
 from .lights import Ambience, Beam, pixel_lights
-from .visible_surface import VisibleSurface, dot
+from .pixels.planes import dot, planar, tinted, unit
+from .pixels.visible_surface import VisibleSurface
 
 
 def shade_diffuse(surface: VisibleSurface, albedo: Tensor, lights: Sequence[Any]) -> Tensor:
@@ -43,8 +43,8 @@ def shade_diffuse(surface: VisibleSurface, albedo: Tensor, lights: Sequence[Any]
     for light in lights:
         if isinstance(light, Beam):
             towards, rgb = light.beam(surface.points)
-            parts.append(rgb * torch.relu(dot(surface.normals, towards)))
-    return albedo * total(parts)
+            parts.append(tinted(torch.relu(dot(surface.normals, towards)), rgb))
+    return planar(albedo) * total(parts)
 
 
 def shade_phong(
@@ -90,11 +90,12 @@ def shade_phong(
             towards, rgb = light.beam(surface.points)
             facing = dot(surface.normals, towards)
             if halfway:
-                cosine = dot(surface.normals, functional.normalize(towards + surface.views, dim=-1))
+                cosine = dot(surface.normals, unit(towards + surface.views))
             else:
                 cosine = dot(surface.views, 2 * facing * surface.normals - towards)
             # Nothing shines where the surface faces away from the light.
-            colors = colors + specular * rgb * (torch.relu(cosine) * (facing > 0)) ** shininess
+            shine = (torch.relu(cosine) * (facing > 0)) ** shininess
+            colors = colors + tinted(shine, rgb) * specular
     return colors
 
 

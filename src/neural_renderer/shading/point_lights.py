@@ -11,6 +11,7 @@ from torch import Tensor
 from .. import validate
 from ..camera.parameters import Array, Scalar, batch_of, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
+from .pixels.planes import dot, tinted
 
 _TINY = 1e-12  # smallest squared distance between a light and a point
 
@@ -64,9 +65,9 @@ class PointLight:
         """
         power = validate.number("falloff", self.falloff)
         between = self._of(points, "position") - points
-        square = (between * between).sum(-1, keepdim=True).clamp(min=_TINY)
+        square = dot(between, between).clamp(min=_TINY)
         rgb = self._of(points, "color") * _strength("intensity", self.intensity, points)
-        return between * square.rsqrt(), rgb * square ** (-power / 2)
+        return between * square.rsqrt(), tinted(square ** (-power / 2), rgb)
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
         """Compute the light on both sides of each face, as at its centre.
@@ -89,7 +90,7 @@ class PointLight:
         """
         validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
         towards, rgb = self.beam(corners.mean(2))
-        facing = (face_normals(corners) * towards).sum(-1, keepdim=True)
+        facing = dot(face_normals(corners), towards)
         if not mirrored:
             facing = -facing
         return torch.stack((torch.relu(facing) * rgb, torch.relu(-facing) * rgb), 1)
@@ -147,7 +148,7 @@ class SpotLight(PointLight):
         towards, rgb = super().beam(points)
         axis = self._of(points, "direction")
         axis = axis / torch.linalg.vector_norm(axis, dim=-1, keepdim=True).clamp(min=_TINY)
-        cosine = -(towards * axis).sum(-1, keepdim=True)
+        cosine = -dot(towards, axis)
         inner, outer = (_cosine(name, getattr(self, name), points) for name in ("inner", "outer"))
         if validate.values_are_checked(points) and not bool((inner > outer).all()):
             raise ValueError(f"outer: expected an angle above inner, at most 180, got {self.outer} and {self.inner}")

@@ -12,6 +12,7 @@ from .. import validate
 from ..camera.parameters import Array, batch_of, batch_size, parameter
 from ..constants import on_device
 from ..meshes.normals import face_normals
+from .pixels.planes import tinted
 
 _PI = math.pi
 # Spherical harmonic coefficients of the diffuse kernel max(cos, 0) / π: 1 for band 0, 2/3 for band 1, 1/4 for band 2.
@@ -97,7 +98,8 @@ class SphericalHarmonicLight:
         kept = kept.reshape(-1, *(1,) * (normals.ndim - 2), 9, 3)
         # Not matmul: it rounds under autocast, and adds in an order that depends on the batch.
         bands = zip(harmonics(normals), kept.unbind(-2), strict=True)
-        return sum((value[..., None] * band for value, band in bands), torch.zeros_like(kept[..., 0, :])).clamp(min=0)
+        parts = (tinted(value[..., None], band) for value, band in bands)
+        return sum(parts, torch.zeros_like(kept[..., 0, :])).clamp(min=0)
 
     def ambience(self, directions: Tensor, roughness: Tensor | None = None) -> Tensor:
         """Compute the light on matt surfaces, or the light in blurred reflections.
@@ -125,7 +127,7 @@ class SphericalHarmonicLight:
         values = parameter("coefficients", self.coefficients, (9, 3), directions.dtype, directions.device)
         batch_size(directions=len(directions), coefficients=batch_of(values, 2))
         rows = values.reshape(-1, 1, 1, 9, 3).unbind(-2)
-        bands = [value[..., None] * row for value, row in zip(harmonics(directions), rows, strict=True)]
+        bands = [tinted(value[..., None], row) for value, row in zip(harmonics(directions), rows, strict=True)]
         variance = roughness**4 / 2
         first, second = torch.exp(-2 * variance), torch.exp(-6 * variance)
         return (bands[0] + first * sum(bands[1:4]) + second * sum(bands[4:])).clamp(min=0)

@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from ..constants import on_device
 from ..textures.sample_texture import sampled
+from .pixels.planes import planar
 
 _SIZE = 32  # entries along each axis of the table
 _STEPS = (64, 16)  # angles from the normal and about it, over which each entry is summed
@@ -34,7 +35,7 @@ def split_sum(cosine: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor, Tensor
     x, y = torch.broadcast_tensors(cosine.sqrt(), roughness.clamp(0, 1))
     place = (torch.cat((x, y), -1) * (_SIZE - 1) + 0.5) / _SIZE
     uv = torch.stack((place[..., 0], 1 - place[..., 1]), -1)
-    scale, bias, fresnel = sampled(table, uv, None, "clamp").split(1, -1)
+    scale, bias, fresnel = planar(sampled(table, uv, None, "clamp")).split(1, -1)
     return scale, bias, fresnel
 
 

@@ -8,18 +8,19 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..camera import Camera
-from ..meshes.uv_mesh import UVMesh
-from ..raster.visibility.continuity import attribute_edge_hashes, image_edge_hashes
-from .color_space import linear_to_srgb, srgb_to_linear
+from ... import validate
+from ...camera import Camera
+from ...meshes.uv_mesh import UVMesh
+from ...raster.visibility.continuity import attribute_edge_hashes, image_edge_hashes
+from ..color_space import linear_to_srgb, srgb_to_linear
+from ..pbr import PBR, shade_pbr
+from ..phong import Phong, shade_diffuse, shade_phong
 from .material_maps import MaterialMaps
-from .pbr import PBR, shade_pbr
-from .phong import Phong, shade_diffuse, shade_phong
+from .planes import planar
 from .visible_surface import VisibleSurface
 
 if TYPE_CHECKING:
-    from ..deferred import Fragments
+    from ...deferred import Fragments
 
 MODELS = ("smooth", "phong", "pbr")
 
@@ -63,7 +64,7 @@ def shade_pixels(
     Raises:
         TypeError, ValueError: An argument does not fit.
     """
-    surface = VisibleSurface.of(fragments, mesh, camera)
+    surface, albedo = VisibleSurface.of(fragments, mesh, camera), planar(albedo)
     maps = MaterialMaps(fragments, mesh) if isinstance(mesh, UVMesh) and mesh.materials else None
     if maps is not None:
         surface = maps.bumped(surface)

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from ..textures.sample_texture import sampled
+from ...textures.sample_texture import sampled
 
 _POLE = 1e-12  # squared distance from the poles, in units of the radius, below which longitude has no gradient
 

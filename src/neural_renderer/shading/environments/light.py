@@ -8,15 +8,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..camera import Camera
-from ..camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
-from ..constants import on_device
-from ..raster.warp.registration import is_plain
-from .color_space import linear_to_srgb
+from ... import validate
+from ...camera import Camera
+from ...camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
+from ...constants import on_device
+from ...raster.warp.registration import is_plain
+from ..color_space import linear_to_srgb
+from ..spherical_harmonics import SphericalHarmonicLight, harmonics
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 from .prefilter import prefiltered, reflected
-from .spherical_harmonics import SphericalHarmonicLight, harmonics
 
 
 @dataclass(frozen=True, eq=False)

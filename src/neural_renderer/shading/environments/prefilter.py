@@ -16,9 +16,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ..constants import on_device
+from ...constants import on_device
+from ..pixels.planes import planar
+from ..split_sum import half_vectors
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
-from .split_sum import half_vectors
 
 LEVELS = 8
 _ROWS = 128  # most rows of a level
@@ -74,10 +75,8 @@ def reflected(image: Tensor, levels: Tensor, directions: Tensor, roughness: Tens
     place = roughness.clamp(0, 1) * LEVELS
     lower = place.detach().floor().clamp(max=LEVELS - 1)
     part = place - lower
-    below = _level(levels, uv, (lower - 1).clamp(min=0))
-    sharp = look_up(image, uv)
-    below = torch.where(lower == 0, sharp, below)
-    return below + part * (_level(levels, uv, lower) - below)
+    below = planar(torch.where(lower == 0, look_up(image, uv), _level(levels, uv, (lower - 1).clamp(min=0))))
+    return below + part * (planar(_level(levels, uv, lower)) - below)
 
 
 def _level(levels: Tensor, uv: Tensor, number: Tensor) -> Tensor:

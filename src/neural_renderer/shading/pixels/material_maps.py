@@ -9,13 +9,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ..meshes.uv_mesh import UVMesh
-from ..textures.material import Material, Texture
+from ...meshes.uv_mesh import UVMesh
+from ...textures.material import Material, Texture
 from .normal_maps import bumped, corner_tangents
+from .planes import planar
 from .visible_surface import VisibleSurface
 
 if TYPE_CHECKING:
-    from ..deferred import Fragments
+    from ...deferred import Fragments
 
 
 class MaterialMaps:
@@ -104,8 +105,8 @@ class MaterialMaps:
         face_index = self.fragments.face_index
         if self.shown is not None:
             face_index = torch.where(self.shown == number, face_index, -1)
-        return texture.sample(self._uv[texture.uv_set], face_index)
+        return planar(texture.sample(self._uv[texture.uv_set], face_index))
 
     def _spread(self, rows: Tensor) -> Tensor:
         """Take a row [M, C] of the material of each pixel."""
-        return rows[0].reshape(1, 1, 1, -1) if self.shown is None else rows[self.shown]
+        return rows[0].reshape(1, 1, 1, -1) if self.shown is None else planar(rows[self.shown])

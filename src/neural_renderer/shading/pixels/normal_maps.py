@@ -11,9 +11,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
-from ..meshes.normals import vertex_normals
-from ..raster.faces import checked_faces
+from ... import validate
+from ...meshes.normals import vertex_normals
+from ...raster.faces import checked_faces
+from .planes import cross, planar, unit
 from .visible_surface import VisibleSurface
 
 _EPS = 1e-20  # shortest vector that is normalised
@@ -78,9 +79,9 @@ def bumped(surface: VisibleSurface, tangents: Tensor, mapped: Tensor) -> Visible
         The surface with normals x · tangent + y · bitangent + z · normal, differentiable.
     """
     n = surface.normals * surface.sides  # of the front
-    t, sign = functional.normalize(tangents[..., :3], dim=-1, eps=_EPS), tangents[..., 3:]
-    bitangent = sign * torch.linalg.cross(n, t, dim=-1)
-    x, y, z = mapped.split(1, -1)
+    t, sign = unit(planar(tangents[..., :3])), tangents[..., 3:].contiguous()
+    bitangent = sign * cross(n, t)
+    x, y, z = planar(mapped).split(1, -1)
     return surface.with_normals((x * t + y * bitangent + z * n) * surface.sides)
 
 

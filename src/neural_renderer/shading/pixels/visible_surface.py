@@ -7,19 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
-from .. import validate
-from ..camera import Camera
-from ..constants import on_device
-from ..meshes.batch import mesh_parts
-from ..meshes.normals import vertex_normals
-from ..raster.faces import checked_faces, world_corners
+from ... import validate
+from ...camera import Camera
+from ...constants import on_device
+from ...meshes.batch import mesh_parts
+from ...meshes.normals import vertex_normals
+from ...raster.faces import checked_faces, world_corners
+from .planes import planar, unit
 
 if TYPE_CHECKING:
-    from ..deferred import Fragments
-
-_EPS = 1e-12  # shortest normal that is normalised
+    from ...deferred import Fragments
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,15 +80,15 @@ class VisibleSurface:
             smooth = vertex_normals(vertices, faces)
             points = vertices if vertices.dim() == 3 else vertices[None]
             both = torch.cat(torch.broadcast_tensors(points, smooth), -1)
-            points, pointing = fragments.interpolate(both, fragments.triangles).split(3, -1)
+            points, pointing = map(planar, fragments.interpolate(both, fragments.triangles).split(3, -1))
         else:
-            points = fragments.interpolate(vertices)
-            pointing = fragments.interpolate(validate.floating("normals", normals, (len(faces), 3, 3))[None])
+            points = planar(fragments.interpolate(vertices))
+            pointing = planar(fragments.interpolate(validate.floating("normals", normals, (len(faces), 3, 3))[None]))
         eye = _eye(camera, points)
-        views = functional.normalize(eye - points, dim=-1, eps=_EPS) if camera.perspective else eye
+        views = unit(eye - points) if camera.perspective else eye
         corners = world_corners(vertices, faces, len(fragments.corners), in_range=True).detach()
         side = at_pixels(_sides(corners, eye.detach(), camera.perspective), fragments.face_index)
-        return cls(points, functional.normalize(pointing, dim=-1, eps=_EPS) * side, views, side)
+        return cls(points, unit(pointing) * side, views, side)
 
     def with_normals(self, normals: Tensor) -> VisibleSurface:
         """Return the surface with other normals.
@@ -109,7 +107,7 @@ class VisibleSurface:
             >>> bumpy = surface.with_normals(surface.normals + 0.1 * torch.sin(40 * surface.points))
         """
         normals = validate.floating("normals", normals, tuple(self.points.shape)).float()
-        return replace(self, normals=functional.normalize(normals, dim=-1, eps=_EPS))
+        return replace(self, normals=unit(planar(normals)))
 
 
 def at_pixels(values: Tensor, face_index: Tensor) -> Tensor:
@@ -118,11 +116,6 @@ def at_pixels(values: Tensor, face_index: Tensor) -> Tensor:
     padded = torch.cat((values, values.new_zeros(batch, 1)), 1)
     index = face_index.flatten(1).long() % (count + 1)
     return padded.expand(len(index), -1).gather(1, index).view(*face_index.shape, 1)
-
-
-def dot(a: Tensor, b: Tensor) -> Tensor:
-    """Compute the scalar product of vectors [..., 3]; [..., 1]."""
-    return (a * b).sum(-1, keepdim=True)
 
 
 def _eye(camera: Camera, like: Tensor) -> Tensor:

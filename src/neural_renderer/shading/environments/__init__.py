@@ -1,0 +1,1 @@
+"""Light from an environment image: directions, blurred reflections, the light itself."""
