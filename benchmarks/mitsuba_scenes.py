@@ -13,8 +13,6 @@ from torch import Tensor
 
 import neural_renderer as nr
 
-SAMPLES = 1024  # of each pixel
-
 
 def available() -> bool:
     """Whether Mitsuba is installed."""
@@ -37,6 +35,7 @@ def draw(
     *,
     uv: Tensor | None = None,
     smooth: bool = True,
+    samples: int = 256,
 ) -> Tensor:
     """Draw a mesh from ``eye`` towards the origin.
 
@@ -50,6 +49,7 @@ def draw(
         surface: Mitsuba's dictionary of a BSDF.
         uv: [F, 3, 2].
         smooth: Interpolate `vertex_normals`.
+        samples: Samples of each pixel.
 
     Returns:
         Linear radiance [3, H, W].
@@ -68,7 +68,7 @@ def draw(
             "mesh": {"type": "obj", "filename": str(path), "face_normals": not smooth, "bsdf": surface},
         }
         scene |= {f"light_{number}": _emitter(light) for number, light in enumerate(lights)}
-        pixels = np.array(mi.render(mi.load_dict(scene), spp=SAMPLES))[..., :3]
+        pixels = np.array(mi.render(mi.load_dict(scene), spp=samples))[..., :3]
     return torch.from_numpy(pixels).float().movedim(-1, 0)
 
 

@@ -135,13 +135,13 @@ def drawn(picture: Picture, size: int) -> Tensor:
     return nr.render(picture.mesh, camera, size, outputs=("rgb",), **options).rgb[0]
 
 
-def reference(picture: Picture, size: int) -> Tensor | None:
+def reference(picture: Picture, size: int, samples: int) -> Tensor | None:
     """Draw a picture with Mitsuba, [3, H, W] display values; None if it is not there."""
     if picture.surface is None or not mitsuba_scenes.available():
         return None
     mesh, uv = picture.mesh, getattr(picture.mesh, "uv", None)
     arguments = (mesh.vertices.detach(), mesh.faces, EYE, ANGLE, size, picture.lights, picture.surface)
-    found = mitsuba_scenes.draw(*arguments, uv=uv, smooth=picture.smooth)
+    found = mitsuba_scenes.draw(*arguments, uv=uv, smooth=picture.smooth, samples=samples)
     if picture.linear:
         return nr.linear_to_srgb(found)
     behind = isinstance(picture.lights[0], nr.EnvironmentLight)  # Mitsuba shows it
@@ -149,7 +149,7 @@ def reference(picture: Picture, size: int) -> Tensor | None:
     return found * (mask > 0.999) if behind else found
 
 
-def timed(call: Callable[[], Any], repeats: int = 5) -> float:
+def timed(call: Callable[[], Any], repeats: int = 3) -> float:
     """Return the median time in milliseconds, after a first call."""
     call()
     times = []
@@ -171,7 +171,8 @@ def main() -> None:
     """Draw the sheet."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=Path("out/shading.png"))
-    parser.add_argument("--size", type=int, default=192)
+    parser.add_argument("--size", type=int, default=192, help="side of each picture")
+    parser.add_argument("--samples", type=int, default=1024, help="of Mitsuba, for each pixel")
     arguments = parser.parse_args()
     size, cells, labels = arguments.size, [], []
     print("picture | ms | ms with gradient | mean difference | largest")
@@ -185,7 +186,7 @@ def main() -> None:
                 picture, mesh=dataclasses.replace(mesh, vertices=mesh.vertices.requires_grad_())
             )
         both = timed(lambda picture=picture: drawn(picture, size).square().mean().backward())
-        theirs = reference(picture, size)
+        theirs = reference(picture, size, arguments.samples)
         text = "no reference"
         row = [ours]
         if theirs is not None:

@@ -27,7 +27,6 @@ ROOMS = [
     "layers",
     "deferred",
     "shading",
-    "shadows",
     "transparency",
     "losses",
     "surface_images",

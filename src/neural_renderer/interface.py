@@ -27,8 +27,8 @@ from .shading.phong import Phong, shade_diffuse, shade_phong
 from .shading.pixels.normal_maps import corner_tangents
 from .shading.pixels.visible_surface import VisibleSurface
 from .shading.point_lights import PointLight, SpotLight
+from .shading.shadows import ShadowedLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
-from .shadows import ShadowedLight
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture

@@ -187,6 +187,28 @@ def test_messages(options, error, message):
         nr.render(nr.Mesh.icosphere(1), CAMERA, 16, **options)
 
 
+@pytest.mark.parametrize("distant", ["harmonics", pytest.param("image", marks=pytest.mark.slow)])
+def test_it_compiles_in_one_graph(distant):
+    """The graph of a blurred environment has thousands of nodes."""
+    mesh = nr.Mesh.icosphere(1)
+    around, make = torch.rand(9, 3), nr.SphericalHarmonicLight
+    if distant == "image":
+        around, make = torch.rand(8, 16, 3), nr.EnvironmentLight
+    place = torch.tensor([1.0, 2.0, -2.0])
+
+    def shaded(vertices, around, place):
+        light = [nr.Light(), nr.SpotLight(place, 5.0, direction=(-1.0, -2.0, 2.0)), make(around)]
+        return nr.render((vertices, mesh.faces, mesh.textures), CAMERA, 16, light=light, shading="pbr").rgb
+
+    inputs = [value.detach().clone().requires_grad_() for value in (mesh.vertices, around, place)]
+    results = []
+    for function in (shaded, torch.compile(shaded, fullgraph=True, backend="aot_eager")):
+        picture = function(*inputs)
+        results.append((picture, *torch.autograd.grad(picture.square().sum(), inputs)))
+    for plain, compiled in zip(*results, strict=True):
+        torch.testing.assert_close(compiled, plain, rtol=1e-4, atol=1e-5)
+
+
 def test_a_model_of_ones_own():
     """Two tones, as in a drawing."""
 

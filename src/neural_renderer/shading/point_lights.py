@@ -20,9 +20,8 @@ _TINY = 1e-12  # smallest squared distance between a light and a point
 class PointLight:
     """Light that shines from one point in all directions, for one scene or for each scene of a batch.
 
-    A white matt surface at distance d that faces the light has the colour intensity · color / d^falloff. For physical
-    units: one candela is 1 / π of this intensity (`KHR_lights_punctual` of glTF). Parameters given as tensors get
-    gradients.
+    A white matt surface at distance d that faces the light has the colour ``intensity · color / d^falloff``. An
+    intensity of 1 is π candela (`KHR_lights_punctual` of glTF). Parameters given as tensors get gradients.
 
     ``shading="flat"`` lights a face as at its centre.
 

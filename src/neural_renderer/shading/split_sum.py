@@ -39,18 +39,6 @@ def split_sum(cosine: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor, Tensor
     return scale, bias, fresnel
 
 
-def half_vectors(uniform: Tensor, turn: Tensor, alpha: Tensor | float) -> Tensor:
-    """Map numbers in [0, 1) and angles to halfway vectors about the z axis, with the density D (n · h) of GGX.
-
-    Returns:
-        [..., 3], unit vectors.
-    """
-    rest = 1 - uniform
-    cosine = (rest / (rest + alpha**2 * uniform)).sqrt()
-    sine = (1 - cosine**2).clamp(min=0).sqrt()
-    return torch.stack(torch.broadcast_tensors(sine * turn.cos(), sine * turn.sin(), cosine), -1)
-
-
 @functools.lru_cache(maxsize=1)
 def _table() -> Tensor:
     """Compute scale, bias and fresnel, [1, roughness, √cosine, 3] float32."""
@@ -63,7 +51,7 @@ def _table() -> Tensor:
         step = step.repeat_interleave(_STEPS[1])
         turn = (torch.arange(_STEPS[1], dtype=torch.float64) + 0.5) * (math.pi / _STEPS[1])
         turn, uniform, share = turn.repeat(_STEPS[0]), 1 - (1 - step) ** 4, 4 * (1 - step) ** 3 / len(step)
-        h = half_vectors(uniform, turn, alpha)
+        h = _half_vectors(uniform, turn, alpha)
         vh = (v * h).sum(-1).clamp(min=0)
         nl = (2 * vh * h[..., 2] - cosine).clamp(min=0)
         # A direction weighs D V (n · l) / its density, which is D (n · h) / (4 v · h).
@@ -71,7 +59,7 @@ def _table() -> Tensor:
         weight = share * visible * nl * 4 * vh / h[..., 2].clamp(min=1e-6)
         grazing = (1 - vh) ** 5
         # Of GGX with α = 1 the density of h is (n · h) / π: h serves as the light's direction, with Lambert's weights.
-        towards = half_vectors(uniform, turn, 1.0)
+        towards = _half_vectors(uniform, turn, 1.0)
         between = functional.normalize(towards + v, dim=-1)
         fresnel = (share * (1 - (v * between).sum(-1).clamp(0, 1)) ** 5).sum(-1).expand(_SIZE, _SIZE)
         parts = ((weight * (1 - grazing)).sum(-1), (weight * grazing).sum(-1), fresnel)
@@ -80,3 +68,15 @@ def _table() -> Tensor:
 
 def _root(square: Tensor, cosine: Tensor) -> Tensor:
     return (square + (1 - square) * cosine**2).sqrt()
+
+
+def _half_vectors(uniform: Tensor, turn: Tensor, alpha: Tensor | float) -> Tensor:
+    """Map numbers in [0, 1) and angles to halfway vectors about the z axis, with the density D (n · h) of GGX.
+
+    Returns:
+        [..., 3], unit vectors.
+    """
+    rest = 1 - uniform
+    cosine = (rest / (rest + alpha**2 * uniform)).sqrt()
+    sine = (1 - cosine**2).clamp(min=0).sqrt()
+    return torch.stack(torch.broadcast_tensors(sine * turn.cos(), sine * turn.sin(), cosine), -1)

@@ -18,7 +18,6 @@ from torch.nn import functional
 
 from ...constants import on_device
 from ..pixels.planes import planar
-from ..split_sum import half_vectors
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 
 LEVELS = 8
@@ -125,28 +124,35 @@ def _weights(alpha: float, height: int, width: int) -> Tensor:
 def _sampled(mipmaps: list[Tensor], alpha: float, rows: int, columns: int) -> Tensor:
     """Average the light over the lobe about each direction, over samples; [B, rows, columns, 3]."""
     batch, height, width, _ = mipmaps[0].shape
-    index = torch.arange(_SAMPLES, dtype=torch.float64)
-    turn = index * (math.pi * (1 + 5**0.5))  # the golden angle spreads them evenly
-    halfway = half_vectors((index + 0.5) / _SAMPLES, turn, alpha)
-    x, y, z = halfway.unbind(-1)
-    local = torch.stack((2 * z * x, 2 * z * y, 2 * z * z - 1), -1)  # the lobe's axis mirrored at the halfway vectors
-    weight = local[:, 2].clamp(min=0)
-    weight = weight / weight.sum()
-    # The density of a sample is D / 4; its share of the solid angle, in texels, is that of a mipmap.
-    spread = alpha**2 / (math.pi * (z * z * (alpha**2 - 1) + 1) ** 2)
-    share = 4 / (_SAMPLES * spread) * (height * width / (4 * math.pi))
-    level = (0.5 * torch.log2(share) - _SHARPER).round().clamp(0, len(mipmaps) - 1).long()
+    levels: dict[int, list[tuple[float, ...]]] = {}
+    for way, weight, share in _lobe_samples(alpha):
+        # The mipmap whose texels are as large as the sample's share of the solid angle.
+        level = round(0.5 * math.log2(share * height * width / (4 * math.pi)) - _SHARPER)
+        levels.setdefault(min(max(level, 0), len(mipmaps) - 1), []).append((*way, weight))
     axis = directions_of(rows, columns, mipmaps[0])
     pole = torch.where(axis[..., 1:2].abs() < 0.9, axis.new_tensor([0.0, 1.0, 0.0]), axis.new_tensor([1.0, 0.0, 0.0]))
     right = functional.normalize(torch.linalg.cross(pole, axis, dim=-1), dim=-1)
     frame = torch.stack((right, torch.linalg.cross(axis, right, dim=-1), axis), -2)
     result = mipmaps[0].new_zeros(batch, rows, columns, 3)
-    for number, mipmap in enumerate(mipmaps):
-        for index in (level == number).nonzero()[:, 0].split(8):
-            kept = index[weight[index] > 0]
-            if len(kept):
-                ways = (local[kept].to(frame)[:, None, None, :, None] * frame).sum(-2)  # [samples, rows, columns, 3]
-                uv = direction_uv(ways).flatten(0, 1)[None].expand(batch, -1, -1, -1)
-                light = look_up(mipmap, uv).view(batch, len(kept), rows, columns, 3)
-                result = result + (light * weight[kept].to(light)[:, None, None, None]).sum(1)
+    for level, samples in levels.items():
+        for few in (samples[k : k + 8] for k in range(0, len(samples), 8)):
+            values = torch.tensor(few, dtype=frame.dtype, device=frame.device)[:, None, None]
+            ways = (values[..., :3, None] * frame).sum(-2)  # [samples, rows, columns, 3]
+            uv = direction_uv(ways).flatten(0, 1)[None].expand(batch, -1, -1, -1)
+            light = look_up(mipmaps[level], uv).view(batch, len(few), rows, columns, 3)
+            result = result + (light * values[..., 3:]).sum(1)
     return result
+
+
+def _lobe_samples(alpha: float) -> list[tuple[tuple[float, float, float], float, float]]:
+    """List directions about the z axis with their weights, whose sum is 1, and their shares of the solid angle."""
+    samples = []
+    for index in range(_SAMPLES):
+        uniform, turn = (index + 0.5) / _SAMPLES, index * math.pi * (1 + 5**0.5)  # the golden angle spreads them evenly
+        square = (1 - uniform) / (1 - uniform + alpha**2 * uniform)  # of the halfway vector's z
+        z, across = math.sqrt(square), math.sqrt(1 - square)
+        density = alpha**2 / (math.pi * (square * (alpha**2 - 1) + 1) ** 2) / 4
+        way = (2 * z * across * math.cos(turn), 2 * z * across * math.sin(turn), 2 * square - 1)
+        samples.append((way, max(way[2], 0.0), 1 / (_SAMPLES * density)))
+    whole = sum(weight for _, weight, _ in samples)
+    return [(way, weight / whole, share) for way, weight, share in samples if weight > 0]

@@ -51,11 +51,10 @@ class MaterialMaps:
             otherwise: Value of materials without the texture.
         """
         textures = [getattr(material, name) for material in self.materials]
-        have = torch.tensor([texture is not None for texture in textures])
-        if not have.any():
+        if all(texture is None for texture in textures):
             return None
-        bare = torch.where(have, 0.0, otherwise)[:, None].to(self.fragments.corners.device)
-        result = self._spread(bare)
+        bare = torch.tensor([[otherwise if texture is None else 0.0] for texture in textures])
+        result = self._spread(bare.to(self.fragments.corners.device))
         for number, texture in enumerate(textures):
             if texture is not None:
                 result = result + self._sample(number, texture)[..., channels]

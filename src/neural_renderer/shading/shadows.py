@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from . import validate
-from .camera import Camera
-from .camera.parameters import Array, parameter
-from .deferred import fragments
-from .meshes.batch import mesh_parts
-from .shading.lights import Light
-from .shading.point_lights import SpotLight
+from .. import validate
+from ..camera import Camera
+from ..camera.parameters import Array, parameter
+from ..deferred import fragments
+from ..meshes.batch import mesh_parts
+from .lights import Light
+from .point_lights import SpotLight
 
 _WIDEST = 85.0  # degrees from a spot light's axis to the border of its map
 
