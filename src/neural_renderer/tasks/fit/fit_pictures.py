@@ -10,6 +10,9 @@ from ...meshes.mesh import Mesh
 from ...pictures.clay import CLAY
 from .fit_views import Views
 from .mesh import with_texture
+from .up import up_of_cameras
+
+_SLANTED = 0.9  # cosine from which two directions are too close to span a plane
 
 
 @torch.no_grad()
@@ -42,16 +45,15 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
     return torch.cat([torch.cat(list(row), dim=2) for row in rows], dim=1).clamp(0, 1).cpu()
 
 
-def upright(mesh: Mesh, views: Views) -> Mesh:
-    """Scale a mesh to [-1, 1]³, and turn the coordinate axis that is up in most of its views to +y."""
-    up = F.normalize(views.camera.rotation[:, 1].mean(0) * (-1 if views.camera.K is not None else 1), dim=0)
-    axis = F.one_hot(up.abs().argmax(), 3).to(up) * up[up.abs().argmax()].sign()
-    return Mesh(mesh.vertices @ _rotation_to_y(axis).t().to(mesh.vertices), mesh.faces, mesh.textures).normalize()
+def upright(mesh: Mesh, views: Views, up: tuple[float, float, float] | None = None) -> Mesh:
+    """Scale a mesh to [-1, 1]³, and turn ``up``, or what is up for its cameras, to +y."""
+    direction = up_of_cameras(views) if up is None else torch.tensor(up)
+    turn = _rotation_to_y(F.normalize(direction.cpu().float(), dim=0))
+    return Mesh(mesh.vertices @ turn.t().to(mesh.vertices), mesh.faces, mesh.textures).normalize()
 
 
 def _rotation_to_y(axis: Tensor) -> Tensor:
-    """Make the rotation [3, 3] that takes a positive or negative coordinate axis to +y."""
-    axis = axis.cpu()
-    across = torch.tensor([0.0, 0.0, 1.0]) if not bool(axis[2]) else torch.tensor([1.0, 0.0, 0.0])
-    right = torch.linalg.cross(axis, across)
+    """Make the rotation [3, 3] that takes a unit vector to +y, and is the identity for +y."""
+    across = torch.tensor([0.0, 0.0, 1.0]) if abs(float(axis[2])) < _SLANTED else torch.tensor([1.0, 0.0, 0.0])
+    right = F.normalize(torch.linalg.cross(axis, across), dim=0)
     return torch.stack((right, axis, torch.linalg.cross(right, axis)))
