@@ -6,9 +6,9 @@ The test is cheap and visits each pixel once. Most faces fail it, and the kernel
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import warp as wp
 
-from ..warp.geometry import HOMOGENEOUS
 from ..warp.layout import PIXELS_OF_TASK
 from ..warp.point import VECTORS, fill
+from .nearness import NEARNESS
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,16 +32,8 @@ _MAY_MEET = """
             }
             return end;
         }
-        static CUDA_CALLABLE wp::vec_t<3, double> homogeneous(vec3 v0, vec3 v1, vec3 v2, float x, float y) { WEIGHTS }
-        // The same as `nearness_terms` and `total`.
-        static CUDA_CALLABLE float nearness(const vec3* v, float x, float y, int perspective) {
-            const wp::vec_t<3, double> a = homogeneous(v[0], v[1], v[2], x, y);
-            float part[3];
-            for (int k = 0; k < 3; ++k) part[k] = perspective ? (float)a[k] : -((float)a[k] * v[k][2] * v[k][2]);
-            return part[0] + part[1] + part[2];
-        }
     };
-""".replace("WEIGHTS", HOMOGENEOUS)
+"""
 
 # Pairs of neighbours are found eight at once on the CPU. The pixels of one face, and those without a face, have none.
 _FIND = """
@@ -96,10 +88,10 @@ _PAIR = """
                         const float y = (float)(height - 1 - 2 * row) / (float)height;
                         const float x2 = k == 0 ? x + across : x, y2 = k == 0 ? y : y - down;
                         if (Way::covered(v, x, y, x2, y2) + Way::covered(u, x2, y2, x, y) < 0.999f) continue;
-                        const float own_here = Way::nearness(v, x, y, perspective);
-                        const float ahead = own_here - Way::nearness(u, x, y, perspective);
-                        const float own_there = Way::nearness(v, x2, y2, perspective);
-                        const float short_of = Way::nearness(u, x2, y2, perspective) - own_there;
+                        const float own_here = Nearness::at(v, x, y, perspective);
+                        const float ahead = own_here - Nearness::at(u, x, y, perspective);
+                        const float own_there = Nearness::at(v, x2, y2, perspective);
+                        const float short_of = Nearness::at(u, x2, y2, perspective) - own_there;
                         if (!(ahead > 0.0f && short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here)))
                             continue;
                     }
@@ -110,7 +102,7 @@ _PAIR = """
 """
 
 
-@wp.func_native(VECTORS + _MAY_MEET + fill(_FIND, PIXELS_OF_TASK=PIXELS_OF_TASK, PAIR=_PAIR))
+@wp.func_native(VECTORS + NEARNESS + _MAY_MEET + fill(_FIND, PIXELS_OF_TASK=PIXELS_OF_TASK, PAIR=_PAIR))
 def find_candidates(
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
