@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from torch import Tensor
 
-from .fit_views import Views
+from ..fit_views import Views
 
 _SCALES = (0.125, 0.25, 0.5, 2.0, 4.0, 8.0)
 

@@ -8,9 +8,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .fit_views import Views, downscale
-from .hull import view_center
-from .lookup import mask_values
+from ..fit_views import Views, downscale
+from ..hull import view_center
+from ..lookup import mask_values
 from .remedies import remedies
 
 _SIZE = 96  # longer side of the masks that are compared, in pixels
