@@ -15,9 +15,10 @@ from ..io import save_image
 from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
+from ..tasks.fit.agreement import check_agreement
 from ..tasks.fit.fit_pictures import comparison, up_axis
 from ..tasks.fit.load import list_images
-from .common import check_counts, check_outputs, choose_device, make_folder
+from .common import check_counts, check_outputs, choose_device, make_folder, say
 from .fit_report import RESULTS, report_camera, report_mesh, write_mesh
 from .options.fit import FitOptions
 from .task_runner import TaskRunner, setting_value
@@ -32,12 +33,16 @@ _MAY_DIFFER = (
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _PREVIEW_COLUMNS = 4
+_LEAST_IOU = 0.8  # mean of all views; fits of photographs reach 0.95, and wrong cameras rarely more than 0.6
+_NO_MATCH = 3  # exit code of a fit that ends below
 
 
 def run(options: FitOptions) -> int:
-    """Fit and write the results; return the exit code: 0, or 130 after Ctrl-C."""
+    """Fit and write the results; return the exit code: 0, 3 if outlines do not match the masks, 130 after Ctrl-C."""
     check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, starts=1)
     check_counts(options, turntable=0, seed=0)
+    if options.up is not None and not any(options.up):
+        raise ValueError("--up: expected a direction, got 0 0 0")
     if options.recover != "shape" and options.mesh is None:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
     check_outputs([options.output / name for name in RESULTS], [*_inputs(options), options.mesh])
@@ -72,6 +77,8 @@ def _fit_mesh(options: FitOptions) -> int:
         allow_outside=options.allow_outside,
         **_mask_rule(options),
     ).to(choose_device(options.device))
+    if options.check:
+        _check(views, options)
     fitted, held_out = _split(views, options.held_out)
     start: Any = options.start
     if options.mesh is not None:
@@ -107,7 +114,7 @@ def _run_mesh_fit(options: FitOptions, fitted: Views, held_out: Views | None, st
     write_mesh(options, fit, fitted)
     report_mesh(options, runner, fit, held_out, finished)
     stay(viewer, finished or runner.stopped)
-    return 0 if finished or runner.stopped else 130
+    return _exit_code(finished or runner.stopped, fit.views.quality(fit.shape[:2])["iou"])
 
 
 def _fit_camera(options: FitOptions) -> int:
@@ -150,7 +157,31 @@ def _fit_camera(options: FitOptions) -> int:
             viewer.show_cameras(views.camera, views.photos, views.masks)
         report_camera(options, runner, fit, views, known, finished)
         stay(viewer, finished or runner.stopped)
-    return 0 if finished or runner.stopped else 130
+    return _exit_code(finished or runner.stopped, views.quality(shape[:2])["iou"])
+
+
+def _check(views: Views, options: FitOptions) -> None:
+    """Raise ValueError if masks and cameras do not agree."""
+    names = [entry.name for entry in read_camera_file(find_camera_file(options.images)).images]
+    try:
+        check_agreement(views, names)
+    except ValueError as error:
+        raise ValueError(f"{options.images}: {str(error).removeprefix('views: ')}. --no-check fits anyway") from None
+
+
+def _exit_code(finished: bool, iou: Tensor) -> int:
+    """Choose the exit code of a fit, and say if its outlines do not match the masks."""
+    if not finished:
+        return 130
+    mean = float(iou.mean())
+    if mean >= _LEAST_IOU:
+        return 0
+    say(
+        f"the outlines of the result do not match the masks: expected an IoU of at least {_LEAST_IOU}, got {mean:.2f}; "
+        "the cameras or masks may be wrong, or the fit needs more steps",
+        "red",
+    )
+    return _NO_MATCH
 
 
 def _runner(

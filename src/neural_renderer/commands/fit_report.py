@@ -36,7 +36,7 @@ def write_mesh(options: FitOptions, fit: MeshFit, views: Views) -> None:
     mesh.save(folder / "mesh.glb")
     save_image(folder / "comparison.png", comparison(fit.views, fit.shape))
     if options.turntable:
-        pictures = turntable(upright(mesh, views), options.turntable, size=_TURNTABLE_SIZE)
+        pictures = turntable(upright(mesh, views, options.up), options.turntable, size=_TURNTABLE_SIZE)
         save_animation(folder / "turntable.gif", pictures, fps=15)
 
 

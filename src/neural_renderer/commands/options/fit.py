@@ -60,6 +60,10 @@ class FitOptions:
     box: tuple[float, float, float, float, float, float] | None = None
     """Opposite corners (x y z x y z) of a box around the object, in the world of the cameras. What is outside is
     background."""
+    check: bool = True
+    """Check first whether masks and cameras agree, and end with an error if they do not."""
+    up: tuple[float, float, float] | None = None
+    """Direction that is up in the world of the cameras, for the turntable; by default it is told from the cameras."""
     size: int = 256
     """Scale larger images down to this longer side in pixels (at least 16)."""
     held_out: int = 0

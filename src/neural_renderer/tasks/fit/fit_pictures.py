@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from ...meshes.mesh import Mesh
 from ...pictures.clay import CLAY
 from .fit_views import Views
 from .mesh import with_texture
+from .up import up_of_cameras
+
+_SLANTED = 0.9  # cosine from which two directions are too close to span a plane
 
 
 @torch.no_grad()
@@ -41,24 +45,22 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
     return torch.cat([torch.cat(list(row), dim=2) for row in rows], dim=1).clamp(0, 1).cpu()
 
 
-def upright(mesh: Mesh, views: Views) -> Mesh:
-    """Scale a mesh to [-1, 1]³, and turn the coordinate axis that is up in most of its views to +y."""
-    name = up_axis(views)
-    axis = torch.zeros(3)
-    axis["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
-    return Mesh(mesh.vertices @ _rotation_to_y(axis).t().to(mesh.vertices), mesh.faces, mesh.textures).normalize()
+def upright(mesh: Mesh, views: Views, up: tuple[float, float, float] | None = None) -> Mesh:
+    """Scale a mesh to [-1, 1]³, and turn ``up``, or what is up for its cameras, to +y."""
+    direction = up_of_cameras(views) if up is None else torch.tensor(up)
+    turn = _rotation_to_y(functional.normalize(direction.cpu().float(), dim=0))
+    return Mesh(mesh.vertices @ turn.t().to(mesh.vertices), mesh.faces, mesh.textures).normalize()
 
 
 def up_axis(views: Views) -> str:
-    """Find the coordinate axis that is up in most views, such as "+z"."""
-    up = views.camera.rotation[:, 1].mean(0) * (-1 if views.camera.K is not None else 1)
+    """Find the coordinate axis nearest to what is up for the cameras, such as "+z"."""
+    up = up_of_cameras(views)
     axis = int(up.abs().argmax())
     return f"{'-' if float(up[axis]) < 0 else '+'}{'xyz'[axis]}"
 
 
 def _rotation_to_y(axis: Tensor) -> Tensor:
-    """Make the rotation [3, 3] that takes a positive or negative coordinate axis to +y."""
-    axis = axis.cpu()
-    across = torch.tensor([0.0, 0.0, 1.0]) if not bool(axis[2]) else torch.tensor([1.0, 0.0, 0.0])
-    right = torch.linalg.cross(axis, across)
+    """Make the rotation [3, 3] that takes a unit vector to +y, and is the identity for +y."""
+    across = torch.tensor([0.0, 0.0, 1.0]) if abs(float(axis[2])) < _SLANTED else torch.tensor([1.0, 0.0, 0.0])
+    right = functional.normalize(torch.linalg.cross(axis, across), dim=0)
     return torch.stack((right, axis, torch.linalg.cross(right, axis)))

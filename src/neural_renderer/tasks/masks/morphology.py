@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 
@@ -11,15 +12,18 @@ def dilate(mask: Tensor, radius: int) -> Tensor:
     """Grow a mask [H, W] bool by a disc of this radius in pixels."""
     if radius <= 0:
         return mask
-    # A column of the disc at a time: the running maximum of a column is one pass over the image.
-    grown = torch.zeros_like(mask)
-    width = mask.shape[1]
-    for across in range(-radius, radius + 1):
-        half = int((radius * radius - across * across) ** 0.5)
-        tall = F.max_pool2d(mask[None, None].float(), (2 * half + 1, 1), 1, (half, 0))[0, 0] > 0.5
+    tall = [mask]  # the mask, grown by 0, 1, … pixels upwards and downwards
+    for _ in range(radius):
+        taller = tall[-1].clone()
+        taller[1:] |= tall[-1][:-1]
+        taller[:-1] |= tall[-1][1:]
+        tall.append(taller)
+    grown, width = torch.zeros_like(mask), mask.shape[1]
+    for across in range(-radius, radius + 1):  # the columns of the disc
+        column = tall[math.isqrt(radius * radius - across * across)]
         left, right = max(across, 0), width + min(across, 0)
         if left < right:
-            grown[:, left:right] |= tall[:, left - across : right - across]
+            grown[:, left:right] |= column[:, left - across : right - across]
     return grown
 
 

@@ -1,0 +1,148 @@
+"""Agreement of masks and cameras: does the visual hull of all masks fill each mask?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..fit_views import Views, downscale
+from ..hull import view_center
+from ..lookup import mask_values
+from .remedies import remedies
+
+_SIZE = 96  # longer side of the masks that are compared, in pixels
+_RAYS, _SAMPLES = 48, 48  # pixels of each mask, and points along the ray of each
+_PARTNERS = 12  # views that are compared with all others, at most
+_COMMON = 0.7  # share of the views in whose masks a point must lie to belong to the region of the object
+_WIDER = 1.2  # than the points in it
+_LEAST = 0.85  # of a mask that the hull fills, where masks and cameras agree; wrong ones reached 0.83 on average
+_FULL = 0.92  # of a mask: fewer views must go to reach this, if any must go
+_BETTER = 0.02  # share by which a remedy must surpass those before it, which are more usual
+_NAMED = 5  # views in a message
+
+
+def check_agreement(views: Views, names: Sequence[str]) -> None:
+    """Raise ValueError if masks and cameras of some views do not fit together.
+
+    Args:
+        views: N views, in the world of the cameras.
+        names: Names of the N images, for the message. It also says what would mend them, if that is one of the usual
+            things.
+    """
+    if len(views) < 3:  # two silhouettes cannot tell which of them is wrong
+        return
+    small = _small(views)
+    partners = sorted({round(i * (len(views) - 1) / (_PARTNERS - 1)) for i in range(_PARTNERS)})
+    inside = _follow_rays(small[partners], small)
+    covered = torch.zeros(len(views)) if inside is None else _covered(inside)
+    if float(covered.min()) >= _LEAST:
+        return
+    advice = _remedy(small[partners], None)  # of all views: some of them may agree by chance
+    kept = [] if inside is None or advice else _consistent(inside, partners)
+    if kept and inside is not None:
+        covered = _covered(inside[kept])
+        dropped = {partner for row, partner in enumerate(partners) if row not in kept}
+        wrong = [row for row in range(len(views)) if row in dropped or float(covered[row]) < _LEAST]
+        if 2 * len(wrong) < len(views):
+            shown = ", ".join(names[row] for row in wrong[:_NAMED]) + (", …" if len(wrong) > _NAMED else "")
+            which = f"{len(wrong)} of {len(views)} views ({shown})"
+            advice = _remedy(small[wrong], small[[partners[row] for row in kept]])
+            raise _disagreement(which, covered[wrong], advice)
+    raise _disagreement(f"{len(views)} views", covered, advice)
+
+
+def _disagreement(which: str, covered: Tensor, advice: str | None) -> ValueError:
+    """Make the error for views that disagree."""
+    end = f"{advice} mends them" if advice else "their cameras or masks may be wrong, or the object moved"
+    return ValueError(
+        f"views: expected masks and cameras that agree, got {which} that do not: the hull of all masks fills "
+        f"{float(covered.mean()):.0%} of theirs; {end}"
+    )
+
+
+def _remedy(wrong: Views, right: Views | None) -> str | None:
+    """Find what makes views agree with the views ``right``, or with one another; None if nothing does."""
+    best, advice = 0.0, None
+    for text, changed in remedies(wrong):
+        inside = _follow_rays(changed if right is None else right, changed)
+        covered = torch.zeros(1) if inside is None else _covered(inside)
+        if float(covered.min()) >= _LEAST and float(covered.mean()) > best + _BETTER:
+            best, advice = float(covered.mean()), text
+    return advice
+
+
+def _small(views: Views) -> Views:
+    """Scale masks down, and grow them by a pixel, which tolerates small errors of masks and cameras."""
+    masks = downscale(views.masks, _SIZE)
+    return Views(views.camera, F.max_pool2d(masks[:, None], 3, 1, 1)[:, 0], None, views.region)
+
+
+def _covered(inside: Tensor) -> Tensor:
+    """Compute for each of V views the share of its rays [N, V, R, S] that meet the hull of N masks, [V]."""
+    return inside.all(0).any(-1).float().mean(-1).cpu()
+
+
+def _consistent(inside: Tensor, partners: list[int]) -> list[int]:
+    """Choose most of the N partners so that the hull of their masks fills each of them; an empty list if none do.
+
+    The partner whose removal brings the rays of the others closest to a common point goes first.
+    """
+    own, outside = inside[:, partners], ~inside[:, partners]
+    kept, found = list(range(len(partners))), list[int]()
+    while 2 * len(kept) > len(partners) and len(kept) > 2:
+        least = float(_covered(own[kept])[kept].min())
+        if least >= _LEAST:
+            found = found or kept
+        if least >= _FULL:
+            return kept
+        count = outside[kept].sum(0)
+
+        def misses(gone: int, kept: list[int] = kept, count: Tensor = count) -> float:
+            rest = [row for row in kept if row != gone]
+            return float((count[rest] - outside[gone][rest].long()).amin(-1).float().mean())
+
+        kept = [row for row in kept if row != min(kept, key=misses)]
+    return found
+
+
+def _follow_rays(views: Views, sources: Views) -> Tensor | None:
+    """Follow rays of pixels inside the masks of V sources, and tell in which masks of N views points on them lie.
+
+    Returns:
+        [N, V, R, S] bool, for points near the object; None if no point lies in most of the masks.
+    """
+    center, half = views.region or view_center(views)
+    points = _points(sources, center, half)
+    inside = _inside(views, points)
+    common = points[inside.float().mean(0) >= _COMMON]
+    if not len(common):
+        return None
+    least, most = common.amin(0), common.amax(0)
+    half = max(_WIDER * float((most - least).max()) / 2, 1e-3 * half)
+    return _inside(views, _points(sources, (least + most) / 2, half))
+
+
+def _points(views: Views, center: Tensor, half: float) -> Tensor:
+    """Make points [V, R, S, 3] on rays of pixels inside the masks, in a ball around a cube."""
+    pixels = []
+    for mask in views.masks:
+        found = torch.nonzero(mask > 0.5)
+        rows = torch.linspace(0, len(found) - 1, _RAYS).round().long()
+        pixels.append(found[rows.to(found.device)].flip(1) + 0.5)
+    eye, forward = views.eyes()
+    depth, reach = ((center - eye) * forward).sum(1), half * 3**0.5
+    ends = [
+        views.camera.unproject(torch.stack(pixels), z.clamp(min=1e-3 * reach)[:, None].expand(-1, _RAYS), views.size)
+        for z in (depth - reach, depth + reach)
+    ]
+    along = torch.linspace(0, 1, _SAMPLES).to(depth)[:, None]
+    return ends[0][:, :, None] * (1 - along) + ends[1][:, :, None] * along
+
+
+def _inside(views: Views, points: Tensor) -> Tensor:
+    """Tell for points [V, R, S, 3] in which masks they lie, [N, V, R, S]."""
+    values = mask_values(views, views.masks, points.reshape(-1, 3))
+    return torch.stack([(value > 0.5).reshape(points.shape[:-1]) for value in values])

@@ -1,0 +1,51 @@
+"""Masks of pictures by colour, threshold and morphology."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from neural_renderer.tasks.masks.morphology import dilate, erode, opened
+from neural_renderer.tasks.masks.rule import MaskRule
+
+
+@pytest.mark.parametrize("radius", [0, 1, 3, 7])
+def test_dilation_by_a_disc(radius: int) -> None:
+    mask = torch.rand(30, 24, generator=torch.Generator().manual_seed(0)) > 0.97
+    y, x = torch.meshgrid(torch.arange(30), torch.arange(24), indexing="ij")
+    points = torch.nonzero(mask)
+    near = (y[..., None] - points[:, 0]) ** 2 + (x[..., None] - points[:, 1]) ** 2 <= radius**2
+    assert torch.equal(dilate(mask, radius), near.any(-1))
+    assert torch.equal(erode(~mask, radius), ~near.any(-1))
+
+
+def test_opening_removes_what_is_thin() -> None:
+    mask = torch.zeros(40, 40, dtype=torch.bool)
+    mask[10:30, 10:30] = True
+    block = mask.clone()
+    mask[20, :] = True
+    clean = opened(mask, 2)  # a disc rounds the corners of the block, and those between block and line
+    assert (clean & ~block).sum() <= 4 and (clean & block).sum() > 0.95 * block.sum()
+
+
+def test_threshold_with_closing_and_specks() -> None:
+    image = torch.full((60, 60, 3), 0.1)
+    image[15:45, 15:45] = 0.5
+    image[28:31, 28:31] = 0.05  # a shadow
+    image[2, 2] = 0.9  # a speck
+    mask = MaskRule(below=0.19).find(image)
+    assert mask[29, 29] == 0 and mask[2, 2] == 0 and mask.sum() == 900 - 9
+    closed = MaskRule(below=0.19, closing=(4, 4)).find(image)
+    assert closed.sum() == 900 and closed[29, 29] == 1
+    assert MaskRule(below=0.19, closing=(5, 3)).find(image).sum() > 1000
+
+
+def test_rules_that_do_not_fit() -> None:
+    for options, sentence in (
+        ({"background": (255, 255, 255)}, r"background: expected red, green and blue in \[0, 1\]"),
+        ({"tolerance": 2}, r"tolerance: expected a number in \[0, 1\]"),
+        ({"below": 19}, "mask_below: expected a brightness"),
+        ({"closing": (-1, 0)}, "mask_close: expected at least 0"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            MaskRule(**options)  # type: ignore[arg-type]
