@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import threading
 import time
@@ -102,6 +103,7 @@ class Viewer:
                 self._worker.close()
                 raise
             self.url = self._page.url
+        atexit.register(self.close)  # a program that ends writes its record
 
     def __enter__(self) -> Viewer:
         return self
@@ -388,6 +390,7 @@ class Viewer:
             if self._is_closed:
                 return None
             self._is_closed = True
+        atexit.unregister(self.close)
         self.flush()
         self._worker.close()
         if self._page is not None:
