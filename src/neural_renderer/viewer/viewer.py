@@ -58,8 +58,27 @@ class Viewer:
 
     Example:
         >>> viewer = nr.view(browser=False, record="run.html")
-        >>> viewer.show(mesh, name="sphere")
-        >>> viewer.close()
+        >>> rate = viewer.knob("rate", 0.1, most=1.0)
+        >>> for step in range(3):
+        ...     if viewer.proceed():
+        ...         viewer.show(mesh, name="sphere")
+        ...         viewer.log(step, loss=1 / (step + rate()))
+        >>> viewer.show_cameras(camera)
+        >>> viewer.set_up("+z")
+        >>> viewer.show_curves({"IoU": [(1, 0.5), (2, 0.7)]})
+        >>> viewer.show_steps(["first", "last"], choose=print)
+        >>> nr.save_image("plan.png", torch.rand(8, 8, 3))
+        >>> viewer.show_pictures({"plan": "plan.png"})
+        >>> viewer.observe("fit", 1, 100, {"loss": 0.5}, lambda: mesh)  # what tasks call
+        >>> viewer.offer([])
+        >>> viewer.changes()
+        {}
+        >>> viewer.finish("done")
+        >>> viewer.wait(for_browser=True)  # nobody looks
+        >>> viewer.flush()
+        >>> sentence = viewer.save_record("now.html")
+        >>> viewer.remove("sphere")
+        >>> sentence = viewer.close()
     """
 
     url: str | None
@@ -368,6 +387,9 @@ class Viewer:
 
         Args:
             for_browser: Wait only while a browser shows the page.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C.
         """
         while not self._is_closed and (self.clients or not for_browser):
             time.sleep(_POLL)
