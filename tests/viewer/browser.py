@@ -75,7 +75,7 @@ class Browser:
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
                 pages = json.load(answer)
             address = next(page["webSocketDebuggerUrl"] for page in pages if page["type"] == "page")
-            self._socket = connect(address, max_size=None, open_timeout=_PATIENCE, proxy=None)
+            self._socket = connect(address, max_size=None, open_timeout=_PATIENCE, ping_interval=None)
         except BaseException:
             self._end()
             raise

@@ -114,14 +114,7 @@ class Viewer:
         self._page: Page | None = None
         self.url = None
         if browser:
-            try:
-                from .page import Page
-
-                self._page = Page(host, port, title, self._worker, self._run)
-            except BaseException:
-                self._worker.close()
-                raise
-            self.url = self._page.url
+            self._open_page(host, port, title)
         atexit.register(self.close)  # a program that ends writes its record
 
     def __enter__(self) -> Viewer:
@@ -444,6 +437,17 @@ class Viewer:
         from .notebook import frame_of
 
         return frame_of(self)
+
+    def _open_page(self, host: str, port: int, title: str) -> None:
+        """Listen for browsers."""
+        from .page import Page  # needs viser only when it is used
+
+        try:
+            self._page = Page(host, port, title, self._worker, self._run)
+        except BaseException:
+            self._worker.close()
+            raise
+        self.url = self._page.url
 
     def _check_open(self) -> None:
         """Raise RuntimeError if the viewer is closed."""
