@@ -164,32 +164,62 @@ _UNMIX = over_face(
             if (faces_too) face.pull(to_weights, 0.0f, weights, on_screen, whole, z);
     """,
     fits="channels <= 8",
+    # The same as `Face::pull`, but summed first. The gradients of weights are products of ``from`` and ``pull``. So the
+    # sums of ``weights[k] * pull`` suffice for the corners, and in perspective those of ``weights[k] * color * pull``.
     eight_begin="""
-        Eight::floats sums[3 * 8];
+        Eight::floats sums[3 * 8], sums_of_color[3] = {Eight::none(), Eight::none(), Eight::none()};
         for (int k = 0; k < 3 * channels; ++k) sums[k] = Eight::none();
+        float beside[3 * 8];  // less the first corner: a shift of all corners moves nothing
+        for (int k = 0; k < 3; ++k)
+            for (int c = 0; c < channels; ++c) beside[k * channels + c] = from[k * channels + c] - from[c];
+        const bool colors_too = faces_too && perspective;
     """,
     eight="""
-                Eight::floats to_weights[3] = {Eight::none(), Eight::none(), Eight::none()};
                 const float* g = grad.data + (row + at) * channels;
-                Eight::floats pulls[8];
+                __builtin_prefetch(g - 2 * width * channels);  // two rows up: memory is slower than the sums
+                Eight::floats pulls[8], color = Eight::none();
                 if (channels == 3) Eight::load(g, pulls);
                 else for (int c = 0; c < channels; ++c, ++g)
                     pulls[c] = Eight::floats{g[0], g[channels], g[2 * channels], g[3 * channels], g[4 * channels],
                                              g[5 * channels], g[6 * channels], g[7 * channels]};
                 const auto add = [&](int c, int channels) {
                     const Eight::floats pull = here ? pulls[c] : Eight::none();
-                    for (int k = 0; k < 3; ++k) {
-                        sums[3 * c + k] += eight.weights[k] * pull;
-                        to_weights[k] += from[k * channels + c] * pull;
-                    }
+                    for (int k = 0; k < 3; ++k) sums[3 * c + k] += eight.weights[k] * pull;
+                    if (colors_too)
+                        color += pull * (eight.weights[1] * beside[channels + c]
+                                         + eight.weights[2] * beside[2 * channels + c]);
                 };
                 if (channels == 3) add(0, 3), add(1, 3), add(2, 3);
                 else for (int c = 0; c < channels; ++c) add(c, channels);
-                if (faces_too) eight.pull(face, to_weights, Eight::none(), here);
+                if (colors_too)
+                    for (int k = 0; k < 3; ++k) sums_of_color[k] += eight.weights[k] * color;
     """,
     eight_end="""
+            float total[3 * 8];
             for (int c = 0; c < channels; ++c)
-                for (int k = 0; k < 3; ++k) to_own[k * channels + c] += Eight::sum(sums[3 * c + k]);
+                for (int k = 0; k < 3; ++k)
+                    to_own[k * channels + c] += total[k * channels + c] = Eight::sum(sums[3 * c + k]);
+    """,
+    give="""
+                float right[8], up[8], all_right = 0.0f, all_up = 0.0f;  // slopes of the channels, of 1
+                for (int c = 0; c < channels; ++c) right[c] = up[c] = 0.0f;
+                for (int k = 0; k < 3; ++k) {
+                    const float dx = face.inverse[k] * face.dx[k], dy = face.inverse[k] * face.dy[k];
+                    all_right += dx, all_up += dy;
+                    for (int c = 0; c < channels; ++c)
+                        right[c] += beside[k * channels + c] * dx, up[c] += beside[k * channels + c] * dy;
+                }
+                for (int k = 0; k < 3; ++k) {
+                    const float of_color = Eight::sum(sums_of_color[k]), z = perspective ? face.v[k][2] : 1.0f;
+                    float to_x = -all_right * of_color, to_y = -all_up * of_color, to_near = -of_color;
+                    for (int c = 0; c < channels; ++c) {
+                        const float part = total[k * channels + c];
+                        to_x += right[c] * part, to_y += up[c] * part, to_near += beside[k * channels + c] * part;
+                    }
+                    face.to[3 * k] = -to_x * z;
+                    face.to[3 * k + 1] = -to_y * z;
+                    face.to[3 * k + 2] = perspective ? -to_near * face.inverse[k] : 0.0f;
+                }
     """,
 )
 

@@ -6,8 +6,9 @@ The test is cheap and visits each pixel once. Most faces fail it, and the kernel
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import warp as wp
 
-from ..warp.geometry import HOMOGENEOUS
 from ..warp.layout import PIXELS_OF_TASK
+from ..warp.point import VECTORS, fill
+from .nearness import NEARNESS
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,27 +26,17 @@ _MAY_MEET = """
                 const float s = area < 0.0f ? -1.0f : 1.0f, dx = s * (q[0] - p[0]), dy = s * (q[1] - p[1]);
                 const float here = dx * (y - p[1]) - dy * (x - p[0]), there = dx * (y2 - p[1]) - dy * (x2 - p[0]);
                 const float doubt = 1.0e-6f * (fabsf(dx) + fabsf(dy));
-                if (there < -doubt && here > there) {
-                    const float at = (here + doubt) / (here - there);
-                    end = at < end ? at : end;
-                }
+                const bool leaves = (there < -doubt) & (here > there);
+                const float at = (leaves ? here + doubt : 1.0f) / (leaves ? here - there : 1.0f);
+                end = at < end ? at : end;
             }
             return end;
         }
-        static CUDA_CALLABLE wp::vec_t<3, double> homogeneous(vec3 v0, vec3 v1, vec3 v2, float x, float y) { WEIGHTS }
-        // The same as `nearness_terms` and `total`.
-        static CUDA_CALLABLE float nearness(const vec3* v, float x, float y, int perspective) {
-            const wp::vec_t<3, double> a = homogeneous(v[0], v[1], v[2], x, y);
-            float part[3];
-            for (int k = 0; k < 3; ++k) part[k] = perspective ? (float)a[k] : -((float)a[k] * v[k][2] * v[k][2]);
-            return part[0] + part[1] + part[2];
-        }
     };
-""".replace("WEIGHTS", HOMOGENEOUS)
+"""
 
-_FIND = (
-    _MAY_MEET
-    + """
+# Pairs of neighbours are found eight at once on the CPU. The pixels of one face, and those without a face, have none.
+_FIND = """
     const int height = face_index.shape[1], width = face_index.shape[2], channels = image.shape[1];
     const int all = face_index.shape[0] * height;
     const wp::int64 area = (wp::int64)height * width;
@@ -57,39 +48,61 @@ _FIND = (
         const wp::int64 start = (wp::int64)row * width, own = b * (wp::int64)adjacent.shape[1];
         const int* shown = face_index.data + b * area + start;
         const float* colors = image.data + b * channels * area + start;
-        for (int i = left; i < right; ++i) {
-            const int f = shown[i];
-            if (f < 0) continue;
-            for (int k = 0; k < 2; ++k) {
-                if (k == 0 ? i + 1 == width : row + 1 == height) continue;
-                const int other = shown[i + steps[k]];
-                if (f == other || other < 0) continue;
-                const int* next = adjacent.data + (own + f) * 3;
-                if (other == next[0] || other == next[1] || other == next[2]) continue;
-                const wp::vec_t<3, float> *v = faces.data + (own + f) * 3, *u = faces.data + (own + other) * 3;
-                if (perspective == 0 || ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f)
-                                         & (u[0][2] > 0.0f) & (u[1][2] > 0.0f) & (u[2][2] > 0.0f))) {
-                    const float x = (float)(2 * i + 1 - width) / (float)width;
-                    const float y = (float)(height - 1 - 2 * row) / (float)height;
-                    const float x2 = k == 0 ? x + across : x, y2 = k == 0 ? y : y - down;
-                    if (Way::covered(v, x, y, x2, y2) + Way::covered(u, x2, y2, x, y) < 0.999f) continue;
-                    const float own_here = Way::nearness(v, x, y, perspective);
-                    const float ahead = own_here - Way::nearness(u, x, y, perspective);
-                    const float own_there = Way::nearness(v, x2, y2, perspective);
-                    const float short_of = Way::nearness(u, x2, y2, perspective) - own_there;
-                    if (!(ahead > 0.0f && short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here))) continue;
+        for (int k = 0; k < 2; ++k) {
+            if (k == 1 && row + 1 == height) break;
+            const int end = k == 0 && right == width ? right - 1 : right;  // the last pixel has none to the right
+            for (int at = left; at < end; at += 8) {
+                unsigned pairs = 0;  // bit n: pixel at + n and the next one show two faces
+                #if !defined(__CUDA_ARCH__)
+                if (at + 8 <= end) {
+                    Vectors::ints here, next;
+                    memcpy(&here, shown + at, sizeof(here)), memcpy(&next, shown + at + steps[k], sizeof(next));
+                    pairs = Vectors::bits((here != next) & (here >= 0) & (next >= 0));
+                } else
+                #endif
+                for (int i = at; i < end && i < at + 8; ++i) {
+                    const int next = shown[i + steps[k]];
+                    pairs |= (unsigned)(shown[i] != next & shown[i] >= 0 & next >= 0) << (i - at);
                 }
-                bool differs = false;
-                for (int c = 0; c < channels; ++c) differs |= colors[c * area + i] != colors[c * area + i + steps[k]];
-                if (differs) candidates.data[own + f] = candidates.data[own + other] = 1;
+                for (int n = 0; pairs; ++n, pairs >>= 1) {
+                    #if !defined(__CUDA_ARCH__)
+                    const int skipped = __builtin_ctz(pairs);
+                    n += skipped, pairs >>= skipped;
+                    #else
+                    if ((pairs & 1) == 0) continue;
+                    #endif
+                    PAIR
+                }
             }
         }
     }
 """
-)
+_PAIR = """
+                    const int i = at + n, f = shown[i], other = shown[i + steps[k]];
+                    const int* next = adjacent.data + (own + f) * 3;
+                    if ((other == next[0]) | (other == next[1]) | (other == next[2])) continue;
+                    const wp::vec_t<3, float> *v = faces.data + (own + f) * 3, *u = faces.data + (own + other) * 3;
+                    if (perspective == 0 || ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f)
+                                             & (u[0][2] > 0.0f) & (u[1][2] > 0.0f) & (u[2][2] > 0.0f))) {
+                        const float x = (float)(2 * i + 1 - width) / (float)width;
+                        const float y = (float)(height - 1 - 2 * row) / (float)height;
+                        const float x2 = k == 0 ? x + across : x, y2 = k == 0 ? y : y - down;
+                        if (Way::covered(v, x, y, x2, y2) + Way::covered(u, x2, y2, x, y) < 0.999f) continue;
+                        const float own_here = Nearness::at(v, x, y, perspective);
+                        const float ahead = own_here - Nearness::at(u, x, y, perspective);
+                        const float own_there = Nearness::at(v, x2, y2, perspective);
+                        const float short_of = Nearness::at(u, x2, y2, perspective) - own_there;
+                        if (!(ahead > 0.0f && short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here)))
+                            continue;
+                    }
+                    bool differs = false;
+                    for (int c = 0; c < channels; ++c)
+                        differs |= colors[c * area + i] != colors[c * area + i + steps[k]];
+                    if (differs) candidates.data[own + f] = candidates.data[own + other] = 1;
+"""
 
 
-@wp.func_native(_FIND.replace("PIXELS_OF_TASK", PIXELS_OF_TASK))
+@wp.func_native(VECTORS + NEARNESS + _MAY_MEET + fill(_FIND, PIXELS_OF_TASK=PIXELS_OF_TASK, PAIR=_PAIR))
 def find_candidates(
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),

@@ -42,20 +42,13 @@ from ..warp.layout import face_tasks
 from ..warp.queue import launch_lines, line_task, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
 from .continuity import colors_continue
-from .crossings import (
-    Edge,
-    border_weight,
-    crossing_on,
-    end_line,
-    first_line,
-    has_crossings,
-    scanned_edge,
-    separates_faces,
-)
+from .crossings import CROSSINGS
+from .gains import GAINS
 from .intersections import add_intersections
+from .nearness import NEARNESS
 from .neighbors import neighbors
-from .outlines import outline_gain
-from .seams import seam_gain
+from .outlines import OUTLINES
+from .seams import SEAMS
 
 wp.set_module_options({"enable_backward": False})
 
@@ -157,66 +150,73 @@ def _backward(ctx, grad):
 differentiable(edge_gradient, _backward, _save)
 
 
-@wp.func
-def move_edge(
-    edge: Edge,
-    lane: int,
-    lanes: int,
+_MOVE_EDGES = """
+    Lines lines;
+    lines.height = image.shape[2], lines.width = image.shape[3], lines.channels = image.shape[1];
+    lines.perspective = perspective;
+    lines.set(0);
+    const wp::int64 first_face = (wp::int64)b * faces.shape[1], own = first_face + f;
+    lines.image = image.data + b * lines.channels * lines.area;
+    lines.grad = grad.data + b * lines.channels * lines.area;
+    lines.shown = face_index.data + b * lines.area;
+    lines.faces = faces.data + first_face * 3;
+    const vec3* corners = faces.data + own * 3;
+    const int* next = adjacent.data + own * 3;
+    vec3 to[3] = {vec3(0.0f), vec3(0.0f), vec3(0.0f)};
+    for (int k = 0; k < 3; ++k) {
+        if ((edges >> k & 1) == 0) continue;
+        const int m = (k + 1) % 3, n = (k + 2) % 3;
+        const int p = clockwise ? m : k, q = clockwise ? k : m;  // counter-clockwise
+        Edge edge;
+        edge.face = f, edge.adjacent = next[k];
+        edge.adjacent_pr = next[clockwise ? m : n], edge.adjacent_qr = next[clockwise ? n : m];
+        edge.small = edge.adjacent >= 0 && (Seam::is_small(lines, f) || Seam::is_small(lines, edge.adjacent));
+        for (int axis = 0; axis < 2; ++axis) {
+            lines.set(axis);
+            edge.set(lines, corners[p], corners[q], corners[n]);
+            if (!edge.has_crossings(lines)) continue;
+            float to_p = 0.0f, to_q = 0.0f;
+            const int end = edge.end(lines);
+            for (int u = edge.first(lines) + part; u < end; u += parts) {
+                const Crossing at = edge.crossing(lines, u);
+                if ((at.inner_face == -2) | (at.outer_face == -2) | (at.inner_face == at.outer_face)) continue;
+                float gain = edge.adjacent >= 0 ? Seam::gain(lines, edge, at) : Outline::gain(lines, edge, at);
+                gain *= Lines::border_weight(at.v, lines.length);
+                to_p += (1.0f - at.share) * gain, to_q += at.share * gain;
+            }
+            const float scale = 0.5f * (float)(edge.outward * lines.length);
+            to[p][axis] += scale * to_p, to[q][axis] += scale * to_q;
+        }
+    }
+    for (int k = 0; k < 3; ++k) {
+        if (alone) result.data[own * 3 + k] = to[k];
+        else wp::atomic_add(result.data + own * 3 + k, to[k]);
+    }
+"""
+
+
+@wp.func_native(CROSSINGS + GAINS + NEARNESS + OUTLINES + SEAMS + _MOVE_EDGES)
+def move_edges(
+    edges: int,
+    clockwise: bool,
     faces: wp.array3d(dtype=wp.vec3),
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
-    perspective: int,
-) -> wp.vec2:
-    """Compute the gradient to x (axis 0) or y (axis 1) of p and q, from every ``lanes``-th scan line of an edge."""
-    to_p = float(0.0)
-    to_q = float(0.0)
-    if not has_crossings(edge, perspective):
-        return wp.vec2(0.0, 0.0)
-    for u in range(first_line(edge) + lane, end_line(edge), lanes):
-        at = crossing_on(edge, u, face_index)
-        if not separates_faces(at):
-            continue
-        gain = float(0.0)
-        if edge.adjacent >= 0:
-            gain = seam_gain(edge, at, faces, image, grad, face_index)
-        else:
-            gain = outline_gain(edge, at, faces, image, grad, face_index, perspective)
-        gain *= border_weight(at.v, edge.length)
-        to_p += (1.0 - at.share) * gain
-        to_q += at.share * gain
-    return 0.5 * float(edge.outward * edge.length) * wp.vec2(to_p, to_q)
-
-
-@wp.func
-def edge_of_face(
-    faces: wp.array3d(dtype=wp.vec3),
     adjacent: wp.array3d(dtype=int),
+    perspective: int,
     b: int,
     f: int,
-    k: int,
-    axis: int,
-    clockwise: bool,
-    height: int,
-    width: int,
-) -> Edge:
-    """Set up edge k of face f in image b for the scan lines of one axis; reversed if the corners run clockwise."""
-    m = (k + 1) % 3
-    n = (k + 2) % 3
-    p = faces[b, f, k]
-    q = faces[b, f, m]
-    adjacent_pr = adjacent[b, f, n]
-    adjacent_qr = adjacent[b, f, m]
-    if clockwise:
-        p, q = q, p
-        adjacent_pr, adjacent_qr = adjacent_qr, adjacent_pr
-    edge = scanned_edge(p, q, faces[b, f, n], axis, height, width)
-    edge.image = b
-    edge.face = f
-    edge.adjacent = adjacent[b, f, k]
-    edge.adjacent_pr = adjacent_pr
-    edge.adjacent_qr = adjacent_qr
-    return edge
+    part: int,
+    parts: int,
+    alone: int,
+    result: wp.array3d(dtype=wp.vec3),
+):
+    """Move those edges of face f in image b whose bit is set in ``edges``, over every ``parts``-th scan line.
+
+    ``alone`` means that no other task writes to the same places.
+    """
+    ...
 
 
 _HAS_MOVING_EDGE = """
@@ -276,28 +276,13 @@ def move_face(
 ):
     """Move the edges of one face, over every n-th scan line."""
     clockwise = facing(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], perspective) < 0
-    x = wp.vec3(0.0, 0.0, 0.0)
-    y = wp.vec3(0.0, 0.0, 0.0)
-    corners = int(3)  # a variable, or Warp would unroll the loop sixfold
-    for k in range(corners):
-        if may_move(adjacent, faces, edge_hashes, b, f, k, seams):
-            edge_x = edge_of_face(faces, adjacent, b, f, k, 0, clockwise, image.shape[2], image.shape[3])
-            edge_y = edge_of_face(faces, adjacent, b, f, k, 1, clockwise, image.shape[2], image.shape[3])
-            to_x = move_edge(edge_x, part, parts, faces, image, grad, face_index, perspective)
-            to_y = move_edge(edge_y, part, parts, faces, image, grad, face_index, perspective)
-            if clockwise:
-                to_x = wp.vec2(to_x[1], to_x[0])
-                to_y = wp.vec2(to_y[1], to_y[0])
-            x[k] += to_x[0]
-            x[(k + 1) % 3] += to_x[1]
-            y[k] += to_y[0]
-            y[(k + 1) % 3] += to_y[1]
+    edges = int(0)
     for k in range(3):
-        to = wp.vec3(x[k], y[k], 0.0)
-        if alone == 1:
-            result[b, f, k] = to
-        else:
-            wp.atomic_add(result, b, f, k, to)
+        if may_move(adjacent, faces, edge_hashes, b, f, k, seams):
+            edges += 1 << k
+    move_edges(
+        edges, clockwise, faces, image, grad, face_index, adjacent, perspective, b, f, part, parts, alone, result
+    )
 
 
 @wp.kernel

@@ -7,36 +7,37 @@ weights w_k it is ``sum(w_k n_k)`` over the corners' values n_k, so depths compa
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import warp as wp
 
-from ..warp.geometry import homogeneous_weights
+from ..warp.geometry import HOMOGENEOUS, homogeneous_weights
+from ..warp.point import fill
 
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.func
-def nearness(z: float, perspective: int) -> float:
-    """Compute the nearness of a point of depth z."""
-    if perspective == 1:
-        return 1.0 / z
-    return -z
+_NEARNESS = """
+struct Nearness {
+    typedef wp::vec_t<3, float> vec3;
+    static CUDA_CALLABLE wp::vec_t<3, double> homogeneous(vec3 v0, vec3 v1, vec3 v2, float x, float y) { WEIGHTS }
 
-
-@wp.func
-def plane_nearness(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, x: float, y: float, perspective: int) -> float:
-    """Compute the nearness of a face's plane at a screen position, clamped to the range of the corners.
-
-    Within one pixel, the plane of a face seen edge-on takes any value; hence the clamp. A face with a corner behind the
-    camera is not clamped.
-    """
-    a = homogeneous_weights(v0, v1, v2, x, y)
-    near = float(a[0] + a[1] + a[2])
-    if perspective == 0:
-        near = -float(a[0]) * v0[2] * v0[2] - float(a[1]) * v1[2] * v1[2] - float(a[2]) * v2[2] * v2[2]
-    elif v0[2] <= 0.0 or v1[2] <= 0.0 or v2[2] <= 0.0:
-        return near
-    n0 = nearness(v0[2], perspective)
-    n1 = nearness(v1[2], perspective)
-    n2 = nearness(v2[2], perspective)
-    return wp.clamp(near, wp.min(n0, wp.min(n1, n2)), wp.max(n0, wp.max(n1, n2)))
+    // Of a point of depth z.
+    static CUDA_CALLABLE float of(float z, int perspective) { return perspective ? 1.0f / z : -z; }
+    // Of the plane of a face at a screen position; the same as `nearness_terms` and `total`.
+    static CUDA_CALLABLE float at(const vec3* v, float x, float y, int perspective) {
+        const wp::vec_t<3, double> a = homogeneous(v[0], v[1], v[2], x, y);
+        float part[3];
+        for (int k = 0; k < 3; ++k) part[k] = perspective ? (float)a[k] : -((float)a[k] * v[k][2] * v[k][2]);
+        return part[0] + part[1] + part[2];
+    }
+    // The same, clamped to the range of the corners: within a pixel, the plane of a face seen edge-on takes any value.
+    // A face with a corner behind the camera is not clamped.
+    static CUDA_CALLABLE float of_plane(const vec3* v, float x, float y, int perspective) {
+        const float near = at(v, x, y, perspective);
+        if (perspective && ((v[0][2] <= 0.0f) | (v[1][2] <= 0.0f) | (v[2][2] <= 0.0f))) return near;
+        const float n[3] = {of(v[0][2], perspective), of(v[1][2], perspective), of(v[2][2], perspective)};
+        return wp::min(wp::max(near, wp::min(n[0], wp::min(n[1], n[2]))), wp::max(n[0], wp::max(n[1], n[2])));
+    }
+};
+"""
+NEARNESS = fill(_NEARNESS, WEIGHTS=HOMOGENEOUS)  # for native functions
 
 
 @wp.func

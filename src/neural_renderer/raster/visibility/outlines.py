@@ -2,90 +2,56 @@
 
 The chord of a face is the length of a scan line inside the face. If it is shorter than a pixel, a pixel centre hits it
 with a probability equal to its length, so the crossing is weighted by the inverse. If the surface continues behind the
-chord, a centre in the adjacent face shows the outline as well, and the chord runs through both faces.
+chord, a centre in the adjacent face (the stand-in) shows the outline as well, and the chord runs through both faces.
+
+``OUTLINES`` declares a C++ struct for native functions, after `CROSSINGS`, `GAINS` and `NEARNESS`.
 """
 
-# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
-import warp as wp
+OUTLINES = """
+struct Outline {
+    // Whether the face at the outer pixel passes in front of the crossing, and so hides or cuts the edge.
+    static CUDA_CALLABLE bool is_behind(const Lines& lines, const Edge& edge, const Crossing& at) {
+        float x = (2.0f * at.v + 1.0f - (float)lines.length) / (float)lines.length;
+        float y = (2.0f * (float)at.u + 1.0f - (float)lines.count) / (float)lines.count;
+        if (lines.axis == 1) {
+            const float other = x;
+            x = y, y = other;
+        }
+        const int perspective = lines.perspective;
+        const float own = (1.0f - at.share) * Nearness::of(edge.pz, perspective)
+            + at.share * Nearness::of(edge.qz, perspective);
+        return Nearness::of_plane(lines.faces + (wp::int64)at.outer_face * 3, x, y, perspective) >= own;
+    }
 
-from .crossings import LEAST_CHORD, Crossing, Edge, chord, exit_from_face, leaves_through_pr, pixel_at
-from .gains import boundary_gain, extrapolated, next_inside, next_outside
-from .nearness import nearness, plane_nearness
-
-wp.set_module_options({"enable_backward": False})
-
-
-@wp.struct
-class Chord:
-    """The part of a scan line in a face, from a crossing on; lengths in pixels, at most 1."""
-
-    own: float
-    stand_in: int  # the adjacent face behind a chord shorter than a pixel, which centres may hit instead; or -1
-    joint: float  # through the face and the stand-in
-
-
-@wp.func
-def chord_from(edge: Edge, at: Crossing, faces: wp.array3d(dtype=wp.vec3), perspective: int) -> Chord:
-    """Measure the chord of a face from a crossing of its edge; 1 if its third corner is behind the camera."""
-    result = Chord()
-    result.own = 1.0
-    result.stand_in = -1
-    result.joint = 1.0
-    if perspective == 0 or edge.rz > 0.0:
-        leave = exit_from_face(edge, at.u)
-        result.own = wp.min(wp.abs(leave - at.v), 1.0)
-        result.joint = result.own
-        if result.own < 1.0:
-            result.stand_in = edge.adjacent_qr
-            if leaves_through_pr(edge, at.u):
-                result.stand_in = edge.adjacent_pr
-            if result.stand_in >= 0:
-                result.joint = chord(faces, result.stand_in, edge, at.u, leave, at.v)
-    return result
-
-
-@wp.func
-def is_behind_plane(edge: Edge, at: Crossing, faces: wp.array3d(dtype=wp.vec3), perspective: int) -> bool:
-    """Test whether the face at the outer pixel passes in front of the crossing and so hides or cuts the edge."""
-    x = (2.0 * at.v + 1.0 - float(edge.length)) / float(edge.length)
-    y = (2.0 * float(at.u) + 1.0 - float(edge.lines)) / float(edge.lines)
-    if edge.axis == 1:
-        x, y = y, x
-    own = (1.0 - at.share) * nearness(edge.pz, perspective) + at.share * nearness(edge.qz, perspective)
-    v0 = faces[edge.image, at.outer_face, 0]
-    v1 = faces[edge.image, at.outer_face, 1]
-    v2 = faces[edge.image, at.outer_face, 2]
-    return plane_nearness(v0, v1, v2, x, y, perspective) >= own
-
-
-@wp.func
-def outline_gain(
-    edge: Edge,
-    at: Crossing,
-    faces: wp.array3d(dtype=wp.vec3),
-    image: wp.array4d(dtype=float),
-    grad: wp.array4d(dtype=float),
-    face_index: wp.array3d(dtype=int),
-    perspective: int,
-) -> float:
-    """Compute the gain at a crossing of an outline, with the background or a farther face outside; else 0."""
-    if at.inner_face < 0:
-        return 0.0
-    line = chord_from(edge, at, faces, perspective)
-    if at.inner_face != edge.face and at.inner_face != line.stand_in:
-        return 0.0
-    if at.outer_face >= 0:
-        if is_behind_plane(edge, at, faces, perspective):
-            return 0.0
-    weight = 1.0 / wp.max(line.joint, LEAST_CHORD)
-    before_face = next_inside(edge, at, face_index)
-    inside = extrapolated(weight, at.offset, before_face == at.inner_face)
-    outside = extrapolated(weight, 1.0 - at.offset, next_outside(edge, at, face_index) == at.outer_face)
-    if line.stand_in >= 0 and before_face == line.stand_in and at.inner_face == edge.face:
-        # The stand-in's colour, plus the face's difference from it. The difference has the larger weight of the face
-        # alone, which centres hit less often.
-        own_weight = 1.0 / wp.max(line.own, LEAST_CHORD)
-        inside = wp.vec2(own_weight, weight - own_weight)
-    inner_color = pixel_at(image, edge.image, edge.axis, at.u, at.inner)
-    outer_color = pixel_at(image, edge.image, edge.axis, at.u, at.outer)
-    return boundary_gain(edge, at, inner_color, outer_color, weight, inside, outside, image, grad)
+    // The gain at a crossing with the background or a farther face outside; else 0.
+    static CUDA_CALLABLE float gain(const Lines& lines, const Edge& edge, const Crossing& at) {
+        if (at.inner_face < 0) return 0.0f;
+        const float u = (float)at.u;
+        float own = 1.0f, joint = 1.0f;  // chords from the crossing on: of the face, and of both
+        int stand_in = -1;  // or the adjacent face behind a chord shorter than a pixel
+        if (!lines.perspective || edge.rz > 0.0f) {  // otherwise the third corner is behind the camera
+            const bool through_pr = (edge.pu <= u) != (edge.ru <= u);
+            float exit = edge.rv;
+            if (through_pr) exit = edge.pv + (edge.rv - edge.pv) * (u - edge.pu) / (edge.ru - edge.pu);
+            else if (edge.qu != edge.ru) exit = edge.qv + (edge.rv - edge.qv) * (u - edge.qu) / (edge.ru - edge.qu);
+            own = joint = wp::min(fabsf(exit - at.v), 1.0f);
+            if (own < 1.0f) stand_in = through_pr ? edge.adjacent_pr : edge.adjacent_qr;
+            if (stand_in >= 0) joint = lines.chord(stand_in, at.u, exit, at.v);
+        }
+        if (at.inner_face != edge.face && at.inner_face != stand_in) return 0.0f;
+        if (at.outer_face >= 0 && is_behind(lines, edge, at)) return 0.0f;
+        const float weight = Lines::weight(joint);
+        Gain gain;
+        gain.set(lines, edge, at);
+        gain.inside.extrapolate(weight, at.offset, gain.before_is_inside);
+        gain.outside.extrapolate(weight, 1.0f - at.offset, gain.behind_is_outside);
+        if (stand_in >= 0 && gain.before_face == stand_in && at.inner_face == edge.face) {
+            // The stand-in's colour, plus the face's difference from it. The difference has the larger weight of the
+            // face alone, which centres hit less often.
+            gain.inside.near_weight = Lines::weight(own);
+            gain.inside.next_weight = weight - gain.inside.near_weight;
+        }
+        return gain.sum(lines, at, weight > 1.0f);
+    }
+};
+"""

@@ -26,6 +26,13 @@ struct Vectors {
 
     static ints ahead() { return ints{0, 1, 2, 3, 4, 5, 6, 7}; }
     static floats none() { return floats(0.0f); }
+    static unsigned bits(ints lanes) {  // of a mask: bit n is lane n
+        typedef bool bools __attribute__((ext_vector_type(8)));
+        const bools each = __builtin_convertvector(lanes, bools);
+        unsigned char result;
+        memcpy(&result, &each, sizeof(result));
+        return result;
+    }
     static float sum(floats v) { return v[0] + v[1] + v[2] + v[3] + (v[4] + v[5] + v[6] + v[7]); }
 
     static void load(const float* from, floats* to) {
@@ -327,7 +334,7 @@ _BOX = """
         }
         if (done) {
             EIGHT_END
-            if (faces_too) eight.give(face);
+            if (faces_too) { GIVE }
         }
     }
     #endif
@@ -376,6 +383,7 @@ def over_face(
     end: str = "",
     eight_begin: str = "",
     eight_end: str = "",
+    give: str = "eight.give(face);",
     fits: str = "true",
     structs: str = "",
 ) -> str:
@@ -390,13 +398,14 @@ def over_face(
         begin, end: Statements before and after.
         eight_begin, eight_end: Statements before and after pixels are taken in eights. If that fails half-way, all
             pixels are taken one by one, and ``eight_end`` is left out.
+        give: Statements that set ``face.to`` after eights, where they did not call ``eight.pull``.
         fits: Condition for taking pixels in eights.
         structs: Declarations that may need those of `FACE`.
 
     Returns:
         C++ statements.
     """
-    eights = {"EIGHT_BEGIN": eight_begin, "EIGHT": eight, "EIGHT_END": eight_end, "FITS": fits}
+    eights = {"EIGHT_BEGIN": eight_begin, "EIGHT": eight, "EIGHT_END": eight_end, "GIVE": give, "FITS": fits}
     return FACE + structs + fill(_BOX, BEGIN=begin, ONE=one, END=end, **eights)
 
 
