@@ -40,6 +40,8 @@ NEVER_RAISES = {
     "RandomViews.fixed",
     "FeatureNetwork",
     "Config",
+    "Viewer.offer",
+    "Viewer.finish",
 }
 WITHOUT_EXAMPLE = {
     "losses.silhouette_iou",  # deprecated

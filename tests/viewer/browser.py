@@ -31,13 +31,14 @@ _FLAGS = (
     "--disable-background-networking",
     "--no-first-run",
     "--mute-audio",
+    "--disable-features=BackForwardCache",  # a page that is left is closed
     # WebGL without a graphics card.
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--remote-debugging-port=0",
 )
-_PATIENCE = 120.0  # seconds: how long a busy machine may take
+_PATIENCE = 90.0  # seconds: how long a busy machine may take
 _Found = TypeVar("_Found")
 
 
@@ -47,9 +48,9 @@ def find_browser() -> str | None:
 
 
 def wait_until(look: Callable[[], _Found], what: str) -> _Found:
-    """Call ``look`` until it returns something true."""
+    """Call ``look`` until it returns neither None nor False."""
     end = time.monotonic() + _PATIENCE
-    while not (found := look()):
+    while (found := look()) is None or found is False:
         assert time.monotonic() < end, f"waited for {what}"
         time.sleep(0.1)
     return found
@@ -74,7 +75,7 @@ class Browser:
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
                 pages = json.load(answer)
             address = next(page["webSocketDebuggerUrl"] for page in pages if page["type"] == "page")
-            self._socket = connect(address, max_size=None, open_timeout=_PATIENCE, proxy=None)
+            self._socket = connect(address, max_size=None, open_timeout=_PATIENCE, ping_interval=None)
         except BaseException:
             self._end()
             raise
@@ -98,6 +99,12 @@ class Browser:
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Call a method of the protocol."""
+        answer = self._call(method, **parameters)
+        assert "error" not in answer, answer
+        return answer["result"]
+
+    def _call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Call a method of the protocol; return the answer, which may be an error while a page changes."""
         self._count += 1
         self._socket.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
         while True:
@@ -107,8 +114,7 @@ class Browser:
             if message.get("method") == "Runtime.exceptionThrown":
                 self.errors.append(json.dumps(message["params"]["exceptionDetails"])[:500])
             if message.get("id") == self._count:
-                assert "error" not in message, message
-                return message["result"]
+                return message
 
     def open(self, address: str) -> None:
         """Open a page."""
@@ -155,7 +161,8 @@ class Browser:
 
     def screenshot(self, path: Path | None = None) -> np.ndarray:
         """The pixels of the page, [H, W, 3] uint8."""
-        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        answer = wait_until(lambda: self._call("Page.captureScreenshot", format="png").get("result"), "a screenshot")
+        data = base64.b64decode(answer["data"])
         if path is not None:
             path.write_bytes(data)
         return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))

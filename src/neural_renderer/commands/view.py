@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..tasks.fit.fit_pictures import up_axis
+from ..viewer.records.replay import Record
 from ..viewer.results import Results, read_results
 from ..viewer.viewer import Viewer
 from .common import check_outputs, say
@@ -62,25 +63,30 @@ def _free_name(name: str, path: Path, results: Results) -> str:
 def _show(viewer: Viewer, results: Results, options: ViewOptions) -> None:
     """Show what was read."""
     if results.record is not None:
-        record = results.record
-        if not len(record):
-            raise ValueError(f"{options.paths[0]}: expected a record with frames, got an empty one")
-
-        def choose(number: int) -> None:
-            for name, mesh in record.meshes(number).items():
-                viewer.show(mesh, name)
-
-        choose(len(record) - 1)
-        viewer.show_steps(record.labels, choose)
-    names = [name for name in results.meshes if results.record is None or name == "before"]
-    for name in names:
-        viewer.show(results.meshes[name], name)
+        _show_steps(viewer, results, results.record)
+    for name, mesh in results.meshes.items():
+        if results.record is None or name == "before":
+            viewer.show(mesh, name)
     if results.numbers:
         viewer.show_curves(results.numbers)
     if results.pictures:
         viewer.show_pictures(results.pictures)
     if results.views is not None:
         viewer.show_cameras(results.views.camera, results.views.photos, results.views.masks)
-    up = options.up or (None if results.views is None else up_axis(results.views))
+    up: str | None = options.up or (None if results.views is None else up_axis(results.views))
     if up is not None:
         viewer.set_up(up)
+
+
+def _show_steps(viewer: Viewer, results: Results, record: Record) -> None:
+    """Show the last frame of a record, and a slider; the result of a command follows after the last frame."""
+    result = results.meshes.get("result")
+    labels = [*record.labels, *([] if result is None else ["result"])]
+
+    def choose(number: int) -> None:
+        meshes = {"mesh": result} if number == len(record) else record.meshes(number)
+        for name, mesh in meshes.items():
+            viewer.show(mesh, name)
+
+    choose(len(labels) - 1)
+    viewer.show_steps(labels, choose)

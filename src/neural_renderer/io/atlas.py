@@ -20,14 +20,13 @@ _COLOR_BITS = 5  # of each channel, in the order of tiles
 _TRIANGLE = np.array([[0, 0], [0, 1], [1, 1]])  # (x, y down) of the corners in units of n
 
 
-def build_atlas(textures: np.ndarray, tile: int | None = None, by_color: bool = True) -> tuple[np.ndarray, np.ndarray]:
+def build_atlas(textures: np.ndarray, tile: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Draw the texture cubes of a mesh into one image.
 
     Args:
         textures: [F, T, T, T, 3] float32 in [0, 1].
         tile: Width of a tile in pixels, ≥ 4. None chooses about 15; up to 50 if the picture is at most 1024 wide; fewer
             for meshes of more than 290,000 faces, because the picture would be wider than 8192.
-        by_color: Whether tiles of similar colours are placed together; otherwise tiles have the order of the faces.
 
     Returns:
         The picture, [H, W, 3] uint8, row 0 at the top, and the pixel positions of the faces' corners, [F, 3, 2] float64
@@ -44,7 +43,7 @@ def build_atlas(textures: np.ndarray, tile: int | None = None, by_color: bool = 
     weights, used = _tile_weights(size, span), _face_texels(size)
     picture = np.zeros((rows * tile, columns * tile, 3), dtype=np.uint8)
     texels = textures.reshape(faces, -1, 3)[:, used]
-    order = _by_color(texels.mean(axis=1)) if by_color else np.arange(faces)
+    order = _by_color(texels.mean(axis=1))
     for row in range(rows):
         own = texels[order[row * columns : (row + 1) * columns]]
         colors = weights @ own.transpose(1, 0, 2).reshape(len(used), -1)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _MOST = 200  # frusta drawn
 _PHOTO = 192  # longer side of a photograph in the scene, in pixels
-_SIZE = 0.12  # of a frustum, relative to the median distance of the cameras from the scene's centre
+_SIZE = 0.08  # of a frustum, relative to the median distance of the cameras from the scene's centre
 _COLOR = (70, 90, 120)  # RGB
 _PAPER = 0.93  # grey behind photographs of objects that were cut out
 _PARALLEL = 0.05  # field of view in radians with which a camera without perspective is drawn

@@ -86,4 +86,5 @@ class Page:
     def _follow(self) -> None:
         """List the meshes, and draw them by our own renderer if that is asked for."""
         self.display.list_meshes()
+        self.display.faces.update()
         self.renderer.update()

@@ -10,13 +10,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from ..meshes.normals import vertex_normals
 from .drawing.glb import Drawable, write_glb
 from .drawing.snapshot import Snapshot
-from .drawing.surface import Look, drawables
+from .drawing.surface import Look, drawables, vertex_normals
 from .worker import Worker
 
 if TYPE_CHECKING:
@@ -231,20 +229,19 @@ class Scene:
             return
         low, high = snapshot.bounds()
         size = float((high - low).max())
-        faces = snapshot.faces.long()
-        normals = vertex_normals(snapshot.vertices, faces)[0]
+        vertices, faces = snapshot.vertices.numpy(), snapshot.faces.numpy()
+        normals = vertex_normals(vertices, faces)
         if self.wireframe:
-            lifted = (snapshot.vertices + _LIFT * size * normals).numpy()
+            lifted = vertices + _LIFT * size * normals
             shown.wire = self._server.scene.add_mesh_simple(
-                f"{path}/wire", lifted, snapshot.faces.numpy(), color=_LINES, wireframe=True, cast_shadow=False
+                f"{path}/wire", lifted, faces, color=_LINES, wireframe=True, cast_shadow=False
             )
         if self.normals:
-            used = torch.unique(faces)
+            used = np.unique(faces)
             some = used[:: -(-len(used) // _MOST_NORMALS)]
-            starts = snapshot.vertices[some]
-            ends = torch.stack((starts, starts + _NORMAL_LENGTH * size * normals[some]), 1)
+            ends = np.stack((vertices[some], vertices[some] + _NORMAL_LENGTH * size * normals[some]), 1)
             shown.normals = self._server.scene.add_line_segments(
-                f"{path}/normals", ends.numpy(), np.array(_NORMALS), thickness=_THICKNESS * size
+                f"{path}/normals", ends, np.array(_NORMALS), thickness=_THICKNESS * size
             )
 
     def _swap(self) -> None:

@@ -9,7 +9,7 @@ import ipaddress
 import socket
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from ..io.files import warn
@@ -17,6 +17,7 @@ from ..io.files import warn
 if TYPE_CHECKING:
     import viser
 
+_STOPPING = 1.0  # seconds that the end waits for open connections
 _PORTS = 100  # tried one after the other
 _NOT_HERE = (errno.EADDRNOTAVAIL,)
 _THEME = (43, 90, 140)  # RGB of buttons
@@ -63,9 +64,15 @@ def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, s
 
 
 def stop_server(server: viser.ViserServer) -> None:
-    """End a server; browsers show that the connection is lost."""
-    with _without_output(lambda text: "viser" in text):  # "Server stopped"
-        server.stop()
+    """End a server; browsers show that the connection is lost. Its thread may need seconds more to wind down."""
+
+    def stop() -> None:
+        with _without_output(lambda text: "viser" in text):  # "Server stopped"
+            server.stop()
+
+    thread = threading.Thread(target=stop, name="neural-renderer viewer's end", daemon=True)
+    thread.start()
+    thread.join(_STOPPING)
 
 
 class _Filtered(io.TextIOBase):
@@ -84,9 +91,16 @@ class _Filtered(io.TextIOBase):
         return bool(self._stream.isatty())
 
 
-def _without_output(drops: Callable[[str], bool]) -> contextlib.redirect_stdout[Any]:
+@contextlib.contextmanager
+def _without_output(drops: Callable[[str], bool]) -> Iterator[None]:
     """Drop some of what is printed: viser prints what a program that uses it should say in its own way."""
-    return contextlib.redirect_stdout(_Filtered(sys.stdout, drops))
+    before = sys.stdout
+    filtered = sys.stdout = _Filtered(before, drops)
+    try:
+        yield
+    finally:
+        if sys.stdout is filtered:  # nobody else has replaced it meanwhile
+            sys.stdout = before
 
 
 def _import_viser() -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import threading
 import time
@@ -57,8 +58,27 @@ class Viewer:
 
     Example:
         >>> viewer = nr.view(browser=False, record="run.html")
-        >>> viewer.show(mesh, name="sphere")
-        >>> viewer.close()
+        >>> rate = viewer.knob("rate", 0.1, most=1.0)
+        >>> for step in range(3):
+        ...     if viewer.proceed():
+        ...         viewer.show(mesh, name="sphere")
+        ...         viewer.log(step, loss=1 / (step + rate()))
+        >>> viewer.show_cameras(camera)
+        >>> viewer.set_up("+z")
+        >>> viewer.show_curves({"IoU": [(1, 0.5), (2, 0.7)]})
+        >>> viewer.show_steps(["first", "last"], choose=print)
+        >>> nr.save_image("plan.png", torch.rand(8, 8, 3))
+        >>> viewer.show_pictures({"plan": "plan.png"})
+        >>> viewer.observe("fit", 1, 100, {"loss": 0.5}, lambda: mesh)  # what tasks call
+        >>> viewer.offer([])
+        >>> viewer.changes()
+        {}
+        >>> viewer.finish("done")
+        >>> viewer.wait(for_browser=True)  # nobody looks
+        >>> viewer.flush()
+        >>> sentence = viewer.save_record("now.html")
+        >>> viewer.remove("sphere")
+        >>> sentence = viewer.close()
     """
 
     url: str | None
@@ -94,14 +114,8 @@ class Viewer:
         self._page: Page | None = None
         self.url = None
         if browser:
-            try:
-                from .page import Page
-
-                self._page = Page(host, port, title, self._worker, self._run)
-            except BaseException:
-                self._worker.close()
-                raise
-            self.url = self._page.url
+            self._open_page(host, port, title)
+        atexit.register(self.close)  # a program that ends writes its record
 
     def __enter__(self) -> Viewer:
         return self
@@ -366,6 +380,9 @@ class Viewer:
 
         Args:
             for_browser: Wait only while a browser shows the page.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C.
         """
         while not self._is_closed and (self.clients or not for_browser):
             time.sleep(_POLL)
@@ -388,6 +405,7 @@ class Viewer:
             if self._is_closed:
                 return None
             self._is_closed = True
+        atexit.unregister(self.close)
         self.flush()
         self._worker.close()
         if self._page is not None:
@@ -419,6 +437,17 @@ class Viewer:
         from .notebook import frame_of
 
         return frame_of(self)
+
+    def _open_page(self, host: str, port: int, title: str) -> None:
+        """Listen for browsers."""
+        from .page import Page  # needs viser only when it is used
+
+        try:
+            self._page = Page(host, port, title, self._worker, self._run)
+        except BaseException:
+            self._worker.close()
+            raise
+        self.url = self._page.url
 
     def _check_open(self) -> None:
         """Raise RuntimeError if the viewer is closed."""

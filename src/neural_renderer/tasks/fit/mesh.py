@@ -57,6 +57,8 @@ class MeshFit:
         >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     losses = fit.advance()
+        ...     if fit.phase == "shape":
+        ...         fit.turn("laplacian", 50.0)
         >>> fit.mesh().save("object.glb")
         >>> fit.knobs()  # in the texture phase
         []

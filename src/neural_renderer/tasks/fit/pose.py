@@ -54,8 +54,11 @@ class CameraFit:
         >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     loss = fit.advance()["loss"]
+        ...     fit.turn("rate", 0.05)
         >>> len(fit.best()), len(fit.cameras())
         (1, 2)
+        >>> [knob.name for knob in fit.knobs()]
+        ['rate']
         >>> fit.losses().shape, fit.iou().shape
         (torch.Size([2]), torch.Size([2]))
         >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start

@@ -12,6 +12,9 @@ from torch import Tensor
 from ... import validate
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
+from .memo import Memo
+
+_COPIES: Memo[Tensor] = Memo()
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +39,10 @@ class Snapshot:
         Returns:
             The rest, whose unusable vertices are at the origin, and the number of faces left out.
         """
-        good = torch.isfinite(self.vertices).all(1)
-        if bool(good.all()):
+        finite = np.isfinite(self.vertices.numpy()).all(1)
+        if finite.all():
             return self, 0
+        good = torch.from_numpy(finite)
         vertices = torch.where(good[:, None], self.vertices, 0.0)
         kept = good[self.faces.long()].all(1)
         textures = None if self.textures is None else self.textures[kept]
@@ -62,10 +66,10 @@ class Snapshot:
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the least and greatest coordinates of the faces' vertices, [3] each; 0 without faces."""
-        used = self.vertices[self.faces.long().reshape(-1)]
+        used = self.vertices.numpy()[self.faces.numpy().reshape(-1)]
         if not len(used):
             return np.zeros(3), np.zeros(3)
-        return used.amin(0).double().numpy(), used.amax(0).double().numpy()
+        return used.min(0).astype(float), used.max(0).astype(float)
 
 
 def take_snapshot(mesh: Any) -> Snapshot:
@@ -106,9 +110,13 @@ def take_snapshot(mesh: Any) -> Snapshot:
 def _checked(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
     """Check shapes and indices; vertices may be infinite, or no numbers, in an optimisation that diverges."""
     validate.floating("vertices", vertices, ("V", 3))
-    faces = validate.indices("faces", faces, ("F", 3))
-    validate.in_range("faces", faces, len(vertices), always=True)
-    return vertices.float(), faces.int()
+    faces = validate.indices("faces", faces, ("F", 3), always=True).int()
+    numbers = faces.numpy()  # torch's threads would cost more than they save
+    if numbers.size and not 0 <= numbers.min() <= numbers.max() < len(vertices):
+        raise ValueError(
+            f"faces: expected vertex indices from 0 to {len(vertices) - 1}, got {numbers.min()} to {numbers.max()}"
+        )
+    return vertices.float(), faces
 
 
 def _single(value: Any, dimensions: int = 2) -> Tensor:
@@ -121,5 +129,11 @@ def _single(value: Any, dimensions: int = 2) -> Tensor:
 
 
 def _copy(value: Tensor) -> Tensor:
-    """Copy a tensor to the CPU, without its gradient."""
-    return value.detach().to("cpu", copy=True)
+    """Copy a tensor to the CPU, without its gradient; one that has not changed is copied once."""
+    return _COPIES.get(value, _copied)
+
+
+def _copied(value: Tensor) -> Tensor:
+    """Copy a tensor to the CPU; 64-bit indices become 32-bit ones."""
+    dtype = torch.int32 if value.dtype == torch.int64 and value.ndim == 2 else value.dtype
+    return value.detach().to("cpu", dtype, copy=True)

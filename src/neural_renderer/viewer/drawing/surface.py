@@ -1,28 +1,32 @@
-"""How a mesh is shown: its colours, one colour, its normals, or a colour for each face."""
+"""How a mesh is shown: its colours, one colour, its normals, or a colour for each face.
+
+This is written in numpy, on one core: torch's threads would compete with those of the work that is shown.
+"""
 
 from __future__ import annotations
 
 import io
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-import torch
 from PIL import Image
 from torch import Tensor
 
-from ...io.atlas import build_atlas, coordinates
-from ...meshes.normals import vertex_normals
 from ...meshes.uv_mesh import UVMesh
 from ...pictures.clay import CLAY
 from .glb import Drawable
+from .memo import Memo
 from .snapshot import Snapshot
 
 Surface = Literal["colours", "clay", "normals", "faces"]
 SURFACES: tuple[Surface, ...] = ("colours", "clay", "normals", "faces")
-_ATLAS_BORDER = 3  # pixels of an atlas's tile besides those between texels
 _MOST_ATLAS_PIXELS = 4096**2  # finer meshes have the colours of their faces' corners only
-_EVEN = 1 / 512  # colours that differ by less are one colour
+_LARGEST_IMAGE = 4096  # longer side of an image in pixels
+_EVEN = 2  # colours that differ by less, of 255, are one colour
+_V_DOWN, _V_TOP = np.array([1, -1], np.float32), np.array([0, 1], np.float32)  # v up to v down
+_JPEGS: Memo[bytes] = Memo()
 
 
 @dataclass(frozen=True)
@@ -31,13 +35,16 @@ class Look:
 
     Attributes:
         surface: What the colours mean: "colours" of the mesh, "clay", "normals" in world space, or a colour per face.
-        lit: Whether light falls on "colours" and "clay".
+        lit: Whether light falls on "colours", "clay" and "faces".
         smooth: Whether the light is interpolated over faces that share vertices.
     """
 
     surface: Surface = "colours"
     lit: bool = True
     smooth: bool = True
+
+
+_UNLIT, _UNLIT_FLAT = Look(lit=False), Look(lit=False, smooth=False)
 
 
 def drawables(snapshot: Snapshot, look: Look, values: Tensor | None = None) -> list[Drawable]:
@@ -51,129 +58,178 @@ def drawables(snapshot: Snapshot, look: Look, values: Tensor | None = None) -> l
     Returns:
         The parts of the mesh; several if it has several images.
     """
-    faces = snapshot.faces.long()
+    vertices, faces = snapshot.vertices.numpy(), snapshot.faces.numpy()
     if values is not None:
-        return [_of_vertices(snapshot, values, Look(lit=False))]
+        return [_of_vertices(vertices, faces, _bytes(values.numpy()), _UNLIT)]
     if look.surface == "normals":
         if look.smooth:
-            return [_of_vertices(snapshot, (vertex_normals(snapshot.vertices, faces)[0] + 1) / 2, Look(lit=False))]
-        normals = _normals(snapshot.vertices[faces])
-        return [_of_corners(snapshot, ((normals + 1) / 2)[:, None].expand(-1, 3, -1), lit=False)]
+            return [_of_vertices(vertices, faces, _bytes((vertex_normals(vertices, faces) + 1) / 2), _UNLIT)]
+        normals = _bytes((_unit(_face_normals(vertices, faces)) + 1) / 2)
+        return [_of_corners(vertices, faces, normals[:, None].repeat(3, 1), _UNLIT_FLAT)]
     if look.surface == "faces":
-        colors = face_colors(torch.arange(len(faces)))
-        return [_of_corners(snapshot, colors[:, None].expand(-1, 3, -1), lit=look.lit)]
-    if look.surface == "clay":
-        return [_plain(snapshot, CLAY, look)]
+        colors = _bytes(face_colors(np.arange(len(faces))))
+        return [_of_corners(vertices, faces, colors[:, None].repeat(3, 1), look)]
+    if look.surface == "clay" or (snapshot.uv_mesh is None and snapshot.textures is None):
+        return [_plain(vertices, faces, CLAY, look)]
     if snapshot.uv_mesh is not None:
-        return _of_images(snapshot, snapshot.uv_mesh, look)
-    return [_of_cubes(snapshot, look)]
+        return _of_images(vertices, faces, snapshot.uv_mesh, look)
+    return [_of_cubes(vertices, faces, snapshot.textures.numpy(), look)]  # type: ignore[union-attr]
 
 
-def face_colors(index: Tensor) -> Tensor:
+def face_colors(index: np.ndarray) -> np.ndarray:
     """Choose colours [F, 3] for numbers of faces [F]; consecutive numbers get different hues."""
-    hue = torch.frac(index.double() * 0.6180339887)[:, None] * 6 + torch.tensor([0.0, 4.0, 2.0])  # golden ratio
-    return (((hue % 6 - 3).abs() - 1).clamp(0, 1) * 0.55 + 0.35).float()
+    hue = (index * 0.6180339887 % 1)[:, None] * 6 + np.array([0.0, 4.0, 2.0])  # golden ratio
+    return (np.abs(hue % 6 - 3) - 1).clip(0, 1) * 0.55 + 0.35
 
 
-def _of_cubes(snapshot: Snapshot, look: Look) -> Drawable:
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Compute area-weighted normals of vertices, [V, 3] float32."""
+    normals = _face_normals(vertices, faces).repeat(3, 0)
+    places, count = faces.reshape(-1), len(vertices)
+    sums = [np.bincount(places, normals[:, axis], count) for axis in range(3)]
+    return _unit(np.stack(sums, 1)).astype(np.float32)
+
+
+def _of_cubes(vertices: np.ndarray, faces: np.ndarray, cubes: np.ndarray, look: Look) -> Drawable:
     """Show texture cubes: as one colour, as colours of corners, or as an atlas."""
-    cubes, faces = snapshot.textures, snapshot.faces.long()
-    if cubes is None:
-        return _plain(snapshot, CLAY, look)
-    flat = cubes.reshape(-1, 3)
-    low, high = torch.aminmax(flat, dim=0)
-    if bool((high - low <= _EVEN).all()):
-        red, green, blue = ((low + high) / 2).nan_to_num().clamp(0, 1).tolist()
-        return _plain(snapshot, (red, green, blue), look)
-    last = cubes.shape[1] - 1
-    corners = torch.stack((cubes[:, last, 0, 0], cubes[:, 0, last, 0], cubes[:, 0, 0, last]), 1)
-    tile = last + _ATLAS_BORDER
-    if last < 2 or len(faces) * tile**2 > _MOST_ATLAS_PIXELS:
-        shared = torch.zeros_like(snapshot.vertices)
-        shared[faces.reshape(-1)] = corners.reshape(-1, 3)
-        if look.smooth and bool(((shared[faces] - corners).abs() <= _EVEN).all()):
-            return _of_vertices(snapshot, shared, look)
-        return _of_corners(snapshot, corners, look.lit)
-    picture, pixels = build_atlas(cubes.nan_to_num().numpy(), tile, by_color=False)
-    uv = coordinates(pixels.reshape(-1, 2), picture) * [1, -1] + [0, 1]
-    return Drawable(*_unrolled(snapshot), uv=uv.astype(np.float32), image=_jpeg(picture), wrap="clamp", lit=look.lit)
+    count, size = cubes.shape[:2]
+    used, corners = _plane(size)
+    texels = _bytes(cubes.reshape(count, -1, 3)[:, used])
+    low, high = texels.min((0, 1)), texels.max((0, 1))
+    if (high - low < _EVEN).all():
+        red, green, blue = (float(value) for value in texels[0, 0] / 255)
+        return _plain(vertices, faces, (red, green, blue), look)
+    width = size + 2
+    is_flat = (texels.max(1) - texels.min(1) < _EVEN).all()
+    if size <= 2 or is_flat or count * width**2 > _MOST_ATLAS_PIXELS:
+        colors = texels[:, corners]
+        shared = np.zeros((len(vertices), 3), np.uint8)
+        shared[faces.reshape(-1)] = colors.reshape(-1, 3)
+        if look.smooth and (np.abs(shared[faces].astype(np.int16) - colors) < _EVEN).all():
+            return _of_vertices(vertices, faces, shared, look)
+        return _of_corners(vertices, faces, colors, look)
+    columns = int(np.ceil(np.sqrt(count)))
+    rows = -(-count // columns)
+    tiles = np.zeros((rows * columns, width, width, 3), np.uint8)
+    tiles[:count] = texels[:, _tile(size)]
+    picture = tiles.reshape(rows, columns, width, width, 3).swapaxes(1, 2).reshape(rows * width, columns * width, 3)
+    number = np.arange(count)
+    first = np.stack((number % columns, number // columns), 1)[:, None] * width + 1.5
+    places = first + (size - 1) * np.array([[0, 0], [1, 0], [0, 1]])
+    uv = (places / [columns * width, rows * width]).astype(np.float32).reshape(-1, 2)
+    return Drawable(*_unrolled(vertices, faces), uv=uv, image=_jpeg(picture), wrap="clamp", lit=look.lit)
 
 
-def _of_images(snapshot: Snapshot, mesh: UVMesh, look: Look) -> list[Drawable]:
+@lru_cache(maxsize=16)
+def _plane(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """List the texels of a cube [T, T, T] in the plane of the face, and which of them are its corners."""
+    last = size - 1
+    i, j, k = (axis.reshape(-1) for axis in np.indices((size,) * 3))
+    used = np.flatnonzero(i + j + k == last)
+    corners = [int(np.flatnonzero(used == place)[0]) for place in (last * size * size, last * size, last)]
+    return used, np.array(corners)
+
+
+@lru_cache(maxsize=16)
+def _tile(size: int) -> np.ndarray:
+    """Choose the texel of each pixel of a tile [T + 2, T + 2]: a right triangle, and its surroundings for blending."""
+    used, _ = _plane(size)
+    rank = {int(place): number for number, place in enumerate(used)}
+    pixels = np.zeros((size + 2, size + 2), np.int64)
+    for y in range(size + 2):
+        for x in range(size + 2):
+            j, k = (min(max(value - 1, 0), size - 1) for value in (x, y))
+            beyond = max(j + k - (size - 1), 0)
+            j, k = max(j - (beyond + 1) // 2, 0), max(k - beyond // 2, 0)
+            pixels[y, x] = rank[(size - 1 - j - k) * size * size + j * size + k]
+    return pixels
+
+
+def _of_images(vertices: np.ndarray, faces: np.ndarray, mesh: UVMesh, look: Look) -> list[Drawable]:
     """Show the images of a mesh, and the corner colours of faces without one."""
     found = []
+    index = mesh.image_index.numpy()
     for number, (image, wrap) in enumerate(zip(mesh.images, mesh.wraps, strict=True)):
-        own = torch.nonzero(mesh.image_index == number).flatten()
+        own = np.flatnonzero(index == number)
         if not len(own):
             continue
-        # A vertex of a graphics card has one texture coordinate, so a vertex with several is duplicated.
-        uv = (mesh.uv[own].reshape(-1, 2).nan_to_num() * torch.tensor([1.0, -1.0]) + torch.tensor([0.0, 1.0])).numpy()
-        corners = snapshot.faces[own].reshape(-1).numpy()
-        index = normals = None
+        uv = np.nan_to_num(mesh.uv.numpy()[own].reshape(-1, 2) * _V_DOWN + _V_TOP)
+        corners = faces[own].reshape(-1)
+        order = normals = None
         if look.smooth:
-            keys = np.rec.fromarrays((corners, uv[:, 0], uv[:, 1]))
-            _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-            normals = _smooth(snapshot)
-            corners, uv, index = corners[first], uv[first], inverse.reshape(-1, 3).astype(np.uint32)
-        pixels = (image.nan_to_num().clamp(0, 1) * 255 + 0.5).byte().numpy()
-        picture = _jpeg(pixels)
-        vertices = snapshot.vertices.numpy()
-        found.append(Drawable(vertices, corners, normals, index, uv=uv, image=picture, wrap=wrap, lit=look.lit))
-    rest = mesh.image_index < 0
-    if bool(rest.any()):
-        part = Snapshot(snapshot.vertices, snapshot.faces[rest])
-        found.append(_of_corners(part, mesh.colors[rest], look.lit))
+            # A vertex of a graphics card has one texture coordinate, so a vertex with several is duplicated.
+            first, inverse = _seams(corners, uv)
+            normals = vertex_normals(vertices, faces)
+            corners, uv, order = corners[first], uv[first], inverse.reshape(-1, 3).astype(np.uint32)
+        picture = _JPEGS.get(image, _jpeg_of)
+        found.append(Drawable(vertices, corners, normals, order, uv=uv, image=picture, wrap=wrap, lit=look.lit))
+    rest = index < 0
+    if rest.any():
+        found.append(_of_corners(vertices, faces[rest], _bytes(mesh.colors.numpy()[rest]), look))
     return found
 
 
-def _plain(snapshot: Snapshot, color: tuple[float, float, float], look: Look) -> Drawable:
+def _seams(corners: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find equal pairs of a vertex and its coordinates: the first of each kind, and the kind of each."""
+    order = np.lexsort((uv[:, 1], uv[:, 0], corners))
+    is_new = np.ones(len(order), bool)
+    is_new[1:] = (np.diff(corners[order]) != 0) | (np.diff(uv[order], axis=0) != 0).any(1)
+    inverse = np.empty(len(order), np.int64)
+    inverse[order] = np.cumsum(is_new) - 1
+    return order[is_new], inverse
+
+
+def _plain(vertices: np.ndarray, faces: np.ndarray, color: tuple[float, float, float], look: Look) -> Drawable:
     """Show one colour."""
-    if look.smooth or look.lit:  # the browser lights single colours smoothly or not, as it is told
-        return Drawable(snapshot.vertices.numpy(), index=_index(snapshot), color=color, lit=look.lit)
-    return Drawable(*_unrolled(snapshot), color=color, lit=look.lit)
+    if look.smooth or look.lit:  # a browser lights single colours smoothly or not, as it is told
+        return Drawable(vertices, index=faces.astype(np.uint32), color=color, lit=look.lit)
+    return Drawable(*_unrolled(vertices, faces), color=color, lit=look.lit)
 
 
-def _of_vertices(snapshot: Snapshot, colors: Tensor, look: Look) -> Drawable:
-    """Show colours of vertices [V, 3]."""
+def _of_vertices(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray, look: Look) -> Drawable:
+    """Show colours of vertices, [V, 3] uint8."""
     if not look.smooth:
-        return _of_corners(snapshot, colors[snapshot.faces.long()], look.lit)
-    normals = _smooth(snapshot) if look.lit else None
-    return Drawable(snapshot.vertices.numpy(), None, normals, _index(snapshot), colors=_bytes(colors), lit=look.lit)
+        return _of_corners(vertices, faces, colors[faces], look)
+    normals = vertex_normals(vertices, faces) if look.lit else None
+    return Drawable(vertices, None, normals, faces.astype(np.uint32), colors=colors, lit=look.lit)
 
 
-def _of_corners(snapshot: Snapshot, colors: Tensor, lit: bool) -> Drawable:
-    """Show colours of the faces' corners [F, 3, 3]."""
-    return Drawable(*_unrolled(snapshot), colors=_bytes(colors.reshape(-1, 3)), lit=lit)
+def _of_corners(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray, look: Look) -> Drawable:
+    """Show colours of the faces' corners, [F, 3, 3] uint8."""
+    return Drawable(*_unrolled(vertices, faces), colors=colors.reshape(-1, 3), lit=look.lit)
 
 
-def _unrolled(snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
+def _unrolled(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices, and the vertex at each corner of the faces, [3 F]: faces share no positions."""
-    return snapshot.vertices.numpy(), snapshot.faces.numpy().reshape(-1)
+    return vertices, faces.reshape(-1)
 
 
-def _smooth(snapshot: Snapshot) -> np.ndarray:
-    """Compute the normals of vertices, [V, 3]."""
-    return vertex_normals(snapshot.vertices, snapshot.faces.long())[0].numpy()
+def _face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Compute normals of faces, [F, 3], of the lengths of their areas."""
+    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
+    (ax, ay, az), (bx, by, bz) = (second - first).T, (third - first).T
+    return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), 1)
 
 
-def _index(snapshot: Snapshot) -> np.ndarray:
-    """Return the faces, [F, 3] uint32."""
-    return snapshot.faces.numpy().astype(np.uint32)
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Scale vectors to length 1; 0 stays 0."""
+    return vectors / np.maximum(np.sqrt((vectors * vectors).sum(1, keepdims=True)), 1e-30)
 
 
-def _normals(corners: Tensor) -> Tensor:
-    """Compute unit normals [F, 3] of faces with corners [F, 3, 3]."""
-    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return torch.nn.functional.normalize(normals, dim=1)
-
-
-def _bytes(colors: Tensor) -> np.ndarray:
+def _bytes(colors: np.ndarray) -> np.ndarray:
     """Convert colours in [0, 1] to bytes."""
-    return (colors.nan_to_num().clamp(0, 1) * 255 + 0.5).byte().numpy()
+    return (np.nan_to_num(colors).clip(0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def _jpeg_of(image: Tensor) -> bytes:
+    """Encode a texture image [H, W, 3] in [0, 1], reduced if it is very large."""
+    return _jpeg(_bytes(image.numpy()))
 
 
 def _jpeg(pixels: np.ndarray) -> bytes:
     """Encode an image, with colours at full resolution."""
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "JPEG", quality=92, subsampling=0)
+    picture, file = Image.fromarray(pixels), io.BytesIO()
+    if max(picture.size) > _LARGEST_IMAGE:
+        picture.thumbnail((_LARGEST_IMAGE, _LARGEST_IMAGE))
+    picture.save(file, "JPEG", quality=92, subsampling=0)
     return file.getvalue()

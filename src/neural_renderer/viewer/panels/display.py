@@ -12,6 +12,7 @@ from PIL import Image
 from ..drawing.surface import SURFACES
 from ..scene import Scene
 from ..worker import Worker
+from .faces import FacesPanel
 
 if TYPE_CHECKING:
     import viser
@@ -35,6 +36,7 @@ class DisplayPanel:
             smooth = gui.add_checkbox("Smooth", True, hint="Interpolate the light over faces that share vertices")
             wireframe = gui.add_checkbox("Wireframe", False)
             normals = gui.add_checkbox("Normals", False)
+            self.faces = FacesPanel(server, scene, worker)
             self._row: Any = gui.add_checkbox("Side by side", scene.side_by_side)
             up: Any = gui.add_dropdown("Up", tuple(_UP))
             background = gui.add_rgb("Background", _BACKGROUND)

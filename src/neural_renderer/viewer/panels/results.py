@@ -14,7 +14,7 @@ from ...io import load_image
 if TYPE_CHECKING:
     import viser
 
-_PLACE, _WIDTH = (15, 15), 420  # of the panel of pictures, in pixels of the page: at the top on the left
+_PLACE, _WIDTH = (-15, -15), 420  # of the panel of pictures, in pixels of the page: at the bottom on the right
 _LARGEST = 1200  # longer side of a picture
 
 

@@ -18,6 +18,7 @@ _MOST_POINTS = 400  # of a curve
 _MOST_CURVES = 4
 _CURVE_HEIGHT = 120  # pixels
 _COLOR = "#2b5a8c"
+_LAST = 1e9  # order of the settings, below the curves
 
 
 class Run:
@@ -169,7 +170,7 @@ class RunPanel:
         if not knobs:
             return
         with self._folder:
-            self._settings = self._server.gui.add_folder("Settings")
+            self._settings = self._server.gui.add_folder("Settings", order=_LAST)
         with self._settings:
             for knob in knobs.values():
                 self._add_field(knob)

@@ -26,7 +26,7 @@ BEGIN, END = '<script id="record" type="application/json">', "</script>"
 """What stands before and after the data in a file."""
 DEFAULT_LIMIT = 32.0
 """Size of a file in MiB at most."""
-_LEVELS = 2**14 - 1  # of a coordinate, over the mesh's bounding box
+_LEVELS = 2**16 - 1  # of a coordinate, over the mesh's bounding box
 _UV_LEVELS = 2**16 - 1
 _PAGE = Path(__file__).with_name("record.html")
 _MARK = "<!-- record -->"
@@ -87,7 +87,7 @@ class Recorder:
             usable, _ = snapshot.finite()
             if len(usable.faces):
                 frame["meshes"][name] = [self._part(part) for part in drawables(usable, Look())]
-        if self._frames and self._frames[-1]["step"] == step and self._frames[-1]["label"] == label:
+        if self._frames and self._is_replaced(self._frames[-1], step, label):
             self._frames.pop()
         self._frames.append(frame)
         while self._size() > self._most and len(self._frames) > 1:
@@ -112,8 +112,15 @@ class Recorder:
         if self._stride > 1:
             text += f" (every {_ordinal(self._stride)} update, to keep it below {self._most / 2**20:.0f} MiB)"
         if self._too_large:
-            text += f"; {self._too_large} frames were larger than the limit and are left out"
+            one = self._too_large == 1
+            text += f"; {self._too_large} {'frame was' if one else 'frames were'} larger than the limit and "
+            text += f"{'is' if one else 'are'} left out"
         return text
+
+    def _is_replaced(self, last: dict[str, Any], step: int, label: str) -> bool:
+        """Tell whether the last frame is the same step, or was only kept because it was the last."""
+        same = last["step"] == step and last["label"] == label
+        return same or (len(self._frames) > 1 and last["number"] % self._stride != 0)
 
     def _part(self, part: Drawable) -> dict[str, Any]:
         """Encode a part of a mesh."""
@@ -154,10 +161,9 @@ class Recorder:
     def _thin_out(self) -> None:
         """Leave out every second frame, but neither the first nor the last."""
         self._stride *= 2
-        first, *middle, last = self._frames if len(self._frames) > 1 else (*self._frames, *self._frames)
-        self._frames = [first, *(frame for frame in middle if not frame["number"] % self._stride), last]
-        if len(self._frames) == 2 and not middle:
-            self._frames = [last]
+        *earlier, last = self._frames
+        first = earlier[:1] if len(earlier) > 1 else []
+        self._frames = [*first, *(one for one in earlier[1:] if not one["number"] % self._stride), last]
         self._forget_unused()
 
     def _forget_unused(self) -> None:

@@ -52,6 +52,8 @@ class Record:
             self.labels = [f"{frame['label']} step {frame['step']}".strip() for frame in self._frames]
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{path}: expected a record, got a damaged one ({reason(error)})") from None
+        if not self.labels:
+            raise ValueError(f"{path}: expected a record with frames, got an empty one")
         if found != FORMAT:
             raise ValueError(f"{path}: expected a record of format {FORMAT}, got {found}")
 

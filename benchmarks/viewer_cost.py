@@ -1,0 +1,93 @@
+"""What the viewer costs the work that it shows: `python -m benchmarks.viewer_cost`.
+
+Steps of an optimisation with and without the viewer alternate in one process, so that other programs slow down both
+alike. A browser without a window looks, if Chromium is installed; otherwise a record is made.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+import torch
+
+import neural_renderer as nr
+from neural_renderer.viewer.viewer import Viewer
+from tests.viewer.browser import Browser, find_browser, wait_until
+
+_BLOCK = 2.0  # seconds of steps with, and then without the viewer
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--blocks", type=int, default=10, help="pairs of blocks")
+    parser.add_argument("--size", type=int, default=256, help="side of the images")
+    parser.add_argument("--record", action="store_true", help="a record in place of a browser")
+    options = parser.parse_args()
+    program = None if options.record else find_browser()
+    with tempfile.TemporaryDirectory() as folder:
+        for level, colored in ((5, False), (5, True), (8, False)):
+            viewer = Viewer(port=0, browser=program is not None, record=None if program else Path(folder) / "run.html")
+            if program is None:
+                _measure(viewer, level, colored, options)
+            else:
+                with Browser(program) as browser:
+                    browser.open(viewer.url or "")
+                    wait_until(lambda viewer=viewer: viewer.clients == 1, "the browser")
+                    _measure(viewer, level, colored, options)
+            print(viewer.close() or "", flush=True)
+
+
+def _measure(viewer: Viewer, level: int, colored: bool, options: argparse.Namespace) -> None:
+    """Measure the steps for an icosphere; print the ratio."""
+    vertices, faces = nr.icosphere(level)
+    textures = torch.rand(len(faces), 4, 4, 4, 3) if colored else torch.ones(len(faces), 1, 1, 1, 3)
+    vertices, textures = vertices.clone().requires_grad_(), textures.requires_grad_(colored)
+    camera = nr.Camera.look_at(nr.get_points_from_angles(2.7, 20.0, torch.arange(4) * 90.0), viewing_angle=30)
+    optimizer = torch.optim.Adam([vertices, textures] if colored else [vertices], 1e-4)
+
+    def step() -> None:
+        images = nr.render((vertices, faces, textures), camera, options.size, outputs=("rgb", "alpha"))
+        optimizer.zero_grad()
+        (images.rgb.mean() + images.alpha.mean()).backward()
+        optimizer.step()
+
+    step()
+    number = 0
+    times: dict[bool, list[float]] = {True: [], False: []}
+    updates, seconds = 0, 0.0
+    count = viewer._set
+
+    def counted(name: str, snapshot: object) -> None:
+        nonlocal updates
+        updates += 1
+        count(name, snapshot)  # type: ignore[arg-type]
+
+    viewer._set = counted  # type: ignore[method-assign,assignment]
+    for _ in range(options.blocks):
+        for watched in (True, False):
+            start = last = time.perf_counter()
+            while last - start < _BLOCK:
+                step()
+                number += 1
+                if watched:
+                    viewer.observe("step", number, 0, {"loss": 1.0}, lambda: (vertices, faces, textures))
+                now = time.perf_counter()
+                times[watched].append(now - last)
+                last = now
+            seconds += _BLOCK * watched
+            if watched:
+                viewer._worker.wait(60.0)
+    with_it, without = (statistics.fmean(times[key]) for key in (True, False))
+    print(
+        f"{len(faces):9,} faces{', colours change' if colored else '':16}: {1e3 * without:7.1f} ms a step without, "
+        f"{1e3 * with_it:7.1f} with the viewer ({100 * (with_it / without - 1):+.1f} %), "
+        f"{updates / seconds:.1f} updates a second"
+    )
+
+
+if __name__ == "__main__":
+    main()

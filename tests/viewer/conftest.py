@@ -1,0 +1,36 @@
+"""A browser, where one is installed, and a viewer for each test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from neural_renderer.viewer.viewer import Viewer
+from tests.viewer.browser import Browser, find_browser
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """A page of a headless browser."""
+    program = find_browser()
+    if program is None:
+        pytest.skip("no Chromium is installed (apt-get install chromium)")
+    with Browser(program) as page:
+        yield page
+
+
+@pytest.fixture
+def open_viewer() -> Iterator[Callable[..., Viewer]]:
+    """Opens viewers on any free port, and closes them."""
+    pytest.importorskip("viser", reason="viser is not installed (pip install viser)")
+    opened = []
+
+    def open_one(**options: Any) -> Viewer:
+        opened.append(Viewer(**{"port": 0, **options}))
+        return opened[-1]
+
+    yield open_one
+    for viewer in opened:
+        viewer.close()
