@@ -215,7 +215,8 @@ def test_vertices_beyond_float32(tmp_path, number):
 
 def test_text_of_no_encoding(tmp_path):
     (tmp_path / "a.stl").write_bytes(bytes(range(128, 256)) * 30)
-    with pytest.raises(ValueError, match=r"a\.stl: cannot be read as STL") as error:
+    # With a package that guesses encodings, trimesh reads it as text without faces.
+    with pytest.raises(ValueError, match=r"a\.stl: (cannot be read as STL|expected faces)") as error:
         load_mesh(tmp_path / "a.stl")
     assert "charset" not in str(error.value)
 

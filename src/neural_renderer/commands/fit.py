@@ -19,8 +19,8 @@ from ..tasks.fit.agreement import check_agreement
 from ..tasks.fit.fit_pictures import comparison, up_axis
 from ..tasks.fit.load import list_images
 from .common import check_counts, check_outputs, choose_device, make_folder, say
-from .fit_report import RESULTS, report_camera, report_mesh, write_mesh
 from .options.fit import FitOptions
+from .reports.fit import RESULTS, report_camera, report_mesh, write_mesh
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching
 

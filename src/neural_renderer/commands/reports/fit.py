@@ -7,16 +7,16 @@ from typing import Any
 
 from torch import Tensor
 
-from ..io import save_animation, save_image
-from ..io.atomic_write import write_file
-from ..pictures.curve import curve
-from ..pictures.turntable import turntable
-from ..tasks.fit import CameraFit, MeshFit, Views
-from ..tasks.fit.fit_pictures import comparison, upright
-from ..version import __version__
-from .common import say, say_finished
-from .options.fit import FitOptions
-from .task_runner import TaskRunner
+from ...io import save_animation, save_image
+from ...io.atomic_write import write_file
+from ...pictures.curve import curve
+from ...pictures.turntable import turntable
+from ...tasks.fit import CameraFit, MeshFit, Views
+from ...tasks.fit.fit_pictures import comparison, upright
+from ...version import __version__
+from ..common import say, say_finished
+from ..options.fit import FitOptions
+from ..task_runner import TaskRunner
 
 _TURNTABLE_SIZE = 256  # pixels
 RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png", "turntable.gif", "report.json")

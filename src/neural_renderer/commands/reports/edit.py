@@ -6,17 +6,17 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..io import save_animation, save_image
-from ..io.atomic_write import write_file
-from ..meshes.mesh import Mesh
-from ..meshes.uv_mesh import UVMesh
-from ..pictures.curve import curve
-from ..tasks.editing import MeshEdit
-from ..tasks.editing.edit_pictures import six_views, turn
-from ..version import __version__
-from .common import say, say_finished
-from .options.edit import EditOptions
-from .task_runner import TaskRunner
+from ...io import save_animation, save_image
+from ...io.atomic_write import write_file
+from ...meshes.mesh import Mesh
+from ...meshes.uv_mesh import UVMesh
+from ...pictures.curve import curve
+from ...tasks.editing import MeshEdit
+from ...tasks.editing.edit_pictures import six_views, turn
+from ...version import __version__
+from ..common import say, say_finished
+from ..options.edit import EditOptions
+from ..task_runner import TaskRunner
 
 _PICTURES, _TURNTABLES = ("preview.png", "views.png", "loss.png"), ("turntable.mp4", "turntable.gif")
 RESULTS = ("mesh.obj", "mesh.glb", *_PICTURES, *_TURNTABLES, "report.json")

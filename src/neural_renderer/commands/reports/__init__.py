@@ -1,0 +1,1 @@
+"""Results of the commands: files, sheets of pictures and numbers."""
