@@ -37,6 +37,8 @@ def test_threshold_with_closing_and_specks() -> None:
     assert mask[29, 29] == 0 and mask[2, 2] == 0 and mask.sum() == 900 - 9
     closed = MaskRule(below=0.19, closing=(4, 4)).find(image)
     assert closed.sum() == 900 and closed[29, 29] == 1
+    filled = MaskRule(below=0.19, fill=0.02).find(image)  # the shadow has 9 / 891 of the object
+    assert filled.sum() == 900 and MaskRule(below=0.19, fill=0.005).find(image).sum() == 891
     assert MaskRule(below=0.19, closing=(5, 3)).find(image).sum() > 1000
 
 
@@ -45,6 +47,7 @@ def test_rules_that_do_not_fit() -> None:
         ({"background": (255, 255, 255)}, r"background: expected red, green and blue in \[0, 1\]"),
         ({"tolerance": 2}, r"tolerance: expected a number in \[0, 1\]"),
         ({"below": 19}, "mask_below: expected a brightness"),
+        ({"fill": 2}, r"mask_fill: expected a share in \[0, 1\]"),
         ({"closing": (-1, 0)}, "mask_close: expected at least 0"),
     ):
         with pytest.raises(ValueError, match=sentence):

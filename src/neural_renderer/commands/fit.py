@@ -60,7 +60,7 @@ def _inputs(options: FitOptions) -> list[Path]:
 
 def _mask_rule(options: FitOptions) -> dict[str, Any]:
     """Collect the arguments of `load_views` and `load_photo` that find masks by colour."""
-    names = ("background", "tolerance", "mask_below", "mask_open", "mask_close")
+    names = ("background", "tolerance", "mask_below", "mask_open", "mask_close", "mask_fill")
     return {name: getattr(options, name) for name in names}
 
 

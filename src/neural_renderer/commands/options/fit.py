@@ -57,6 +57,8 @@ class FitOptions:
     """Remove parts of such masks that are thinner than this radius in pixels."""
     mask_close: tuple[int, int] = (0, 0)
     """Dilate such masks by the first radius in pixels, then erode them by the second, which fills gaps."""
+    mask_fill: float = 0.0
+    """Fill holes of such masks that are smaller than this share (0 to 1) of the object: shadows and highlights."""
     box: tuple[float, float, float, float, float, float] | None = None
     """Opposite corners (x y z x y z) of a box around the object, in the world of the cameras. What is outside is
     background."""

@@ -37,6 +37,7 @@ def load_views(
     mask_below: float | None = None,
     mask_open: int = 0,
     mask_close: tuple[int, int] = (0, 0),
+    mask_fill: float = 0.0,
     masks: str | os.PathLike[str] | None = None,
     box: Box | None = None,
     allow_outside: bool = False,
@@ -58,6 +59,7 @@ def load_views(
         mask_below: Pixels whose brightest channel is below this, in (0, 1], are background.
         mask_open: Radius in pixels of an erosion and dilation of masks that were found by colour: removes thin parts.
         mask_close: Radii in pixels of a dilation and the erosion after it, likewise: fills gaps.
+        mask_fill: Holes smaller than this share of the object, in [0, 1], are filled, likewise.
         masks: Folder of mask files, named like the images, with any suffix or one more; None searches the folders
             ``masks`` and ``mask`` beside the images.
         box: Corners (x, y, z, x, y, z) of a box around the object, in the world of the cameras.
@@ -82,7 +84,7 @@ def load_views(
         (1, (32, 32))
     """
     size = validate.whole("size", size, _LEAST_SIZE)
-    rule = MaskRule(background, tolerance, mask_below, mask_open, mask_close)
+    rule = MaskRule(background, tolerance, mask_below, mask_open, mask_close, mask_fill)
     source = read_camera_file(find_camera_file(Path(path)))
     folder = None if masks is None else Path(masks)
     if folder is not None and not folder.is_dir():
@@ -160,6 +162,7 @@ def load_photo(
     mask_below: float | None = None,
     mask_open: int = 0,
     mask_close: tuple[int, int] = (0, 0),
+    mask_fill: float = 0.0,
 ) -> tuple[Tensor, Tensor | None]:
     """Load one image without a camera.
 
@@ -169,7 +172,7 @@ def load_photo(
         photos: Whether to use colours; see `load_views`.
         background: RGB in [0, 1] of the background, for an image without alpha channel.
         tolerance: Largest difference from ``background``, in any channel, of a background pixel.
-        mask_below, mask_open, mask_close: As in `load_views`.
+        mask_below, mask_open, mask_close, mask_fill: As in `load_views`.
 
     Returns:
         The mask [H, W], and RGB multiplied by the mask [3, H, W], or None without ``photos``.
@@ -184,7 +187,7 @@ def load_photo(
         torch.Size([32, 32])
     """
     size = validate.whole("size", size, _LEAST_SIZE)
-    rule = MaskRule(background, tolerance, mask_below, mask_open, mask_close)
+    rule = MaskRule(background, tolerance, mask_below, mask_open, mask_close, mask_fill)
     image = load_image(existing(path))
     mask = _mask(Path(path), None, image, photos, rule, False)
     small = downscale(_premultiplied(Path(path), None, image, mask), size)

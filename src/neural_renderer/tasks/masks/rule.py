@@ -12,7 +12,7 @@ from ... import validate
 from ...io import load_image
 from .morphology import dilate, erode, opened
 from .plain_background import plain_background_mask
-from .specks import remove_specks
+from .specks import fill_holes, remove_specks
 
 _CLEAR = 0.99  # an alpha channel that is nowhere below this tells nothing
 
@@ -27,6 +27,7 @@ class MaskRule:
         below: Pixels whose brightest channel is below this, in [0, 1], are background; None for no threshold.
         opening: Radius in pixels of an erosion and dilation, which removes thin parts; ≥ 0.
         closing: Radii in pixels of a dilation and the erosion that follows it, which fill gaps; ≥ 0.
+        fill: Holes smaller than this share of the object, in [0, 1], are filled.
 
     Raises:
         TypeError, ValueError: A value is out of range; the message calls it as `load_views` does.
@@ -37,6 +38,7 @@ class MaskRule:
     below: float | None = None
     opening: int = 0
     closing: tuple[int, int] = (0, 0)
+    fill: float = 0.0
 
     def __post_init__(self) -> None:
         for value in self.background or ():
@@ -49,6 +51,8 @@ class MaskRule:
         validate.whole("mask_open", self.opening, 0)
         for radius in self.closing:
             validate.whole("mask_close", radius, 0)
+        if not 0 <= validate.number("mask_fill", self.fill) <= 1:
+            raise ValueError(f"mask_fill: expected a share in [0, 1], got {self.fill}")
 
     def find(self, image: Tensor) -> Tensor:
         """Find the mask of a picture: by threshold or background colour, otherwise by its plain background.
@@ -72,6 +76,8 @@ class MaskRule:
         if self.opening or any(self.closing):
             inside = opened(mask > 0.5, self.opening)
             mask = erode(dilate(inside, self.closing[0]), self.closing[1]).float()
+        if self.fill:
+            mask = torch.maximum(mask, fill_holes(mask > 0.5, self.fill).float())
         return remove_specks(mask) if bool((mask > 0.5).any()) else mask
 
 

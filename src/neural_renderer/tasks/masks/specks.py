@@ -23,6 +23,17 @@ def remove_specks(alpha: Tensor) -> Tensor:
     return alpha * F.interpolate(wide, tuple(alpha.shape), mode="nearest")[0, 0]
 
 
+def fill_holes(mask: Tensor, share: float) -> Tensor:
+    """Fill the holes of a mask [H, W] bool that are smaller than this share of it, such as shadows and highlights."""
+    label = label_components(~mask)
+    if not bool((label >= 0).any()):
+        return mask
+    small = torch.bincount(label[label >= 0]) < share * mask.sum()
+    border = torch.cat((label[0], label[-1], label[:, 0], label[:, -1]))
+    small[border[border >= 0]] = False
+    return mask | (small[label.clamp(min=0)] & (label >= 0))
+
+
 def label_components(mask: Tensor) -> Tensor:
     """Label the connected components of a mask [H, W] bool: int64 [H, W], -1 outside of the mask."""
     height, width = mask.shape
