@@ -143,7 +143,7 @@ def test_meshes_side_by_side(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["none.obj"], "none.obj: expected a file, got nothing there"),
+        (["none.obj"], "none.obj: expected a mesh, a record or a folder, got nothing there"),
         (["empty"], "empty: expected meshes, pictures or a record, got none"),
         (["damaged"], "damaged/mesh.glb: cannot be read as GLB"),
         (["damaged/mesh.glb"], "damaged/mesh.glb: cannot be read as GLB"),

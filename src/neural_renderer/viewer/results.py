@@ -58,6 +58,8 @@ def read_results(path: Path, allow_outside: bool = False) -> Results:
         OSError, ValueError: There is no such file or folder, the file is none that can be shown, or the folder has
             nothing to show.
     """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: expected a mesh, a record or a folder, got nothing there")
     if path.is_dir():
         return _read_folder(path, allow_outside)
     if is_record(path):

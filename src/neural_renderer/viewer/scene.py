@@ -32,6 +32,7 @@ _AMBIENT = 1.1  # intensities: π shows a white surface that faces a lamp as whi
 _LAMPS = (((-0.5, 0.8, 0.7), 1.8), ((0.7, -0.2, 0.3), 0.5), ((0.2, 0.3, -1.0), 0.8))
 _VIEW = np.array([-0.45, 0.35, 1.0])  # direction of the first view
 _FIELD, _ASPECT = 0.7, 1.2  # vertical field of view in radians, and width over height, at least, of the first view
+_UNMOVED = 0.02  # a camera that is nearer to its first place, relative to its distance, was not moved
 _MARGIN = 1.1  # of its distance, relative to the least one that shows everything
 
 
@@ -78,6 +79,7 @@ class Scene:
         self._frames = 0
         self.look, self.wireframe, self.normals, self.side_by_side = Look(), False, False, True
         self.meshes: dict[str, Shown] = {}
+        self._first_position = np.zeros(3)
         self.on_change: Callable[[], None] = lambda: None
         """Called in the worker's thread after meshes have changed or moved."""
         server.scene.set_up_direction("+y")
@@ -259,16 +261,19 @@ class Scene:
                 shown.front, shown.back = shown.back, None
 
     def _arrange(self) -> None:
-        """Put meshes in a row, centred, or each at its own coordinates."""
+        """Put meshes in a row around the first one, on its ground, or each at its own coordinates."""
         boxes = [shown.snapshot.bounds() for shown in self.meshes.values()]
         widths = [float(high[0] - low[0]) for low, high in boxes]
         gap = _GAP * max(widths, default=0.0)
         left = -(sum(widths) + gap * (len(widths) - 1)) / 2
+        start_low, start_high = boxes[0] if boxes else (np.zeros(3), np.zeros(3))
+        middle_x, _, middle_z = (start_low + start_high) / 2
+        left += middle_x
         for shown, (low, high), width in zip(self.meshes.values(), boxes, widths, strict=True):
             shown.place = np.zeros(3)
             if self.side_by_side and len(boxes) > 1:
                 middle = (low + high) / 2
-                shown.place = np.array([left + width / 2 - middle[0], -low[1], -middle[2]])
+                shown.place = np.array([left + width / 2 - middle[0], start_low[1] - low[1], middle_z - middle[2]])
                 left += width + gap
             if shown.frame is not None:
                 shown.frame.position = tuple(shown.place)
@@ -290,11 +295,14 @@ class Scene:
             client.camera.position, client.camera.look_at = position, center
 
     def _set_first_view(self, move: bool = True) -> None:
-        """Tell browsers that connect later where to look from; ``move`` those that are there, too."""
+        """Tell browsers that connect later where to look from; ``move`` all that are there, or those still there."""
         position, center = self.first_view()
         radius = float(np.linalg.norm(position - center))
         camera = self._server.initial_camera
         camera.fov, camera.near, camera.far = _FIELD, radius * 1e-3, radius * 1e2
         camera.position, camera.look_at = tuple(position), tuple(center)
-        for client in self._server.get_clients().values() if move else ():
-            self.show_whole(client)
+        for client in self._server.get_clients().values():
+            # Nobody's own choice of a view is changed because another mesh has come.
+            if move or np.linalg.norm(client.camera.position - self._first_position) < _UNMOVED * radius:
+                self.show_whole(client)
+        self._first_position = position

@@ -17,6 +17,7 @@ from ...raster import Images
 from ...rendering import render
 from ...shading.lights import Light
 from .snapshot import Snapshot
+from .surface import vertex_normals
 
 IMAGE_LOSSES = ("silhouette IoU", "photometric")
 """Losses that compare with a target."""
@@ -24,7 +25,7 @@ FREE_LOSSES = ("area", "brightness", "laplacian", "edge length", "normal consist
 """Losses without a target: the first two of the picture, the others of the mesh."""
 _AMBIENT, _DIRECTIONAL = 0.45, 0.6
 _NEAREST, _FARTHEST = 1e-3, 1e3  # planes, relative to the distance of the eye from the mesh
-_LENGTH, _LEAST = 0.12, 0.02  # of the longest arrow, relative to the mesh; shorter ones, relative to it, are left out
+_LENGTH, _LEAST = 0.1, 0.02  # of the longest arrow, relative to the mesh; shorter ones, relative to it, are left out
 _MOST_ARROWS = 3000
 _COLD, _WARM, _HOT = (0.80, 0.83, 0.88), (0.96, 0.62, 0.20), (0.72, 0.05, 0.12)  # colours of small to large gradients
 
@@ -214,10 +215,10 @@ def loss_gradient(
 
 
 def arrows(snapshot: Snapshot, gradient: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Make arrows of descent, from vertices against their gradients.
+    """Make arrows of descent, at vertices against their gradients.
 
     Returns:
-        Starts and ends [N, 2, 3], and colours [N, 3] uint8. Lengths are proportional to the gradients.
+        Starts and ends [N, 2, 3], and colours [N, 3] uint8. Lengths are proportional to the roots of the gradients.
     """
     size = gradient.norm(dim=1)
     most = size.max() if len(size) else size.new_zeros(())
@@ -229,7 +230,11 @@ def arrows(snapshot: Snapshot, gradient: Tensor) -> tuple[np.ndarray, np.ndarray
     low, high = snapshot.bounds()
     length = _LENGTH * float((high - low).max())
     starts = snapshot.vertices[rows]
-    ends = starts - gradient[rows] / most * length
+    ends = starts - gradient[rows] / (size[rows, None] * most).sqrt() * length
+    # An arrow that points into the mesh ends at its vertex, so that it is to be seen.
+    normals = torch.from_numpy(vertex_normals(snapshot.vertices.numpy(), snapshot.faces.numpy()))[rows]
+    inward = ((ends - starts) * normals).sum(1, keepdim=True) < 0
+    starts, ends = torch.where(inward, 2 * starts - ends, starts), torch.where(inward, starts, ends)
     colors = (heat(size[rows] / most) * 255 + 0.5).byte()
     return torch.stack((starts, ends), 1).numpy(), colors.numpy()
 

@@ -60,7 +60,7 @@ def drawables(snapshot: Snapshot, look: Look, values: Tensor | None = None) -> l
     """
     vertices, faces = snapshot.vertices.numpy(), snapshot.faces.numpy()
     if values is not None:
-        return [_of_vertices(vertices, faces, _bytes(values.numpy()), _UNLIT)]
+        return [_of_vertices(vertices, faces, _bytes(values.numpy()), Look(lit=look.lit))]
     if look.surface == "normals":
         if look.smooth:
             return [_of_vertices(vertices, faces, _bytes((vertex_normals(vertices, faces) + 1) / 2), _UNLIT)]
