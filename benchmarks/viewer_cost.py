@@ -29,7 +29,7 @@ def main() -> None:
     options = parser.parse_args()
     program = None if options.record else find_browser()
     with tempfile.TemporaryDirectory() as folder:
-        for level, colored in ((5, False), (5, True), (8, False)):
+        for level, colored in ((5, False), (5, True)):
             viewer = Viewer(port=0, browser=program is not None, record=None if program else Path(folder) / "run.html")
             if program is None:
                 _measure(viewer, level, colored, options)

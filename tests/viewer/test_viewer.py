@@ -152,7 +152,7 @@ def test_several_threads(tmp_path: Path) -> None:
 
 
 def test_copies_take_a_small_share(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A mesh whose copy takes 10 ms is copied again half a second later at the earliest."""
+    """A mesh whose copy takes 10 ms is copied again a second later at the earliest."""
     from neural_renderer.viewer import viewer as module
 
     now, copies = [0.0], []
@@ -172,8 +172,8 @@ def test_copies_take_a_small_share(monkeypatch: pytest.MonkeyPatch) -> None:
     for step in range(1, 1001):
         viewer.observe("fit", step, 2000, {"loss": 1.0}, lambda: MESH)
         now[0] += 0.01
-    assert 18 <= len(copies) <= 21  # in ten seconds
-    assert min(late - early for early, late in pairwise(copies)) >= 0.5
+    assert 9 <= len(copies) <= 11  # in ten seconds
+    assert min(late - early for early, late in pairwise(copies)) >= 1.0
     viewer._recorder = None
     viewer.close()
 

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 UP = ("+x", "-x", "+y", "-y", "+z", "-z")
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8080
-_SHARE = 0.02  # of the time that copies of meshes may take in the thread of the work
-_WORKER_SHARE = 0.03  # of one core, for everything else, while work goes on
+_SHARE = 0.01  # of the time that copies of meshes may take in the thread of the work
+_WORKER_SHARE = 0.02  # of one core, for everything else, while work goes on
 _IDLE = 1.0  # seconds between two copies while no browser is there, and nothing is recorded
 _FLUSH = 20.0  # seconds that the end waits for the newest mesh
 _POLL = 0.1  # seconds
@@ -35,8 +35,8 @@ _POLL = 0.1  # seconds
 class Viewer:
     """Shows meshes in the browser while a program changes them. `view` makes one.
 
-    The program never waits for a browser. A mesh is copied at some of the calls only, so that copies take at most 2 %
-    of the time; another thread does the rest in at most 3 % of one core, and only the newest mesh counts. All methods
+    The program never waits for a browser. A mesh is copied at some of the calls only, so that copies take at most 1 %
+    of the time; another thread does the rest in at most 2 % of one core, and only the newest mesh counts. All methods
     may be called from any thread.
 
     Args:
