@@ -45,6 +45,8 @@ def run(options: FitOptions) -> int:
         raise ValueError("--up: expected a direction, got 0 0 0")
     if options.recover != "shape" and options.mesh is None:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
+    if options.recover != "camera" and not options.force:
+        check_own(options.output / "mesh.obj", None, "--force replaces it")
     check_outputs([options.output / name for name in RESULTS], [*_inputs(options), options.mesh])
     return _fit_camera(options) if options.recover == "camera" else _fit_mesh(options)
 
@@ -66,8 +68,6 @@ def _mask_rule(options: FitOptions) -> dict[str, Any]:
 
 def _fit_mesh(options: FitOptions) -> int:
     """Fit a mesh, or the texture of a known mesh; return the exit code."""
-    if not options.force:
-        check_own(options.output / "mesh.obj", None, "--force replaces it")
     views = load_views(
         options.images,
         size=options.size,
