@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -55,6 +56,18 @@ def nasty(request: pytest.FixtureRequest) -> Path:
     if request.param == "here":
         return DATA / "nasty"
     return request.getfixturevalue("shared") / "data" / "meshes" / "nasty"
+
+
+def pytest_configure() -> None:
+    """Share the processors among the processes of a run, also with the programs that tests start.
+
+    Otherwise the threads of each wait for those of the others, and small operations take many times as long.
+    """
+    processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    if processes > 1:
+        threads = max(1, torch.get_num_threads() // processes)
+        torch.set_num_threads(threads)
+        os.environ.setdefault("OMP_NUM_THREADS", str(threads))
 
 
 def pytest_runtest_setup() -> None:
