@@ -1,7 +1,9 @@
 """What the viewer costs the work that it shows: `python -m benchmarks.viewer_cost`.
 
 Steps of an optimisation with and without the viewer alternate in one process, so that other programs slow down both
-alike. A browser without a window looks, if Chromium is installed; otherwise a record is made.
+alike. A browser without a window looks, if Chromium is installed; otherwise a record is made. It draws on the same
+processors, which slows down the steps; the processor time of the program itself, with all threads of the viewer, is
+what a browser elsewhere would leave.
 """
 
 from __future__ import annotations
@@ -58,6 +60,7 @@ def _measure(viewer: Viewer, level: int, colored: bool, options: argparse.Namesp
     step()
     number = 0
     times: dict[bool, list[float]] = {True: [], False: []}
+    used = {True: 0.0, False: 0.0}  # processor time of this program
     updates, seconds = 0, 0.0
     count = viewer._set
 
@@ -70,6 +73,7 @@ def _measure(viewer: Viewer, level: int, colored: bool, options: argparse.Namesp
     for _ in range(options.blocks):
         for watched in (True, False):
             start = last = time.perf_counter()
+            begun = time.process_time()
             while last - start < _BLOCK:
                 step()
                 number += 1
@@ -81,10 +85,13 @@ def _measure(viewer: Viewer, level: int, colored: bool, options: argparse.Namesp
             seconds += _BLOCK * watched
             if watched:
                 viewer._worker.wait(60.0)
+            used[watched] += time.process_time() - begun
+    own = used[True] / len(times[True]) / (used[False] / len(times[False])) - 1
     with_it, without = (statistics.fmean(times[key]) for key in (True, False))
     print(
         f"{len(faces):9,} faces{', colours change' if colored else '':16}: {1e3 * without:7.1f} ms a step without, "
-        f"{1e3 * with_it:7.1f} with the viewer ({100 * (with_it / without - 1):+.1f} %), "
+        f"{1e3 * with_it:7.1f} with the viewer ({100 * (with_it / without - 1):+.1f} %; "
+        f"processor time {100 * own:+.1f} %), "
         f"{updates / seconds:.1f} updates a second"
     )
 
