@@ -84,6 +84,13 @@ for arguments in asked:
 """
 
 
+def test_an_option_given_twice_is_not_half_lost(ball: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    twice = ("--save", "depth", str(tmp_path / "d.npy"), "--save", "normal", str(tmp_path / "n.npy"))
+    assert cli.main(["render", ball, *twice]) == 2
+    assert capsys.readouterr().err == "--save: expected at most once, with all its values, got it 2 times\n"
+    assert not list(tmp_path.glob("*.npy"))
+
+
 def test_help_and_wrong_usage_wait_for_nothing() -> None:
     """They answer before torch, which takes seconds, is imported."""
     done = run_python("-c", QUICK)
