@@ -1,4 +1,4 @@
-"""What the viewer costs the work that it shows: `python -m benchmarks.viewer_cost`.
+"""Cost of the viewer for the work that it shows: `python -m benchmarks.viewer_cost`.
 
 Steps of an optimisation with and without the viewer alternate in one process, so that other programs slow down both
 alike. A browser without a window looks, if Chromium is installed; otherwise a record is made. It draws on the same

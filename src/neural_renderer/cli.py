@@ -8,6 +8,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
 from typing import Any
 
 import tyro
@@ -30,7 +31,6 @@ COMMANDS = {
     "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
 _EXTRAS = {"lightning": "reconstruction", "tensorboard": "reconstruction"}  # packages that commands import
-_OF_SEVERAL = ("--save",)  # options that take several values; of others the last one counts
 _GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
 
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
@@ -82,17 +82,18 @@ def _parse(
         return _parse(arguments[1:] or ["--help"], group.COMMANDS, f"{module}.", f"{prog} {name}", group.DESCRIPTION)
     choices: dict[str, Any] = {command: _placeholder(summary) for command, summary in commands.items()}
     if name in commands:
-        _refuse_repeated(arguments)
         choices[name] = getattr(_load(f"options.{module}"), f"{name.capitalize()}Options")
+        _refuse_repeated(arguments, choices[name])
     options = tyro.extras.subcommand_cli_from_dict(choices, prog=prog, description=description, args=arguments)
     return module, options
 
 
-def _refuse_repeated(arguments: list[str]) -> None:
-    """End with a message if an option of several values is given twice: the first values would be lost."""
-    for name in _OF_SEVERAL:
+def _refuse_repeated(arguments: list[str], options: Any) -> None:
+    """End with a message if an option of named values is given twice: of any option, only the last one counts."""
+    for field in fields(options):
+        name = "--" + field.name
         count = sum(argument.partition("=")[0] == name for argument in arguments)
-        if count > 1:
+        if field.default_factory is dict and count > 1:
             _say(f"{name}: expected at most once, with all its values, got it {count} times", "red")
             raise SystemExit(2)
 

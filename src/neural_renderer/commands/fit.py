@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
-from ..camera.files import find_camera_file, read_camera_file
+from ..camera.files import CameraFile, find_camera_file, read_camera_file
 from ..io import save_image
 from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
@@ -47,17 +47,15 @@ def run(options: FitOptions) -> int:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
     if options.recover != "camera" and not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
-    check_outputs([options.output / name for name in RESULTS], [*_inputs(options), options.mesh])
-    return _fit_camera(options) if options.recover == "camera" else _fit_mesh(options)
-
-
-def _inputs(options: FitOptions) -> list[Path]:
-    """List the files that are read: one image, or the camera file with its images and masks."""
+    outputs = [options.output / name for name in RESULTS]
     if options.recover == "camera":
-        return [options.images]
-    source = find_camera_file(options.images)
-    found = list_images(read_camera_file(source), options.masks, options.allow_outside)
-    return [source, *(file for _, image, mask in found for file in (image, mask) if file is not None)]
+        check_outputs(outputs, [options.images, options.mesh])
+        return _fit_camera(options)
+    cameras = read_camera_file(find_camera_file(options.images))
+    found = list_images(cameras, options.masks, options.allow_outside)
+    images = [file for _, *files in found for file in files]
+    check_outputs(outputs, [cameras.path, *images, options.mesh])
+    return _fit_mesh(options, cameras)
 
 
 def _mask_rule(options: FitOptions) -> dict[str, Any]:
@@ -66,10 +64,10 @@ def _mask_rule(options: FitOptions) -> dict[str, Any]:
     return {name: getattr(options, name) for name in names}
 
 
-def _fit_mesh(options: FitOptions) -> int:
+def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
     """Fit a mesh, or the texture of a known mesh; return the exit code."""
     views = load_views(
-        options.images,
+        cameras,
         size=options.size,
         photos=options.photos,
         masks=options.masks,
@@ -78,7 +76,7 @@ def _fit_mesh(options: FitOptions) -> int:
         **_mask_rule(options),
     ).to(choose_device(options.device))
     if options.check:
-        _check(views, options)
+        _check(views, cameras, options.images)
     fitted, held_out = _split(views, options.held_out)
     start: Any = options.start
     if options.mesh is not None:
@@ -160,13 +158,12 @@ def _fit_camera(options: FitOptions) -> int:
     return _exit_code(finished or runner.stopped, views.quality(shape[:2])["iou"])
 
 
-def _check(views: Views, options: FitOptions) -> None:
-    """Raise ValueError if masks and cameras do not agree."""
-    names = [entry.name for entry in read_camera_file(find_camera_file(options.images)).images]
+def _check(views: Views, cameras: CameraFile, given: Path) -> None:
+    """Raise ValueError, which names the path that was given, if masks and cameras do not agree."""
     try:
-        check_agreement(views, names)
+        check_agreement(views, [entry.name for entry in cameras.images])
     except ValueError as error:
-        raise ValueError(f"{options.images}: {str(error).removeprefix('views: ')}. --no-check fits anyway") from None
+        raise ValueError(f"{given}: {str(error).removeprefix('views: ')}. --no-check fits anyway") from None
 
 
 def _exit_code(finished: bool, iou: Tensor) -> int:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class OldMesh(nn.Module):
-    """What `Mesh` has from the first packages: reading with noise, batches through a sigmoid, factors of `Adam`."""
+    """Methods of the first packages' `Mesh`: reading with noise, batches through a sigmoid, factors of `Adam`."""
 
     vertices: nn.Parameter
     faces: Tensor

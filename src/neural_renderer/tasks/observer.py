@@ -1,4 +1,4 @@
-"""What a task shows while it runs, and what may be changed meanwhile. The viewer is one observer."""
+"""Observers of running tasks: they are shown meshes and losses, and may change settings. The viewer is one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lies in files and folders: meshes, pictures, cameras, curves and steps of the commands."""
+"""Results of the commands, read from files and folders: meshes, pictures, cameras, curves and steps."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _VIEW_SIZE = 256  # longer side of a photograph in pixels
 
 @dataclass
 class Results:
-    """What there is to show.
+    """Contents of a file or folder, for the viewer.
 
     Attributes:
         meshes: Meshes by name, for `Viewer.show`.

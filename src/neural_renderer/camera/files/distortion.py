@@ -8,6 +8,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..fisheye import fisheye
+
 _LEAST_RADIUS = 1e-9
 
 Values = dict[str, float]
@@ -34,17 +36,13 @@ def _field_of_view(x: Tensor, y: Tensor, v: Values) -> Point:
 
 def _fisheye(x: Tensor, y: Tensor, v: Values) -> Point:
     """Kannala and Brandt's model: the distance from the axis is a polynomial of the angle."""
-    angle, scale = _angle(x, y)
-    a2 = angle * angle
-    get = v.get
-    scale = scale * (1 + a2 * (get("k1", 0.0) + a2 * (get("k2", 0.0) + a2 * (get("k3", 0.0) + a2 * get("k4", 0.0)))))
-    return x * scale, y * scale
+    coefficients = x.new_tensor([v.get(name, 0.0) for name in ("k1", "k2", "k3", "k4")])
+    return fisheye(torch.stack((x, y, torch.ones_like(x)), -1), coefficients)
 
 
 def _thin_prism_fisheye(x: Tensor, y: Tensor, v: Values) -> Point:
     """Equidistant fisheye, then radial, tangential and thin prism distortion."""
-    _, scale = _angle(x, y)
-    x, y = x * scale, y * scale
+    x, y = _fisheye(x, y, {})
     r2 = x * x + y * y
     radial = 1 + r2 * (v["k1"] + r2 * (v["k2"] + r2 * (v["k3"] + r2 * v["k4"])))
     u, w = _tangential(x, y, x * radial, y * radial, v)
@@ -61,13 +59,6 @@ def _unified(x: Tensor, y: Tensor, v: Values) -> Point:
     """The enhanced unified camera model of Khomutenko et al."""
     below = v["alpha"] * (v["beta"] * (x * x + y * y) + 1).sqrt() + 1 - v["alpha"]
     return x / below, y / below
-
-
-def _angle(x: Tensor, y: Tensor) -> Point:
-    """Return the angle from the axis, and the angle relative to the radius."""
-    radius = (x * x + y * y).sqrt().clamp(min=_LEAST_RADIUS)
-    angle = torch.atan(radius)
-    return angle, angle / radius
 
 
 def _tangential(x: Tensor, y: Tensor, u: Tensor, w: Tensor, v: Values) -> Point:

@@ -1,4 +1,4 @@
-"""What all camera files have in common: images with a pose and a lens."""
+"""Camera files of all formats as one class: images, each with a pose and a lens."""
 
 from __future__ import annotations
 

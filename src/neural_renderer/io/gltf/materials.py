@@ -15,7 +15,7 @@ _MODES = ("OPAQUE", "MASK", "BLEND")
 
 
 class Slot(NamedTuple):
-    """How a material uses an image: its sampler, and its texture coordinates before and after the transform."""
+    """Use of an image by a material: its sampler, and its texture coordinates before and after the transform."""
 
     wrap: tuple[str, str] = ("repeat", "repeat")
     uv_set: int = 0

@@ -102,11 +102,30 @@ def _loop(
     return _ROWS.replace("PIXELS", pixels).replace("AT_ONCE", str(at_once))
 
 
-@wp.func_native(f"""
+def _on_cuda(near: str = "near", lane: str = "0", lanes: str = "1") -> str:
+    """Write the drawing of a face's pixels deeper than ``near`` into `_KEY`."""
+    return f"""
 #if defined(__CUDA_ARCH__)
-    {_loop(_SINGLE, "float", 0, _KEY, "lane", "lanes")}
+    {_loop(_SINGLE, "float", 0, _KEY, lane, lanes, near)}
 #endif
-""")
+"""
+
+
+def _on_cpu(near: str = "near", nears: str = "near") -> str:
+    """Write the drawing of a face's pixels deeper than ``near``, one by one or, deeper than ``nears``, by eight."""
+    return f"""
+#if !defined(__CUDA_ARCH__)
+    if (width < 8) {{ {_loop(_SINGLE, "float", 0, _NEAREST, near=near)} return; }}
+    typedef float floats __attribute__((ext_vector_type(8)));
+    typedef int ints __attribute__((ext_vector_type(8)));
+    const floats ahead = {{0.0f, 2.0f, 4.0f, 6.0f, 8.0f, 10.0f, 12.0f, 14.0f}};
+    const ints column = {{0, 1, 2, 3, 4, 5, 6, 7}};
+    {_loop(_EIGHT, "floats", 8, near=nears)}
+#endif
+"""
+
+
+@wp.func_native(_on_cuda(lane="lane", lanes="lanes"))
 def draw_into_keys(
     key: wp.array3d(dtype=wp.int64),
     b: int,
@@ -131,16 +150,7 @@ def draw_into_keys(
     ...
 
 
-@wp.func_native(f"""
-#if !defined(__CUDA_ARCH__)
-    if (width < 8) {{ {_loop(_SINGLE, "float", 0, _NEAREST)} return; }}
-    typedef float floats __attribute__((ext_vector_type(8)));
-    typedef int ints __attribute__((ext_vector_type(8)));
-    const floats ahead = {{0.0f, 2.0f, 4.0f, 6.0f, 8.0f, 10.0f, 12.0f, 14.0f}};
-    const ints column = {{0, 1, 2, 3, 4, 5, 6, 7}};
-    {_loop(_EIGHT, "floats", 8)}
-#endif
-""")
+@wp.func_native(_on_cpu())
 def draw_into_rows(
     nearest: wp.array3d(dtype=float),
     face_index: wp.array3d(dtype=int),
@@ -163,11 +173,7 @@ def draw_into_rows(
     ...
 
 
-@wp.func_native(f"""
-#if defined(__CUDA_ARCH__)
-    {_loop(_SINGLE, "float", 0, _KEY, near=_FLOOR)}
-#endif
-""")
+@wp.func_native(_on_cuda(near=_FLOOR))
 def draw_behind_keys(
     key: wp.array3d(dtype=wp.int64),
     floor_depth: wp.array3d(dtype=float),
@@ -190,16 +196,7 @@ def draw_behind_keys(
     ...
 
 
-@wp.func_native(f"""
-#if !defined(__CUDA_ARCH__)
-    if (width < 8) {{ {_loop(_SINGLE, "float", 0, _NEAREST, near=_FLOOR)} return; }}
-    typedef float floats __attribute__((ext_vector_type(8)));
-    typedef int ints __attribute__((ext_vector_type(8)));
-    const floats ahead = {{0.0f, 2.0f, 4.0f, 6.0f, 8.0f, 10.0f, 12.0f, 14.0f}};
-    const ints column = {{0, 1, 2, 3, 4, 5, 6, 7}};
-    {_loop(_EIGHT, "floats", 8, near=_FLOORS)}
-#endif
-""")
+@wp.func_native(_on_cpu(_FLOOR, _FLOORS))
 def draw_behind_rows(
     nearest: wp.array3d(dtype=float),
     face_index: wp.array3d(dtype=int),

@@ -122,10 +122,9 @@ class EnvironmentLight:
             >>> light.ambience(torch.nn.functional.normalize(torch.randn(1, 8, 8, 3), dim=-1)).mean()
             tensor(1.0000)
         """
-        if roughness is None:
-            self._looked_up(directions)
-            return self._strength(self._matt(directions).on(directions))
         image = self._looked_up(directions)
+        if roughness is None:
+            return self._strength(self._matt(directions).on(directions))
         return self._strength(reflected(image, self._kept("levels", image), directions, roughness))
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:

@@ -28,7 +28,7 @@ Box = tuple[float, float, float, float, float, float]
 
 
 def load_views(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | CameraFile,
     *,
     size: int = 256,
     photos: bool = True,
@@ -51,7 +51,7 @@ def load_views(
     Args:
         path: Camera file, or a folder that contains one: ``transforms.json`` (NeRF, Blender, nerfstudio),
             ``cameras.json`` or ``cameras.csv``, a model of COLMAP, or ``*_par.txt`` (Middlebury). The modules in
-            `neural_renderer.camera.files` describe the formats.
+            `neural_renderer.camera.files` describe the formats. Or what `read_camera_file` of that package returned.
         size: Longer side in pixels, ≥ 16; larger images are scaled down.
         photos: Whether to use colours. Without colours, an image without a mask is a mask itself, white on black.
         background: RGB in [0, 1] of the background, for images without mask and alpha channel.
@@ -85,7 +85,7 @@ def load_views(
     """
     size = validate.whole("size", size, _LEAST_SIZE)
     rule = MaskRule(background, tolerance, mask_below, mask_open, mask_close, mask_fill)
-    source = read_camera_file(find_camera_file(Path(path)))
+    source = path if isinstance(path, CameraFile) else read_camera_file(find_camera_file(Path(path)))
     folder = None if masks is None else Path(masks)
     if folder is not None and not folder.is_dir():
         raise FileNotFoundError(f"masks: expected a folder of masks, got {folder}, which is none")

@@ -19,7 +19,7 @@ _CLEAR = 0.99  # an alpha channel that is nowhere below this tells nothing
 
 @dataclass(frozen=True)
 class MaskRule:
-    """How to find the mask of a picture without transparency.
+    """Rule that finds the mask of a picture without transparency.
 
     Attributes:
         background: RGB in [0, 1] of the background, or None.

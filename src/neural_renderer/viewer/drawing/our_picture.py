@@ -1,4 +1,4 @@
-"""What a loss sees: our own renderer's picture from the browser's view, and the gradient of a loss on it."""
+"""Our own renderer's picture from the browser's view, as a loss sees it, and the gradient of a loss on it."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def _grey(depth: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What a loss compares with.
+    """Target of a loss.
 
     Attributes:
         alpha: [1, H, W] in [0, 1].

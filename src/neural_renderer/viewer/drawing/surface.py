@@ -1,4 +1,4 @@
-"""How a mesh is shown: its colours, one colour, its normals, or a colour for each face.
+"""Surface of a mesh as the viewer shows it: its colours, one colour, its normals, or a colour for each face.
 
 This is written in numpy, on one core: torch's threads would compete with those of the work that is shown.
 """
@@ -31,7 +31,7 @@ _JPEGS: Memo[bytes] = Memo()
 
 @dataclass(frozen=True)
 class Look:
-    """How meshes are shown.
+    """Settings of the display of meshes.
 
     Attributes:
         surface: What the colours mean: "colours" of the mesh, "clay", "normals" in world space, or a colour per face.

@@ -23,7 +23,7 @@ from ..drawing.surface import Look, drawables
 FORMAT = 1
 """Number of the format, in every file."""
 BEGIN, END = '<script id="record" type="application/json">', "</script>"
-"""What stands before and after the data in a file."""
+"""Text before and after the data in a file."""
 DEFAULT_LIMIT = 32.0
 """Size of a file in MiB at most."""
 _LEVELS = 2**16 - 1  # of a coordinate, over the mesh's bounding box

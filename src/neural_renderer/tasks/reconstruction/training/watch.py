@@ -14,7 +14,7 @@ from ..evaluation.predict import predict_meshes
 from .training import Training
 
 STOPPED = 0
-"""What is appended to the list of interruptions when the observer stops a training; Ctrl-C appends another number."""
+"""Appended to the list of interruptions when the observer stops a training; Ctrl-C appends another number."""
 _MOST = 4  # predictions shown
 _VIEW = 2  # of the 24 of an object
 
