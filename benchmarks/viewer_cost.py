@@ -62,14 +62,14 @@ def _measure(viewer: Viewer, level: int, colored: bool, options: argparse.Namesp
     times: dict[bool, list[float]] = {True: [], False: []}
     used = {True: 0.0, False: 0.0}  # processor time of this program
     updates, seconds = 0, 0.0
-    count = viewer._set
+    count = viewer._newest._put
 
     def counted(name: str, snapshot: object) -> None:
         nonlocal updates
         updates += 1
         count(name, snapshot)  # type: ignore[arg-type]
 
-    viewer._set = counted  # type: ignore[method-assign,assignment]
+    viewer._newest._put = counted
     for _ in range(options.blocks):
         for watched in (True, False):
             start = last = time.perf_counter()

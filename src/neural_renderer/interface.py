@@ -35,7 +35,8 @@ from .textures.sample_texture import sample_texture
 from .transparency import surface_opacity
 from .validate import check_values
 from .version import __version__
-from .viewer.viewer import Viewer, view
+from .viewer.view import view
+from .viewer.viewer import Viewer
 
 __all__ = [
     "PBR",

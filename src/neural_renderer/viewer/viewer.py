@@ -14,8 +14,9 @@ from .. import validate
 from ..camera import Camera
 from ..io.files import existing
 from ..tasks.observer import Knob, goes_on
-from .drawing.snapshot import Snapshot, take_snapshot
+from .drawing.snapshot import Snapshot
 from .frusta import photographs
+from .newest import Newest
 from .panels.run import Run
 from .records.recorder import DEFAULT_LIMIT, Recorder
 from .worker import Worker
@@ -25,9 +26,7 @@ if TYPE_CHECKING:
 
 UP = ("+x", "-x", "+y", "-y", "+z", "-z")
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8080
-_SHARE = 0.01  # of the time that copies of meshes may take in the thread of the work
-_WORKER_SHARE = 0.02  # of one core, for everything else, while work goes on
-_IDLE = 1.0  # seconds between two copies while no browser is there, and nothing is recorded
+_WORKER_SHARE = 0.02  # of one core, for all but copies of meshes, while work goes on
 _FLUSH = 20.0  # seconds that the end waits for the newest mesh
 _POLL = 0.1  # seconds
 
@@ -98,19 +97,16 @@ class Viewer:
             raise TypeError(f"host: expected a name or an address, got {type(host).__name__}")
         if validate.whole("port", port, 0) > 65535:
             raise ValueError(f"port: expected at most 65535, got {port}")
-        self._rate = validate.positive("rate", rate)
+        rate = validate.positive("rate", rate)
         if validate.positive("record_limit", record_limit) < 1:
             raise ValueError(f"record_limit: expected at least 1 MiB, got {record_limit}")
         browser = validate.flag("browser", browser)
         self._recorder = None if record is None else Recorder(record, record_limit)
         self._run = Run()
         self._lock = threading.RLock()
-        self._latest: dict[str, Snapshot] = {}
-        self._waiting: dict[str, Any] = {}  # meshes that were not copied, because it was too early
-        self._next = 0.0  # time of the next copy
-        self._frame: tuple[int, str] = (0, "")
-        self._is_closed = self._is_over = False
-        self._worker = Worker(self._rate)
+        self._is_closed = False
+        self._worker = Worker(rate)
+        self._newest = Newest(rate, self._put, self._is_watched, self._copy_soon)
         self._page: Page | None = None
         self.url = None
         if browser:
@@ -157,17 +153,9 @@ class Viewer:
         self._check_open()
         if not isinstance(name, str) or not name:
             raise ValueError(f"name: expected some text, got {name!r}")
-        with self._lock:
-            self._frame = self._frame[0] + 1, ""
-            if name in self._latest:
-                self._spare()
-            if time.monotonic() < self._next and name in self._latest:
-                self._waiting[name] = mesh
-                self._worker.post("waiting", self._copy_waiting)
-                return
-        start = time.perf_counter()
-        self._set(name, take_snapshot(mesh))
-        self._rest_after(time.perf_counter() - start)
+        if name in self._newest:
+            self._spare()
+        self._newest.show(mesh, name)
 
     def remove(self, name: str) -> None:
         """Take a mesh away.
@@ -178,11 +166,7 @@ class Viewer:
         Raises:
             ValueError: There is no mesh of this name.
         """
-        with self._lock:
-            if name not in self._latest:
-                raise ValueError(f"name: expected one of {', '.join(self._latest) or 'none'}, got {name!r}")
-            del self._latest[name]
-            self._waiting.pop(name, None)
+        self._newest.remove(name)
         if self._page is not None:
             self._page.scene.remove([name])
 
@@ -312,7 +296,7 @@ class Viewer:
         """
         self._use_run()
         if self.paused:
-            self._copy_waiting()
+            self._newest.catch_up()
         return goes_on(self)
 
     # What tasks call; see `tasks.observer.Observer`.
@@ -335,15 +319,12 @@ class Viewer:
         text = f"{phase} {step} of {steps}" if steps else f"{phase} {step}"
         values = "  \n".join(f"{name} {value:.4g}" for name, value in list(numbers.items())[:4])
         self._log(f"**{text}**  \n{values}", step, numbers)
-        if time.monotonic() < self._next and not (steps and step >= steps):
-            return
-        start = time.perf_counter()
-        with self._lock:
-            self._frame = step, phase
-        found = mesh()
-        for name, one in (found if isinstance(found, Mapping) else {"mesh": found}).items():
-            self._set(name, take_snapshot(one))
-        self._rest_after(time.perf_counter() - start)
+
+        def meshes() -> Mapping[str, Any]:
+            found = mesh()
+            return found if isinstance(found, Mapping) else {"mesh": found}
+
+        self._newest.observe((step, phase), meshes, always=0 < steps <= step)
 
     def offer(self, knobs: Sequence[Knob]) -> None:
         """Offer settings that may change; see `tasks.observer.Observer`.
@@ -368,9 +349,9 @@ class Viewer:
         Args:
             text: What to tell.
         """
-        self._is_over = True
+        self._newest.is_hurried = True
         self._worker.set_share(1.0)
-        self._copy_waiting()
+        self._newest.catch_up()
         page = self._page
         if page is not None:
             self._worker.post("finish", lambda: page.finish(text))
@@ -390,7 +371,7 @@ class Viewer:
     def flush(self) -> None:
         """Show the newest meshes now, and wait until they are sent to the browsers or recorded."""
         self._worker.set_share(1.0)
-        self._copy_waiting()
+        self._newest.catch_up()
         self._worker.wait(_FLUSH)
         if self._run.is_used:
             self._spare()
@@ -426,10 +407,10 @@ class Viewer:
             ValueError: The name does not end in ``.html``.
             OSError: The file cannot be written.
         """
-        self._copy_waiting()
+        self._newest.catch_up()
         recorder = Recorder(path, limit)
-        with self._lock:
-            recorder.add(*self._frame[:1], dict(self._latest), self._frame[1], always=True)
+        (step, label), meshes = self._newest.all()
+        recorder.add(step, meshes, label, always=True)
         return recorder.write()
 
     def _repr_html_(self) -> str:
@@ -454,36 +435,26 @@ class Viewer:
         if self._is_closed:
             raise RuntimeError("viewer: expected an open one, got one that is closed")
 
-    def _set(self, name: str, snapshot: Snapshot) -> None:
-        """Show a copy of a mesh."""
-        with self._lock:
-            self._latest[name] = snapshot
-            self._waiting.pop(name, None)
+    def _put(self, name: str, copy: Snapshot) -> None:
+        """Show and record a new copy of a mesh."""
         if self._page is not None:
-            self._page.scene.put(name, snapshot)
+            self._page.scene.put(name, copy)
         if self._recorder is not None:
             self._worker.post("record", self._record)
 
-    def _rest_after(self, took: float) -> None:
-        """Choose the time of the next copy."""
-        pause = 1 / self._rate if self._is_over else max(1 / self._rate, took / _SHARE)
-        if self._recorder is None and not self.clients and not self._is_over:
-            pause = max(pause, _IDLE)
-        self._next = time.monotonic() + pause
+    def _is_watched(self) -> bool:
+        """Tell whether a browser shows the meshes, or a record keeps them."""
+        return self._recorder is not None or self.clients > 0
 
-    def _copy_waiting(self) -> None:
-        """Copy the meshes that came too early."""
-        with self._lock:
-            waiting, self._waiting = self._waiting, {}
-        for name, mesh in waiting.items():
-            self._set(name, take_snapshot(mesh))
+    def _copy_soon(self) -> None:
+        """Copy meshes that came too early, in the worker's thread."""
+        self._worker.post("early", self._newest.catch_up)
 
     def _record(self) -> None:
         """Add the newest meshes to the record. In the worker's thread."""
-        with self._lock:
-            (step, label), latest = self._frame, dict(self._latest)
+        (step, label), meshes = self._newest.all()
         if self._recorder is not None:
-            self._recorder.add(step, latest, label)
+            self._recorder.add(step, meshes, label)
 
     def _log(self, text: str, step: int, numbers: Mapping[str, float]) -> None:
         """Keep numbers for the curves, here and in the record."""
@@ -502,58 +473,9 @@ class Viewer:
 
     def _spare(self) -> None:
         """Leave the cores to the work, unless it is over."""
-        self._worker.set_share(1.0 if self._is_over else _WORKER_SHARE)
+        self._worker.set_share(1.0 if self._newest.is_hurried else _WORKER_SHARE)
 
     def _update_run(self) -> None:
         """Show the state of the run soon."""
         if self._page is not None:
             self._worker.post("run", self._page.update_run)
-
-
-def view(
-    *,
-    host: str = DEFAULT_HOST,
-    port: int = DEFAULT_PORT,
-    rate: float = 10.0,
-    record: str | os.PathLike[str] | None = None,
-    record_limit: float = DEFAULT_LIMIT,
-    browser: bool = True,
-    title: str = "neural-renderer",
-) -> Viewer:
-    """Open a viewer in the browser, to show meshes while a program changes them.
-
-    The address is printed; in a notebook the page appears in the output. The viewer is a context that closes the page
-    at its end; without ``with``, `Viewer.close` or the end of the program does.
-
-    Args:
-        host: Name or address of this machine to listen on. Everybody who reaches another address than 127.0.0.1 sees
-            the meshes and can stop the program; a warning says so.
-        port: First port to try, 1 to 65535; the next free one is taken, with a warning. 0 takes any.
-        rate: Updates a second at most, > 0.
-        record: Name of an HTML file that keeps the frames and needs neither Python nor a network; None for none.
-        record_limit: Size of that file in MiB at most, ≥ 1.
-        browser: Open a port for browsers. Without it, only the record is made, and viser is not needed.
-        title: Title of the page.
-
-    Returns:
-        The viewer.
-
-    Raises:
-        TypeError, ValueError: An argument is out of range.
-        ModuleNotFoundError: viser is not installed (``pip install 'neural-renderer[view]'``).
-        OSError: The host is unknown, no port is free, or the record cannot be written.
-
-    Example:
-        >>> with nr.view(browser=False, record="run.html") as viewer:
-        ...     for step in range(3):
-        ...         viewer.show(mesh, name="sphere")
-        ...         viewer.log(step, loss=1 / (step + 1))
-    """
-    viewer = Viewer(
-        host=host, port=port, rate=rate, record=record, record_limit=record_limit, browser=browser, title=title
-    )
-    if viewer.url is not None:
-        from .notebook import announce
-
-        announce(viewer)
-    return viewer

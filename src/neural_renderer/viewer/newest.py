@@ -1,0 +1,103 @@
+"""`Newest`: the newest copy of each mesh that a program shows, made in a small share of the program's time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from .drawing.snapshot import Snapshot, take_snapshot
+
+_SHARE = 0.01  # of the time that copies of meshes may take in the thread of the work
+_IDLE = 1.0  # seconds between two copies while nobody looks, and nothing is recorded
+
+
+class Newest:
+    """Copies of meshes, by name. Threads may share it.
+
+    A copy is made at most ``rate`` times a second, and such that copies take at most 1 % of the time.
+
+    Args:
+        rate: Copies of a mesh a second at most, > 0.
+        put: Called with the name of a mesh and its new copy.
+        is_watched: Tells whether somebody looks, or the copies are recorded. Without, there is a copy a second.
+        postpone: Called when a mesh came too early; `catch_up` is to be called soon.
+
+    Attributes:
+        frame: Number and label of the newest step.
+        is_hurried: Whether copies may take all the time, because the work is over.
+    """
+
+    def __init__(
+        self,
+        rate: float,
+        put: Callable[[str, Snapshot], None],
+        is_watched: Callable[[], bool],
+        postpone: Callable[[], None],
+    ) -> None:
+        self._rate, self._put, self._is_watched, self._postpone = rate, put, is_watched, postpone
+        self._lock = threading.RLock()
+        self._copies: dict[str, Snapshot] = {}
+        self._early: dict[str, Any] = {}
+        self._next = 0.0  # time of the next copy
+        self.frame = (0, "")
+        self.is_hurried = False
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._copies
+
+    def show(self, mesh: Any, name: str) -> None:
+        """Copy a mesh as a step of its own, now or, if the last copy was a moment ago, in `catch_up`."""
+        with self._lock:
+            self.frame = self.frame[0] + 1, ""
+            if name in self._copies and time.monotonic() < self._next:
+                self._early[name] = mesh
+                self._postpone()
+                return
+        self._copy(lambda: {name: mesh})
+
+    def observe(self, frame: tuple[int, str], meshes: Callable[[], Mapping[str, Any]], always: bool) -> None:
+        """Make and copy the meshes of a step, if it is time, or ``always``."""
+        if always or time.monotonic() >= self._next:
+            with self._lock:
+                self.frame = frame
+            self._copy(meshes)
+
+    def catch_up(self) -> None:
+        """Copy the meshes that came too early."""
+        with self._lock:
+            early, self._early = self._early, {}
+        for name, mesh in early.items():
+            self._keep(name, take_snapshot(mesh))
+
+    def remove(self, name: str) -> None:
+        """Forget a mesh; raise ValueError if there is none of this name."""
+        with self._lock:
+            if name not in self._copies:
+                raise ValueError(f"name: expected one of {', '.join(self._copies) or 'none'}, got {name!r}")
+            del self._copies[name]
+            self._early.pop(name, None)
+
+    def all(self) -> tuple[tuple[int, str], dict[str, Snapshot]]:
+        """Return the newest step, and the copies by name."""
+        with self._lock:
+            return self.frame, dict(self._copies)
+
+    def _copy(self, meshes: Callable[[], Mapping[str, Any]]) -> None:
+        """Copy meshes, and choose the time of the next copy."""
+        start = time.perf_counter()
+        for name, mesh in meshes().items():
+            self._keep(name, take_snapshot(mesh))
+        took = time.perf_counter() - start
+        pause = 1 / self._rate if self.is_hurried else max(1 / self._rate, took / _SHARE)
+        if not self.is_hurried and not self._is_watched():
+            pause = max(pause, _IDLE)
+        self._next = time.monotonic() + pause
+
+    def _keep(self, name: str, copy: Snapshot) -> None:
+        """Keep and hand on a copy."""
+        with self._lock:
+            self._copies[name] = copy
+            self._early.pop(name, None)
+        self._put(name, copy)
