@@ -10,16 +10,16 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .camera.screen import causes, scene_camera, screen_positions
+from .camera.screen import causes, scene_camera, screen_corners
 from .layers import Layers
 from .meshes.batch import mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
-from .raster.ahead import ATTRIBUTES, SCENE, load_kernels
+from .raster.ahead import ATTRIBUTES, PROJECTION, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.interpolate import interpolate
-from .raster.faces import checked_faces, corners_of
+from .raster.faces import checked_faces
 from .raster.ops.corners import gather_corners
 from .raster.ops.peel import peel
 from .raster.settings import Settings
@@ -268,29 +268,30 @@ def fragments(
     vertices, faces, _ = mesh_parts(mesh)
     vertices, camera = scene_camera(vertices, camera)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
-    load_kernels(settings, ("rgb",), ATTRIBUTES, *causes(vertices, camera), scene=SCENE[:1])
-    screen = screen_positions(camera, vertices, settings.width / settings.height)
+    load_kernels(settings, ("rgb",), ATTRIBUTES, *causes(vertices, camera), scene=PROJECTION)
+    faces = checked_faces(faces)
+    corners = screen_corners(camera, vertices, faces, settings.width / settings.height)
     if layers is None:
-        return visible_fragments(screen, checked_faces(faces), settings, 8)
-    return visible_layers(screen, checked_faces(faces), settings, validate.whole("layers", layers, 1))
+        return visible_fragments(corners, faces, settings, 8)
+    return visible_layers(corners, faces, settings, validate.whole("layers", layers, 1))
 
 
-def visible_fragments(screen: Tensor, faces: Tensor, settings: Settings, channels: int) -> Fragments:
-    """Find the visible faces of vertices [B, V, 3] in screen space.
+def visible_fragments(corners: Tensor, faces: Tensor, settings: Settings, channels: int) -> Fragments:
+    """Find the visible faces.
 
     Args:
-        screen: Vertices in screen space, [B, V, 3].
+        corners: Corners of faces in screen space, [B, F, 3, 3].
         faces: Vertex indices, checked already.
         settings: How to draw.
         channels: Most channels of an image; their memory is checked.
     """
-    corners = settings.corners(corners_of(screen, faces), channels)
+    corners = settings.corners(corners, channels)
     return Fragments(corners, settings.face_index(corners), settings, settings.rings(corners, faces), faces)
 
 
-def visible_layers(screen: Tensor, faces: Tensor, settings: Settings, layers: int) -> Layers:
+def visible_layers(corners: Tensor, faces: Tensor, settings: Settings, layers: int) -> Layers:
     """Find the nearest faces of each pixel, as `visible_fragments`."""
-    corners = settings.corners(corners_of(screen, faces), 8 * layers)
+    corners = settings.corners(corners, 8 * layers)
     height, width = settings.height * settings.scale, settings.width * settings.scale
     limits = (settings.near, settings.far, settings.two_sided, settings.perspective)
     rings = settings.rings(corners, faces)

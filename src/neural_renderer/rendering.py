@@ -12,7 +12,7 @@ from torch import Tensor
 
 from . import validate
 from .camera import Camera
-from .camera.screen import causes, scene_camera, screen_positions
+from .camera.screen import causes, scene_camera, screen_corners
 from .deferred import Fragments, visible_fragments, visible_layers
 from .meshes.batch import batch, mesh_parts
 from .meshes.mesh import Mesh
@@ -113,29 +113,29 @@ def render(
     load_kernels(
         settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, *causes(vertices, camera), scene=SCENE
     )
-    screen = validate.in_float32("vertices on the screen", screen_positions(camera, vertices, aspect))
     faces = checked_faces(faces)
+    corners = screen_corners(camera, vertices, faces, aspect)
     if layers is not None:
         if not isinstance(mesh, UVMesh):
             raise TypeError(f"mesh: expected a UVMesh to draw layers, got {type(mesh).__name__}")
         if surface:
             raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)} with layers, got {surface[0]}")
-        found = visible_layers(screen, faces, settings, validate.whole("layers", layers, 1))
-        factors = _light_on_faces(lights, vertices, faces, camera, len(screen)) if model is None else None
+        found = visible_layers(corners, faces, settings, validate.whole("layers", layers, 1))
+        factors = _light_on_faces(lights, vertices, faces, camera, len(corners)) if model is None else None
         return layered_images(found, mesh, camera, lights, model, factors, background, outputs)
-    visible = visible_fragments(screen, faces, settings, 1 + 3 * ("rgb" in outputs))
+    visible = visible_fragments(corners, faces, settings, 1 + 3 * ("rgb" in outputs))
     colors: tuple[Any, ...] = ()
     if "rgb" in outputs and model is not None:
         colors = _shaded(visible, mesh, textures, camera, lights, model, background)
     elif "rgb" in outputs:
-        factors = _light_on_faces(lights, vertices, faces, camera, len(screen))
+        factors = _light_on_faces(lights, vertices, faces, camera, len(corners))
         if isinstance(mesh, UVMesh):
             colors = _image_colors(visible, mesh, factors, background)
         else:
             colors = cube_colors(visible, _checked_cubes(textures), factors, background)
     images = visible.images(outputs, *colors)
     if surface:
-        vars(images).update(surface_images(surface, visible, screen, mesh, camera, model is not None))
+        vars(images).update(surface_images(surface, visible, mesh, camera, model is not None))
     return images
 
 

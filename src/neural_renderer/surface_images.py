@@ -31,14 +31,13 @@ def surface_outputs(outputs: Collection[str], mesh: Any, has_camera: bool) -> li
 
 
 def surface_images(
-    names: Collection[str], visible: Fragments, screen: Tensor, mesh: Any, camera: Camera, smooth: bool
+    names: Collection[str], visible: Fragments, mesh: Any, camera: Camera, smooth: bool
 ) -> dict[str, Tensor]:
     """Make images of the visible surface; `Images` explains each.
 
     Args:
         names: Some of `SURFACE`.
         visible: Fragments of the mesh.
-        screen: Vertices of the mesh on the screen, [B, V, 3].
         mesh: As in `render`.
         camera: The camera of the fragments.
         smooth: Whether normals are smooth, else those of faces.
@@ -51,7 +50,7 @@ def surface_images(
     if "face_index" in names or "barycentric" in names:
         centres = visible
         if settings.anti_aliasing:
-            centres = visible_fragments(screen, visible.triangles, replace(settings, anti_aliasing=False), 4)
+            centres = visible_fragments(visible.corners, visible.triangles, replace(settings, anti_aliasing=False), 4)
         images["face_index"] = centres.face_index.clone()
         images["barycentric"] = centres.weights.movedim(3, 1).contiguous()
     # Only "edge" differentiates shading inside faces.

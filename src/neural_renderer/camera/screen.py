@@ -10,7 +10,10 @@ from torch import Tensor
 
 from .. import validate
 from ..constants import on_device
+from ..raster.faces import corner_indices, corners_of
 from ..raster.ops.pinhole import pinhole
+from ..raster.ops.project_corners import project_corners
+from ..raster.warp.layout import images_of
 from ..raster.warp.registration import is_plain
 from .camera import Camera
 from .lens import viewing_angle
@@ -75,17 +78,44 @@ def screen_positions(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
     """
     if camera.is_fisheye:
         return _before_the_camera(camera(vertices, aspect=aspect))
+    simple = _pinhole(camera, vertices)
+    return camera(vertices, aspect=aspect) if simple is None else pinhole(*simple, aspect, camera.perspective)
+
+
+def screen_corners(camera: Camera, vertices: Tensor, faces: Tensor, aspect: float) -> Tensor:
+    """Project the corners of faces, as `screen_positions` and `corners_of` do one after the other.
+
+    Args:
+        camera, vertices, aspect: As of `screen_positions`.
+        faces: Vertex indices [F, 3] or [B, F, 3], int32 or int64.
+
+    Returns:
+        [B, F, 3, 3] float32.
+
+    Raises:
+        TypeError, ValueError: As `screen_positions` and `corners_of`; or a position that overflows float32.
+    """
+    simple = None if camera.is_fisheye else _pinhole(camera, vertices)
+    if simple is None:
+        screen = screen_positions(camera, vertices, aspect)
+        return corners_of(validate.in_float32("vertices on the screen", screen), faces)
+    points, rotation, origin, width = simple
+    faces = corner_indices(points, faces, images_of(*simple))
+    return project_corners(points, faces, rotation, origin, width, aspect, camera.perspective)
+
+
+def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
+    """Return the points, rotation, origin and width for the operator `pinhole`; None if it does not fit."""
     is_simple = type(camera) is Camera and camera.K is None
     if not is_simple or getattr(vertices, "dtype", None) != torch.float32 or not is_plain((vertices, camera.rotation)):
-        return camera(vertices, aspect=aspect)
+        return None
     validate.vertices(vertices)
     rotation, origin = on_device(camera.rotation, vertices), on_device(camera.origin, vertices)
     views, meshes = rotation.shape[0], batch_of(vertices, 2)
     if meshes != 1:
         batch_size(vertices=meshes, camera=views)
     width = _width(camera, vertices.device, max(views, meshes))
-    points = vertices if vertices.dim() == 3 else vertices[None]
-    return pinhole(points, rotation, origin, width, aspect, camera.perspective)
+    return vertices if vertices.dim() == 3 else vertices[None], rotation, origin, width
 
 
 def _before_the_camera(screen: Tensor) -> Tensor:

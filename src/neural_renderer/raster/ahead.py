@@ -18,6 +18,7 @@ from .ops.corners import gather_corners
 from .ops.coverage import coverage
 from .ops.flat_light import flat_light
 from .ops.pinhole import pinhole
+from .ops.project_corners import project_corners
 from .ops.visible_faces import visible_faces
 from .settings import Settings
 from .visibility.continuity import texture_edge_hashes
@@ -34,7 +35,8 @@ Functions = tuple[Callable[..., Any], ...]
 CUBES: Functions = (sample_textures,)
 ATTRIBUTES: Functions = (interpolate, composite)
 IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels)
-SCENE: Functions = (pinhole, flat_light)
+PROJECTION: Functions = (pinhole, project_corners)
+SCENE: Functions = (*PROJECTION, flat_light)
 _ALWAYS: Functions = (coverage, gather_corners)
 _VISIBILITY: dict[str, Functions] = {
     "nmr": (nmr_gradient, empty_lines, visible_faces),
@@ -54,14 +56,14 @@ def load_kernels(
         outputs: Some of "rgb", "alpha", "depth".
         colors: Operators that colour the faces if "rgb" is among the outputs: CUBES, ATTRIBUTES or IMAGES.
         positions: Corners, or vertices and what else moves them on the screen; the first on the device of the images.
-        scene: SCENE, if vertices are projected and lit.
+        scene: SCENE if vertices are projected and lit, PROJECTION if they are projected.
     """
     if not isinstance(positions[0], Tensor) or not is_plain(positions):
         return
     moving = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in positions)
     # The modules that take longest to compile come first.
     needed: Functions = _VISIBILITY[settings.gradient] if moving else ()
-    needed += scene if "rgb" in outputs else scene[:1]
+    needed += scene if "rgb" in outputs else scene[: len(PROJECTION)]
     if "rgb" in outputs:
         needed += colors
         if moving and settings.gradient == "edge" and colors == CUBES:

@@ -44,15 +44,34 @@ def corners_of(vertices: Tensor, faces: Tensor, in_range: bool = False) -> Tenso
     Raises:
         ValueError: Another device, batch or index.
     """
+    faces = corner_indices(vertices, faces, len(vertices), in_range)
+    return gather_corners(vertices.float(), faces)
+
+
+def corner_indices(vertices: Tensor, faces: Tensor, images: int, in_range: bool = False) -> Tensor:
+    """Convert the vertex indices of faces for operators that gather corners.
+
+    Args:
+        vertices: [..., V, 3], on the device of the faces.
+        faces: [F, 3] or [B or 1, F, 3], int32 or int64.
+        images: Number of images B.
+        in_range: Whether the indices are known to be in range.
+
+    Returns:
+        [B or 1, F, 3] int32.
+
+    Raises:
+        ValueError: Another device, batch or index.
+    """
     validate.same_device(vertices=vertices, faces=faces)
     faces = faces[None] if faces.dim() == 2 else faces
-    if faces.shape[0] not in (1, vertices.shape[0]):
-        raise ValueError(f"faces: expected a batch of {vertices.shape[0]} like vertices, got {faces.shape[0]}")
+    if faces.shape[0] not in (1, images):
+        raise ValueError(f"faces: expected a batch of {images} like vertices, got {faces.shape[0]}")
     if not in_range:
-        validate.in_range("faces", faces, vertices.shape[1], padded=True)
+        validate.in_range("faces", faces, vertices.shape[-2], padded=True)
     if faces.dtype == torch.int64:  # an index that is out of range stays so in 32 bits
         faces = faces.clamp(-1, 2**31 - 1)
-    return gather_corners(vertices.float(), faces.int())
+    return faces.int()
 
 
 def world_corners(vertices: Tensor, faces: Tensor, images: int, in_range: bool = False) -> Tensor:

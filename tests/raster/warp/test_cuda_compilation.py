@@ -11,6 +11,7 @@ import pytest
 import warp as wp
 
 import neural_renderer.raster
+from tests.cuda_emulation.cubin import registers, warps
 
 # Every Warp module below raster/. A Python module has two if some of its kernels are for CUDA alone.
 MODULES = {
@@ -24,5 +25,9 @@ MODULES = {
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp's wheel for macOS has no CUDA compiler")
 @pytest.mark.parametrize("name", MODULES)
 def test_kernels_compile_for_cuda(name: str, tmp_path: Path) -> None:
-    wp.compile_aot_module(MODULES[name], arch=80, module_dir=tmp_path)
-    assert list(tmp_path.glob("*.cubin")) or list(tmp_path.glob("*.ptx"))
+    wp.compile_aot_module(MODULES[name], arch=80, module_dir=tmp_path, use_ptx=False)
+    [code] = tmp_path.glob("*.cubin")
+    used = registers(code)
+    assert len(used) == len(MODULES[name].kernels)
+    # A multiprocessor holds at least 16 warps of each kernel, so that some compute while others wait for memory.
+    assert min(map(warps, used.values())) >= 16, used

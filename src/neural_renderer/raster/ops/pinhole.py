@@ -95,31 +95,31 @@ def _save(ctx, inputs, output):
 
 
 def _to_inputs(ctx, grad):
-    vertices, rotation, origin, width = ctx.saved_tensors
-    needed = ctx.needs_input_grad
-    camera_too = needed[1] or needed[2] or needed[3]
-    to_vertices, to_camera = pinhole_backward(
-        grad, vertices, rotation, origin, width, ctx.aspect, ctx.perspective, camera_too
-    )
-    results = [to_vertices, None, None, None]
-    for k, (tensor, part) in enumerate(((rotation, slice(9)), (origin, slice(9, 12)), (width, slice(12, 13))), 1):
-        if needed[k]:
-            own = to_camera[:, part]
-            results[k] = (own if len(tensor) == len(own) else own.sum(0)).reshape(tensor.shape)
-    return *results, None, None
+    vertices, *camera = ctx.saved_tensors
+    needed = ctx.needs_input_grad[1:4]
+    to_vertices, to_camera = pinhole_backward(grad, vertices, *camera, ctx.aspect, ctx.perspective, any(needed))
+    return to_vertices, *parts_of_camera(to_camera, camera, needed), None, None
+
+
+def parts_of_camera(gradient, camera, needed):
+    """Split a gradient [B, 13] from `pinhole_backward` into those of the rotation, origin and width that are needed."""
+    return [
+        (own if len(tensor) == len(own) else own.sum(0)).reshape(tensor.shape) if needs else None
+        for tensor, own, needs in zip(camera, gradient.split((9, 3, 1), 1), needed, strict=True)
+    ]
 
 
 differentiable(pinhole, _to_inputs, _save)
 
 
-_CAMERA = """
+CAMERA = """
     const int count = vertices.shape[1];
     const float* r = rotation.data + (b < rotation.shape[0] ? b : rotation.shape[0] - 1) * (wp::int64)9;
     const float* o = origin.data + (b < origin.shape[0] ? b : origin.shape[0] - 1) * (wp::int64)3;
     const float* v = vertices.data + (b < vertices.shape[0] ? b : vertices.shape[0] - 1) * (wp::int64)count * 3;
     const float across = width.data[b < width.shape[0] ? b : width.shape[0] - 1];
 """
-_POINT = f"""
+POINT = f"""
         const float dx = v[3 * i] - o[0], dy = v[3 * i + 1] - o[1], dz = v[3 * i + 2] - o[2];
         const float x = dx * r[0] + dy * r[1] + dz * r[2];
         const float y = dx * r[3] + dy * r[4] + dz * r[5];
@@ -129,13 +129,23 @@ _POINT = f"""
         const float sx = (perspective ? x / near / across : x * across) / aspect;
         const float sy = perspective ? y / near / across : y * across;
 """
+# The gradient to the point, from the gradient g to its position on the screen.
+TO_POINT = """
+        const float gx = g[0], gy = g[1], along = gx * sx + gy * sy;
+        const float to_x = (perspective ? gx / near / across : gx * across) / aspect;
+        const float to_y = perspective ? gy / near / across : gy * across;
+        const float to_z = g[2] - (perspective && !beside ? along / near : 0.0f);
+        const float to_dx = to_x * r[0] + to_y * r[3] + to_z * r[6];
+        const float to_dy = to_x * r[1] + to_y * r[4] + to_z * r[7];
+        const float to_dz = to_x * r[2] + to_y * r[5] + to_z * r[8];
+"""
 
 
 @wp.func_native(f"""
-    {_CAMERA}
+    {CAMERA}
     float* to = screen.data + b * (wp::int64)count * 3;
     for (int i = begin; i < end; ++i) {{
-        {_POINT}
+        {POINT}
         to[3 * i] = sx, to[3 * i + 1] = sy, to[3 * i + 2] = z;
     }}
 """)
@@ -155,20 +165,15 @@ def project_points(
 
 
 @wp.func_native(f"""
-    {_CAMERA}
-    const float* g = grad.data + b * (wp::int64)count * 3;
+    {CAMERA}
+    const float* all = grad.data + b * (wp::int64)count * 3;
     float* to = to_vertices.data + own * (wp::int64)count * 3;
     double sum[13];
     for (int k = 0; k < 13; ++k) sum[k] = 0.0;
     for (int i = begin; i < end; ++i) {{
-        {_POINT}
-        const float gx = g[3 * i], gy = g[3 * i + 1], along = gx * sx + gy * sy;
-        const float to_x = (perspective ? gx / near / across : gx * across) / aspect;
-        const float to_y = perspective ? gy / near / across : gy * across;
-        const float to_z = g[3 * i + 2] - (perspective && !beside ? along / near : 0.0f);
-        const float to_dx = to_x * r[0] + to_y * r[3] + to_z * r[6];
-        const float to_dy = to_x * r[1] + to_y * r[4] + to_z * r[7];
-        const float to_dz = to_x * r[2] + to_y * r[5] + to_z * r[8];
+        {POINT}
+        const float* g = all + 3 * i;
+        {TO_POINT}
         if (add) to[3 * i] += to_dx, to[3 * i + 1] += to_dy, to[3 * i + 2] += to_dz;
         else to[3 * i] = to_dx, to[3 * i + 1] = to_dy, to[3 * i + 2] = to_dz;
         if (!camera_too) continue;

@@ -338,7 +338,7 @@ def move_face(
     )
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 2))
 def _move(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),

@@ -256,7 +256,7 @@ def pair_gradients(
     return wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 2))
 def _intersect(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),

@@ -334,7 +334,7 @@ def pull_face(
             wp.atomic_add(result, b, f, corner, to)
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 2))
 def _pull(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),

@@ -114,8 +114,8 @@ def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device) 
         return
     modules = [wp.get_module(name) for name in {function.__module__: None for function in functions}]
     if device.type == "cuda":
-        modules += [module for one in modules if (module := wp.get_module(one.name + _FOR_CUDA)).kernels]
-    kernels = [next(iter(module.kernels.values())) for module in modules]
+        modules += [wp.get_module(one.name + _FOR_CUDA) for one in modules]
+    kernels = [next(iter(module.kernels.values())) for module in modules if module.kernels]
     _load([kernel for kernel in kernels if (kernel, str(device)) not in _ready], str(device))
     _asked.add((functions, device))
 
