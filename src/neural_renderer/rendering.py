@@ -22,7 +22,7 @@ from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.light_pixels import light_pixels
 from .raster.cubes import cube_colors
-from .raster.faces import checked_faces, world_corners
+from .raster.faces import checked_faces
 from .raster.images import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.continuity import image_edge_hashes
@@ -145,8 +145,7 @@ def _light_on_faces(
     """Add up the light on both sides of faces, [B, 2, F, 3]; None without lights."""
     if not lights:
         return None
-    corners = world_corners(vertices, faces, batch, in_range=True)
-    several = [light_factors(one, corners, camera.mirrored) for one in lights]
+    several = [light_factors(one, vertices, faces, batch, camera.mirrored) for one in lights]
     return several[0] if len(several) == 1 else torch.stack(several).sum(0)
 
 

@@ -14,7 +14,7 @@ from ..camera import look, look_at, projection
 from ..camera.lens import in_perspective
 from ..camera.lens import viewing_angle as checked_angle
 from ..camera.parameters import as_tensor, common_device, scalar
-from ..raster.faces import checked_faces, vertices_to_faces, world_corners
+from ..raster.faces import checked_faces, vertices_to_faces
 from ..raster.images import Images
 from ..raster.rasterize import rasterize_images
 from ..raster.settings import image_size
@@ -321,7 +321,7 @@ class Renderer(nn.Module):
         validate.floating("vertices", vertices, ("B", "V", 3))
         faces = checked_faces(faces)
         screen, perspective = self._project(validate.wide(vertices), *camera)
-        screen = validate.in_float32("vertices on the screen", screen)
+        corners = vertices_to_faces(validate.in_float32("vertices on the screen", screen), faces)
         light = None
         if "rgb" in outputs:
             lamp = Light(
@@ -333,10 +333,10 @@ class Renderer(nn.Module):
             )
             # Light is computed in world space, on the side that the first packages lit (see the class).
             with validate.called(**_LIGHT):
-                light = light_factors(lamp, world_corners(vertices, faces, len(screen)), mirrored=True)
+                light = light_factors(lamp, vertices, faces, len(corners), mirrored=True)
         with validate.called(**_RASTERIZER):
             return rasterize_images(
-                vertices_to_faces(screen, faces),
+                corners,
                 self.image_size,
                 outputs=outputs,
                 textures=textures,

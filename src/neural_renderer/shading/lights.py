@@ -12,6 +12,7 @@ from torch import Tensor
 from .. import validate
 from ..camera.parameters import Array, Scalar, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
+from ..raster.faces import corner_indices, world_corners
 from ..raster.ops.flat_light import flat_light
 from ..raster.warp.registration import is_plain
 
@@ -215,23 +216,26 @@ def pixel_lights(lights: Sequence[object]) -> None:
             )
 
 
-def light_factors(light: AnyLight, corners: Tensor, mirrored: bool) -> Tensor:
+def light_factors(light: AnyLight, vertices: Tensor, faces: Tensor, images: int, mirrored: bool) -> Tensor:
     """Compute the light on both sides of faces as ``light.two_sided``; for callers with first derivatives only.
 
     Args:
         light: Any light.
-        corners: [B, F, 3 corners, 3] floating, finite, in world space.
+        vertices: [V, 3] or [B, V, 3] floating, finite, in world space.
+        faces: Vertex indices in range, [F, 3] or [B, F, 3], int32 or int64.
+        images: Number of images B.
         mirrored: Whether the camera mirrors.
 
     Returns:
-        [B, 2, F, 3], as `Light.two_sided`.
+        [1 or B, 2, F, 3], as `Light.two_sided`.
 
     Raises:
         TypeError, ValueError: As `Light.two_sided`.
     """
-    if not isinstance(light, Light) or type(light) is not Light or light._is_ambient:
-        return light.two_sided(corners, mirrored)
-    if corners.dtype != torch.float32 or not is_plain((corners,)):
-        return light.two_sided(corners, mirrored)
-    ambient, directional, direction = light._parameters(corners.dtype, corners.device, len(corners))
-    return flat_light(corners, ambient, directional, direction, mirrored)
+    is_simple = vertices.dtype == torch.float32 and is_plain((vertices,))
+    if not is_simple or not isinstance(light, Light) or type(light) is not Light or light._is_ambient:
+        return light.two_sided(world_corners(vertices, faces, images, in_range=True), mirrored)
+    points = vertices if vertices.dim() == 3 else vertices[None]
+    faces = corner_indices(points, faces, images, in_range=True)
+    ambient, directional, direction = light._parameters(points.dtype, points.device, max(len(points), len(faces)))
+    return flat_light(points, faces, ambient, directional, direction, mirrored)

@@ -25,13 +25,18 @@ def scene(device, meshes, lights, dtype=torch.float32):
     return leaves, nr.Light(**{**vars(light), "direction": leaves[3]})
 
 
+def soup(corners):
+    """Vertices and faces of triangles that share no vertex."""
+    return corners.flatten(1, 2), torch.arange(corners.shape[1] * 3, device=corners.device).view(-1, 3)
+
+
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("meshes, lights", [(1, 1), (3, 1), (1, 3), (3, 3)])
 def test_reference(device, meshes, lights, mirrored):
     leaves, light = scene(device, meshes, lights)
     exact_leaves, exact_light = scene(device, meshes, lights, torch.float64)
     batch = max(meshes, lights)
-    ours = light_factors(light, leaves[0], mirrored)
+    ours = light_factors(light, *soup(leaves[0]), batch, mirrored)
     exact = exact_light.two_sided(exact_leaves[0].expand(batch, -1, -1, -1), mirrored)
     # A normal is off by some 20 roundings of 1; the light is up to 2 sqrt(3) times its part along the direction.
     size = 2 * float(exact_leaves[3].detach().norm(dim=1).max())
@@ -52,14 +57,15 @@ def test_numbers_are_converted_once_and_tensors_each_time(device):
     corners = scene(device, 1, 1)[0][0].detach()
     direction = torch.tensor([0.0, 1.0, 0.0])
     constant, changing = nr.Light(), nr.Light(direction=direction)
-    before = light_factors(constant, corners, False), light_factors(changing, corners, False)
+    before = light_factors(constant, *soup(corners), 1, False), light_factors(changing, *soup(corners), 1, False)
     direction.neg_()
-    after = light_factors(constant, corners, False), light_factors(changing, corners, False)
+    after = light_factors(constant, *soup(corners), 1, False), light_factors(changing, *soup(corners), 1, False)
     assert torch.equal(before[0], after[0]) and torch.equal(before[1], after[1].flip(1))
     with pytest.raises(ValueError, match="direction: expected"):
-        light_factors(nr.Light(direction=torch.full((3,), torch.nan)), corners, False)
+        light_factors(nr.Light(direction=torch.full((3,), torch.nan)), *soup(corners), 1, False)
 
 
 def test_operator_is_well_formed(device):
     leaves, _ = scene(device, 2, 1)
-    torch.library.opcheck(flat_light.operator, (*leaves, False))
+    vertices, faces = soup(leaves[0])
+    torch.library.opcheck(flat_light.operator, (vertices, faces[None].int(), *leaves[1:], False))

@@ -75,21 +75,29 @@ def _to_vertices(ctx, grad):
 differentiable(gather_corners, _to_vertices, _save)
 
 
-_EACH = """
+# The vertex indices of face f in image b. Then the vertex i of its corner k, and whether it is one of `count` vertices.
+FACE = """
+    const int* face = faces.data + ((b < faces.shape[0] ? b : faces.shape[0] - 1) * (wp::int64)faces.shape[1] + f) * 3;
+    const bool none = (face[0] & face[1] & face[2]) == -1;
+"""
+CORNER = """
+    const int i = none ? 0 : face[k];
+    const bool valid = i >= 0 && i < count;
+"""
+
+_EACH = f"""
     const int count = vertices.shape[1], channels = vertices.shape[2];
-    const wp::int64 own = b < faces.shape[0] ? b : faces.shape[0] - 1, all = faces.shape[1];
-    for (wp::int64 f = begin; f < end; ++f) {
-        const int* face = faces.data + (own * all + f) * 3;
-        const bool none = (face[0] & face[1] & face[2]) == -1;
-        for (int k = 0; k < 3; ++k) {
-            const int v = none ? 0 : face[k];
-            const bool valid = v >= 0 && v < count;
-            float* vertex = vertices.data + ((wp::int64)b * count + (valid ? v : 0)) * channels;
+    const wp::int64 all = faces.shape[1];
+    for (wp::int64 f = begin; f < end; ++f) {{
+        {FACE}
+        for (int k = 0; k < 3; ++k) {{
+            {CORNER}
+            float* vertex = vertices.data + ((wp::int64)b * count + (valid ? i : 0)) * channels;
             float* corner = corners.data + ((b * all + f) * 3 + k) * channels;
-            if (channels == 3) { const int channels = 3; DO }
-            else { DO }
-        }
-    }
+            if (channels == 3) {{ const int channels = 3; DO }}
+            else {{ DO }}
+        }}
+    }}
 """
 
 

@@ -8,6 +8,7 @@ from torch import Tensor
 from ..warp.launch import array, launch
 from ..warp.layout import concurrent, group_tasks, images_of
 from ..warp.registration import differentiable, differentiable_once, operator
+from .corners import CORNER, FACE, gather_corners_backward
 
 # Without fused multiply-adds, the light on both sides is that of opposite normals, exactly.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -19,62 +20,75 @@ _LEAST = 16  # groups of faces that are worth another thread
 
 
 @operator
-def flat_light(corners: Tensor, ambient: Tensor, directional: Tensor, direction: Tensor, mirrored: bool) -> Tensor:
+def flat_light(
+    vertices: Tensor, faces: Tensor, ambient: Tensor, directional: Tensor, direction: Tensor, mirrored: bool
+) -> Tensor:
     """Compute ambient + directional · max(n · direction, 0) for both normals n of each face; differentiable in all.
 
     Args:
-        corners: [1 or B, F, 3, 3] float32, in world space.
+        vertices: [1 or B, V, 3] float32, in world space.
+        faces: Vertex indices, [1 or B, F, 3] int32, as of `gather_corners`.
         ambient: RGB of the ambient light, [1 or B, 3] float32.
         directional: RGB of the directional light, [1 or B, 3] float32.
         direction: [1 or B, 3] float32, towards the light.
         mirrored: Whether the camera mirrors.
 
     Returns:
-        [B, 2, F, 3] float32. Index 0 is the side of (v1 − v0) × (v2 − v0), or the opposite one if ``mirrored``.
+        [B, 2, F, 3] float32. Index 0 is the side of (v1 − v0) × (v2 − v0), or the opposite one if ``mirrored``. NaN for
+        an index outside [0, V).
     """
-    batch, count = images_of(corners, ambient, directional, direction), corners.shape[1]
-    factors = torch.empty((batch, 2, count, 3), dtype=torch.float32, device=corners.device)
-    groups, each = group_tasks(count, corners.device, 512)
-    arguments = [*_arguments(corners, ambient, directional, direction, mirrored), groups, each, array(factors)]
-    launch(_forward, batch * groups, arguments, corners.device, _LEAST)
+    batch, count = images_of(vertices, faces, ambient, directional, direction), faces.shape[1]
+    factors = torch.empty((batch, 2, count, 3), dtype=torch.float32, device=vertices.device)
+    groups, each = group_tasks(count, vertices.device, 512)
+    arguments = [*_arguments(vertices, faces, ambient, directional, direction, mirrored), groups, each, array(factors)]
+    launch(_forward, batch * groups, arguments, vertices.device, _LEAST)
     return factors
 
 
 @torch.library.register_fake("neural_renderer::flat_light")
-def _(corners, ambient, directional, direction, mirrored):
-    return corners.new_empty((images_of(corners, ambient, directional, direction), 2, corners.shape[1], 3))
+def _(vertices, faces, ambient, directional, direction, mirrored):
+    images = images_of(vertices, faces, ambient, directional, direction)
+    return vertices.new_empty((images, 2, faces.shape[1], 3))
 
 
 @differentiable_once
 def flat_light_backward(
-    grad: Tensor, corners: Tensor, ambient: Tensor, directional: Tensor, direction: Tensor, mirrored: bool
+    grad: Tensor,
+    vertices: Tensor,
+    faces: Tensor,
+    ambient: Tensor,
+    directional: Tensor,
+    direction: Tensor,
+    mirrored: bool,
 ) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `flat_light`.
 
     Returns:
-        To the corners, [1 or B, F, 3, 3]; to the light, [B, 9]: ambient, directional, direction.
+        To the vertices, [1 or B, V, 3]; to the light, [B, 9]: ambient, directional, direction.
     """
     batch, _, count, _ = grad.shape
     groups, each = group_tasks(count, grad.device, 512, 32)
     # On the CPU, one task sums the gradient to faces that images share, image by image.
-    own = batch if concurrent(grad.device) else len(corners)
+    own = batch if concurrent(grad.device) else images_of(vertices, faces)
     to_corners = torch.empty((own, count, 3, 3), dtype=torch.float32, device=grad.device)
     sums = torch.empty((batch, groups, _SUMS), dtype=torch.float32, device=grad.device)
-    arguments = [*_arguments(corners, ambient, directional, direction, mirrored), groups, each, array(grad)]
+    arguments = [*_arguments(vertices, faces, ambient, directional, direction, mirrored), groups, each, array(grad)]
     arguments += [array(to_corners), array(sums)]
     launch(_backward, own * groups, arguments, grad.device, max(1, _LEAST * own // max(batch, 1)))
-    if own > len(corners):
-        to_corners = to_corners.sum(0, keepdim=True)
-    return to_corners, sums.sum(1)
+    to_vertices = gather_corners_backward(to_corners, faces, vertices.shape[1])
+    if own > len(vertices):
+        to_vertices = to_vertices.sum(0, keepdim=True)
+    return to_vertices, sums.sum(1)
 
 
 @torch.library.register_fake("neural_renderer::flat_light_backward")
-def _(grad, corners, ambient, directional, direction, mirrored):
-    return corners.new_empty(corners.shape), grad.new_empty((len(grad), _SUMS))
+def _(grad, vertices, faces, ambient, directional, direction, mirrored):
+    return vertices.new_empty(vertices.shape), grad.new_empty((len(grad), _SUMS))
 
 
-def _arguments(corners, ambient, directional, direction, mirrored):
-    return [array(corners), array(ambient), array(directional), array(direction), int(mirrored)]
+def _arguments(vertices, faces, ambient, directional, direction, mirrored):
+    light = [array(ambient), array(directional), array(direction)]
+    return [array(vertices), array(faces), *light, int(mirrored)]
 
 
 def _save(ctx, inputs, output):
@@ -83,11 +97,11 @@ def _save(ctx, inputs, output):
 
 
 def _to_inputs(ctx, grad):
-    to_corners, to_light = flat_light_backward(grad, *ctx.saved_tensors, ctx.mirrored)
-    results = [to_corners, None, None, None]
-    for k, tensor in enumerate(ctx.saved_tensors[1:], 1):
+    to_vertices, to_light = flat_light_backward(grad, *ctx.saved_tensors, ctx.mirrored)
+    results = [to_vertices, None, None, None, None]
+    for k, tensor in enumerate(ctx.saved_tensors[2:], 2):
         if ctx.needs_input_grad[k]:
-            own = to_light[:, 3 * k - 3 : 3 * k]
+            own = to_light[:, 3 * k - 6 : 3 * k - 3]
             results[k] = own if len(tensor) == len(own) else own.sum(0, keepdim=True)
     return *results, None
 
@@ -96,8 +110,9 @@ differentiable(flat_light, _to_inputs, _save)
 
 
 _BEGIN = """
-    const wp::int64 count = corners.shape[1];
-    const float* v = corners.data + (b < corners.shape[0] ? b : corners.shape[0] - 1) * count * 9;
+    const int count = vertices.shape[1];
+    const wp::int64 all = faces.shape[1];
+    const float* points = vertices.data + (b < vertices.shape[0] ? b : vertices.shape[0] - 1) * (wp::int64)count * 3;
     const float* glow = ambient.data + 3 * (b < ambient.shape[0] ? b : ambient.shape[0] - 1);
     const float* beam = directional.data + 3 * (b < directional.shape[0] ? b : directional.shape[0] - 1);
     const float* towards = direction.data + 3 * (b < direction.shape[0] ? b : direction.shape[0] - 1);
@@ -110,14 +125,19 @@ _LOOP = """
 """
 # Normals as `face_normals` computes them, along (v0 - v1) x (v2 - v1).
 _NORMAL = f"""
-        float largest = 0.0f, p[3], q[3], n[3], pp = 0.0f, qq = 0.0f;
+        float largest = 0.0f, v[9], p[3], q[3], n[3], pp = 0.0f, qq = 0.0f;
+        {FACE}
+        for (int k = 0; k < 3; ++k) {{
+            {CORNER}
+            for (int c = 0; c < 3; ++c) v[3 * k + c] = valid ? points[3 * (wp::int64)i + c] : NAN;
+        }}
         for (int k = 0; k < 9; ++k) {{
-            const float size = fabsf(v[9 * f + k]);
+            const float size = fabsf(v[k]);
             largest = size > largest ? size : largest;
         }}
         const float scale = largest > {LARGE!r}f ? {LARGE!r}f / largest : 1.0f;
         for (int k = 0; k < 3; ++k) {{
-            p[k] = (v[9 * f + k] - v[9 * f + 3 + k]) * scale, q[k] = (v[9 * f + 6 + k] - v[9 * f + 3 + k]) * scale;
+            p[k] = (v[k] - v[3 + k]) * scale, q[k] = (v[6 + k] - v[3 + k]) * scale;
             pp += p[k] * p[k], qq += q[k] * q[k];
         }}
         for (int k = 0; k < 3; ++k) n[k] = p[(k + 1) % 3] * q[(k + 2) % 3] - p[(k + 2) % 3] * q[(k + 1) % 3];
@@ -133,19 +153,20 @@ _NORMAL = f"""
 
 @wp.func_native(f"""
     {_BEGIN}
-    float* to = factors.data + b * count * 6;
+    float* to = factors.data + b * all * 6;
     {_LOOP}
     for (int f = begin; f < end; ++f) {{
         {_NORMAL}
         const float front = facing > 0.0f ? facing : 0.0f, back = facing < 0.0f ? -facing : 0.0f;
         for (int k = 0; k < 3; ++k) {{
             to[3 * f + k] = glow[k] + beam[k] * front;
-            to[3 * (count + f) + k] = glow[k] + beam[k] * back;
+            to[3 * (all + f) + k] = glow[k] + beam[k] * back;
         }}
     }}
 """)
 def light_faces(
-    corners: wp.array4d(dtype=float),
+    vertices: wp.array3d(dtype=float),
+    faces: wp.array3d(dtype=int),
     ambient: wp.array2d(dtype=float),
     directional: wp.array2d(dtype=float),
     direction: wp.array2d(dtype=float),
@@ -160,14 +181,14 @@ def light_faces(
 
 @wp.func_native(f"""
     {_BEGIN}
-    const float* g = grad.data + b * count * 6;
-    float* to = to_corners.data + own * count * 9;
+    const float* g = grad.data + b * all * 6;
+    float* to = to_corners.data + own * all * 9;
     double sum[9];
     for (int k = 0; k < 9; ++k) sum[k] = 0.0;
     {_LOOP}
     for (int f = begin; f < end; ++f) {{
         {_NORMAL}
-        const float *front = g + 3 * f, *back = g + 3 * (count + f);
+        const float *front = g + 3 * f, *back = g + 3 * (all + f);
         const float* lit = facing > 0.0f ? front : back;
         float gain = 0.0f;
         for (int k = 0; k < 3; ++k) {{
@@ -194,7 +215,8 @@ def light_faces(
     for (int k = 0; k < 9; ++k) whole[k] = (float)sum[k];
 """)
 def unlight_faces(
-    corners: wp.array4d(dtype=float),
+    vertices: wp.array3d(dtype=float),
+    faces: wp.array3d(dtype=int),
     ambient: wp.array2d(dtype=float),
     directional: wp.array2d(dtype=float),
     direction: wp.array2d(dtype=float),
@@ -215,7 +237,8 @@ def unlight_faces(
 @wp.kernel
 def _forward(
     first: int,
-    corners: wp.array4d(dtype=float),
+    vertices: wp.array3d(dtype=float),
+    faces: wp.array3d(dtype=int),
     ambient: wp.array2d(dtype=float),
     directional: wp.array2d(dtype=float),
     direction: wp.array2d(dtype=float),
@@ -226,14 +249,15 @@ def _forward(
 ):
     task = first + wp.tid()
     begin = (task % groups) * each
-    end = wp.min(begin + each, corners.shape[1])
-    light_faces(corners, ambient, directional, direction, mirrored, task // groups, begin, end, factors)
+    end = wp.min(begin + each, faces.shape[1])
+    light_faces(vertices, faces, ambient, directional, direction, mirrored, task // groups, begin, end, factors)
 
 
 @wp.kernel
 def _backward(
     first: int,
-    corners: wp.array4d(dtype=float),
+    vertices: wp.array3d(dtype=float),
+    faces: wp.array3d(dtype=int),
     ambient: wp.array2d(dtype=float),
     directional: wp.array2d(dtype=float),
     direction: wp.array2d(dtype=float),
@@ -248,7 +272,7 @@ def _backward(
     group = task % groups
     own = task // groups
     begin = group * each
-    end = wp.min(begin + each, corners.shape[1])
+    end = wp.min(begin + each, faces.shape[1])
     from_image = own
     to_image = own + 1
     if to_corners.shape[0] < grad.shape[0]:
@@ -257,5 +281,19 @@ def _backward(
     for b in range(from_image, to_image):
         add = int(b > from_image)
         unlight_faces(
-            corners, ambient, directional, direction, mirrored, b, own, add, group, begin, end, grad, to_corners, sums
+            vertices,
+            faces,
+            ambient,
+            directional,
+            direction,
+            mirrored,
+            b,
+            own,
+            add,
+            group,
+            begin,
+            end,
+            grad,
+            to_corners,
+            sums,
         )

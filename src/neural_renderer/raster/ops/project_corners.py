@@ -12,7 +12,7 @@ from torch import Tensor
 from ..warp.launch import array, launch, module_for_cuda, zeros
 from ..warp.layout import concurrent, images_of, in_any_order
 from ..warp.registration import differentiable, differentiable_once, operator
-from .corners import gather_corners, gather_corners_backward
+from .corners import CORNER, FACE, gather_corners, gather_corners_backward
 from .pinhole import CAMERA, POINT, TO_POINT, parts_of_camera, pinhole, pinhole_backward
 
 # Without fused multiply-adds, positions are bitwise those of `pinhole`.
@@ -99,16 +99,13 @@ def _to_inputs(ctx, grad):
 differentiable(project_corners, _to_inputs, _save)
 
 
-# For each corner: its first number in [B, F, 3, 3], its vertex i, and whether there is such a vertex.
+# `corner` is the first of its numbers in [B, F, 3, 3].
 _EACH_CORNER = f"""
     {CAMERA}
-    const wp::int64 all = faces.shape[1];
-    const int* face = faces.data + ((b < faces.shape[0] ? b : faces.shape[0] - 1) * all + f) * 3;
-    const bool none = (face[0] & face[1] & face[2]) == -1;
+    {FACE}
     for (int k = 0; k < 3; ++k) {{
-        const wp::int64 corner = ((b * all + f) * 3 + k) * 3;
-        const int i = none ? 0 : face[k];
-        const bool valid = i >= 0 && i < count;
+        {CORNER}
+        const wp::int64 corner = ((b * (wp::int64)faces.shape[1] + f) * 3 + k) * 3;
         DO
     }}
 """
