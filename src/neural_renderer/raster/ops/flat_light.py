@@ -60,20 +60,22 @@ def flat_light_backward(
     directional: Tensor,
     direction: Tensor,
     mirrored: bool,
+    light_too: bool,
 ) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `flat_light`.
 
     Returns:
-        To the vertices, [1 or B, V, 3]; to the light, [B, 9]: ambient, directional, direction.
+        To the vertices, [1 or B, V, 3]; to the light, [B, 9]: ambient, directional, direction; empty if not
+        ``light_too``.
     """
     batch, _, count, _ = grad.shape
-    groups, each = group_tasks(count, grad.device, 512, 32)
+    groups, each = group_tasks(count, grad.device, 512, 32 if light_too else 1)
     # On the CPU, one task sums the gradient to faces that images share, image by image.
     own = batch if concurrent(grad.device) else images_of(vertices, faces)
     to_corners = torch.empty((own, count, 3, 3), dtype=torch.float32, device=grad.device)
-    sums = torch.empty((batch, groups, _SUMS), dtype=torch.float32, device=grad.device)
+    sums = torch.empty((batch, groups, _SUMS) if light_too else (0, 0, _SUMS), device=grad.device)
     arguments = [*_arguments(vertices, faces, ambient, directional, direction, mirrored), groups, each, array(grad)]
-    arguments += [array(to_corners), array(sums)]
+    arguments += [int(light_too), array(to_corners), array(sums)]
     launch(_backward, own * groups, arguments, grad.device, max(1, _LEAST * own // max(batch, 1)))
     to_vertices = gather_corners_backward(to_corners, faces, vertices.shape[1])
     if own > len(vertices):
@@ -82,8 +84,8 @@ def flat_light_backward(
 
 
 @torch.library.register_fake("neural_renderer::flat_light_backward")
-def _(grad, vertices, faces, ambient, directional, direction, mirrored):
-    return vertices.new_empty(vertices.shape), grad.new_empty((len(grad), _SUMS))
+def _(grad, vertices, faces, ambient, directional, direction, mirrored, light_too):
+    return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if light_too else 0, _SUMS))
 
 
 def _arguments(vertices, faces, ambient, directional, direction, mirrored):
@@ -97,7 +99,8 @@ def _save(ctx, inputs, output):
 
 
 def _to_inputs(ctx, grad):
-    to_vertices, to_light = flat_light_backward(grad, *ctx.saved_tensors, ctx.mirrored)
+    light_too = any(ctx.needs_input_grad[2:5])
+    to_vertices, to_light = flat_light_backward(grad, *ctx.saved_tensors, ctx.mirrored, light_too)
     results = [to_vertices, None, None, None, None]
     for k, tensor in enumerate(ctx.saved_tensors[2:], 2):
         if ctx.needs_input_grad[k]:
@@ -212,7 +215,7 @@ def light_faces(
         for (int k = 0; k < 9; ++k) to[9 * (wp::int64)f + k] = to_v[k] + (add ? to[9 * (wp::int64)f + k] : 0.0f);
     }}
     float* whole = sums.data + (b * (wp::int64)sums.shape[1] + group) * 9;
-    for (int k = 0; k < 9; ++k) whole[k] = (float)sum[k];
+    for (int k = 0; k < 9 && light_too; ++k) whole[k] = (float)sum[k];
 """)
 def unlight_faces(
     vertices: wp.array3d(dtype=float),
@@ -228,6 +231,7 @@ def unlight_faces(
     begin: int,
     end: int,
     grad: wp.array4d(dtype=float),
+    light_too: int,
     to_corners: wp.array4d(dtype=float),
     sums: wp.array3d(dtype=float),
 ):
@@ -265,6 +269,7 @@ def _backward(
     groups: int,
     each: int,
     grad: wp.array4d(dtype=float),
+    light_too: int,
     to_corners: wp.array4d(dtype=float),
     sums: wp.array3d(dtype=float),
 ):
@@ -281,19 +286,6 @@ def _backward(
     for b in range(from_image, to_image):
         add = int(b > from_image)
         unlight_faces(
-            vertices,
-            faces,
-            ambient,
-            directional,
-            direction,
-            mirrored,
-            b,
-            own,
-            add,
-            group,
-            begin,
-            end,
-            grad,
-            to_corners,
-            sums,
-        )
+            vertices, faces, ambient, directional, direction, mirrored, b, own, add, group, begin, end, grad, light_too,
+            to_corners, sums,
+        )  # fmt: skip

@@ -368,7 +368,7 @@ def _move(
     alone = int(queue.shape[0] == 0)
     while thread < end:
         face, _lane, part, parts = line_task(
-            faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 4
+            faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 1
         )
         if face >= 0:
             b = face // faces.shape[1]

@@ -363,7 +363,7 @@ def _pull(
     alone = int(queue.shape[0] == 0)
     while thread < end:
         face, lane, part, parts = line_task(
-            faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 16
+            faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 4
         )
         if face >= 0:
             b = face // faces.shape[1]
