@@ -77,6 +77,18 @@ def test_tangents_have_gradients_and_degenerate_uv_are_finite():
         assert leaf.grad.isfinite().all() and leaf.grad.abs().sum() > 0
 
 
+@pytest.mark.parametrize("face", [[0, 6, 0], [0, 6, 1], [0, 7, 4]])
+def test_faces_without_an_area_leave_gradients_finite(face):
+    """A vertex used twice, two in one place, three on a line: of no other face, or beside others."""
+    vertices, faces, uv = octahedron()
+    vertices = torch.cat((vertices, vertices[:1], vertices[[0, 4]].mean(0, keepdim=True))).requires_grad_()
+    faces, uv = torch.cat((faces, torch.tensor([face]))), torch.cat((uv, torch.rand(1, 3, 2))).requires_grad_()
+    tangents = nr.corner_tangents(vertices, faces, uv)
+    assert tangents.isfinite().all()
+    (tangents * torch.rand(9, 3, 4)).sum().backward()
+    assert vertices.grad.isfinite().all() and uv.grad.isfinite().all()
+
+
 def square(tilt, mirrored=False, image=(1.0, 1.0, 1.0)):
     """A white square in the plane z = 0 that faces −z, with a map that leans everywhere by (x, y) = ``tilt``.
 
