@@ -59,6 +59,11 @@ FORMATS: dict[str, tuple[dict[str, Any], nr.Camera]] = {
         {"recover": "camera", "camera": {"eye": [0.5, 1, -3], "direction": [-0.1, -0.3, 1], "up": [0, 1, 0], **LENS}},
         LOOK,
     ),
+    "eye": ({"eye": [0.5, 1, -3], **LENS, **SIZE}, nr.Camera.look_at((0.5, 1.0, -3.0), **LENS)),
+    "eye and at": (
+        {"eye": [0.5, 1, -3], "at": [0.1, 0, 0], **LENS, **SIZE},
+        nr.Camera.look_at((0.5, 1.0, -3.0), (0.1, 0.0, 0.0), **LENS),
+    ),
 }
 
 
@@ -200,6 +205,9 @@ def test_errors(meshes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture
     assert "--turntable: expected a turntable or --camera, got both" in fails(
         capsys, ball, "--camera", path, "-o", tmp_path / "x.gif", "--turntable", "4"
     )
+    assert "--frame: expected --camera with it, got frame 2" in fails(
+        capsys, ball, "-o", tmp_path / "x.png", "--frame", "2"
+    )
     assert "--output: expected a picture to write, or --save" in fails(capsys, ball)
     said = fails(capsys, ball, "--save", "uv", tmp_path / "uv.png")
     assert "--save uv: expected a name that ends in .npy, .exr, got 'uv.png'" in said
@@ -213,6 +221,13 @@ def test_errors(meshes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture
     assert "a.json: expected a folder of images or a camera file" in fails(
         capsys, ball, "--camera", path, "-o", tmp_path / "x.png"
     )
+
+
+def test_a_picture_may_be_called_as_a_key_of_its_camera_file(meshes: list[str], tmp_path: Path) -> None:
+    """Drawn twice: "K" is no file of the camera file."""
+    (tmp_path / "a.json").write_text(json.dumps(FORMATS["K, R, t"][0]))
+    for _ in range(2):
+        run(*meshes, "--camera", tmp_path / "a.json", "-o", tmp_path / "k.png", "--size", "24")
 
 
 def test_a_missing_extra_is_named(

@@ -98,6 +98,8 @@ def _check(options: RenderOptions) -> None:
     check_counts(options, turntable=1, texture_size=1, frame=0)
     if options.turntable is not None and suffix in _PICTURES:
         raise ValueError(f"--output: expected a .gif or .mp4 for a turntable, got {name!r}")
+    if options.frame and options.camera is None:
+        raise ValueError(f"--frame: expected --camera with it, got frame {options.frame} of no file")
     if options.turntable is not None and options.camera is not None:
         raise ValueError("--turntable: expected a turntable or --camera, got both")
     if options.save and suffix in _ANIMATIONS:

@@ -123,7 +123,9 @@ class ShadowedLight:
             >>> lamp.visibility(torch.tensor([[[1.0, 3.0, -1.0], [-0.6, -1.2, 0.6]]])).flatten().round()
             tensor([1., 0.])
         """
-        validate.floating("points", points, (*points.shape[:-1], 3))
+        if getattr(points, "ndim", 2) < 2:
+            raise ValueError(f"points: expected shape [B, …, 3], got {validate.shape_of(points)}")
+        validate.floating("points", points, (*getattr(points, "shape", (1, 3))[:-1], 3))
         flat = points.detach().float().flatten(1, -2)
         if len(self._camera) not in (1, len(flat)) and len(flat) != 1:
             raise ValueError(f"points: expected a batch of 1 or {len(self._camera)} like the light, got {len(flat)}")

@@ -116,15 +116,15 @@ class Material:
     """Material of glTF 2.0 (metallic-roughness), with the highlight of MTL files.
 
     A `UVMesh` holds several (``materials``) and says which face has which (``material_index``). The base colour is in
-    the mesh: its ``images`` and ``colors``, in sRGB, with the factor of the file multiplied in. So `render`, which
-    draws these alone, needs no material.
+    the mesh: its ``images`` and ``colors``, in sRGB, with the factor of the file multiplied in. A ``base_color`` is one
+    more factor. Both show with every shading; the other attributes need ``shading`` or ``layers`` of `render`.
 
     Factors are numbers or tensors, and become float32 tensors, which keep their gradients. To optimise one, give a
     tensor that requires gradients (``dataclasses.replace``). All factors are linear except ``specular``.
 
     Attributes:
         name: Name in the file.
-        base_color: [3], factor of the mesh's images and colours, in linear RGB; 1 in materials that were read.
+        base_color: [3], factor of the mesh's images and colours in linear RGB; 1 in materials that were read.
         opacity: [], alpha in [0, 1], and a factor of ``opacity_texture``.
         opacity_texture: [H, W, 1], linear: the alpha channel of glTF's base colour, or MTL's ``map_d``.
         alpha_mode: "OPAQUE" ignores alpha; "MASK" cuts out what is below ``alpha_cutoff``; "BLEND" blends.
@@ -186,6 +186,14 @@ class Material:
             raise ValueError(f"alpha_mode: expected one of {', '.join(ALPHA_MODES)}, got {self.alpha_mode!r}")
         object.__setattr__(self, "alpha_cutoff", validate.number("alpha_cutoff", self.alpha_cutoff))
         validate.flag("double_sided", self.double_sided)
+        color = self.base_color
+        known = not color.requires_grad and validate.values_are_checked(color)
+        object.__setattr__(self, "_is_tinted", not known or bool((color != 1).any()))
+
+    @property
+    def is_tinted(self) -> bool:
+        """Whether the base colour may differ from 1."""
+        return bool(self.__dict__["_is_tinted"])
 
     def textures(self) -> dict[str, Texture]:
         """Collect the textures that the material has.

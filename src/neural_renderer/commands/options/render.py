@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import tyro
+
+Saved = Literal["rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"]
+SAVED = get_args(Saved)
 
 
 @dataclass(frozen=True)
@@ -26,9 +29,7 @@ class RenderOptions:
     """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf. Several are drawn as one scene."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Picture to write: .png or .jpg; .gif or .mp4 for an animation. Must not be a texture of a mesh."""
-    save: dict[Literal["rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"], Path] = field(
-        default_factory=dict
-    )
+    save: dict[Saved, Path] = field(default_factory=dict)
     """Outputs and the files to write: .npy, .exr (needs the extra "exr"), or .png for all but position, uv and
     face_index. rgb and alpha are anti-aliased, the others are those at the pixels' centres; 0 where no face is visible,
     -1 for face_index. Normals (smooth) and positions are in world space; depth is along the viewing axis."""

@@ -12,8 +12,9 @@ from ... import validate
 from ...camera import Camera
 from ...camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
 from ...constants import on_device
+from ...raster.settings import image_size
 from ...raster.warp.registration import is_plain
-from ..color_space import linear_to_srgb
+from ...textures.color_space import linear_to_srgb
 from ..spherical_harmonics import SphericalHarmonicLight, harmonics
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 from .prefilter import prefiltered, reflected
@@ -93,9 +94,7 @@ class EnvironmentLight:
         """
         if not camera.perspective:
             raise ValueError("camera: expected one with perspective, got an orthographic one, which sees one direction")
-        height, width = (
-            validate.whole("size", side, 1) for side in (size if isinstance(size, tuple) else (size, size))
-        )
+        height, width = image_size("size", size)
         like = on_device(camera.origin, torch.as_tensor(self.image).new_empty(0, dtype=torch.float32))
         y, x = (torch.arange(side, dtype=like.dtype, device=like.device) + 0.5 for side in (height, width))
         pixels = torch.stack((x.expand(height, width), y[:, None].expand(height, width)), -1).view(-1, 2)
