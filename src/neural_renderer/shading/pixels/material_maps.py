@@ -113,7 +113,7 @@ class MaterialMaps:
 
 def _kept_tangents(mesh: UVMesh, uv: Tensor) -> Tensor:
     """Compute tangents of a mesh, [F, 3, 4] or [B, F, 3, 4]; keep them until it changes, unless they get gradients."""
-    parts = [part for part in (mesh.vertices, mesh.faces, uv, mesh.normals) if part is not None]
+    parts = tuple(part for part in (mesh.vertices, mesh.faces, uv, mesh.normals) if part is not None)
     moves = any(part.requires_grad for part in parts) and torch.is_grad_enabled()
     if moves or not is_plain(parts) or any(part.is_inference() for part in parts):
         return _computed_tangents(mesh, uv)
