@@ -206,6 +206,25 @@ def test_it_compiles_in_one_graph(shading):
         torch.testing.assert_close(compiled, plain, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("layers", [None, pytest.param(2, marks=pytest.mark.slow)])
+def test_materials_compile_in_one_graph(layers):
+    relief = nr.Texture(torch.rand(4, 4, 3), scale=(2.0, 1.0))
+    glass = {"opacity": 0.5, "alpha_mode": "BLEND", "double_sided": False}
+    material = nr.Material(base_color=(1.0, 0.5, 0.2), normal_texture=relief, **glass)
+    mesh = dataclasses.replace(textured(), materials=(material,))
+
+    def shaded(vertices):
+        moved = dataclasses.replace(mesh, vertices=vertices)
+        return nr.render(moved, CAMERA, 16, light=LAMPS, shading="smooth", layers=layers, outputs=("rgb",)).rgb
+
+    vertices, results = mesh.vertices.clone().requires_grad_(), []
+    for function in (shaded, torch.compile(shaded, fullgraph=True, backend="eager")):
+        picture = function(vertices)
+        results.append((picture, *torch.autograd.grad(picture.square().sum(), vertices)))
+    for plain, compiled in zip(*results, strict=True):
+        torch.testing.assert_close(compiled, plain, rtol=1e-4, atol=1e-5)
+
+
 def test_a_model_of_ones_own():
     """Two tones, as in a drawing."""
 

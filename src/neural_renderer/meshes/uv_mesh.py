@@ -195,7 +195,8 @@ class UVMesh(UVMeshData):
         corners = torch.arange(3 * count, device=self.uv.device).view(count, 3)
         plain = self.image_index < 0
         parts = []  # images to add up; each is 0 where another one is visible
-        if not self.images or read_once(self.image_index, has_negative):
+        # A compiled graph cannot ask for values; what it adds is 0 where no face is plain.
+        if not self.images or torch.compiler.is_compiling() or read_once(self.image_index, has_negative):
             parts.append(fragments.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
         if self.images:
             uv = fragments.interpolate(self.uv.reshape(-1, 2), corners)

@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..constants import read_once
+from ..raster.warp.registration import is_plain
 from .sample_texture import Wrap, checked_wrap, sample_texture
 
 ALPHA_MODES = ("OPAQUE", "MASK", "BLEND")
@@ -106,7 +108,7 @@ class Texture:
 
     def _has_transform(self) -> bool:
         parts = (self.offset, self.scale, self.rotation)
-        if any(part.requires_grad for part in parts):
+        if any(part.requires_grad for part in parts) or not is_plain(parts):
             return True
         return bool(self.offset.any() or (self.scale != 1).any() or self.rotation != 0)
 
@@ -186,14 +188,12 @@ class Material:
             raise ValueError(f"alpha_mode: expected one of {', '.join(ALPHA_MODES)}, got {self.alpha_mode!r}")
         object.__setattr__(self, "alpha_cutoff", validate.number("alpha_cutoff", self.alpha_cutoff))
         validate.flag("double_sided", self.double_sided)
-        color = self.base_color
-        known = not color.requires_grad and validate.values_are_checked(color)
-        object.__setattr__(self, "_is_tinted", not known or bool((color != 1).any()))
 
     @property
     def is_tinted(self) -> bool:
         """Whether the base colour may differ from 1."""
-        return bool(self.__dict__["_is_tinted"])
+        color = self.base_color
+        return color.requires_grad or not is_plain((color,)) or bool(read_once(color, _differs_from_one))
 
     def textures(self) -> dict[str, Texture]:
         """Collect the textures that the material has.
@@ -256,6 +256,10 @@ def _factor(name: str, value: Any, size: int) -> Tensor:
             raise TypeError(f"{name}: expected {size or 'a'} number{'s' * bool(size)}, got {value!r}") from None
     validate.finite(name, validate.floating(name, value, shape))
     return value.float()
+
+
+def _differs_from_one(color: Tensor) -> bool:
+    return bool((color != 1).any())
 
 
 def _moved(owner: Any, device: torch.device | str) -> Any:
