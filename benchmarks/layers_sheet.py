@@ -75,7 +75,7 @@ def still_life() -> nr.Mesh:
     return nr.Mesh(torch.cat([points for points, _ in parts]), faces)
 
 
-def mitsuba_glass(size: int) -> Tensor:
+def mitsuba_glass(size: int, samples: int) -> Tensor:
     """The panes as surfaces that shine with a · colour and let 1 − a of the light behind them pass."""
     import mitsuba as mi
 
@@ -103,15 +103,15 @@ def mitsuba_glass(size: int) -> Tensor:
                 "bsdf": {"type": "mask", "opacity": OPACITY, "nested": {"type": "twosided", "nested": black}},
                 "emitter": {"type": "area", "radiance": shine},
             }
-        pixels = np.array(mi.render(mi.load_dict(scene), spp=mitsuba_scenes.SAMPLES))[..., :3]
+        pixels = np.array(mi.render(mi.load_dict(scene), spp=samples))[..., :3]
     return torch.from_numpy(pixels).float().movedim(-1, 0)
 
 
-def mitsuba_shadow(light: Any, size: int) -> Tensor:
+def mitsuba_shadow(light: Any, size: int, samples: int) -> Tensor:
     """The still life by direct light."""
     mesh, surface = still_life(), {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
     surface = {"type": "twosided", "nested": surface}
-    return mitsuba_scenes.draw(mesh.vertices, mesh.faces, EYE, ANGLE, size, [light], surface)
+    return mitsuba_scenes.draw(mesh.vertices, mesh.faces, EYE, ANGLE, size, [light], surface, samples=samples)
 
 
 def main() -> None:
@@ -119,7 +119,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=Path("out/layers.png"))
     parser.add_argument("--size", type=int, default=256)
+    parser.add_argument("--samples", type=int, default=256, help="of Mitsuba, for each pixel")
     arguments = parser.parse_args()
+    samples = arguments.samples
     size, camera = arguments.size, nr.Camera.look_at(EYE, viewing_angle=ANGLE)
     compares = mitsuba_scenes.available()
 
@@ -130,10 +132,13 @@ def main() -> None:
         lamp = nr.ShadowedLight(light, mesh, size=1024, softness=1.0)
         return nr.render(mesh, camera, size, light=lamp, shading="smooth").rgb[0]
 
+    def shadow(light: Any) -> tuple[Any, Callable[[Any], Tensor], Callable[[], Tensor]]:
+        return still_life(), lambda mesh: shadowed(light, mesh), lambda: mitsuba_shadow(light, size, samples)
+
     rows: list[tuple[str, Any, Callable[[Any], Tensor], Callable[[], Tensor]]] = [
-        ("glass in three layers", glass(), see_through, lambda: mitsuba_glass(size)),
-        ("shadow of the sun", still_life(), lambda mesh: shadowed(SUN, mesh), lambda: mitsuba_shadow(SUN, size)),
-        ("shadow of a spot", still_life(), lambda mesh: shadowed(SPOT, mesh), lambda: mitsuba_shadow(SPOT, size)),
+        ("glass in three layers", glass(), see_through, lambda: mitsuba_glass(size, samples)),
+        ("shadow of the sun", *shadow(SUN)),
+        ("shadow of a spot", *shadow(SPOT)),
     ]
     cells = []
     print("picture | ms | ms with gradient | mean difference | share of pixels apart by 0.05")

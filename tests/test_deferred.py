@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 import torch
 
@@ -70,7 +72,11 @@ def test_what_does_not_fit(device):
     with pytest.raises(ValueError, match="triangles: expected 320 like the mesh's faces, got 2"):
         fragments.interpolate(mesh.vertices, mesh.faces[:2])
     with pytest.raises(ValueError, match="triangles: expected indices in"):
-        fragments.interpolate(mesh.vertices[:5])
+        fragments.interpolate(mesh.vertices[:5], mesh.faces)
+    for wrong in (mesh.vertices[:5], torch.rand(len(mesh.faces), 2, device=device)):  # of faces, for example
+        expected = re.escape("attributes: expected [162, C] for vertices or [320, 3, C] for corners, got [")
+        with pytest.raises(ValueError, match=expected):
+            fragments.interpolate(wrong)
     with pytest.raises(TypeError, match="attributes: expected a floating-point"):
         fragments.interpolate(mesh.faces)
     with pytest.raises(ValueError, match="colors: expected shape"):

@@ -38,6 +38,7 @@ ROOMS = [
     "viewer",
     "commands",
     "cli",
+    "__main__",
     "interface",
 ]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields
 from typing import Any
 
 import tyro
@@ -31,6 +31,7 @@ COMMANDS = {
     "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
 _EXTRAS = {"lightning": "reconstruction", "tensorboard": "reconstruction"}  # packages that commands import
+_PAIRS = {"--save": "SAVED"}  # options of names and files in turn, and where their module lists the names
 _GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
 
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
@@ -82,20 +83,32 @@ def _parse(
         return _parse(arguments[1:] or ["--help"], group.COMMANDS, f"{module}.", f"{prog} {name}", group.DESCRIPTION)
     choices: dict[str, Any] = {command: _placeholder(summary) for command, summary in commands.items()}
     if name in commands:
-        choices[name] = getattr(_load(f"options.{module}"), f"{name.capitalize()}Options")
-        _refuse_repeated(arguments, choices[name])
-    options = tyro.extras.subcommand_cli_from_dict(choices, prog=prog, description=description, args=arguments)
-    return module, options
+        options = _load(f"options.{module}")
+        _check_pairs(arguments, options)
+        choices[name] = getattr(options, f"{name.capitalize()}Options")
+    given = tyro.extras.subcommand_cli_from_dict(choices, prog=prog, description=description, args=arguments)
+    return module, given
 
 
-def _refuse_repeated(arguments: list[str], options: Any) -> None:
-    """End with a message if an option of named values is given twice: of any option, only the last one counts."""
-    for field in fields(options):
-        name = "--" + field.name
-        count = sum(argument.partition("=")[0] == name for argument in arguments)
-        if field.default_factory is dict and count > 1:
-            _say(f"{name}: expected at most once, with all its values, got it {count} times", "red")
-            raise SystemExit(2)
+def _check_pairs(arguments: list[str], module: Any) -> None:
+    """End with a message unless options of names and files are given once, with known names, each with a file."""
+    for option, names in _PAIRS.items():
+        places = [place for place, argument in enumerate(arguments) if argument.partition("=")[0] == option]
+        if not places:
+            continue
+        if len(places) > 1:
+            problem = f"expected at most once, with all its values, got it {len(places)} times"
+        else:
+            words = list(itertools.takewhile(lambda word: not word.startswith("-"), arguments[places[0] + 1 :]))
+            known = getattr(module, names, ())
+            wrong = [word for word in words[::2] if word not in known]
+            if not known or (words and not len(words) % 2 and not wrong):
+                continue
+            problem = f"expected names and files in turn, such as {known[0]} {known[0]}.png, got {' '.join(words)!r}"
+            if wrong:
+                problem = f"expected each name to be one of {', '.join(known)}, got {wrong[0]!r}"
+        _say(f"{option}: {problem}", "red")
+        raise SystemExit(2)
 
 
 def _load(module: str) -> Any:

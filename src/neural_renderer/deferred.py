@@ -38,6 +38,7 @@ class Fragments(VisibleFaces):
         settings: How the faces were drawn.
         rings: Rings of the edges that the faces share, for the gradient.
         triangles: Vertex indices of the faces, [F, 3] or [B, F, 3].
+        num_vertices: Number of vertices V; None if it is not known.
 
     Raises:
         TypeError, ValueError: In `interpolate` and `composite`, an argument that does not fit.
@@ -50,6 +51,7 @@ class Fragments(VisibleFaces):
     """
 
     triangles: Tensor
+    num_vertices: int | None = None
 
     @validate.checked_together
     def interpolate(self, attributes: Tensor, triangles: Tensor | None = None) -> Tensor:
@@ -81,6 +83,11 @@ class Fragments(VisibleFaces):
         if dims == 4 or (dims == 3 and triangles is None and self._has_corners(attributes)):
             return self._interpolate_corners(attributes, triangles)
         validate.floating("attributes", attributes, ("V", "C") if dims == 2 else ("B", "V", "C"))
+        if triangles is None and self.num_vertices not in (None, attributes.shape[-2]):
+            got = validate.shape_of(attributes)
+            raise ValueError(
+                f"attributes: expected [{self.num_vertices}, C] for vertices or [{count}, 3, C] for corners, got {got}"
+            )
         triangles = self.triangles if triangles is None else checked_faces(triangles)
         validate.same_device(attributes=attributes, triangles=triangles, faces=self.corners)
         validate.finite("attributes", attributes)
@@ -117,7 +124,7 @@ class Fragments(VisibleFaces):
         """Find the vertices of the faces that each image shows (`visible_faces`).
 
         Args:
-            count: Number of vertices V. None is the largest index of a face + 1.
+            count: Number of vertices V. None is that of the mesh.
 
         Returns:
             [B, V] bool.
@@ -127,13 +134,14 @@ class Fragments(VisibleFaces):
 
         Example:
             >>> fragments = nr.fragments(mesh, camera, 64)
-            >>> fragments.visible_vertices(mesh.num_vertices).shape
+            >>> fragments.visible_vertices().shape
             torch.Size([1, 162])
         """
         shown = self.visible_faces()
         triangles = self.triangles.long().expand(len(shown), -1, -1)
         most = int(triangles.max()) + 1 if triangles.numel() else 0
-        count = validate.whole("count", most if count is None else count, most)
+        count = (self.num_vertices or most) if count is None else count
+        count = validate.whole("count", count, most)
         # Padded faces (−1, −1, −1) are never visible, and go to the extra entry.
         result = shown.new_zeros(len(shown), count + 1).int()
         result.scatter_add_(1, (triangles % (count + 1)).flatten(1), shown.repeat_interleave(3, 1).int())
@@ -272,28 +280,32 @@ def fragments(
     faces = checked_faces(faces)
     corners = screen_corners(camera, vertices, faces, settings.width / settings.height)
     if layers is None:
-        return visible_fragments(corners, faces, settings, 8)
-    return visible_layers(corners, faces, settings, validate.whole("layers", layers, 1))
+        return visible_fragments(corners, faces, vertices.shape[-2], settings, 8)
+    return visible_layers(corners, faces, vertices.shape[-2], settings, validate.whole("layers", layers, 1))
 
 
-def visible_fragments(corners: Tensor, faces: Tensor, settings: Settings, channels: int) -> Fragments:
+def visible_fragments(
+    corners: Tensor, faces: Tensor, count: int | None, settings: Settings, channels: int
+) -> Fragments:
     """Find the visible faces.
 
     Args:
         corners: Corners of faces in screen space, [B, F, 3, 3].
         faces: Vertex indices, checked already.
+        count: Number of vertices; None if it is not known.
         settings: How to draw.
         channels: Most channels of an image; their memory is checked.
     """
     corners = settings.corners(corners, channels)
-    return Fragments(corners, settings.face_index(corners), settings, settings.rings(corners, faces), faces)
+    rings = settings.rings(corners, faces)
+    return Fragments(corners, settings.face_index(corners), settings, rings, faces, count)
 
 
-def visible_layers(corners: Tensor, faces: Tensor, settings: Settings, layers: int) -> Layers:
+def visible_layers(corners: Tensor, faces: Tensor, count: int, settings: Settings, layers: int) -> Layers:
     """Find the nearest faces of each pixel, as `visible_fragments`."""
     corners = settings.corners(corners, 8 * layers)
     height, width = settings.height * settings.scale, settings.width * settings.scale
     limits = (settings.near, settings.far, settings.two_sided, settings.perspective)
     rings = settings.rings(corners, faces)
     shown = peel(corners.detach(), height, width, *limits, layers)
-    return Layers(tuple(Fragments(corners, index, settings, rings, faces) for index in shown.unbind(0)))
+    return Layers(tuple(Fragments(corners, index, settings, rings, faces, count) for index in shown.unbind(0)))

@@ -19,7 +19,6 @@ from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
 from .rendering import render
-from .shading.color_space import linear_to_srgb, srgb_to_linear
 from .shading.environments.light import EnvironmentLight
 from .shading.lights import Light
 from .shading.pbr import PBR, shade_pbr
@@ -29,6 +28,7 @@ from .shading.pixels.visible_surface import VisibleSurface
 from .shading.point_lights import PointLight, SpotLight
 from .shading.shadows import ShadowedLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
+from .textures.color_space import linear_to_srgb, srgb_to_linear
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture

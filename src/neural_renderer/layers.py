@@ -128,15 +128,15 @@ class Layers:
             settings.anti_aliasing,
         ).contiguous()
 
-    @torch.no_grad()
     def _passing(self, pictures: list[Tensor], opacities: list[Tensor]) -> Tensor:
-        """Multiply each layer's picture by the share that passes the layers in front, [K, B, C, H, W]."""
+        """Multiply each layer's picture by the share that passes the layers in front, [K, B, C, H, W]; no gradient."""
         share: Tensor | float = 1.0
         result = []
-        for layer, picture, alpha in zip(self.layers, pictures, opacities, strict=True):
-            result.append(share * picture)
-            share = share * torch.where(layer.mask, 1 - alpha[..., 0], 1.0)[:, None]
-        return torch.stack(result)
+        with torch.no_grad():  # as a decorator, it would end a compiled graph
+            for layer, picture, alpha in zip(self.layers, pictures, opacities, strict=True):
+                result.append(share * picture)
+                share = share * torch.where(layer.mask, 1 - alpha[..., 0], 1.0)[:, None]
+            return torch.stack(result)
 
     def _of_layers(self, name: str, values: Any, *channels: Any) -> list[Tensor]:
         """Check values of the pixels of each layer; return K tensors."""

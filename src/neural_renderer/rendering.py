@@ -25,9 +25,8 @@ from .raster.cubes import cube_colors
 from .raster.faces import checked_faces
 from .raster.images import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
-from .raster.visibility.continuity import image_edge_hashes
 from .shading.lights import AnyLight, Light, light_factors, pixel_lights
-from .shading.pixels.models import Shading, checked_shading, shade_pixels, surface_edge_hashes
+from .shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from .surface_images import surface_images, surface_outputs
 from .transparency import layered_images
 
@@ -59,7 +58,8 @@ def render(
         mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); or (vertices, faces) or
             (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces [F, 3] or [B, F, 3] integer,
             textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
-        camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], with ``light=None``.
+        camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], whose "rgb" needs
+            ``light=None``.
         size: Side of the images, or (height, width), in pixels, for all images. Pixels are square. Images of different
             sizes take a call each: ``[nr.render(mesh, one, size) for one, size in zip(camera, sizes)]``.
         light: `Light`, `PointLight`, `SpotLight`, `SphericalHarmonicLight`, `EnvironmentLight`, another object with
@@ -102,11 +102,11 @@ def render(
     model = checked_shading(shading)
     if model is not None:
         pixel_lights(lights)
-    if camera is None and (lights or model is not None):
-        raise ValueError('light: expected None, and shading "flat", for vertices in clip space')
+    outputs = checked_outputs(outputs, OUTPUTS + SURFACE)
+    if camera is None and (lights or model is not None) and "rgb" in outputs:
+        raise ValueError('light: expected None, and shading "flat", to draw "rgb" of vertices in clip space')
     has_camera = camera is not None
     vertices, camera = scene_camera(vertices, camera)
-    outputs = checked_outputs(outputs, OUTPUTS + SURFACE)
     surface = surface_outputs(outputs, mesh, has_camera)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     aspect = settings.width / settings.height
@@ -120,10 +120,10 @@ def render(
             raise TypeError(f"mesh: expected a UVMesh to draw layers, got {type(mesh).__name__}")
         if surface:
             raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)} with layers, got {surface[0]}")
-        found = visible_layers(corners, faces, settings, validate.whole("layers", layers, 1))
+        found = visible_layers(corners, faces, vertices.shape[-2], settings, validate.whole("layers", layers, 1))
         factors = _light_on_faces(lights, vertices, faces, camera, len(corners)) if model is None else None
         return layered_images(found, mesh, camera, lights, model, factors, background, outputs)
-    visible = visible_fragments(corners, faces, settings, 1 + 3 * ("rgb" in outputs))
+    visible = visible_fragments(corners, faces, vertices.shape[-2], settings, 1 + 3 * ("rgb" in outputs))
     colors: tuple[Any, ...] = ()
     if "rgb" in outputs and model is not None:
         colors = _shaded(visible, mesh, textures, camera, lights, model, background)
@@ -193,14 +193,14 @@ def _image_colors(
     rgb = composite(color, behind, visible.face_index)
     if light is not None:
         rgb = light_pixels(rgb, light, visible.corners.detach(), visible.face_index, visible.settings.perspective)
-    return rgb, lambda: image_edge_hashes(mesh.uv, mesh.image_index, light)
+    return rgb, partial(flat_edge_hashes, mesh, light)
 
 
 def _checked_lights(light: Any) -> list[AnyLight]:
     lights = list(light) if isinstance(light, (list, tuple)) else [] if light is None else [light]
     for one in lights:
         if not isinstance(one, AnyLight) or isinstance(one, type):
-            raise TypeError(f"light: expected a Light, a SphericalHarmonicLight or None, got {type(one).__name__}")
+            raise TypeError(f"light: expected a Light, PointLight, …, a list of them or None, got {type(one).__name__}")
     if light is not None and not lights:
         raise ValueError("light: expected at least one, got an empty list; None draws the textures as they are")
     return lights

@@ -50,7 +50,8 @@ def surface_images(
     if "face_index" in names or "barycentric" in names:
         centres = visible
         if settings.anti_aliasing:
-            centres = visible_fragments(visible.corners, visible.triangles, replace(settings, anti_aliasing=False), 4)
+            one_sample = replace(settings, anti_aliasing=False)
+            centres = visible_fragments(visible.corners, visible.triangles, visible.num_vertices, one_sample, 4)
         images["face_index"] = centres.face_index.clone()
         images["barycentric"] = centres.weights.movedim(3, 1).contiguous()
     # Only "edge" differentiates shading inside faces.

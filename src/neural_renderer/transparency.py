@@ -15,9 +15,8 @@ from .layers import Layers
 from .meshes.uv_mesh import UVMesh
 from .raster.colors.light_pixels import light_pixels
 from .raster.images import Images
-from .raster.visibility.continuity import image_edge_hashes
 from .shading.pixels.material_maps import MaterialMaps
-from .shading.pixels.models import Shading, shade_pixels, surface_edge_hashes
+from .shading.pixels.models import Shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 
 
 def surface_opacity(fragments: Fragments, mesh: UVMesh, *, mirrored: bool = False) -> Tensor:
@@ -88,7 +87,7 @@ def layered_images(
     results: dict[str, Any] = {}
     if "rgb" in outputs:
         hashes: Callable[[], Tensor] = lambda: (  # noqa: E731
-            image_edge_hashes(mesh.uv, mesh.image_index, factors) if model is None else surface_edge_hashes(mesh)
+            flat_edge_hashes(mesh, factors) if model is None else surface_edge_hashes(mesh)
         )
         results["rgb"] = layers.blend(colors, opacity, background, True, hashes)
     if "alpha" in outputs:

@@ -486,3 +486,15 @@ def test_weak_perspective():
     assert all((leaf.grad != 0).all() for leaf in leaves)
     with pytest.raises(ValueError, match=r"shift: expected shape \[2\] or \[B, 2\]"):
         nr.Camera.weak_perspective(1.0, R, (0.0, 0.0, 0.0))
+
+
+def test_repr_is_one_line():
+    K, eye = torch.tensor([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), torch.tensor([[0.0, 1, 3], [0, 2, 3]])
+    assert repr(nr.Camera.look_at(eye, viewing_angle=20)) == "Camera(2 cameras, viewing angle 20, cpu)"
+    assert repr(nr.Camera.look_at(eye[0], viewing_angle=K[0, 0])) == "Camera(1 camera, viewing angles, cpu)"
+    assert repr(nr.Camera.look(eye[:1], (0, 0, 1.0), orthographic=True, mirrored=True)) == (
+        "Camera(1 camera, orthographic, mirrored, cpu)"
+    )
+    pose = (K, torch.eye(3), [0.0, 0.0, 3.0])
+    assert repr(nr.Camera.projection(*pose, orig_size=(48, 64))) == "Camera(1 camera, K of 48 × 64, cpu)"
+    assert repr(nr.Camera.fisheye(*pose, [0.1, 0, 0, 0], orig_size=48)) == "Camera(1 camera, fisheye of 48 × 48, cpu)"

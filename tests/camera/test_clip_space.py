@@ -58,3 +58,11 @@ def test_errors() -> None:
     ]:
         with pytest.raises(error, match=sentence):
             call()
+
+
+def test_what_is_not_lit_needs_no_light():
+    vertices, faces = clip_vertices(), MESH.faces
+    images = nr.render((vertices, faces), None, 8, outputs=("alpha", "depth", "face_index"))
+    assert torch.equal(images.alpha, nr.render((vertices, faces), None, 8, light=None, outputs="alpha").alpha)
+    with pytest.raises(ValueError, match="light: expected None"):
+        nr.render((vertices, faces), None, 8)

@@ -91,6 +91,29 @@ def test_an_option_given_twice_is_not_half_lost(ball: str, tmp_path: Path, capsy
     assert not list(tmp_path.glob("*.npy"))
 
 
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ((), "expected names and files in turn, such as rgb rgb.png, got ''"),
+        (("depth",), "expected names and files in turn, such as rgb rgb.png, got 'depth'"),
+        (
+            ("depth", "d.png", "normal"),
+            "expected names and files in turn, such as rgb rgb.png, got 'depth d.png normal'",
+        ),
+        (("normals", "n.png"), "expected each name to be one of rgb, alpha, depth, normal, position, uv, face_index, "),
+    ],
+)
+def test_pairs_that_do_not_fit_are_named(words, problem, ball: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["render", ball, "--save", *words, "--size", "8"]) == 2
+    assert capsys.readouterr().err.startswith(f"--save: {problem}")
+
+
+def test_the_package_runs_as_a_module() -> None:
+    """``python -m neural_renderer`` is the command."""
+    done = run_python("-m", "neural_renderer", "--version")
+    assert (done.returncode, done.stdout) == (0, f"neural-renderer {nr.__version__}\n")
+
+
 def test_help_and_wrong_usage_wait_for_nothing() -> None:
     """They answer before torch, which takes seconds, is imported."""
     done = run_python("-c", QUICK)

@@ -59,6 +59,11 @@ FORMATS: dict[str, tuple[dict[str, Any], nr.Camera]] = {
         {"recover": "camera", "camera": {"eye": [0.5, 1, -3], "direction": [-0.1, -0.3, 1], "up": [0, 1, 0], **LENS}},
         LOOK,
     ),
+    "eye": ({"eye": [0.5, 1, -3], **LENS, **SIZE}, nr.Camera.look_at((0.5, 1.0, -3.0), **LENS)),
+    "eye and at": (
+        {"eye": [0.5, 1, -3], "at": [0.1, 0, 0], **LENS, **SIZE},
+        nr.Camera.look_at((0.5, 1.0, -3.0), (0.1, 0.0, 0.0), **LENS),
+    ),
 }
 
 
@@ -200,6 +205,12 @@ def test_errors(meshes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture
     assert "--turntable: expected a turntable or --camera, got both" in fails(
         capsys, ball, "--camera", path, "-o", tmp_path / "x.gif", "--turntable", "4"
     )
+    assert "--frame: expected --camera with it, got frame 2" in fails(
+        capsys, ball, "-o", tmp_path / "x.png", "--frame", "2"
+    )
+    named = ("-o", tmp_path / "x.png", "--background", "environment")
+    assert "--background environment: expected --environment" in fails(capsys, ball, *named)
+    assert "--environment: expected it with light" in fails(capsys, ball, *named, "--environment", "a", "--no-light")
     assert "--output: expected a picture to write, or --save" in fails(capsys, ball)
     said = fails(capsys, ball, "--save", "uv", tmp_path / "uv.png")
     assert "--save uv: expected a name that ends in .npy, .exr, got 'uv.png'" in said
@@ -213,6 +224,34 @@ def test_errors(meshes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture
     assert "a.json: expected a folder of images or a camera file" in fails(
         capsys, ball, "--camera", path, "-o", tmp_path / "x.png"
     )
+
+
+def test_shading_and_environments(meshes: list[str], tmp_path: Path) -> None:
+    sky = torch.rand(8, 16, 3)
+    nr.save_image(tmp_path / "sky.png", sky)
+    (tmp_path / "a.json").write_text(json.dumps(FORMATS["K, R, t"][0]))
+    common = (*meshes, "--camera", tmp_path / "a.json")
+    surroundings = ("--environment", tmp_path / "sky.png", "--background", "environment", "--shading", "pbr")
+    run(*common, *surroundings, "--save", "rgb", tmp_path / "a.npy", "-o", tmp_path / "a.png")
+    light = nr.EnvironmentLight.load(tmp_path / "sky.png")
+    behind = light.background(CAMERA, (48, 64))
+    options = {"light": light, "shading": "pbr", "near": 1e-3}
+    expected = nr.render(scene(meshes), CAMERA, (48, 64), background=behind, **options).rgb[0].movedim(0, 2)
+    found = torch.from_numpy(np.load(tmp_path / "a.npy"))
+    assert ((found - expected).abs() > 1e-3).float().mean() < 5e-3
+    assert ((nr.load_image(tmp_path / "a.png") - expected.clamp(0, 1)).abs() > 3e-3).float().mean() < 5e-3
+    vertices, faces = nr.icosphere(1)
+    nr.UVMesh(vertices, faces, vertices[:, :2], sky).save(tmp_path / "ball.obj")  # faces share vertices
+    run(tmp_path / "ball.obj", "--size", "32", "--shading", "smooth", "-o", tmp_path / "b.png")
+    run(tmp_path / "ball.obj", "--size", "32", "-o", tmp_path / "c.png")
+    assert (nr.load_image(tmp_path / "b.png") - nr.load_image(tmp_path / "c.png")).abs().max() > 0.02
+
+
+def test_a_picture_may_be_called_as_a_key_of_its_camera_file(meshes: list[str], tmp_path: Path) -> None:
+    """Drawn twice: "K" is no file of the camera file."""
+    (tmp_path / "a.json").write_text(json.dumps(FORMATS["K, R, t"][0]))
+    for _ in range(2):
+        run(*meshes, "--camera", tmp_path / "a.json", "-o", tmp_path / "k.png", "--size", "24")
 
 
 def test_a_missing_extra_is_named(

@@ -247,3 +247,19 @@ def test_numpy_arrays_of_other_types():
     vertices, faces = (x.numpy() for x in cube())
     mesh = Mesh(vertices.astype(np.float64), faces.astype(np.uint32))
     assert mesh.vertices.dtype == torch.float32 and mesh.faces.dtype == torch.int32
+
+
+def test_submesh_takes_slices_and_names_what_it_does_not():
+    mesh = Mesh.icosphere(1)
+    assert torch.equal(mesh.submesh(slice(4, 8)).textures, mesh.textures[4:8])
+    assert mesh.submesh(slice(None, None, -1)).num_faces == 80
+    with pytest.raises(TypeError, match="index: expected numbers of faces, or a bool for each, got str"):
+        mesh.submesh("all")
+
+
+@pytest.mark.parametrize("name", ["vertex_colors", "face_colors"])
+def test_colors_that_are_not_finite_are_named(name):
+    vertices, faces = icosphere(1)
+    colors = torch.full((len(vertices if name == "vertex_colors" else faces), 3), float("nan"))
+    with pytest.raises(ValueError, match=f"^{name}: expected finite numbers"):
+        Mesh(vertices, faces, **{name: colors})

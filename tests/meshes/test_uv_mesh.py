@@ -301,3 +301,11 @@ def test_one_line_describes_it() -> None:
     mesh = nr.UVMesh(*nr.cube(), torch.rand(8, 2), torch.rand(4, 6, 3))
     assert repr(mesh) == "UVMesh(8 vertices, 12 faces, 1 image of 4 × 6, cpu)"
     assert repr(nr.batch([mesh, mesh])) == "UVMesh(batch of 2, 8 vertices, 12 faces, 1 image of 4 × 6, cpu)"
+
+
+def test_materials_are_a_tuple():
+    vertices, faces = nr.icosphere(1)
+    arguments = vertices, faces, vertices[:, :2], torch.ones(1, 1, 3)
+    with pytest.raises(TypeError, match="materials: expected a tuple of Material, got Material"):
+        nr.UVMesh(*arguments, materials=nr.Material())
+    assert "1 material, cpu" in repr(nr.UVMesh(*arguments, materials=(nr.Material(),)))

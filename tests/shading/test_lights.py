@@ -129,7 +129,7 @@ def test_an_object_with_the_method_is_a_light(device):
     once = nr.render((vertices, faces, textures), camera, 16, outputs="rgb").rgb
     twice = nr.render((vertices, faces, textures), camera, 16, outputs="rgb", light=Twice()).rgb
     torch.testing.assert_close(twice, 2 * once)
-    with pytest.raises(TypeError, match="light: expected a Light, a SphericalHarmonicLight or None, got type"):
+    with pytest.raises(TypeError, match="light: expected a Light, PointLight, …, a list of them or None, got type"):
         nr.render((vertices, faces, textures), camera, 16, light=Twice)
 
 

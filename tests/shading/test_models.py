@@ -206,6 +206,25 @@ def test_it_compiles_in_one_graph(shading):
         torch.testing.assert_close(compiled, plain, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("layers", [None, pytest.param(2, marks=pytest.mark.slow)])
+def test_materials_compile_in_one_graph(layers):
+    relief = nr.Texture(torch.rand(4, 4, 3), scale=(2.0, 1.0))
+    glass = {"opacity": 0.5, "alpha_mode": "BLEND", "double_sided": False}
+    material = nr.Material(base_color=(1.0, 0.5, 0.2), normal_texture=relief, **glass)
+    mesh = dataclasses.replace(textured(), materials=(material,))
+
+    def shaded(vertices):
+        moved = dataclasses.replace(mesh, vertices=vertices)
+        return nr.render(moved, CAMERA, 16, light=LAMPS, shading="smooth", layers=layers, outputs=("rgb",)).rgb
+
+    vertices, results = mesh.vertices.clone().requires_grad_(), []
+    for function in (shaded, torch.compile(shaded, fullgraph=True, backend="eager")):
+        picture = function(vertices)
+        results.append((picture, *torch.autograd.grad(picture.square().sum(), vertices)))
+    for plain, compiled in zip(*results, strict=True):
+        torch.testing.assert_close(compiled, plain, rtol=1e-4, atol=1e-5)
+
+
 def test_a_model_of_ones_own():
     """Two tones, as in a drawing."""
 
@@ -215,3 +234,60 @@ def test_a_model_of_ones_own():
 
     image = nr.render(nr.Mesh.icosphere(3), CAMERA, 32, shading=Tones(), background=1.0, anti_aliasing=False).rgb
     assert {round(value, 4) for value in image.unique().tolist()} == {0.4, 1.0}
+
+
+SHADINGS = ["flat", "smooth", "phong", "pbr", nr.Phong(0.3), nr.PBR(0.3, 0.4)]
+
+
+def tinted_and_colored(vertices):
+    """A white mesh with materials of two base colours, and one whose faces have these colours."""
+    faces = nr.icosphere(1)[1]
+    index, count = (torch.arange(80) % 3 > 0).long() - 1, len(faces)  # every third face has no material
+    tint = torch.tensor([0.7, 0.3, 0.1])
+    materials = (nr.Material(base_color=tint),)
+    uv, ones = torch.zeros(count, 3, 2), torch.ones(count, 3, 3)
+    colors = torch.where(index[:, None, None] < 0, ones, nr.linear_to_srgb(tint))
+    none = torch.full((count,), -1)
+    own = {"materials": materials, "material_index": index}
+    tinted = nr.UVMesh(vertices, faces, uv, none, (), ones, (), **own)
+    return tinted, nr.UVMesh(vertices, faces, uv, none, (), colors, (), materials=(nr.Material(),))
+
+
+@pytest.mark.parametrize("layers", [None, 2])
+@pytest.mark.parametrize("shading", SHADINGS)
+def test_base_colors_of_materials_show_with_every_shading(shading, layers):
+    """Images, and gradients to vertices through the jumps of colour between materials."""
+    results = []
+    for number in (0, 1):
+        vertices = nr.icosphere(1)[0].requires_grad_()
+        mesh = tinted_and_colored(vertices)[number]
+        image = nr.render(mesh, CAMERA, 24, light=LAMPS, shading=shading, layers=layers, outputs=("rgb",)).rgb
+        (image * torch.linspace(0, 1, 24)).sum().backward()
+        results.append((image.detach(), vertices.grad))
+    torch.testing.assert_close(results[0][0], results[1][0], rtol=0, atol=1e-5)
+    torch.testing.assert_close(results[0][1], results[1][1], rtol=1e-3, atol=1e-3)
+
+
+def test_base_colors_of_a_batch_and_their_gradients():
+    tinted, colored = tinted_and_colored(nr.icosphere(1)[0])
+    both = nr.render([tinted, colored, tinted], CAMERA, 24).rgb
+    torch.testing.assert_close(both[0], both[1], rtol=0, atol=1e-5)
+    assert torch.equal(both[0], both[2])
+    tint = torch.tensor([0.7, 0.3, 0.1], requires_grad=True)
+    mesh = dataclasses.replace(tinted, materials=(nr.Material(base_color=tint),))
+    nr.render(mesh, CAMERA, 24).rgb.sum().backward()
+    assert (tint.grad > 0).all()
+    assert nr.Material(base_color=tint).is_tinted and not nr.Material().is_tinted
+
+
+def test_messages_name_what_does_not_fit():
+    mesh = nr.Mesh.icosphere(1)
+    two = nr.PointLight(torch.rand(2, 3) + 2)
+    for shading in ("smooth", nr.Phong()):
+        with pytest.raises(ValueError, match="light: expected parameters for 1 images or for all, got 2"):
+            nr.render(mesh, CAMERA, 8, light=two, shading=shading)
+    with pytest.raises(ValueError, match="shininess: expected at least 0, got -1"):
+        nr.render(mesh, CAMERA, 8, shading=nr.Phong(0.5, -1.0))
+    with pytest.raises(ValueError, match=r"points: expected shape \[B, …, 3\], got \[3\]"):
+        nr.ShadowedLight(nr.Light(), mesh, size=8).visibility(torch.zeros(3))
+    assert nr.EnvironmentLight(torch.ones(2, 4, 3)).background(CAMERA, [4, 6]).shape == (1, 3, 4, 6)

@@ -9,6 +9,7 @@ import torch
 from torch.nn.functional import normalize
 
 import neural_renderer as nr
+from neural_renderer.shading.pixels import material_maps
 
 # Tangents of the corners of `octahedron`, from mikktspace.c (https://github.com/mmikk/MikkTSpace, genTangSpaceDefault).
 MIKKTSPACE = [
@@ -75,6 +76,18 @@ def test_tangents_have_gradients_and_degenerate_uv_are_finite():
     torch.testing.assert_close(tangents[..., :3].norm(dim=-1), torch.ones(8, 3))
     for leaf in (vertices, uv):
         assert leaf.grad.isfinite().all() and leaf.grad.abs().sum() > 0
+
+
+@pytest.mark.parametrize("face", [[0, 6, 0], [0, 6, 1], [0, 7, 4]])
+def test_faces_without_an_area_leave_gradients_finite(face):
+    """A vertex used twice, two in one place, three on a line: of no other face, or beside others."""
+    vertices, faces, uv = octahedron()
+    vertices = torch.cat((vertices, vertices[:1], vertices[[0, 4]].mean(0, keepdim=True))).requires_grad_()
+    faces, uv = torch.cat((faces, torch.tensor([face]))), torch.cat((uv, torch.rand(1, 3, 2))).requires_grad_()
+    tangents = nr.corner_tangents(vertices, faces, uv)
+    assert tangents.isfinite().all()
+    (tangents * torch.rand(9, 3, 4)).sum().backward()
+    assert vertices.grad.isfinite().all() and uv.grad.isfinite().all()
 
 
 def square(tilt, mirrored=False, image=(1.0, 1.0, 1.0)):
@@ -144,3 +157,41 @@ def test_gradients_reach_the_map():
     material = nr.Material(normal_texture=nr.Texture(image), normal_scale=scale)
     lit(dataclasses.replace(mesh, materials=(material,)), (-0.3, 0.5, -0.8)).backward()
     assert image.grad.abs().sum() > 0 and scale.grad != 0
+
+
+def test_tangents_are_computed_once_until_the_mesh_changes(monkeypatch):
+    calls = []
+
+    def counted(*arguments):
+        calls.append(arguments)
+        return nr.corner_tangents(*arguments)
+
+    monkeypatch.setattr(material_maps, "corner_tangents", counted)
+    mesh = square((0.7, -0.4))
+    first = lit(mesh, (-0.3, 0.5, -0.8))
+    with torch.inference_mode():
+        assert torch.equal(lit(mesh, (-0.3, 0.5, -0.8)), first)
+    assert len(calls) == 1
+    mesh.uv.copy_(mesh.uv.roll(1, 1))
+    turned = lit(mesh, (-0.3, 0.5, -0.8))
+    assert len(calls) == 2 and turned != first
+    moving = dataclasses.replace(mesh, vertices=mesh.vertices.clone().requires_grad_())
+    for number in (3, 4):  # gradients reach vertices through tangents, in each call
+        lit(moving, (-0.3, 0.5, -0.8)).backward()
+        assert len(calls) == number and moving.vertices.grad.abs().sum() > 0
+    with torch.no_grad():
+        assert lit(moving, (-0.3, 0.5, -0.8)) == lit(moving, (-0.3, 0.5, -0.8)) == turned
+    assert len(calls) == 5
+    lit(moving, (-0.3, 0.5, -0.8)).backward()  # what was kept has no gradients
+    assert len(calls) == 6
+
+
+def test_tangents_computed_in_inference_mode_serve_gradients():
+    mesh, direction = square((0.7, -0.4)), (-0.3, 0.5, -0.8)
+    with torch.inference_mode():
+        lit(mesh, direction)
+    image = mesh.materials[0].normal_texture.image.clone().requires_grad_()
+    material = dataclasses.replace(mesh.materials[0], normal_texture=nr.Texture(image))
+    object.__setattr__(mesh, "materials", (material,))  # the same mesh, with what it keeps
+    lit(mesh, direction).backward()
+    assert image.grad.abs().sum() > 0

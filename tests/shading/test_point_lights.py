@@ -89,3 +89,16 @@ def test_a_light_on_a_point_is_finite():
 def test_messages(light, message):
     with pytest.raises(ValueError, match=message):
         light.beam(PLACES)
+
+
+@pytest.mark.parametrize(
+    ("lamp", "message"),
+    [
+        (nr.SpotLight(direction=(0.0, 0.0, 0.0)), "direction: expected a vector of positive length"),
+        (nr.SpotLight(outer=200.0), "outer: expected an angle above inner, at most 180"),
+        (nr.SpotLight(inner=-5.0), "outer: expected an angle above inner"),
+    ],
+)
+def test_cones_that_are_none(lamp, message):
+    with pytest.raises(ValueError, match=message):
+        lamp.beam(torch.zeros(1, 3))

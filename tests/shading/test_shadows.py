@@ -86,6 +86,22 @@ def test_surfaces_do_not_shadow_themselves(device) -> None:
     assert (low.visibility(ground().to(device)) > 0.99999).all()
 
 
+SUN, LAMP = nr.Light(direction=(0.5, 0.7, 0.6)), nr.SpotLight((5.0, 7.0, 6.0), direction=(-5.0, -7.0, -6.0), outer=15)
+
+
+@pytest.mark.parametrize("light", [SUN, LAMP])
+@pytest.mark.parametrize("softness", [0.5, 1.5, 4.0])
+def test_edges_of_bodies_do_not_shadow_themselves(device, light, softness) -> None:
+    """Up to the edges of a cube that the light just sees, its lit sides have no dark lines."""
+    vertices, faces = nr.cube()
+    vertices = vertices / vertices.abs().max()
+    lamp = nr.ShadowedLight(light, nr.Mesh(vertices, faces).to(device), size=512, softness=softness)
+    across = torch.linspace(-1, 1, 201)
+    lit = torch.stack(torch.broadcast_tensors(across[:, None], torch.tensor(1.0), across), -1).reshape(-1, 3)
+    sides = torch.stack([lit.roll(shift, 1) for shift in range(3)])
+    assert (lamp.visibility(sides.reshape(1, -1, 3).to(device)) > 0.9999).all()
+
+
 def test_gradients_reach_light_and_surface_but_not_the_shadow() -> None:
     intensity = torch.tensor(0.7, requires_grad=True)
     mesh = ball_over_ground()

@@ -82,7 +82,7 @@ def test_what_does_not_fit():
     mesh, camera = nr.Mesh.icosphere(1), nr.Camera.look_at((0.0, 0.0, -2.7))
     with pytest.raises(ValueError, match=r"coefficients: expected shape \[9, 3\] or \[B, 9, 3\]"):
         nr.render(mesh, camera, 16, light=nr.SphericalHarmonicLight(torch.zeros(4, 3)))
-    with pytest.raises(TypeError, match="light: expected a Light, a SphericalHarmonicLight or None, got str"):
+    with pytest.raises(TypeError, match="light: expected a Light, PointLight, …, a list of them or None, got str"):
         nr.render(mesh, camera, 16, light=[nr.Light(), "lamp"])
     with pytest.raises(ValueError, match="light: expected at least one"):
         nr.render(mesh, camera, 16, light=[])

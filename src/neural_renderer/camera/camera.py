@@ -18,7 +18,7 @@ from .several import chosen, concatenated
 from .view import look_at_frame, look_frame, rotate
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Camera(CalibratedCamera):
     """A batch of B cameras: ``camera(vertices)`` projects world vertices onto the screen.
 

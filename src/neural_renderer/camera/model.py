@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CameraModel:
     """Attributes of `Camera`, which explains them, and the projection of points."""
 
@@ -63,6 +63,17 @@ class CameraModel:
         if self.K is None:
             return self.rotation
         return self.rotation * self.rotation.new_tensor([1.0, -1.0, 1.0])[:, None]  # K's y points down
+
+    def __repr__(self) -> str:
+        number, lens = self.viewing_angle, "orthographic"
+        if self.K is not None:
+            lens = "fisheye" if self.is_fisheye else "K with distortion" if self.dist_coeffs is not None else "K"
+        elif number is not None:
+            lens = f"viewing angle {number:g}" if isinstance(number, (int, float)) else "viewing angles"
+        size = "" if self.orig_size is None else " of {:g} × {:g}".format(*self.orig_size)
+        mirrored = ", mirrored" if self.mirrored else ""
+        count = "1 camera" if len(self) == 1 else f"{len(self)} cameras"
+        return f"Camera({count}, {lens}{size}{mirrored}, {self.rotation.device})"
 
     def __len__(self) -> int:
         return self.rotation.shape[0]

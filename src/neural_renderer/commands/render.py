@@ -24,6 +24,7 @@ from ..meshes.uv_mesh import UVMesh
 from ..pictures.lamp import lamp_direction
 from ..raster.settings import image_size
 from ..rendering import render
+from ..shading.environments.light import EnvironmentLight
 from ..shading.lights import Light
 from .common import check_counts, check_outputs, choose_device, say
 from .options.render import RenderOptions
@@ -31,7 +32,7 @@ from .render_outputs import check_saved, save_outputs
 
 _LAMP = (-0.4, 0.6, 0.7)  # right, up, backward; more frontal than `pictures.lamp.LAMP`: no visible face is dark
 _AMBIENT, _DIRECTIONAL = 0.4, 0.65
-_COLORS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": (0.0, 0.0, 0.0)}
+_WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours
 _MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the picture
 _SIZE = 512  # of pictures by default
@@ -46,24 +47,25 @@ def run(options: RenderOptions) -> int:
     _check(options)
     outputs = [path for path in (options.output, *options.save.values()) if path is not None]
     photo = options.background if isinstance(options.background, Path) else None
-    check_outputs(outputs, [*options.meshes, options.camera, photo])
+    check_outputs(outputs, [*options.meshes, options.camera, options.environment, photo])
     device = choose_device(options.device)
     mesh = _load(options).to(device)
     if options.normalize and options.camera is None:
         mesh = mesh.normalize()
     cameras, size = _cameras(options, mesh)
     background = _background(options, size, device)
+    surroundings = None if options.environment is None else EnvironmentLight.load(options.environment)
     if options.output is not None and options.output.suffix.lower() in _ANIMATIONS:
-        pictures: Iterator[Tensor] = (draw(options, mesh, one, size, background).cpu() for one in cameras)
+        pictures: Iterator[Tensor] = (draw(options, mesh, one, size, background, surroundings).cpu() for one in cameras)
         console = Console(stderr=True)
         tracked = track(pictures, "Turntable", total=len(cameras), console=console, transient=True)
         save_animation(options.output, tracked, options.fps)
     elif options.output is not None:
-        save_image(options.output, draw(options, mesh, cameras, size, background))
+        save_image(options.output, draw(options, mesh, cameras, size, background, surroundings))
     if options.save:
         near, far = _planes(options, mesh, cameras)
-        light = _light(options, cameras)
-        save_outputs(options, mesh, cameras, size, light=light, background=background, near=near, far=far)
+        look = _look(options, cameras, size, background, surroundings)
+        save_outputs(options, mesh, cameras, size, **look, near=near, far=far)
     for path in outputs:
         say(str(path))
     return 0
@@ -98,6 +100,8 @@ def _check(options: RenderOptions) -> None:
     check_counts(options, turntable=1, texture_size=1, frame=0)
     if options.turntable is not None and suffix in _PICTURES:
         raise ValueError(f"--output: expected a .gif or .mp4 for a turntable, got {name!r}")
+    if options.frame and options.camera is None:
+        raise ValueError(f"--frame: expected --camera with it, got frame {options.frame} of no file")
     if options.turntable is not None and options.camera is not None:
         raise ValueError("--turntable: expected a turntable or --camera, got both")
     if options.save and suffix in _ANIMATIONS:
@@ -117,6 +121,10 @@ def _check(options: RenderOptions) -> None:
         raise ValueError(f"--background: expected --mode rgb or normals, got {options.mode} (always on black)")
     if options.background == "transparent" and suffix != ".png":
         raise ValueError(f"--background transparent: expected a .png, got {name!r}")
+    if options.environment is not None and not options.light:
+        raise ValueError("--environment: expected it with light, got --no-light")
+    if options.background == "environment" and options.environment is None:
+        raise ValueError("--background environment: expected --environment with an image, got none")
     if isinstance(options.background, tuple) and not all(0 <= value <= 1 for value in options.background):
         raise ValueError(f"--background: expected three numbers from 0 to 1, got {options.background}")
 
@@ -181,15 +189,36 @@ def _background(options: RenderOptions, size: tuple[int, int], device: torch.dev
     if isinstance(options.background, Path):
         photo = load_image(options.background)[..., :3].movedim(2, 0)[None].to(device)
         return functional.interpolate(photo, size, mode="bilinear", antialias=True)[0]
-    return options.background if isinstance(options.background, tuple) else _COLORS[options.background or "white"]
+    if isinstance(options.background, tuple):
+        return options.background
+    return _WHITE if options.background in (None, "white") else _BLACK
 
 
-def _light(options: RenderOptions, camera: Camera) -> Light | None:
-    return Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera, _LAMP)) if options.light else None
+def _look(
+    options: RenderOptions,
+    camera: Camera,
+    size: tuple[int, int],
+    background: Any,
+    surroundings: EnvironmentLight | None,
+) -> dict[str, Any]:
+    """Return the light, the shading and the background of a view, as `render` takes them."""
+    light: Any = surroundings
+    if surroundings is None and options.light:
+        light = Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera, _LAMP))
+    if surroundings is not None and options.background == "environment":
+        background = surroundings.background(camera, size).to(camera.rotation)
+    return {"light": light, "shading": options.shading, "background": background}
 
 
 @torch.no_grad()
-def draw(options: RenderOptions, mesh: Mesh | UVMesh, camera: Camera, size: tuple[int, int], background: Any) -> Tensor:
+def draw(
+    options: RenderOptions,
+    mesh: Mesh | UVMesh,
+    camera: Camera,
+    size: tuple[int, int],
+    background: Any,
+    surroundings: EnvironmentLight | None = None,
+) -> Tensor:
     """Draw one view.
 
     Args:
@@ -198,6 +227,7 @@ def draw(options: RenderOptions, mesh: Mesh | UVMesh, camera: Camera, size: tupl
         camera: One camera.
         size: Height and width in pixels.
         background: As in `render`.
+        surroundings: The environment, or None.
 
     Returns:
         [3, H, W] in [0, 1]; [4, H, W] with a transparent background; [H, W] for silhouettes and depth.
@@ -208,12 +238,11 @@ def draw(options: RenderOptions, mesh: Mesh | UVMesh, camera: Camera, size: tupl
         images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far)
         alpha, depth = images.alpha[0], images.depth[0]
         return alpha if options.mode == "silhouettes" else _shade_depth(depth, alpha, far)
+    look = _look(options, camera, size, background, surroundings)
     if options.mode == "normals":
-        rgb, alpha = _draw_normals(mesh, camera, size, background, near, far)
+        rgb, alpha = _draw_normals(mesh, camera, size, look["background"], near, far)
     else:
-        light = _light(options, camera)
-        outputs = ("rgb", "alpha")
-        images = render(mesh, camera, size, light=light, background=background, outputs=outputs, near=near, far=far)
+        images = render(mesh, camera, size, **look, outputs=("rgb", "alpha"), near=near, far=far)
         rgb, alpha = images.rgb[0], images.alpha[0]
     if options.background != "transparent":
         return rgb

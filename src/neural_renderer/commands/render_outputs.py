@@ -41,7 +41,7 @@ def save_outputs(options: RenderOptions, mesh: Any, camera: Camera, size: tuple[
         mesh: The mesh.
         camera: One camera.
         size: Height and width in pixels.
-        **scene: Light, background, and near and far planes, as in `render`.
+        **scene: Light, shading, background, and near and far planes, as in `render`.
     """
     smooth = [name for name in options.save if name in ("rgb", "alpha")]
     plain = [name for name in options.save if name not in smooth]

@@ -137,6 +137,8 @@ def _names(line: str) -> Iterator[str]:
         if len(end) > _LONGEST:
             break
         yield from (end.strip('"'), os.path.basename(end.strip('"')))
-    for name in (*re.findall(r'"([^"]*)"', line), *line.split(",")):
+    # A key of JSON without a dot is no name of a file: "k" does not name k.png.
+    quoted = [name for name, colon in re.findall(r'"([^"]*)"(\s*:)?', line) if not colon or "." in name]
+    for name in (*quoted, *line.split(",")):
         if len(name) <= _LONGEST:
             yield from (name, os.path.basename(name))

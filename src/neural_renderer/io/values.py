@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image
 
 from .atomic_write import replacing, write_file
+from .files import existing
 from .images import save_image
 
 VALUE_SUFFIXES = (".npy", ".exr")
@@ -41,13 +42,43 @@ def save_values(path: Path, values: np.ndarray, name: str) -> None:
         image.write(str(fresh))
 
 
-def open_exr(path: Path) -> Any:
-    """Import OpenEXR; raise ModuleNotFoundError with the command that installs it."""
+def read_exr(path: Path) -> np.ndarray:
+    """Read the colours of an OpenEXR picture.
+
+    Returns:
+        [H, W, 3] float32 RGB, or grey three times; row 0 at the top.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ModuleNotFoundError: OpenEXR is not installed.
+        ValueError: The file is damaged, has no such channels, or more than ``PIL.Image.MAX_IMAGE_PIXELS`` pixels.
+    """
+    exr = open_exr(existing(path), "read")
+    limit = Image.MAX_IMAGE_PIXELS
+    try:
+        with exr.File(str(path), separate_channels=True, header_only=True) as image:
+            low, high = (np.asarray(corner, dtype=np.int64) for corner in image.header()["dataWindow"])
+        if limit is None or (high - low + 1).prod() <= limit:
+            with exr.File(str(path), separate_channels=True) as image:
+                channels = {name: channel.pixels for name, channel in image.channels().items()}
+    except Exception as error:  # OpenEXR raises errors of several classes
+        raise ValueError(f"{path}: expected a picture of OpenEXR, got one that cannot be read ({error})") from None
+    if limit is not None and (high - low + 1).prod() > limit:
+        raise ValueError(f"{path}: expected a picture of at most {limit:,} pixels")
+    names = "RGB" if all(name in channels for name in "RGB") else "YYY"
+    if names[0] not in channels:
+        raise ValueError(f"{path}: expected the channels R, G and B, or Y, got {', '.join(channels)}")
+    return np.stack([channels[name] for name in names], -1).astype(np.float32)
+
+
+def open_exr(path: Path, purpose: str = "write") -> Any:
+    """Import OpenEXR, to write or to read; raise ModuleNotFoundError with the command that installs it."""
     try:
         import OpenEXR
     except ModuleNotFoundError:
         raise ModuleNotFoundError(
-            f"{path}: expected OpenEXR to be installed to write it (pip install 'neural-renderer[exr]')", name="OpenEXR"
+            f"{path}: expected OpenEXR to be installed to {purpose} it (pip install 'neural-renderer[exr]')",
+            name="OpenEXR",
         ) from None
     return OpenEXR
 

@@ -207,7 +207,7 @@ class Mesh(OldMesh):
         """Copy some of the faces, with their textures and the vertices that they use.
 
         Args:
-            index: Numbers of faces [N], or a bool for each face [F]: tensor, array or list.
+            index: Numbers of faces [N], or a bool for each face [F]: tensor, array or list. Or a slice.
 
         Returns:
             The copy. Its vertices keep their order.
@@ -304,8 +304,10 @@ def _textures(vertex_colors: Any, face_colors: Any, vertices: Tensor, faces: Ten
         colors = validate.floating("vertex_colors", as_tensor(vertex_colors), (len(vertices), 3))
         validate.same_device(vertices=vertices, faces=faces, vertex_colors=colors)
         validate.in_range("faces", faces, len(vertices))
+        validate.finite("vertex_colors", colors)
         return bake_corners(colors.float()[faces.long()], size)
     if face_colors is not None:
         colors = validate.floating("face_colors", as_tensor(face_colors), (len(faces), 3))
+        validate.finite("face_colors", colors)
         return colors[:, None, None, None].expand(-1, size, size, size, 3)
     return None

@@ -11,12 +11,17 @@ from .. import validate
 
 
 def chosen_faces(index: Any, faces: Tensor) -> Tensor:
-    """Convert face numbers [N], or a bool for each face [F], to numbers [N] int64 on the device of the faces.
+    """Convert a slice, face numbers [N], or a bool for each face [F], to numbers [N] int64 on the device of the faces.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit, a number is out of range, or there is none.
     """
-    index = torch.as_tensor(index, device=faces.device)
+    if isinstance(index, slice):
+        index = range(len(faces))[index]
+    try:
+        index = torch.as_tensor(index, device=faces.device)
+    except (TypeError, ValueError, RuntimeError):
+        raise TypeError(f"index: expected numbers of faces, or a bool for each, got {type(index).__name__}") from None
     if index.dtype == torch.bool:
         if index.shape != faces.shape[:1]:
             raise ValueError(f"index: expected a bool for each of {len(faces)} faces, got {validate.shape_of(index)}")

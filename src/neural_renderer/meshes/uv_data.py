@@ -66,6 +66,8 @@ class UVMeshData:
                     "image: expected only one of image and image_index, images, colors, wraps, got several"
                 )
             values = one_image(vertices, faces, uv, image_index if image is None else image, wrap)
+        if not isinstance(materials, (tuple, list)):
+            raise TypeError(f"materials: expected a tuple of Material, got {type(materials).__name__}")
         values = (*values, materials, material_index, normals, tangents, uv1)
         for part, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, part.name, value)  # the class is frozen
@@ -131,7 +133,8 @@ class UVMeshData:
         images = f"{len(self.images)} image{'s' * (len(self.images) != 1)}"
         of = f" of {sizes.pop()}" if len(sizes) == 1 else ""
         batch = f"batch of {len(self.uv)}, " if self.uv.ndim == 4 else ""
-        rest = f", {len(self.materials)} materials" if self.materials else ""
+        count = len(self.materials)
+        rest = f", {count} material{'s' * (count != 1)}" if count else ""
         shape = f"{self.num_vertices} vertices, {self.num_faces} faces"
         return f"UVMesh({batch}{shape}, {images}{of}{rest}, {self.vertices.device})"
 
@@ -166,8 +169,6 @@ class UVMeshData:
             value = getattr(self, name)
             if value is not None:
                 validate.finite(name, validate.floating(name, value, (*own, 3, width)).float(), always)
-        if not isinstance(self.materials, (tuple, list)):
-            raise TypeError(f"materials: expected a tuple, got {type(self.materials).__name__}")
         for material in self.materials:
             if not isinstance(material, Material):
                 raise TypeError(f"materials: expected a Material each, got {type(material).__name__}")

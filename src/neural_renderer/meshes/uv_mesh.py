@@ -16,6 +16,7 @@ from ..deprecated import old_argument
 from ..io.formats import read_mesh
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
+from ..textures.base_colors import tinted_by_materials
 from ..textures.file_materials import arrays_of_materials, attributes_of_file, wrap_of, wrapping
 from ..textures.gutters import fill_gutters
 from ..textures.sample_texture import sampled
@@ -58,7 +59,8 @@ class UVMesh(UVMeshData):
         images: [H, W, 3] float32 each, RGB, row 0 at the top. Sizes may differ.
         colors: [F, 3, 3] float32, RGB at the corners of faces without an image.
         wraps: "repeat", "clamp" or "mirror" for each image, or a pair of them, as in `sample_texture`.
-        materials: `Material` each: all that `render` does not draw. Empty for a mesh that is matt and opaque.
+        materials: `Material` each: what ``shading`` and ``layers`` of `render` use, and base colours. Empty for a mesh
+            that is matt and opaque.
         material_index: [F] int64, index into ``materials``; −1 for a face without a material. None: all faces have the
             only material.
         normals: [F, 3, 3] float32, normals of the faces' corners, as in the file; or None.
@@ -130,7 +132,8 @@ class UVMesh(UVMeshData):
 
         With ``spot.obj`` this writes ``spot.mtl`` and ``spot_texture.png``, or ``spot_texture_1.png`` and so on. Faces
         are grouped by image and material; in OBJ files, those without an image share one more, with a tile for each.
-        GLB files have no highlight of Phong, MTL files neither `KHR_texture_transform` nor ``uv1``.
+        GLB files have no highlight of Phong. MTL files have neither transforms nor wraps of textures but the first, no
+        occlusion, tangents, ``uv1``, ``double_sided`` or ``alpha_cutoff``: what is cut out ("MASK") is read as "BLEND".
 
         Args:
             path: Name that ends in ``.obj`` or ``.glb``. A file of this name is replaced, missing folders are made.
@@ -161,10 +164,10 @@ class UVMesh(UVMeshData):
     @old_argument("seen", "fragments")
     @validate.checked_together
     def shade(self, fragments: Fragments) -> Tensor:
-        """Sample the albedo of each pixel, with mipmaps.
+        """Sample the albedo of each pixel, with mipmaps and the base colours of materials.
 
-        Gradients flow to ``images`` and ``colors``, and with ``gradient="edge"`` to ``vertices``. If adjacent charts
-        differ in colour at their border, pass ``seams`` to `Fragments.composite`.
+        Gradients flow to ``images``, ``colors`` and base colours, and with ``gradient="edge"`` to ``vertices``. If
+        adjacent charts differ in colour at their border, pass ``seams`` to `Fragments.composite`.
 
         Args:
             fragments: Fragments of this mesh; see `fragments`.
@@ -183,13 +186,17 @@ class UVMesh(UVMeshData):
             torch.Size([1, 3, 64, 64])
         """
         self._check()
-        if self.uv.dim() == 4:
-            return self._shade_each(fragments)
+        albedo = self._shade_each(fragments) if self.uv.dim() == 4 else self._sampled(fragments)
+        return tinted_by_materials(albedo, self.materials, self.material_index, fragments.face_index)
+
+    def _sampled(self, fragments: Fragments) -> Tensor:
+        """Sample images and colours at each pixel, [B, H, W, 3]."""
         count = len(self.uv)
         corners = torch.arange(3 * count, device=self.uv.device).view(count, 3)
         plain = self.image_index < 0
         parts = []  # images to add up; each is 0 where another one is visible
-        if not self.images or read_once(self.image_index, has_negative):
+        # A compiled graph cannot ask for values; what it adds is 0 where no face is plain.
+        if not self.images or torch.compiler.is_compiling() or read_once(self.image_index, has_negative):
             parts.append(fragments.interpolate((self.colors * plain[:, None, None]).reshape(-1, 3), corners))
         if self.images:
             uv = fragments.interpolate(self.uv.reshape(-1, 2), corners)
@@ -219,7 +226,7 @@ class UVMesh(UVMeshData):
             )
             own = slice(None) if len(self.uv) == 1 else slice(row, row + 1)
             corners, index = fragments.corners[own], fragments.face_index[own]
-            colors.append(mesh.shade(replace(fragments, corners=corners, face_index=index, rings=None)))
+            colors.append(mesh._sampled(replace(fragments, corners=corners, face_index=index, rings=None)))
         return torch.cat(colors)
 
     def normalize(self) -> UVMesh:
@@ -242,7 +249,7 @@ class UVMesh(UVMeshData):
         """Take some of the faces, with their texture coordinates and the vertices that they use.
 
         Args:
-            index: Numbers of faces [N], or a bool for each face [F]: tensor, array or list.
+            index: Numbers of faces [N], or a bool for each face [F]: tensor, array or list. Or a slice.
 
         Returns:
             The mesh, with the same images; differentiable in all tensors. Its vertices keep their order.

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from ..camera.parameters import Scalar
-from .color_space import linear_to_srgb, srgb_to_linear
+from ..textures.color_space import linear_to_srgb, srgb_to_linear
 from .lights import Ambience, Beam, pixel_lights
 from .phong import of_images, total
 from .pixels.planes import dot, planar, unit

@@ -68,7 +68,7 @@ def shade_phong(
         albedo: RGB of the surface, [B, H, W, 3] floating.
         lights: Lights that add up; without any there are no highlights.
         specular: Strength of highlights: number, or [B, H, W, 3] or what broadcasts to it.
-        shininess: Exponent, > 0, the larger the sharper: number, or [B, H, W, 1] or what broadcasts to it.
+        shininess: Exponent, ≥ 0, the larger the sharper: number, or [B, H, W, 1] or what broadcasts to it.
         halfway: Use Blinn's form.
 
     Returns:
@@ -105,7 +105,7 @@ class Phong:
 
     Attributes:
         specular: Strength of highlights: number, or RGB [3] or [B, 3].
-        shininess: Exponent, > 0, the larger the sharper: number, or tensor [] or [B].
+        shininess: Exponent, ≥ 0, the larger the sharper: number, or tensor [] or [B].
         halfway: Use Blinn's form.
 
     Raises:
@@ -140,6 +140,8 @@ class Phong:
         is_number = isinstance(self.specular, (int, float)) or getattr(self.specular, "ndim", 1) == 0
         specular = of_images("specular", self.specular, 1 if is_number else 3, surface.points)
         shininess = of_images("shininess", self.shininess, 1, surface.points)
+        if validate.values_are_checked(shininess) and bool((shininess < 0).any()):
+            raise ValueError(f"shininess: expected at least 0, got {self.shininess}")
         return shade_phong(surface, albedo, lights, specular, shininess, self.halfway)
 
 

@@ -146,11 +146,16 @@ class SpotLight(PointLight):
         """
         towards, rgb = super().beam(points)
         axis = self._of(points, "direction")
-        axis = axis / torch.linalg.vector_norm(axis, dim=-1, keepdim=True).clamp(min=_TINY)
-        cosine = -dot(towards, axis)
-        inner, outer = (_cosine(name, getattr(self, name), points) for name in ("inner", "outer"))
-        if validate.values_are_checked(points) and not bool((inner > outer).all()):
-            raise ValueError(f"outer: expected an angle above inner, at most 180, got {self.outer} and {self.inner}")
+        length = torch.linalg.vector_norm(axis, dim=-1, keepdim=True)
+        cosine = -dot(towards, axis / length.clamp(min=_TINY))
+        (first, inner), (last, outer) = (_cosine(name, getattr(self, name), points) for name in ("inner", "outer"))
+        if validate.values_are_checked(points):
+            if not bool(((inner > outer) & (first >= 0) & (last <= 180)).all()):
+                raise ValueError(
+                    f"outer: expected an angle above inner, at most 180, got {self.outer} and {self.inner}"
+                )
+            if not bool((length > _TINY).all()):
+                raise ValueError(f"direction: expected a vector of positive length, got {self.direction}")
         return towards, rgb * ((cosine - outer) / (inner - outer)).clamp(0, 1) ** 2
 
 
@@ -163,5 +168,7 @@ def _strength(name: str, value: Any, points: Tensor) -> Any:
     return found.reshape(-1, *(1,) * (points.ndim - 1))
 
 
-def _cosine(name: str, degrees: Any, points: Tensor) -> Tensor:
-    return torch.cos(torch.deg2rad(torch.as_tensor(_strength(name, degrees, points), dtype=points.dtype)))
+def _cosine(name: str, degrees: Any, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Convert degrees to a tensor that broadcasts with points; return it, and its cosine."""
+    angle = torch.as_tensor(_strength(name, degrees, points), dtype=points.dtype)
+    return angle, torch.cos(torch.deg2rad(angle))

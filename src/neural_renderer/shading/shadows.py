@@ -18,6 +18,7 @@ from ..meshes.batch import mesh_parts
 from .lights import Light
 from .point_lights import SpotLight
 
+_STEEPEST = 3.0  # depth per width of a lit surface that does not shadow itself at the border of a body
 _WIDEST = 85.0  # degrees from a spot light's axis to the border of its map
 
 
@@ -38,8 +39,8 @@ class ShadowedLight:
         size: Side of the map in pixels.
         softness: Half the width of a shadow's edge, in pixels of the map, at least 0.5.
         bias: How far behind the lit surface its shadow begins at the latest, as a share of the scene's size; inside of
-            bodies it begins half-way to the other side (Woo, "The shadow depth map revisited", 1992), so that surfaces
-            do not shadow themselves.
+            bodies it begins half-way to the other side (Woo, "The shadow depth map revisited", 1992), but no nearer
+            than 3 times the width of its edge, so that surfaces do not shadow themselves.
 
     Raises:
         TypeError, ValueError: An attribute does not fit.
@@ -71,7 +72,10 @@ class ShadowedLight:
             options: dict[str, Any] = {"near": near, "far": far, "anti_aliasing": False, "gradient": "nmr"}
             layers = fragments((vertices, faces), camera, size, layers=2, **options)
             front, back = (torch.where(layer.mask, layer.depth, math.inf) for layer in layers)
-            depth = torch.minimum((front + back) / 2, front + self.bias * extent)
+            # At the border of a body both sides meet: there, half-way is too near for pixels beside it.
+            wide = _STEEPEST * (self.softness + 0.5) * self._pixel_width(front, camera, size)
+            depth = front + torch.maximum((back - front) / 2, wide).clamp(max=self.bias * extent)
+            depth = torch.where(torch.isinf(front), front, depth)
         object.__setattr__(self, "_camera", camera)
         object.__setattr__(self, "_depth", depth)
 
@@ -94,6 +98,13 @@ class ShadowedLight:
         camera = Camera.look(eye, axis, _upright(axis), orthographic=True, scale=1 / radius)
         return camera, 0.9 * radius, 3.1 * radius, 2 * radius
 
+    @staticmethod
+    def _pixel_width(depth: Tensor, camera: Camera, size: int) -> Tensor:
+        """Compute how wide pixels of the map are at depths [B, H, W]."""
+        if camera.viewing_angle is None:
+            return torch.full_like(depth, 2 / (size * float(camera.scale)))
+        return depth * (2 * math.tan(math.radians(float(camera.viewing_angle))) / size)
+
     @torch.no_grad()
     def visibility(self, points: Tensor) -> Tensor:
         """Compute the share of the light that reaches points.
@@ -112,7 +123,9 @@ class ShadowedLight:
             >>> lamp.visibility(torch.tensor([[[1.0, 3.0, -1.0], [-0.6, -1.2, 0.6]]])).flatten().round()
             tensor([1., 0.])
         """
-        validate.floating("points", points, (*points.shape[:-1], 3))
+        if getattr(points, "ndim", 2) < 2:
+            raise ValueError(f"points: expected shape [B, …, 3], got {validate.shape_of(points)}")
+        validate.floating("points", points, (*getattr(points, "shape", (1, 3))[:-1], 3))
         flat = points.detach().float().flatten(1, -2)
         if len(self._camera) not in (1, len(flat)) and len(flat) != 1:
             raise ValueError(f"points: expected a batch of 1 or {len(self._camera)} like the light, got {len(flat)}")

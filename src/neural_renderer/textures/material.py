@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..constants import read_once
+from ..raster.warp.registration import is_plain
 from .sample_texture import Wrap, checked_wrap, sample_texture
 
 ALPHA_MODES = ("OPAQUE", "MASK", "BLEND")
@@ -106,7 +108,7 @@ class Texture:
 
     def _has_transform(self) -> bool:
         parts = (self.offset, self.scale, self.rotation)
-        if any(part.requires_grad for part in parts):
+        if any(part.requires_grad for part in parts) or not is_plain(parts):
             return True
         return bool(self.offset.any() or (self.scale != 1).any() or self.rotation != 0)
 
@@ -116,15 +118,15 @@ class Material:
     """Material of glTF 2.0 (metallic-roughness), with the highlight of MTL files.
 
     A `UVMesh` holds several (``materials``) and says which face has which (``material_index``). The base colour is in
-    the mesh: its ``images`` and ``colors``, in sRGB, with the factor of the file multiplied in. So `render`, which
-    draws these alone, needs no material.
+    the mesh: its ``images`` and ``colors``, in sRGB, with the factor of the file multiplied in. A ``base_color`` is one
+    more factor. Both show with every shading; the other attributes need ``shading`` or ``layers`` of `render`.
 
     Factors are numbers or tensors, and become float32 tensors, which keep their gradients. To optimise one, give a
     tensor that requires gradients (``dataclasses.replace``). All factors are linear except ``specular``.
 
     Attributes:
         name: Name in the file.
-        base_color: [3], factor of the mesh's images and colours, in linear RGB; 1 in materials that were read.
+        base_color: [3], factor of the mesh's images and colours in linear RGB; 1 in materials that were read.
         opacity: [], alpha in [0, 1], and a factor of ``opacity_texture``.
         opacity_texture: [H, W, 1], linear: the alpha channel of glTF's base colour, or MTL's ``map_d``.
         alpha_mode: "OPAQUE" ignores alpha; "MASK" cuts out what is below ``alpha_cutoff``; "BLEND" blends.
@@ -187,6 +189,12 @@ class Material:
         object.__setattr__(self, "alpha_cutoff", validate.number("alpha_cutoff", self.alpha_cutoff))
         validate.flag("double_sided", self.double_sided)
 
+    @property
+    def is_tinted(self) -> bool:
+        """Whether the base colour may differ from 1."""
+        color = self.base_color
+        return color.requires_grad or not is_plain((color,)) or bool(read_once(color, _differs_from_one))
+
     def textures(self) -> dict[str, Texture]:
         """Collect the textures that the material has.
 
@@ -248,6 +256,10 @@ def _factor(name: str, value: Any, size: int) -> Tensor:
             raise TypeError(f"{name}: expected {size or 'a'} number{'s' * bool(size)}, got {value!r}") from None
     validate.finite(name, validate.floating(name, value, shape))
     return value.float()
+
+
+def _differs_from_one(color: Tensor) -> bool:
+    return bool((color != 1).any())
 
 
 def _moved(owner: Any, device: torch.device | str) -> Any:

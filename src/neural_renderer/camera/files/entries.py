@@ -7,7 +7,8 @@ A file is one camera, or ``{"cameras": [{…}, …]}``. Each has one of
   `Camera.from_matrix`; the default is "opencv"), with ``K`` and so on, ``viewing_angle`` (half, vertical, in degrees),
   or ``"orthographic": true`` and ``scale``;
 - ``clip``, [4, 4], as in `Camera.from_clip`;
-- ``eye``, ``direction``, ``up`` and ``viewing_angle``, as in `Camera.look` and in ``report.json`` of fit.
+- ``eye``, ``direction``, ``up`` and ``viewing_angle``, as in `Camera.look` and in ``report.json`` of fit; or ``at`` in
+  place of ``direction``, as in `Camera.look_at`; without either, the camera looks at the origin.
 
 ``width`` and ``height`` are the size in pixels of the image that K describes, and of the picture.
 """
@@ -24,7 +25,7 @@ _KEYS = {
     "K": ("R", "t", "dist_coeffs", "fisheye"),
     "world_to_camera": ("convention", "K", "dist_coeffs", "fisheye", "viewing_angle", "orthographic", "scale"),
     "clip": (),
-    "eye": ("direction", "up", "viewing_angle"),
+    "eye": ("direction", "at", "up", "viewing_angle"),
 }
 _KEYS["camera_to_world"] = _KEYS["world_to_camera"]
 _FREE = ("width", "height", "file", "mask")
@@ -55,7 +56,7 @@ def entry_camera(where: str, entry: dict[str, Any], size: tuple[int, int] | None
         if kind == "clip":
             return Camera.from_clip(own["clip"])
         if kind == "eye":
-            return Camera.look(**own)
+            return Camera.look(**own) if "direction" in own and "at" not in own else Camera.look_at(**own)
         if kind != "K":
             return Camera.from_matrix(**own)
         make = Camera.fisheye if own.pop("fisheye", False) else Camera.projection

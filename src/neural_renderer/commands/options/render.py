@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import tyro
+
+Saved = Literal["rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"]
+SAVED = get_args(Saved)
+Behind = Literal["white", "black", "transparent", "environment"]
 
 
 @dataclass(frozen=True)
@@ -19,6 +23,8 @@ class RenderOptions:
 
     Example: neural-renderer render chair.glb table.glb -o room.png --camera cameras.json --background room.jpg
 
+    Example: neural-renderer render helmet.glb -o helmet.png --shading pbr --environment studio.hdr
+
     Example: neural-renderer render bunny.obj --save depth depth.png normal normal.exr position position.npy
     """
 
@@ -26,9 +32,7 @@ class RenderOptions:
     """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf. Several are drawn as one scene."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Picture to write: .png or .jpg; .gif or .mp4 for an animation. Must not be a texture of a mesh."""
-    save: dict[Literal["rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"], Path] = field(
-        default_factory=dict
-    )
+    save: dict[Saved, Path] = field(default_factory=dict)
     """Outputs and the files to write: .npy, .exr (needs the extra "exr"), or .png for all but position, uv and
     face_index. rgb and alpha are anti-aliased, the others are those at the pixels' centres; 0 where no face is visible,
     -1 for face_index. Normals (smooth) and positions are in world space; depth is along the viewing axis."""
@@ -60,11 +64,18 @@ class RenderOptions:
     """Number of pictures of a turntable (at least 1), from the azimuth on. 60 by default for an animation."""
     fps: float = 20.0
     """Pictures per second of an animation (above 0)."""
-    background: Literal["white", "black", "transparent"] | tuple[float, float, float] | Path | None = None
+    background: Literal["white", "black", "transparent", "environment"] | tuple[float, float, float] | Path | None = (
+        None
+    )
     """Background of the modes rgb and normals: a name; red, green and blue from 0 to 1; or a photograph, which is
-    scaled to the picture. Transparent needs .png. The default is white."""
+    scaled to the picture. Transparent needs .png, and environment the option of this name. The default is white."""
     light: bool = True
     """Light the model from over the viewer's shoulder. Without light, colours are drawn unchanged."""
+    environment: Path | None = None
+    """Image of the surroundings (equirectangular: .hdr, .exr, .jpg, …) that lights the model in place of this lamp."""
+    shading: Literal["flat", "smooth", "phong", "pbr"] = "flat"
+    """Light on faces as a whole (flat), or on each pixel, with smooth normals and normal maps: matt (smooth), with
+    highlights (phong), or with metal and roughness of the file's materials (pbr)."""
     normalize: bool = True
     """Move the model to the origin and scale its longest side to 2 units. Several meshes are moved together."""
     texture_size: int | None = None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -12,8 +14,12 @@ from ... import validate
 from ...camera import Camera
 from ...camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
 from ...constants import on_device
+from ...io.images import load_image
+from ...io.radiance import read_radiance
+from ...io.values import read_exr
+from ...raster.settings import image_size
 from ...raster.warp.registration import is_plain
-from ..color_space import linear_to_srgb
+from ...textures.color_space import linear_to_srgb, srgb_to_linear
 from ..spherical_harmonics import SphericalHarmonicLight, harmonics
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 from .prefilter import prefiltered, reflected
@@ -29,8 +35,8 @@ class EnvironmentLight:
 
     Attributes:
         image: [H, W, 3] or [B, H, W, 3] floating tensor or array: **linear** radiance ≥ 0, row 0 up (+y), the middle
-            column −z, columns to its right towards +x. Radiance 1 everywhere leaves a white surface white. For an
-            8-bit photograph use `srgb_to_linear`.
+            column −z, columns to its right towards +x. Radiance 1 everywhere leaves a white surface white. `load` reads
+            it from a file.
         intensity: Factor: number, or tensor [] or [B].
 
     Raises:
@@ -52,6 +58,34 @@ class EnvironmentLight:
         if not image.numel():
             raise ValueError(f"image: expected at least one pixel, got {validate.shape_of(image)}")
         object.__setattr__(self, "image", image)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], intensity: Scalar = 1.0) -> EnvironmentLight:
+        """Read an environment from an equirectangular image file.
+
+        Args:
+            path: Radiance (.hdr, .pic) or OpenEXR (.exr; needs the extra "exr") file with linear light, or a picture of
+                8 or 16 bits such as .jpg, which is converted from sRGB.
+            intensity: Factor, as of the class.
+
+        Returns:
+            The light, on the CPU.
+
+        Raises:
+            FileNotFoundError: The file does not exist.
+            ModuleNotFoundError: OpenEXR is not installed.
+            ValueError: The file is damaged, too large, or of another format.
+
+        Example:
+            >>> nr.save_image("room.png", torch.full((8, 16, 3), 0.5))
+            >>> round(nr.EnvironmentLight.load("room.png").image.mean().item(), 2)
+            0.22
+        """
+        suffix = Path(path).suffix.lower()
+        if suffix in (".hdr", ".pic", ".exr"):
+            read = read_exr if suffix == ".exr" else read_radiance
+            return cls(torch.from_numpy(read(Path(path))), intensity)
+        return cls(srgb_to_linear(load_image(path)[..., :3]), intensity)
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Look up the light from directions.
@@ -93,9 +127,7 @@ class EnvironmentLight:
         """
         if not camera.perspective:
             raise ValueError("camera: expected one with perspective, got an orthographic one, which sees one direction")
-        height, width = (
-            validate.whole("size", side, 1) for side in (size if isinstance(size, tuple) else (size, size))
-        )
+        height, width = image_size("size", size)
         like = on_device(camera.origin, torch.as_tensor(self.image).new_empty(0, dtype=torch.float32))
         y, x = (torch.arange(side, dtype=like.dtype, device=like.device) + 0.5 for side in (height, width))
         pixels = torch.stack((x.expand(height, width), y[:, None].expand(height, width)), -1).view(-1, 2)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ...meshes.uv_mesh import UVMesh
+from ...raster.warp.registration import is_plain
 from ...textures.material import Material, Texture
 from .normal_maps import bumped, corner_tangents
 from .planes import planar
@@ -87,17 +88,11 @@ class MaterialMaps:
         return surface
 
     def _tangents(self, uv_set: int) -> Tensor:
+        """Interpolate the tangents of a normal map, [B, H, W, 4]."""
         mesh = self.mesh
         tangents = mesh.tangents
         if tangents is None or uv_set:
-            uv = mesh.uv1 if uv_set and mesh.uv1 is not None else mesh.uv
-            if uv.dim() == 4:
-                faces = mesh.faces.clamp(min=0)  # those of the padding are not drawn
-                normals = [None] * len(uv) if mesh.normals is None else mesh.normals
-                rows = zip(mesh.vertices, faces, uv, normals, strict=True)
-                tangents = torch.stack([corner_tangents(*row) for row in rows])
-            else:
-                tangents = corner_tangents(mesh.vertices, mesh.faces, uv, mesh.normals)
+            tangents = _kept_tangents(mesh, mesh.uv1 if uv_set and mesh.uv1 is not None else mesh.uv)
         return self.fragments.interpolate(tangents if tangents.dim() == 4 else tangents[None])
 
     def _sample(self, number: int, texture: Texture) -> Tensor:
@@ -114,3 +109,27 @@ class MaterialMaps:
     def _spread(self, rows: Tensor) -> Tensor:
         """Take a row [M, C] of the material of each pixel."""
         return rows[0].reshape(1, 1, 1, -1) if self.shown is None else planar(rows[self.shown])
+
+
+def _kept_tangents(mesh: UVMesh, uv: Tensor) -> Tensor:
+    """Compute tangents of a mesh, [F, 3, 4] or [B, F, 3, 4]; keep them until it changes, unless they get gradients."""
+    parts = tuple(part for part in (mesh.vertices, mesh.faces, uv, mesh.normals) if part is not None)
+    moves = any(part.requires_grad for part in parts) and torch.is_grad_enabled()
+    if moves or not is_plain(parts) or any(part.is_inference() for part in parts):
+        return _computed_tangents(mesh, uv)
+    key = [(id(part), part._version) for part in parts]
+    known = mesh.__dict__.get("_tangents")  # the class is frozen
+    if known is None or known[0] != key:
+        with torch.inference_mode(False), torch.no_grad():
+            known = mesh.__dict__["_tangents"] = (key, _computed_tangents(mesh, uv))
+    tangents: Tensor = known[1]
+    return tangents
+
+
+def _computed_tangents(mesh: UVMesh, uv: Tensor) -> Tensor:
+    if uv.dim() == 3:
+        return corner_tangents(mesh.vertices, mesh.faces, uv, mesh.normals)
+    faces = mesh.faces.clamp(min=0)  # those of the padding are not drawn
+    normals = [None] * len(uv) if mesh.normals is None else mesh.normals
+    rows = zip(mesh.vertices, faces, uv, normals, strict=True)
+    return torch.stack([corner_tangents(*row) for row in rows])

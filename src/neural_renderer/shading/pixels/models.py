@@ -12,7 +12,7 @@ from ... import validate
 from ...camera import Camera
 from ...meshes.uv_mesh import UVMesh
 from ...raster.visibility.continuity import attribute_edge_hashes, image_edge_hashes
-from ..color_space import linear_to_srgb, srgb_to_linear
+from ...textures.color_space import linear_to_srgb, srgb_to_linear
 from ..pbr import PBR, shade_pbr
 from ..phong import Phong, shade_diffuse, shade_phong
 from .material_maps import MaterialMaps
@@ -70,10 +70,11 @@ def shade_pixels(
         surface = maps.bumped(surface)
     if isinstance(model, str):
         colors = _by_name(model, surface, maps, albedo, lights)
-        if len(colors) != len(albedo):
-            raise ValueError(f"light: expected parameters for {len(albedo)} images or for all, got {len(colors)}")
-        return colors
-    return validate.floating("shading", model.shade(surface, albedo, lights), tuple(albedo.shape)).float()
+    else:
+        colors = model.shade(surface, albedo, lights)
+    if isinstance(colors, Tensor) and colors.shape[1:] == albedo.shape[1:] and len(colors) != len(albedo):
+        raise ValueError(f"light: expected parameters for {len(albedo)} images or for all, got {len(colors)}")
+    return validate.floating("shading", colors, tuple(albedo.shape)).float()
 
 
 def _by_name(
@@ -91,7 +92,7 @@ def _by_name(
 
 def _pbr(surface: VisibleSurface, maps: MaterialMaps, albedo: Tensor, lights: Sequence[Any]) -> Tensor:
     """Shade by materials; from display values and to them."""
-    base = srgb_to_linear(albedo) * maps.factor("base_color")
+    base = srgb_to_linear(albedo)
     emissive_image = maps.textured("emissive_texture")
     emissive = maps.factor("emissive")
     if emissive_image is not None:
@@ -109,6 +110,17 @@ def surface_edge_hashes(mesh: UVMesh) -> Tensor:
     for values in (mesh.normals, mesh.uv1):
         if values is not None:
             hashes = hashes + attribute_edge_hashes(values)
+    return _with_materials(hashes, mesh)
+
+
+def flat_edge_hashes(mesh: UVMesh, light: Tensor | None) -> Tensor:
+    """Hash all that colours under light on whole faces depend on along each edge; as `image_edge_hashes`."""
+    hashes = image_edge_hashes(mesh.uv, mesh.image_index, light)
+    return _with_materials(hashes, mesh) if any(material.is_tinted for material in mesh.materials) else hashes
+
+
+def _with_materials(hashes: Tensor, mesh: UVMesh) -> Tensor:
+    """Add the materials of faces to the hashes of their edges."""
     if mesh.material_index is not None:
         hashes = hashes + attribute_edge_hashes(mesh.material_index[..., None, None].repeat_interleave(3, -2))
     return torch.where(hashes == 0, 1, hashes)  # 0 matches nothing

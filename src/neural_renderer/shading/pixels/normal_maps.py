@@ -57,7 +57,9 @@ def corner_tangents(vertices: Tensor, faces: Tensor, uv: Tensor, normals: Tensor
     own = _in_plane(tangents[:, None].expand_as(points), normals)
     before, after = (_in_plane(points.roll(shift, 1) - points, normals) for shift in (1, -1))
     sine = torch.linalg.vector_norm(torch.linalg.cross(before, after, dim=-1), dim=-1, keepdim=True)
-    angle = torch.atan2(sine, (before * after).sum(-1, keepdim=True) + _EPS)
+    cosine = (before * after).sum(-1, keepdim=True)
+    # A side without length has no angle: its sine and cosine are 0, where atan2 has no derivative.
+    angle = torch.atan2(sine, torch.where((sine == 0) & (cosine == 0), 1.0, cosine))
     signs = sign[:, None].expand(-1, 3, 1)
     same = torch.cat((points, normals, uv, signs), -1).detach().reshape(-1, 9)
     group = torch.unique(same + 0.0, dim=0, return_inverse=True)[1]
@@ -91,13 +93,20 @@ def _face_tangents(points: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
     (u1, v1), (u2, v2) = ((uv[:, k] - uv[:, 0]).unbind(-1) for k in (1, 2))
     area = (u1 * v2 - v1 * u2)[:, None]
     sign = torch.where(area > 0, 1.0, -1.0)
-    tangents = functional.normalize(v2[:, None] * along - v1[:, None] * across, dim=-1, eps=_EPS) * sign
-    return torch.where(area == 0, torch.zeros_like(tangents), tangents), sign.detach()
+    towards = v2[:, None] * along - v1[:, None] * across
+    return _unit(torch.where(area == 0, torch.zeros_like(towards), towards)) * sign, sign.detach()
 
 
 def _in_plane(vectors: Tensor, normals: Tensor) -> Tensor:
     """Project vectors onto the plane of the normal, as unit vectors."""
-    return functional.normalize(vectors - (vectors * normals).sum(-1, keepdim=True) * normals, dim=-1, eps=_EPS)
+    return _unit(vectors - (vectors * normals).sum(-1, keepdim=True) * normals)
+
+
+def _unit(vectors: Tensor) -> Tensor:
+    """Divide vectors by their lengths; one shorter than `_EPS` becomes 0, and passes no gradient."""
+    short = torch.linalg.vector_norm(vectors.detach(), dim=-1, keepdim=True) < _EPS
+    known = torch.where(short, torch.ones_like(vectors), vectors)
+    return torch.where(short, torch.zeros_like(vectors), functional.normalize(known, dim=-1, eps=_EPS))
 
 
 def _any_tangent(normals: Tensor) -> Tensor:

@@ -1,0 +1,106 @@
+"""Reading of Radiance's pictures (.hdr, .pic): RGB with a shared exponent, for linear light of any strength.
+
+The format is that of Ward, "Real Pixels" (Graphics Gems II, 1991): a header of lines that ends with an empty one, the
+size, then rows of pixels, of four bytes each, plain or run-length encoded in one of two ways.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+
+import numpy as np
+from PIL import Image
+
+from .files import existing
+
+_SIZE = re.compile(rb"([+-])Y (\d{1,9}) ([+-])X (\d{1,9})$")
+_CODED = range(8, 32768)  # widths of rows that may hold the runs of each channel one after the other
+
+
+def read_radiance(path: str | os.PathLike[str]) -> np.ndarray:
+    """Read a Radiance picture.
+
+    Args:
+        path: File in the format "32-bit_rle_rgbe".
+
+    Returns:
+        [H, W, 3] float32, linear RGB; row 0 at the top.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ValueError: The file is damaged, of another format, or has more than ``PIL.Image.MAX_IMAGE_PIXELS`` pixels.
+    """
+    data = existing(path).read_bytes()
+    header, _, rest = data.partition(b"\n\n")
+    lines = header.split(b"\n")
+    if not lines[0].startswith(b"#?"):
+        raise ValueError(f"{path}: expected a picture of Radiance, got a file of another format")
+    values = [line.partition(b"=")[::2] for line in lines[1:]]
+    if any(name == b"FORMAT" and value.strip() != b"32-bit_rle_rgbe" for name, value in values):
+        raise ValueError(f"{path}: expected RGB with an exponent (32-bit_rle_rgbe), got another format")
+    first, _, rest = rest.partition(b"\n")
+    size = _SIZE.match(first.strip())
+    if size is None:
+        raise ValueError(f"{path}: expected a size such as -Y 512 +X 1024, got {first[:40]!r}")
+    height, width = int(size[2]), int(size[4])
+    limit = Image.MAX_IMAGE_PIXELS
+    if not height * width or (limit is not None and height * width > limit):
+        raise ValueError(f"{path}: expected a picture of 1 to {limit} pixels, got {width} x {height}")
+    try:
+        exposure = np.prod([float(value) for name, value in values if name == b"EXPOSURE"], initial=1.0)
+        pixels = np.frombuffer(_pixels(rest, height, width), np.uint8).reshape(height, width, 4)
+        if not 0 < exposure < np.inf:
+            raise ValueError
+    except (IndexError, ValueError):
+        raise ValueError(f"{path}: expected a picture of Radiance, got a damaged one") from None
+    pixels = pixels[:: -1 if size[1] == b"+" else 1, :: -1 if size[3] == b"-" else 1]
+    # An exponent of 0 means black.
+    scale = np.where(pixels[..., 3:] > 0, np.exp2(pixels[..., 3:].astype(np.float64) - 136), 0) / exposure
+    return (pixels[..., :3] * scale).astype(np.float32)
+
+
+def _pixels(data: bytes, height: int, width: int) -> bytes:
+    """Decode the rows to height · width · 4 bytes; raise IndexError or ValueError if they end too early."""
+    rows, at = [], 0
+    for _ in range(height):
+        if width in _CODED and data[at : at + 2] == b"\2\2" and data[at + 2] << 8 | data[at + 3] == width:
+            row, at = _row_of_channels(data, at + 4, width)
+        else:
+            row, at = _row_of_pixels(data, at, width)
+        rows.append(row)
+    return b"".join(rows)
+
+
+def _row_of_channels(data: bytes, at: int, width: int) -> tuple[bytes, int]:
+    """Decode a row whose four channels are coded one after the other; return it, and where the next one begins."""
+    row = bytearray()
+    while len(row) < 4 * width:
+        count = data[at]
+        if count > 128:  # a run of one byte
+            row += data[at + 1 : at + 2] * (count - 128)
+            at += 2
+        else:
+            row += data[at + 1 : at + 1 + count]
+            at += 1 + count
+        if not count:
+            raise ValueError
+    return np.frombuffer(bytes(row), np.uint8).reshape(4, width).T.tobytes(), at
+
+
+def _row_of_pixels(data: bytes, at: int, width: int) -> tuple[bytes, int]:
+    """Decode a row of pixels; (1, 1, 1, n) repeats the one before, n · 256ᵏ times after k such pixels."""
+    row, shift = bytearray(), 0
+    while len(row) < 4 * width:
+        pixel = data[at : at + 4]
+        at += 4
+        if pixel[:3] == b"\1\1\1" and row:
+            row += bytes(row[-4:]) * min(pixel[3] << shift, width)
+            shift += 8
+        elif len(pixel) == 4:
+            row, shift = row + pixel, 0
+        else:
+            raise IndexError
+    if len(row) != 4 * width:
+        raise ValueError
+    return bytes(row), at

@@ -1,0 +1,50 @@
+"""The sheets beside Mitsuba 3, with a stand-in that returns black pictures: what we ask of Mitsuba can be asked."""
+
+from __future__ import annotations
+
+import sys
+import types
+
+import numpy as np
+import pytest
+import torch
+
+import neural_renderer as nr
+from benchmarks import layers_sheet, shading_sheet
+
+
+class Transform:
+    """Transforms of Mitsuba, which read nothing."""
+
+    def look_at(self, origin: list[float], target: list[float], up: list[float]) -> Transform:
+        return self
+
+    def rotate(self, axis: list[float], angle: float) -> Transform:
+        return self
+
+
+def render(scene: dict, spp: int) -> np.ndarray:
+    film = scene["sensor"]["film"]
+    assert scene["type"] == "scene" and spp > 0
+    return np.zeros((film["height"], film["width"], 3), np.float32)
+
+
+@pytest.fixture
+def mitsuba(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = {"set_variant": str, "ScalarTransform4f": Transform, "Bitmap": np.asarray, "load_dict": dict}
+    monkeypatch.setitem(sys.modules, "mitsuba", types.SimpleNamespace(render=render, **names))  # type: ignore[arg-type]
+
+
+def test_the_sheet_of_layers_is_drawn(mitsuba, tmp_path, monkeypatch, capsys) -> None:
+    path = tmp_path / "layers.png"
+    monkeypatch.setattr(sys, "argv", ["layers_sheet", "-o", str(path), "--size", "16", "--samples", "1"])
+    layers_sheet.main()
+    assert nr.load_image(path).shape[2] == 3
+    assert "no reference" not in capsys.readouterr().out
+
+
+def test_every_row_of_the_sheet_of_shading_has_its_reference(mitsuba) -> None:
+    rows = list(shading_sheet.pictures())
+    found = [shading_sheet.reference(row, 8, 1) for row in rows]
+    assert [row.name for row, picture in zip(rows, found, strict=True) if picture is None] == ["Phong"]
+    assert all(picture is None or torch.equal(picture, torch.zeros(3, 8, 8)) for picture in found)
