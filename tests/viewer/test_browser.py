@@ -130,7 +130,7 @@ def test_pause_settings_and_stop(browser: Browser, open_viewer: Callable[..., Vi
     import threading
 
     viewer, steps = open_viewer(), [0]
-    rate = viewer.knob("rate", 0.5, most=1.0)
+    rate, weight = viewer.knob("rate", 0.5, most=1.0), viewer.knob("weight", 100.0)
 
     def work() -> None:
         while viewer.proceed():
@@ -153,6 +153,11 @@ def test_pause_settings_and_stop(browser: Browser, open_viewer: Callable[..., Vi
         assert steps[0] == paused
         type_into(browser, "rate", "0.25")
         wait_until(lambda: rate() == 0.25, "a rate of 0.25")
+        type_into(browser, "weight", "2.5e-4")  # it was 100
+        wait_until(lambda: weight() == 2.5e-4, "a weight of 0.00025")
+        type_into(browser, "rate", "-3")
+        browser.wait_for_text("rate: expected a number from 0 to 1, got '-3'")
+        assert rate() == 0.25
         browser.click("Go on")
         wait_until(lambda: steps[0] > paused, "more steps")
         browser.click("Stop and keep")

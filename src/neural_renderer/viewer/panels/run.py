@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...tasks.observer import Knob
+from .settings import SettingsPanel
 
 if TYPE_CHECKING:
     import viser
@@ -18,7 +18,6 @@ _MOST_POINTS = 400  # of a curve
 _MOST_CURVES = 4
 _CURVE_HEIGHT = 120  # pixels
 _COLOR = "#2b5a8c"
-_LAST = 1e9  # order of the settings, below the curves
 
 
 class Run:
@@ -68,7 +67,7 @@ class Run:
         with self._lock:
             self._changes[name] = self._values[name] = value
 
-    def present(self, name: str, value: float) -> float | str:
+    def present(self, name: str, value: float | str) -> float | str:
         """Return the last change of a setting, or ``value`` without one."""
         with self._lock:
             return self._values.get(name, value)
@@ -95,7 +94,7 @@ class RunPanel:
             hint = "End after this step, and keep the result"
             self._stop = gui.add_button("Stop and keep", color="red", icon=viser.Icon.PLAYER_STOP, hint=hint)
         self._curves: dict[str, Any] = {}
-        self._settings: Any = None
+        self._settings = SettingsPanel(server, run.change)
         self._offered: dict[str, Knob] = {}
 
         def pause(_: Any) -> None:
@@ -122,16 +121,15 @@ class RunPanel:
             if len(points):
                 self._show_curve(name, points)
         if run.knobs != self._offered:
-            self._show_settings(dict(run.knobs))
+            self._offered = dict(run.knobs)
+            with self._folder:
+                self._settings.show(self._offered)
 
     def finish(self, text: str) -> None:
         """Show that the run is over."""
         self._pause.visible = self._stop.visible = False
-        if self._settings is not None:
-            self._settings.remove()
-            self._settings = None
         self._run.text, self._run.paused, self._run.stopped = text, False, False
-        self._offered = self._run.knobs = {}
+        self._run.knobs = {}
         self.update()
 
     def _show_pause(self) -> None:
@@ -160,30 +158,3 @@ class RunPanel:
                 legend=viser.uplot.Legend(show=False),
                 height=_CURVE_HEIGHT,
             )
-
-    def _show_settings(self, knobs: dict[str, Knob]) -> None:
-        """Show a field for each setting that may change."""
-        self._offered = knobs
-        if self._settings is not None:
-            self._settings.remove()
-            self._settings = None
-        if not knobs:
-            return
-        with self._folder:
-            self._settings = self._server.gui.add_folder("Settings", order=_LAST)
-        with self._settings:
-            for knob in knobs.values():
-                self._add_field(knob)
-
-    def _add_field(self, knob: Knob) -> None:
-        """Add the field of a setting."""
-        gui, label = self._server.gui, knob.name.replace("_", " ")
-        field: Any
-        if knob.choices:
-            field = gui.add_dropdown(label, knob.choices, initial_value=str(knob.value))
-        else:
-            value = float(knob.value)
-            step = 10.0 ** (math.floor(math.log10(abs(value))) - 2) if value else 0.01
-            field = gui.add_number(label, value, min=knob.least, max=knob.most, step=step)
-
-        field.on_update(lambda _: self._run.change(knob.name, field.value))
