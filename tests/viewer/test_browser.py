@@ -174,9 +174,10 @@ def type_into(browser: Browser, label: str, text: str) -> None:
     select = f"""(() => {{
         const name = {json.dumps(label)};
         const label = [...document.querySelectorAll("label")].find((one) => one.innerText.trim() === name);
-        const field = label && (document.getElementById(label.htmlFor)
-            || label.parentElement.parentElement.querySelector("input"));
-        if (!field) return false;
+        let part = label;
+        while (part && !part.querySelector("input")) part = part.parentElement;
+        if (!part) return false;
+        const field = part.querySelector("input");
         field.focus(); field.select();
         return true;
     }})()"""
