@@ -201,6 +201,26 @@ def test_a_closed_browser_stops_nothing(browser: Browser, open_viewer: Callable[
     wait_for_pixels(browser, lambda pixels: reddish(pixels).sum() > 2000, "the ball again")
 
 
+def test_a_page_that_was_open_before_sees_all(browser: Browser, open_viewer: Callable[..., Viewer]) -> None:
+    """Its camera follows the meshes that come, until somebody moves it."""
+    viewer = open_viewer()
+    browser.open(viewer.url)
+    wait_until(lambda: viewer.clients == 1, "a browser")
+    [client] = viewer._page.server.get_clients().values()
+    for size in (5.0, 20.0):
+        viewer.show(sphere(RED, size))
+        expected = size * 3.7  # distance of a ball in a field of view of 0.7: 1 / sin(0.35), and a margin
+        wait_until(
+            lambda expected=expected: 0.7 < np.linalg.norm(client.camera.position) / expected < 1.3, "the whole ball"
+        )
+    browser.drag((300, 400), (440, 420))
+    wait_until(lambda: not viewer._page.scene._is_unmoved(client), "a camera that has moved")
+    viewer.show(sphere(RED, 1.0))
+    viewer.flush()
+    time.sleep(1.0)
+    assert np.linalg.norm(client.camera.position) > 50  # turned, but where it was
+
+
 def test_a_page_outlives_its_killed_program(browser: Browser, tmp_path: Path) -> None:
     """After kill -9 the page says that the connection is lost, and the port is free again."""
     pytest.importorskip("viser")
