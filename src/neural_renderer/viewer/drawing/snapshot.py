@@ -37,10 +37,10 @@ class Snapshot:
         Returns:
             The rest, whose unusable vertices are at the origin, and the number of faces left out.
         """
-        finite = np.isfinite(self.vertices.numpy()).all(1)
+        finite = np.isfinite(self.vertices.numpy())
         if finite.all():
             return self, 0
-        good = torch.from_numpy(finite)
+        good = torch.from_numpy(finite.all(1))
         vertices = torch.where(good[:, None], self.vertices, 0.0)
         kept = good[self.faces.long()].all(1)
         textures = None if self.textures is None else self.textures[kept]
