@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 _MOST_POINTS = 400  # of a curve
 _MOST_CURVES = 4
 _CURVE_HEIGHT = 120  # pixels
+_CURVES_PAUSE = 0.5  # seconds
 _COLOR = "#2b5a8c"
 
 
@@ -83,43 +85,46 @@ class RunPanel:
     """Controls of a run. The methods are called in the worker's thread."""
 
     def __init__(self, server: viser.ViserServer, run: Run) -> None:
-        import viser
-
         self._server, self._run = server, run
         gui = server.gui
         self._folder = gui.add_folder("Run", order=-2)
         with self._folder:
             self._status = gui.add_markdown("")
-            self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+            # Without icons: viser takes a fifth of a second to find one.
+            self._pause = gui.add_button("Pause")
             hint = "End after this step, and keep the result"
-            self._stop = gui.add_button("Stop and keep", color="red", icon=viser.Icon.PLAYER_STOP, hint=hint)
+            self._stop = gui.add_button("Stop and keep", color="red", hint=hint)
         self._curves: dict[str, Any] = {}
+        self._next_curves = 0.0  # time
         self._settings = SettingsPanel(server, run.change)
         self._offered: dict[str, Knob] = {}
 
         def pause(_: Any) -> None:
             run.paused = not run.paused
-            self._show_pause()
-            self.update()
+            self._pause.label = "Go on" if run.paused else "Pause"
+            self.update(curves=True)
 
         def stop(_: Any) -> None:
             run.stopped = True
             self._pause.disabled = self._stop.disabled = True
-            self.update()
+            self.update(curves=True)
 
         self._pause.on_click(pause)
         self._stop.on_click(stop)
 
-    def update(self) -> None:
-        """Show the state of the run."""
+    def update(self, curves: bool = False) -> None:
+        """Show the state of the run; its curves twice a second at most, or now."""
         run = self._run
         state = "stopping" if run.stopped else "paused" if run.paused else ""
         text = f"**{state}** · {run.text}" if state and run.text else f"**{state}**" if state else run.text
         if self._status.content != text:
             self._status.content = text
-        for name, points in list(run.curves().items())[:_MOST_CURVES]:
-            if len(points):
-                self._show_curve(name, points)
+        now = time.monotonic()
+        if curves or now >= self._next_curves:
+            self._next_curves = now + _CURVES_PAUSE
+            for name, points in list(run.curves().items())[:_MOST_CURVES]:
+                if len(points):
+                    self._show_curve(name, points)
         if run.knobs != self._offered:
             self._offered = dict(run.knobs)
             with self._folder:
@@ -130,15 +135,7 @@ class RunPanel:
         self._pause.visible = self._stop.visible = False
         self._run.text, self._run.paused, self._run.stopped = text, False, False
         self._run.knobs = {}
-        self.update()
-
-    def _show_pause(self) -> None:
-        """Name the button by what it does."""
-        import viser
-
-        paused = self._run.paused
-        self._pause.label = "Go on" if paused else "Pause"
-        self._pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
+        self.update(curves=True)
 
     def _show_curve(self, name: str, points: np.ndarray) -> None:
         """Draw a curve."""
