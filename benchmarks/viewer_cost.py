@@ -3,15 +3,21 @@
 Steps of an optimisation with and without the viewer alternate in one process, so that other programs slow down both
 alike. A browser without a window looks, if Chromium is installed; otherwise a record is made. It draws on the same
 processors, which slows down the steps; the processor time of the program itself, with all threads of the viewer, is
-what a browser elsewhere would leave.
+what a browser elsewhere would leave. ``--receiver`` connects such a browser elsewhere: a program that receives
+everything and draws nothing.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import torch
@@ -21,6 +27,15 @@ from neural_renderer.viewer.viewer import Viewer
 from tests.viewer.browser import Browser, find_browser, wait_until
 
 _BLOCK = 2.0  # seconds of steps with, and then without the viewer
+_RECEIVER = """
+import sys
+from websockets.sync.client import connect
+with connect(sys.argv[1], subprotocols=[sys.argv[2]], max_size=None) as server:
+    server.recv()
+    print("connected", flush=True)
+    for _ in server:
+        pass
+"""
 
 
 def main() -> None:
@@ -28,7 +43,16 @@ def main() -> None:
     parser.add_argument("--blocks", type=int, default=10, help="pairs of blocks")
     parser.add_argument("--size", type=int, default=256, help="side of the images")
     parser.add_argument("--record", action="store_true", help="a record in place of a browser")
+    parser.add_argument("--receiver", action="store_true", help="a program that draws nothing in place of a browser")
     options = parser.parse_args()
+    print(f"load {os.getloadavg()[0]:.1f}")
+    if options.receiver:
+        for colored in (False, True):
+            viewer = Viewer(port=0)
+            with _receiver(viewer):
+                _measure(viewer, 5, colored, options)
+            viewer.close()
+        return
     program = None if options.record else find_browser()
     with tempfile.TemporaryDirectory() as folder:
         for level, colored in ((5, False), (5, True)):
@@ -41,6 +65,21 @@ def main() -> None:
                     wait_until(lambda viewer=viewer: viewer.clients == 1, "the browser")
                     _measure(viewer, level, colored, options)
             print(viewer.close() or "", flush=True)
+
+
+@contextlib.contextmanager
+def _receiver(viewer: Viewer) -> Iterator[None]:
+    """Connect a program that receives what a browser would."""
+    import viser
+
+    address = (viewer.url or "").replace("http", "ws")
+    command = [sys.executable, "-c", _RECEIVER, address, f"viser-v{viser.__version__}"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        if process.stdout is not None:
+            process.stdout.readline()
+        viewer._newest._is_watched = lambda: True  # viser counts browsers that have told their cameras
+        yield
+        process.kill()
 
 
 def _measure(viewer: Viewer, level: int, colored: bool, options: argparse.Namespace) -> None:

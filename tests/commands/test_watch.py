@@ -140,11 +140,21 @@ def test_meshes_side_by_side(tmp_path: Path) -> None:
     assert list(Record(record).meshes(0)) == ["spot", "teapot"]
 
 
+def test_a_training_and_a_data_set_are_viewed(tmp_path: Path) -> None:
+    (tmp_path / "trained").mkdir()
+    (tmp_path / "trained" / "log.csv").write_text("step,loss,iou,val_iou\n1,0.5,0.2,\n2,0.25,,0.3\n")
+    numbers = read_results(tmp_path / "trained").numbers
+    assert numbers == {"loss": [(1, 0.5), (2, 0.25)], "iou": [(1, 0.2)], "val_iou": [(2, 0.3)]}
+    (tmp_path / "data" / "sheets").mkdir(parents=True)
+    nr.save_image(tmp_path / "data" / "sheets" / "chair.png", torch.rand(8, 8, 3))
+    assert list(read_results(tmp_path / "data").pictures) == ["sheets/chair.png"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
         (["none.obj"], "none.obj: expected a mesh, a record or a folder, got nothing there"),
-        (["empty"], "empty: expected meshes, pictures or a record, got none"),
+        (["empty"], "empty: expected meshes, pictures, curves or a record, got none"),
         (["damaged"], "damaged/mesh.glb: cannot be read as GLB"),
         (["damaged/mesh.glb"], "damaged/mesh.glb: cannot be read as GLB"),
         (["page.html"], "path: expected a file that ends in"),

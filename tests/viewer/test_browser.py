@@ -130,7 +130,7 @@ def test_pause_settings_and_stop(browser: Browser, open_viewer: Callable[..., Vi
     import threading
 
     viewer, steps = open_viewer(), [0]
-    rate = viewer.knob("rate", 0.5, most=1.0)
+    rate, weight = viewer.knob("rate", 0.5, most=1.0), viewer.knob("weight", 100.0)
 
     def work() -> None:
         while viewer.proceed():
@@ -153,6 +153,11 @@ def test_pause_settings_and_stop(browser: Browser, open_viewer: Callable[..., Vi
         assert steps[0] == paused
         type_into(browser, "rate", "0.25")
         wait_until(lambda: rate() == 0.25, "a rate of 0.25")
+        type_into(browser, "weight", "2.5e-4")  # it was 100
+        wait_until(lambda: weight() == 2.5e-4, "a weight of 0.00025")
+        type_into(browser, "rate", "-3")
+        browser.wait_for_text("rate: expected a number from 0 to 1, got '-3'")
+        assert rate() == 0.25
         browser.click("Go on")
         wait_until(lambda: steps[0] > paused, "more steps")
         browser.click("Stop and keep")
@@ -169,9 +174,10 @@ def type_into(browser: Browser, label: str, text: str) -> None:
     select = f"""(() => {{
         const name = {json.dumps(label)};
         const label = [...document.querySelectorAll("label")].find((one) => one.innerText.trim() === name);
-        const field = label && (document.getElementById(label.htmlFor)
-            || label.parentElement.parentElement.querySelector("input"));
-        if (!field) return false;
+        let part = label;
+        while (part && !part.querySelector("input")) part = part.parentElement;
+        if (!part) return false;
+        const field = part.querySelector("input");
         field.focus(); field.select();
         return true;
     }})()"""
@@ -193,6 +199,24 @@ def test_a_closed_browser_stops_nothing(browser: Browser, open_viewer: Callable[
     viewer.flush()
     browser.open(viewer.url)  # it may come back
     wait_for_pixels(browser, lambda pixels: reddish(pixels).sum() > 2000, "the ball again")
+
+
+def test_a_page_that_was_open_before_sees_all(browser: Browser, open_viewer: Callable[..., Viewer]) -> None:
+    """Its camera follows the meshes that come, until somebody moves it."""
+    viewer = open_viewer()
+    browser.open(viewer.url)
+    wait_until(lambda: viewer.clients == 1, "a browser")
+    [client] = viewer._page.server.get_clients().values()
+    for size in (5.0, 20.0):
+        viewer.show(sphere(RED, size))
+        # All corners of the box around it are in a field of view of 0.7.
+        wait_until(lambda size=size: 3 < float(np.linalg.norm(client.camera.position)) / size < 6, "the whole ball")
+    browser.drag((300, 400), (440, 420))
+    wait_until(lambda: not viewer._page.scene._is_unmoved(client), "a camera that has moved")
+    viewer.show(sphere(RED, 1.0))
+    viewer.flush()
+    time.sleep(1.0)
+    assert np.linalg.norm(client.camera.position) > 50  # turned, but where it was
 
 
 def test_a_page_outlives_its_killed_program(browser: Browser, tmp_path: Path) -> None:

@@ -61,6 +61,21 @@ def test_the_nearer_mesh_hides_the_other() -> None:
     assert depth[16, 21, 0] > 200 and depth[0, 0, 0] == 0
 
 
+def test_depth_has_shades() -> None:
+    """Outlines, where depth is a mean with the far plane, have the depth of the mesh."""
+    view, camera = view_from((0.0, 0.0, -3.0))
+    mesh = nr.Mesh.icosphere(3, radius=0.5)
+    grey = picture([(take_snapshot(mesh), np.zeros(3))], view, 48, output="depth")[..., 0].astype(float)
+    images = nr.render((mesh.vertices, mesh.faces), camera, (48, 64), outputs=("alpha", "depth"), anti_aliasing=False)
+    inside = images.alpha[0] == 1
+    depth = images.depth[0][inside].detach().double().numpy()
+    shades = grey[inside.numpy()]
+    low, high = depth.min(), np.quantile(depth, 0.98)
+    # An outline's samples differ in depth by less than a tenth of the sphere's; a shade is 1/255.
+    assert np.abs(shades / 255 - (1 - 0.75 * ((depth - low) / (high - low)).clip(0, 1))).mean() < 0.05
+    assert shades.max() > 240 and np.quantile(shades, 0.05) < 110
+
+
 @pytest.mark.parametrize("estimator", ["nmr", "edge"])
 @pytest.mark.parametrize("loss", [*FREE_LOSSES, *IMAGE_LOSSES])
 def test_gradients_are_those_of_the_loss(loss: str, estimator: str) -> None:

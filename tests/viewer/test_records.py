@@ -165,3 +165,19 @@ def test_nothing_of_viser_is_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     with nr.view(browser=False, record=tmp_path / "run.html") as viewer:
         viewer.show(nr.Mesh.icosphere(1))
     assert len(Record(tmp_path / "run.html")) == 1
+
+
+def test_curves_of_phases_follow_each_other(tmp_path: Path) -> None:
+    """Phases count their steps from 1; a frame that is added late belongs to its own phase."""
+    recorder = Recorder(tmp_path / "run.html")
+    copy = {"mesh": take_snapshot(nr.Mesh.icosphere(0))}
+    for step in range(1, 6):
+        recorder.log(step, {"loss": 1.0})
+    recorder.add(4, copy, "shape")
+    recorder.log(1, {"loss": 2.0})
+    recorder.add(5, copy, "shape")
+    recorder.log(2, {"loss": 2.0})
+    recorder.add(2, copy, "texture")
+    recorder.write()
+    assert [step for step, _ in Record(recorder.path).numbers["loss"]] == [1, 2, 3, 4, 5, 6, 7]
+    assert [frame["place"] for frame in recorder._frames] == [4, 5, 7]

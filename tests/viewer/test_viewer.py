@@ -17,10 +17,13 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.tasks.observer import Knob, goes_on
+from neural_renderer.viewer.panels.settings import problem_of
 from neural_renderer.viewer.records.replay import Record
+from neural_renderer.viewer.server import is_own_page
 from neural_renderer.viewer.viewer import Viewer
 from neural_renderer.viewer.worker import Worker
 from tests.programs import run_python
+from tests.viewer.browser import wait_until
 
 MESH = nr.Mesh.icosphere(1)
 PATIENCE = 60.0  # seconds
@@ -206,6 +209,27 @@ def test_pause_stop_and_settings() -> None:
     viewer.close()
 
 
+def test_a_further_setting_keeps_the_others() -> None:
+    with Viewer(browser=False) as viewer:
+        rate = viewer.knob("rate", 0.1, most=1.0)
+        viewer._run.change("rate", 0.5)
+        weight = viewer.knob("weight", 3.0)
+        assert viewer.knob("rate", 0.1, most=1.0)() == rate() == 0.5 and weight() == 3.0
+        # The fields show what holds.
+        assert {name: knob.value for name, knob in viewer._run.knobs.items()} == {"rate": 0.5, "weight": 3.0}
+
+
+@pytest.mark.parametrize("text", ["1e-4", "0", " 0.0025 ", "1"])
+def test_numbers_of_settings(text: str) -> None:
+    assert problem_of(Knob("rate", 100.0, 0.0, 1.0), text) is None
+
+
+@pytest.mark.parametrize("text", ["", "1e", "-3", "2", "nan", "inf", "0,5"])
+def test_what_is_no_number_of_a_setting(text: str) -> None:
+    problem = problem_of(Knob("vertex_rate", 0.5, 0.0, 1.0), text)
+    assert problem == f"vertex rate: expected a number from 0 to 1, got {text!r}"
+
+
 class TestServer:
     def test_a_port_in_use_moves_to_the_next(self, open_viewer: Callable[..., Viewer]) -> None:
         with socket.socket() as taken:
@@ -230,6 +254,45 @@ class TestServer:
             open_viewer(host="no.such.host.invalid")
         with pytest.raises(OSError, match=r"host: expected an address of this machine, got '192\.0\.2\.1'"):
             open_viewer(host="192.0.2.1")
+
+    def test_pages_of_other_servers_are_refused(self, open_viewer: Callable[..., Viewer]) -> None:
+        """The page itself, a tunnel's other port and programs without a page connect; other pages do not."""
+        viser = pytest.importorskip("viser")
+        from websockets.exceptions import InvalidStatus
+        from websockets.sync.client import connect
+        from websockets.typing import Subprotocol
+
+        viewer = open_viewer()
+        address = viewer.url.replace("http", "ws")
+        protocols = [Subprotocol(f"viser-v{viser.__version__}")]
+
+        def join(origin: Any) -> None:
+            with connect(address, origin=origin, subprotocols=protocols, max_size=None) as one:
+                assert one.recv(timeout=60)  # the scene
+
+        for origin in (viewer.url, None):
+            join(origin)
+        for origin in ("http://example.org", "null", viewer.url.replace("127.0.0.1", "localhost"), viewer.url + "1"):
+            with pytest.raises(InvalidStatus, match="403"):
+                join(origin)
+        wait_until(lambda: viewer.clients == 0, "the end of the connections")
+
+    @pytest.mark.parametrize(
+        ("origin", "host", "is_local", "is_own"),
+        [
+            ("http://127.0.0.1:9000", "127.0.0.1:9000", True, True),
+            ("http://localhost:8080", "localhost:8080", True, True),
+            ("http://[::1]:8080", "[::1]:8080", True, True),
+            ("https://lab.example.org", "lab.example.org", False, True),
+            ("http://evil.example.org:8080", "evil.example.org:8080", True, False),  # a name that points to 127.0.0.1
+            ("http://evil.example.org", "lab.example.org:8080", False, False),
+            ("http://127.0.0.1:9000", "127.0.0.1:8080", True, False),
+            ("file://", "", True, False),
+            ("http://[::1", "[::1", True, False),
+        ],
+    )
+    def test_what_its_own_page_is(self, origin: str, host: str, is_local: bool, is_own: bool) -> None:
+        assert is_own_page(origin, host, is_local) == is_own
 
     def test_nothing_is_printed_but_the_address(self, capfd: pytest.CaptureFixture[str]) -> None:
         pytest.importorskip("viser")

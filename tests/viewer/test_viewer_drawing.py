@@ -45,6 +45,30 @@ def test_a_snapshot_is_a_copy() -> None:
     assert copy.images[0].data_ptr() != spot.images[0].data_ptr()
 
 
+def test_every_change_is_seen() -> None:
+    """Also those that torch does not count; what has not changed is copied once."""
+    mesh = nr.Mesh.icosphere(1)
+    changes = (
+        lambda: mesh.vertices.data.mul_(2),
+        lambda: setattr(mesh.vertices, "data", mesh.vertices.data * 2),
+        lambda: np.multiply(shared_of(mesh.vertices), 2, out=shared_of(mesh.vertices)),
+    )
+    before = take_snapshot(mesh)
+    for change in changes:
+        change()
+        after = take_snapshot(mesh)
+        assert torch.equal(after.vertices, 2 * before.vertices)
+        assert after.faces is before.faces and after.textures is before.textures
+        before = after
+    empty = torch.zeros(0, 3), torch.zeros(0, 3, dtype=torch.long)
+    assert take_snapshot(empty).vertices is take_snapshot(empty).vertices
+
+
+def shared_of(tensor: torch.Tensor) -> np.ndarray:
+    """An array in the memory of a tensor."""
+    return tensor.detach().numpy()
+
+
 @pytest.mark.parametrize(
     ("mesh", "error", "sentence"),
     [

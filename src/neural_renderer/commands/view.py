@@ -62,11 +62,11 @@ def _free_name(name: str, path: Path, results: Results) -> str:
 
 def _show(viewer: Viewer, results: Results, options: ViewOptions) -> None:
     """Show what was read."""
-    if results.record is not None:
-        _show_steps(viewer, results, results.record)
     for name, mesh in results.meshes.items():
         if results.record is None or name == "before":
-            viewer.show(mesh, name)
+            viewer.show(mesh, name)  # on the left
+    if results.record is not None:
+        _show_steps(viewer, results, results.record)
     if results.numbers:
         viewer.show_curves(results.numbers)
     if results.pictures:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import sys
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -17,9 +18,8 @@ _HEIGHT = 560  # pixels
 def announce(viewer: Viewer) -> None:
     """Show the page in the output of a notebook, or print its address."""
     if in_notebook():
-        from IPython.display import HTML, display
-
-        display(HTML(frame_of(viewer)))
+        module: Any = import_module("IPython.display")
+        module.display(module.HTML(frame_of(viewer)))
         return
     Console().print(f"viewer: {viewer.url}", highlight=False, soft_wrap=True)
 

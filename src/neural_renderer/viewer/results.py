@@ -20,6 +20,7 @@ MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 _MOST_MESHES, _MOST_PICTURES = 12, 200
 _GREY = 0.5  # of meshes without colours
+_INNER = ("pictures", "sheets")  # folders of pictures of a training, and of a data set
 _VIEW_SIZE = 256  # longer side of a photograph in pixels
 
 
@@ -94,7 +95,7 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
         is_result = bool(report) and path.stem == "mesh"
         _try_mesh(results, "result" if is_result else path.stem, path, allow_outside)
     pictures = [path for path in files if path.suffix.lower() in _PICTURES and not _is_texture(path, found)]
-    pictures += sorted((folder / "pictures").glob("*.png")) if (folder / "pictures").is_dir() else []
+    pictures += [path for inner in _INNER for path in sorted((folder / inner).glob("*.png"))]
     for name in ("painting", "image"):
         if inputs.get(name) and Path(inputs[name]).is_file():
             results.pictures[name] = Path(inputs[name])
@@ -106,9 +107,9 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
         if is_record(path) and results.record is None:
             _try(results, path, partial(_read_record, results, path))
     _read_log(folder / "log.csv", results)
-    if not (results.meshes or results.pictures or results.record):
+    if not (results.meshes or results.pictures or results.record or results.numbers):
         notes = f" ({'; '.join(results.notes)})" if results.notes else ""
-        raise ValueError(f"{folder}: expected meshes, pictures or a record, got none{notes}")
+        raise ValueError(f"{folder}: expected meshes, pictures, curves or a record, got none{notes}")
     return results
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -15,6 +14,7 @@ from torch import Tensor
 from .drawing.glb import Drawable, write_glb
 from .drawing.snapshot import Snapshot
 from .drawing.surface import Look, drawables, vertex_normals
+from .layout import FIELD, axes_of, first_view, places_in_row
 from .worker import Worker
 
 if TYPE_CHECKING:
@@ -25,15 +25,14 @@ _NORMALS = (200, 60, 130)  # RGB of normals
 _LIFT = 5e-4  # distance of the wireframe from its faces, relative to the size of the mesh
 _NORMAL_LENGTH, _THICKNESS = 0.04, 0.0015  # relative to the size of the mesh
 _MOST_NORMALS = 4000  # drawn
-_GAP = 0.25  # between meshes side by side, relative to the width of the widest
 _DECODING, _DECODED = 0.1, 2e7  # a browser shows a mesh after so many seconds, and one more for so many bytes
 _MOST_DECODING = 2.0  # seconds
 _AMBIENT = 1.1  # intensities: π shows a white surface that faces a lamp as white
+# A lamp shines from its place, right, up and backward, to the origin.
 _LAMPS = (((-0.5, 0.8, 0.7), 1.8), ((0.7, -0.2, 0.3), 0.5), ((0.2, 0.3, -1.0), 0.8))
-_VIEW = np.array([-0.45, 0.35, 1.0])  # direction of the first view
-_FIELD, _ASPECT = 0.7, 1.2  # vertical field of view in radians, and width over height, at least, of the first view
 _UNMOVED = 0.02  # a camera that is nearer to its first place, relative to its distance, was not moved
-_MARGIN = 1.1  # of its distance, relative to the least one that shows everything
+_VIEWS = 16  # remembered, to tell which cameras were not moved
+_GROWN = 1.4  # a mesh that is so many times larger, or smaller, than in the first view is seen whole again
 
 
 @dataclass
@@ -46,13 +45,17 @@ class Shown:
         visible: Whether it is shown.
         place: [3], where its origin lies in the scene.
         values: [V, 3] colours of vertices to show in place of its own, or None.
+        path: Name of its nodes.
+        framed: Its size when the first view was chosen.
     """
 
     snapshot: Snapshot
+    path: str
     left_out: int = 0
     visible: bool = True
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
     values: Tensor | None = None
+    framed: float = 0.0
     frame: Any = None
     front: Any = None  # node that is visible
     back: Any = None  # node that a browser is decoding
@@ -76,21 +79,25 @@ class Scene:
         self._lock = threading.Lock()
         self._coming: dict[str, Snapshot] = {}
         self._stale: set[str] = set()
-        self._frames = 0
+        self._frames = self._paths = 0
+        self._axes = axes_of("+y")
         self.look, self.wireframe, self.normals, self.side_by_side = Look(), False, False, True
         self.meshes: dict[str, Shown] = {}
-        self._first_position = np.zeros(3)
+        self._first_positions: list[np.ndarray] = []  # the newest is the last
         self.on_change: Callable[[], None] = lambda: None
         """Called in the worker's thread after meshes have changed or moved."""
         server.scene.set_up_direction("+y")
         server.scene.configure_default_lights(False)
         server.scene.configure_environment_map(None)
         server.scene.add_light_ambient("/lights/ambient", intensity=_AMBIENT)
-        for number, (direction, intensity) in enumerate(_LAMPS):
-            # A lamp shines from its place to the origin.
+        self._lamps = [
             server.scene.add_light_directional(
                 f"/lights/lamp_{number}", intensity=intensity, position=direction, cast_shadow=False
             )
+            for number, (direction, intensity) in enumerate(_LAMPS)
+        ]
+        self._set_first_view()
+        server.on_client_connect(self._greet)
 
     def put(self, name: str, snapshot: Snapshot) -> None:
         """Show a mesh soon, in place of one of the same name. For any thread."""
@@ -123,23 +130,20 @@ class Scene:
 
     def center(self) -> np.ndarray:
         """Return the centre [3] of all visible meshes."""
-        return self.first_view()[1]
+        return self._first_view()[1]
 
-    def first_view(self) -> tuple[np.ndarray, np.ndarray]:
+    def set_up(self, axis: str) -> None:
+        """Choose the axis that is up, such as "+z". For any thread."""
+        self._axes = axes_of(axis)
+        self._server.scene.set_up_direction(axis)  # type: ignore[arg-type]
+        for lamp, (direction, _) in zip(self._lamps, _LAMPS, strict=True):
+            lamp.position = tuple(self._axes.T @ direction)
+        self.arrange()
+
+    def _first_view(self) -> tuple[np.ndarray, np.ndarray]:
         """Choose the position of a camera, and the point it looks at, so that everything visible is in the picture."""
         boxes = [(shown.place, *shown.snapshot.bounds()) for shown in list(self.meshes.values()) if shown.visible]
-        if not boxes:
-            return _VIEW, np.zeros(3)
-        low = np.min([place + one for place, one, _ in boxes], 0)
-        high = np.max([place + one for place, _, one in boxes], 0)
-        corners = np.stack(np.meshgrid(*np.stack((low, high), 1)), -1).reshape(-1, 3) - (low + high) / 2
-        backward = _VIEW / np.linalg.norm(_VIEW)
-        right = np.cross((0.0, 1.0, 0.0), backward)
-        right /= np.linalg.norm(right)
-        height, width = np.abs(corners @ np.cross(backward, right)), np.abs(corners @ right)
-        needed = np.maximum(height, width / _ASPECT) / np.tan(_FIELD / 2) + corners @ backward
-        distance = _MARGIN * max(float(needed.max()), 1e-6)
-        return (low + high) / 2 + distance * backward, (low + high) / 2
+        return first_view([(place + low, place + high) for place, low, high in boxes], self._axes)
 
     def _update(self) -> None:
         """Draw what is new or stale."""
@@ -150,24 +154,28 @@ class Scene:
         known = len(self.meshes)
         for name, snapshot in coming.items():
             usable, left_out = snapshot.finite()
-            shown = self.meshes.setdefault(name, Shown(usable))
+            if name not in self.meshes:
+                self._paths += 1  # not the name: two names may differ in characters that a path cannot have
+                self.meshes[name] = Shown(usable, f"/meshes/{self._paths}")
+            shown = self.meshes[name]
             if shown.values is not None and len(shown.values) != len(usable.vertices):
                 shown.values = None
             shown.snapshot, shown.left_out = usable, left_out
         for name in stale & set(self.meshes):
-            self._draw(name, self.meshes[name])
+            self._draw(self.meshes[name])
         if len(self.meshes) != known:
             self._arrange()
             self._set_first_view(move=is_first)
+        elif any(self._has_grown(self.meshes[name]) for name in coming):
+            self._set_first_view(move=False)
         self._swap()
         if coming:
             self.on_change()
 
-    def _draw(self, name: str, shown: Shown) -> None:
+    def _draw(self, shown: Shown) -> None:
         """Make the nodes of a mesh. Those that replace visible ones stay invisible until `_swap`."""
-        path = f"/meshes/{re.sub(r'[^0-9A-Za-z_.-]', '_', name)}"
         if shown.frame is None:
-            shown.frame = self._server.scene.add_frame(path, show_axes=False, position=tuple(shown.place))
+            shown.frame = self._server.scene.add_frame(shown.path, show_axes=False, position=tuple(shown.place))
         shown.frame.visible = shown.visible
         if not len(shown.snapshot.faces):
             for node in (shown.front, shown.back, shown.wire, shown.normals):
@@ -177,12 +185,12 @@ class Scene:
             return
         parts = drawables(shown.snapshot, self.look, shown.values)
         if len(parts) == 1 and parts[0].is_plain:
-            self._draw_plain(path, shown, parts[0])
+            self._draw_plain(shown, parts[0])
         else:
-            self._draw_colored(path, shown, parts)
-        self._draw_lines(path, shown)
+            self._draw_colored(shown, parts)
+        self._draw_lines(shown)
 
-    def _draw_plain(self, path: str, shown: Shown, part: Drawable) -> None:
+    def _draw_plain(self, shown: Shown, part: Drawable) -> None:
         """Draw a mesh of one colour. Its node changes in place, without a flicker."""
         color: Any = tuple(round(255 * value) for value in part.color)
         flat = not self.look.smooth
@@ -194,7 +202,7 @@ class Scene:
             return
         shown.count += 1
         shown.back = self._server.scene.add_mesh_simple(
-            f"{path}/plain_{shown.count % 2}",
+            f"{shown.path}/plain_{shown.count % 2}",
             part.positions,
             part.faces,
             color=color,
@@ -205,12 +213,12 @@ class Scene:
             visible=shown.front is None,
         )
 
-    def _draw_colored(self, path: str, shown: Shown, parts: list[Drawable]) -> None:
+    def _draw_colored(self, shown: Shown, parts: list[Drawable]) -> None:
         """Draw a mesh with colours or images. A browser shows nothing while it decodes, so the old node stays."""
         shown.count += 1
         data = write_glb(parts)
         shown.back = self._server.scene.add_glb(
-            f"{path}/colored_{shown.count % 2}",
+            f"{shown.path}/colored_{shown.count % 2}",
             data,
             cast_shadow=False,
             receive_shadow=False,
@@ -218,7 +226,7 @@ class Scene:
         )
         self._frames = max(self._frames, len(data))
 
-    def _draw_lines(self, path: str, shown: Shown) -> None:
+    def _draw_lines(self, shown: Shown) -> None:
         """Draw the edges and the normals, if they are asked for."""
         snapshot = shown.snapshot
         if not self.wireframe and shown.wire is not None:
@@ -236,14 +244,14 @@ class Scene:
         if self.wireframe:
             lifted = vertices + _LIFT * size * normals
             shown.wire = self._server.scene.add_mesh_simple(
-                f"{path}/wire", lifted, faces, color=_LINES, wireframe=True, cast_shadow=False
+                f"{shown.path}/wire", lifted, faces, color=_LINES, wireframe=True, cast_shadow=False
             )
         if self.normals:
             used = np.unique(faces)
             some = used[:: -(-len(used) // _MOST_NORMALS)]
             ends = np.stack((vertices[some], vertices[some] + _NORMAL_LENGTH * size * normals[some]), 1)
             shown.normals = self._server.scene.add_line_segments(
-                f"{path}/normals", ends, np.array(_NORMALS), thickness=_THICKNESS * size
+                f"{shown.path}/normals", ends, np.array(_NORMALS), thickness=_THICKNESS * size
             )
 
     def _swap(self) -> None:
@@ -262,21 +270,14 @@ class Scene:
 
     def _arrange(self) -> None:
         """Put meshes in a row around the first one, on its ground, or each at its own coordinates."""
-        boxes = [shown.snapshot.bounds() for shown in self.meshes.values()]
-        widths = [float(high[0] - low[0]) for low, high in boxes]
-        gap = _GAP * max(widths, default=0.0)
-        left = -(sum(widths) + gap * (len(widths) - 1)) / 2
-        start_low, start_high = boxes[0] if boxes else (np.zeros(3), np.zeros(3))
-        middle_x, _, middle_z = (start_low + start_high) / 2
-        left += middle_x
-        for shown, (low, high), width in zip(self.meshes.values(), boxes, widths, strict=True):
-            shown.place = np.zeros(3)
-            if self.side_by_side and len(boxes) > 1:
-                middle = (low + high) / 2
-                shown.place = np.array([left + width / 2 - middle[0], start_low[1] - low[1], middle_z - middle[2]])
-                left += width + gap
+        meshes = list(self.meshes.values())
+        places = [np.zeros(3) for _ in meshes]
+        if self.side_by_side and len(meshes) > 1:
+            places = places_in_row([shown.snapshot.bounds() for shown in meshes], self._axes)
+        for shown, place in zip(meshes, places, strict=True):
+            shown.place = place
             if shown.frame is not None:
-                shown.frame.position = tuple(shown.place)
+                shown.frame.position = tuple(place)
 
     def arrange(self) -> None:
         """Arrange the meshes again soon, and show all of them. For any thread."""
@@ -290,19 +291,47 @@ class Scene:
 
     def show_whole(self, client: viser.ClientHandle) -> None:
         """Move the camera of a browser so that everything is visible. For any thread."""
-        position, center = self.first_view()
+        position, center = self._first_view()
         with client.atomic():
             client.camera.position, client.camera.look_at = position, center
 
     def _set_first_view(self, move: bool = True) -> None:
         """Tell browsers that connect later where to look from; ``move`` all that are there, or those still there."""
-        position, center = self.first_view()
+        position, center = self._first_view()
         radius = float(np.linalg.norm(position - center))
         camera = self._server.initial_camera
-        camera.fov, camera.near, camera.far = _FIELD, radius * 1e-3, radius * 1e2
+        camera.fov, camera.near, camera.far = FIELD, radius * 1e-3, radius * 1e2
         camera.position, camera.look_at = tuple(position), tuple(center)
-        for client in self._server.get_clients().values():
-            # Nobody's own choice of a view is changed because another mesh has come.
-            if move or np.linalg.norm(client.camera.position - self._first_position) < _UNMOVED * radius:
-                self.show_whole(client)
-        self._first_position = position
+        clients = self._server.get_clients().values()
+        # Nobody's own choice of a view is changed because another mesh has come.
+        moving = [client for client in clients if move or self._is_unmoved(client)]
+        self._first_positions = [*self._first_positions[1 - _VIEWS :], position]
+        for shown in self.meshes.values():
+            shown.framed = _extent(shown)
+        for client in moving:
+            self.show_whole(client)
+
+    def _greet(self, client: viser.ClientHandle) -> None:
+        """Show everything to a browser that has loaded an earlier first view, while it connected."""
+        newest = self._first_positions[-1]
+        if self._is_unmoved(client) and not np.allclose(client.camera.position, newest, rtol=1e-3, atol=1e-6):
+            self.show_whole(client)
+
+    def _is_unmoved(self, client: viser.ClientHandle) -> bool:
+        """Tell whether the camera of a browser is still at a first view."""
+        position = client.camera.position
+        return any(
+            np.linalg.norm(position - first) < _UNMOVED * np.linalg.norm(position - client.camera.look_at)
+            for first in self._first_positions
+        )
+
+    def _has_grown(self, shown: Shown) -> bool:
+        """Tell whether a mesh has become much larger or smaller since the first view was chosen."""
+        extent = _extent(shown)
+        return not shown.framed / _GROWN <= extent <= shown.framed * _GROWN
+
+
+def _extent(shown: Shown) -> float:
+    """Return the largest side of the box around all vertices; quicker than `Snapshot.bounds`."""
+    axes = np.ascontiguousarray(shown.snapshot.vertices.numpy().T)  # numpy reduces long rows fast
+    return float((axes.max(1) - axes.min(1)).max()) if axes.size else 0.0

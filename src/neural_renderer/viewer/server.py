@@ -10,7 +10,9 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from ..io.files import warn
 
@@ -21,6 +23,7 @@ _STOPPING = 1.0  # seconds that the end waits for open connections
 _PORTS = 100  # tried one after the other
 _NOT_HERE = (errno.EADDRNOTAVAIL,)
 _THEME = (43, 90, 140)  # RGB of buttons
+_STARTING = threading.Lock()
 
 
 def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, str]:
@@ -44,7 +47,7 @@ def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, s
     viser = _import_viser()
     free = _free_port(host, port)
     thread = threading.get_ident()
-    with _without_output(lambda _: threading.get_ident() == thread):  # a table
+    with _without_output(lambda _: threading.get_ident() == thread), _own_pages_only(_is_loopback(host)):  # a table
         server = viser.ViserServer(host=host, port=free, verbose=False)
     # A browser may ask for a public address of this page at a company's server: refused.
     server.request_share_url = lambda *_, **__: None
@@ -59,7 +62,7 @@ def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, s
             f"host {host}: anyone who reaches port {found} of this machine can see the meshes and stop the work; there "
             "is no password and no encryption. 127.0.0.1 with `ssh -L` is safer"
         )
-    name = "127.0.0.1" if host in ("0.0.0.0", "") else host
+    name = {"0.0.0.0": "127.0.0.1", "": "127.0.0.1", "::": "::1"}.get(host, host)
     return server, f"http://{f'[{name}]' if ':' in name else name}:{found}"
 
 
@@ -101,6 +104,62 @@ def _without_output(drops: Callable[[str], bool]) -> Iterator[None]:
     finally:
         if sys.stdout is filtered:  # nobody else has replaced it meanwhile
             sys.stdout = before
+
+
+@contextlib.contextmanager
+def _own_pages_only(is_local: bool) -> Iterator[None]:
+    """Have a server of viser that starts here refuse connections from pages of other servers.
+
+    A browser lets every page open a websocket to this machine, and names the page's server in the header "Origin".
+    viser does not look at it and has no option for it, so its call of websockets is extended.
+    """
+    import websockets.asyncio.server as module
+
+    with _STARTING:
+        serve = module.serve
+
+        def checked(handler: Any, *args: Any, process_request: Any = None, **options: Any) -> Any:
+            def process(connection: Any, request: Any) -> Any:
+                if not is_own_page(request.headers.get("Origin"), request.headers.get("Host", ""), is_local):
+                    return connection.respond(HTTPStatus.FORBIDDEN, "pages of other servers may not connect\n")
+                return None if process_request is None else process_request(connection, request)
+
+            is_viser = str(handler.__module__).startswith("viser.")  # another thread may start another server
+            return serve(handler, *args, process_request=process if is_viser else process_request, **options)
+
+        module.serve = checked  # type: ignore[assignment,misc]
+        try:
+            yield
+        finally:
+            module.serve = serve  # type: ignore[misc]
+
+
+def is_own_page(origin: str | None, host: str, is_local: bool) -> bool:
+    """Tell whether a request comes from this server's page, or from a program that is no browser.
+
+    Args:
+        origin: Header "Origin": address of the server whose page asks; None if no page does.
+        host: Header "Host": name and port under which the page's browser knows this server.
+        is_local: Whether only this machine reaches the server. Names of other machines are then refused: whoever owns
+            a name can let it point to 127.0.0.1.
+    """
+    if origin is None:
+        return True
+    try:
+        asking, asked = urlsplit(origin), urlsplit(f"//{host}")
+        name = asked.hostname or ""
+    except ValueError:
+        return False
+    return asking.netloc == asked.netloc != "" and (not is_local or _is_address(name) or name == "localhost")
+
+
+def _is_address(name: str) -> bool:
+    """Tell whether a host is named by its address."""
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 def _import_viser() -> Any:

@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -270,6 +271,9 @@ class Viewer:
     def knob(self, name: str, value: float, *, least: float = 0.0, most: float = 1e9) -> Callable[[], float]:
         """Add a field for a number that may change while the program runs.
 
+        A field of this name that is there already keeps what was typed. A number counts once nobody has typed for a
+        moment.
+
         Args:
             name: Its name.
             value: Its value at first.
@@ -284,7 +288,8 @@ class Viewer:
         low, first, high = (validate.number(name, number) for number in (least, value, most))
         if not low <= first <= high:
             raise ValueError(f"{name}: expected a value from {least} to {most}, got {value}")
-        self._run.offer([*self._run.knobs.values(), Knob(name, first, low, high)])
+        knobs = {**self._run.knobs, name: Knob(name, first, low, high)}
+        self._run.offer([replace(knob, value=self._run.present(knob.name, knob.value)) for knob in knobs.values()])
         self._update_run()
         return lambda: float(self._run.present(name, first))
 

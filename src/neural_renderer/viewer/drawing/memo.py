@@ -15,12 +15,16 @@ _Value = TypeVar("_Value")
 class Memo(Generic[_Value]):
     """Keeps results for tensors, as long as these live and are not changed in place. For any thread.
 
+    torch counts changes of a tensor, but neither those by ``tensor.data`` nor those by an array of numpy that shares
+    its memory. ``holds`` can find these.
+
     Args:
         most: Number of results kept.
+        holds: Tells whether a result still belongs to a tensor for which torch has counted no change.
     """
 
-    def __init__(self, most: int = 16) -> None:
-        self._most = most
+    def __init__(self, most: int = 16, holds: Callable[[Tensor, _Value], bool] | None = None) -> None:
+        self._most, self._holds = most, holds
         self._found: dict[int, tuple[weakref.ref[Tensor], int, _Value]] = {}
         self._lock = threading.Lock()
 
@@ -31,7 +35,8 @@ class Memo(Generic[_Value]):
         key, version = id(tensor), tensor._version
         with self._lock:
             reference, known, value = self._found.get(key, (None, -1, None))
-        if reference is not None and reference() is tensor and known == version:
+        is_known = reference is not None and reference() is tensor and known == version
+        if is_known and (self._holds is None or self._holds(tensor, value)):  # type: ignore[arg-type]
             return value  # type: ignore[return-value]
         value = make(tensor)
         with self._lock:

@@ -90,9 +90,7 @@ def draw(
         "rgb", "alpha" and "depth".
     """
     light = Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera)) if lit else None
-    low, high = snapshot.bounds()
-    eye = camera.origin[0] - camera.rotation[0].T @ camera.translation[0]
-    reach = float(np.linalg.norm(eye.numpy() - (low + high) / 2) + np.linalg.norm(high - low))
+    reach = _reach(snapshot, camera)
     return render(
         snapshot.shape() if vertices is None else snapshot.moved(vertices),
         camera,
@@ -103,6 +101,13 @@ def draw(
         far=reach * _FARTHEST,
         gradient=gradient,
     )
+
+
+def _reach(snapshot: Snapshot, camera: Camera) -> float:
+    """Return a distance from the eye beyond which nothing of a mesh lies."""
+    low, high = snapshot.bounds()
+    eye = camera.origin[0] - camera.rotation[0].T @ camera.translation[0]
+    return float(np.linalg.norm(eye.numpy() - (low + high) / 2) + np.linalg.norm(high - low))
 
 
 @torch.no_grad()
@@ -132,9 +137,12 @@ def picture(
     rgb = torch.tensor(background)[:, None, None].expand(3, *size)
     alpha, depth = torch.zeros(size), torch.full(size, math.inf)
     for snapshot, place in meshes:
-        images = draw(snapshot, view.camera(place), size, lit=lit)
+        camera = view.camera(place)
+        images = draw(snapshot, camera, size, lit=lit)
         covers = images.alpha[0]
-        own = torch.where(covers > 0, images.depth[0], math.inf)
+        # At outlines, depth is a mean of samples on the mesh and of samples at the far plane.
+        beyond = (1 - covers) * _FARTHEST * _reach(snapshot, camera)
+        own = torch.where(covers > 0, (images.depth[0] - beyond) / covers, math.inf)
         front = own <= depth
         # Colours over black are multiplied by alpha. The outlines of the mesh in front blend with what is behind.
         over = images.rgb[0] + (1 - covers) * rgb

@@ -14,8 +14,6 @@ from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
 from .memo import Memo
 
-_COPIES: Memo[Tensor] = Memo()
-
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
@@ -39,10 +37,10 @@ class Snapshot:
         Returns:
             The rest, whose unusable vertices are at the origin, and the number of faces left out.
         """
-        finite = np.isfinite(self.vertices.numpy()).all(1)
+        finite = np.isfinite(self.vertices.numpy())
         if finite.all():
             return self, 0
-        good = torch.from_numpy(finite)
+        good = torch.from_numpy(finite.all(1))
         vertices = torch.where(good[:, None], self.vertices, 0.0)
         kept = good[self.faces.long()].all(1)
         textures = None if self.textures is None else self.textures[kept]
@@ -129,7 +127,7 @@ def _single(value: Any, dimensions: int = 2) -> Tensor:
 
 
 def _copy(value: Tensor) -> Tensor:
-    """Copy a tensor to the CPU, without its gradient; one that has not changed is copied once."""
+    """Copy a tensor to the CPU, without its gradient; one that has not changed has one copy."""
     return _COPIES.get(value, _copied)
 
 
@@ -137,3 +135,18 @@ def _copied(value: Tensor) -> Tensor:
     """Copy a tensor to the CPU; 64-bit indices become 32-bit ones."""
     dtype = torch.int32 if value.dtype == torch.int64 and value.ndim == 2 else value.dtype
     return value.detach().to("cpu", dtype, copy=True)
+
+
+def _is_same(value: Tensor, copy: Tensor) -> bool:
+    """Tell whether a tensor still has the bits of its copy."""
+    now = value.detach().to("cpu", copy.dtype)
+    return now.shape == copy.shape and np.array_equal(_bits(now), _bits(copy))
+
+
+def _bits(value: Tensor) -> np.ndarray:
+    """Return the bits of a tensor, in words that numpy compares fast."""
+    data = value.contiguous().reshape(-1).view(torch.uint8).numpy()
+    return data.view(np.uint64) if data.size % 8 == 0 else data
+
+
+_COPIES: Memo[Tensor] = Memo(holds=_is_same)

@@ -25,6 +25,7 @@ SURFACES: tuple[Surface, ...] = ("colours", "clay", "normals", "faces")
 _MOST_ATLAS_PIXELS = 4096**2  # finer meshes have the colours of their faces' corners only
 _LARGEST_IMAGE = 4096  # longer side of an image in pixels
 _EVEN = 2  # colours that differ by less, of 255, are one colour
+_FEW = 64  # faces that are looked at first
 _V_DOWN, _V_TOP = np.array([1, -1], np.float32), np.array([0, 1], np.float32)  # v up to v down
 _JPEGS: Memo[bytes] = Memo()
 
@@ -94,13 +95,12 @@ def _of_cubes(vertices: np.ndarray, faces: np.ndarray, cubes: np.ndarray, look: 
     """Show texture cubes: as one colour, as colours of corners, or as an atlas."""
     count, size = cubes.shape[:2]
     used, corners = _plane(size)
-    texels = _bytes(cubes.reshape(count, -1, 3)[:, used])
-    low, high = texels.min((0, 1)), texels.max((0, 1))
-    if (high - low < _EVEN).all():
+    texels = _bytes(cubes.reshape(count, -1, 3).take(used, 1))
+    if _is_even(texels[:_FEW].reshape(1, -1, 3)) and _is_even(texels.reshape(1, -1, 3)):
         red, green, blue = (float(value) for value in texels[0, 0] / 255)
         return _plain(vertices, faces, (red, green, blue), look)
     width = size + 2
-    is_flat = (texels.max(1) - texels.min(1) < _EVEN).all()
+    is_flat = _is_even(texels[:_FEW]) and _is_even(texels)
     if size <= 2 or is_flat or count * width**2 > _MOST_ATLAS_PIXELS:
         colors = texels[:, corners]
         shared = np.zeros((len(vertices), 3), np.uint8)
@@ -111,13 +111,19 @@ def _of_cubes(vertices: np.ndarray, faces: np.ndarray, cubes: np.ndarray, look: 
     columns = int(np.ceil(np.sqrt(count)))
     rows = -(-count // columns)
     tiles = np.zeros((rows * columns, width, width, 3), np.uint8)
-    tiles[:count] = texels[:, _tile(size)]
+    tiles[:count] = texels.take(_tile(size), 1)
     picture = tiles.reshape(rows, columns, width, width, 3).swapaxes(1, 2).reshape(rows * width, columns * width, 3)
     number = np.arange(count)
     first = np.stack((number % columns, number // columns), 1)[:, None] * width + 1.5
     places = first + (size - 1) * np.array([[0, 0], [1, 0], [0, 1]])
     uv = (places / [columns * width, rows * width]).astype(np.float32).reshape(-1, 2)
     return Drawable(*_unrolled(vertices, faces), uv=uv, image=_jpeg(picture), wrap="clamp", lit=look.lit)
+
+
+def _is_even(texels: np.ndarray) -> bool:
+    """Tell whether each of several surfaces [N, T, 3] has one colour."""
+    channels = (np.ascontiguousarray(texels[..., channel]) for channel in range(3))  # numpy reduces long rows fast
+    return all((channel.max(1) - channel.min(1) < _EVEN).all() for channel in channels)
 
 
 @lru_cache(maxsize=16)
@@ -218,7 +224,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 def _bytes(colors: np.ndarray) -> np.ndarray:
     """Convert colours in [0, 1] to bytes."""
-    return (np.nan_to_num(colors).clip(0, 1) * 255 + 0.5).astype(np.uint8)
+    return (np.minimum(np.fmax(colors, 0), 1) * 255 + 0.5).astype(np.uint8)  # fmax turns NaN to 0
 
 
 def _jpeg_of(image: Tensor) -> bytes:

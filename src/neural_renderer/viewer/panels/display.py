@@ -59,7 +59,7 @@ class DisplayPanel:
             scene.arrange()
 
         self._row.on_update(arrange)
-        up.on_update(lambda _: self._turn_up(_UP[up.value]))
+        up.on_update(lambda _: scene.set_up(_UP[up.value]))
         background.on_update(lambda _: self._set_background(background.value))
         whole.on_click(self._show_whole)
         save.on_click(self._save_picture)
@@ -69,7 +69,7 @@ class DisplayPanel:
     def set_up(self, up: str) -> None:
         """Choose the axis that is up, such as "+z"."""
         self._up.value = next(name for name, value in _UP.items() if value == up)
-        self._turn_up(up)
+        self._scene.set_up(up)
 
     def set_side_by_side(self, wanted: bool) -> None:
         """Stand meshes in a row, or each at its own coordinates."""
@@ -108,10 +108,6 @@ class DisplayPanel:
 
         box.on_update(hide)
         return box
-
-    def _turn_up(self, up: Any) -> None:
-        """Turn the scene so that this axis is up."""
-        self._server.scene.set_up_direction(up)
 
     def _show_whole(self, event: Any) -> None:
         """Show everything in the browser whose button was pressed."""

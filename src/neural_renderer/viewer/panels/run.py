@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...tasks.observer import Knob
+from .settings import SettingsPanel
 
 if TYPE_CHECKING:
     import viser
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 _MOST_POINTS = 400  # of a curve
 _MOST_CURVES = 4
 _CURVE_HEIGHT = 120  # pixels
+_CURVES_PAUSE = 0.5  # seconds
 _COLOR = "#2b5a8c"
-_LAST = 1e9  # order of the settings, below the curves
 
 
 class Run:
@@ -68,7 +69,7 @@ class Run:
         with self._lock:
             self._changes[name] = self._values[name] = value
 
-    def present(self, name: str, value: float) -> float | str:
+    def present(self, name: str, value: float | str) -> float | str:
         """Return the last change of a setting, or ``value`` without one."""
         with self._lock:
             return self._values.get(name, value)
@@ -84,63 +85,57 @@ class RunPanel:
     """Controls of a run. The methods are called in the worker's thread."""
 
     def __init__(self, server: viser.ViserServer, run: Run) -> None:
-        import viser
-
         self._server, self._run = server, run
         gui = server.gui
         self._folder = gui.add_folder("Run", order=-2)
         with self._folder:
             self._status = gui.add_markdown("")
-            self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+            # Without icons: viser takes a fifth of a second to find one.
+            self._pause = gui.add_button("Pause")
             hint = "End after this step, and keep the result"
-            self._stop = gui.add_button("Stop and keep", color="red", icon=viser.Icon.PLAYER_STOP, hint=hint)
+            self._stop = gui.add_button("Stop and keep", color="red", hint=hint)
         self._curves: dict[str, Any] = {}
-        self._settings: Any = None
+        self._next_curves = 0.0  # time
+        self._settings = SettingsPanel(server, run.change)
         self._offered: dict[str, Knob] = {}
 
         def pause(_: Any) -> None:
             run.paused = not run.paused
-            self._show_pause()
-            self.update()
+            self._pause.label = "Go on" if run.paused else "Pause"
+            self.update(curves=True)
 
         def stop(_: Any) -> None:
             run.stopped = True
             self._pause.disabled = self._stop.disabled = True
-            self.update()
+            self.update(curves=True)
 
         self._pause.on_click(pause)
         self._stop.on_click(stop)
 
-    def update(self) -> None:
-        """Show the state of the run."""
+    def update(self, curves: bool = False) -> None:
+        """Show the state of the run; its curves twice a second at most, or now."""
         run = self._run
         state = "stopping" if run.stopped else "paused" if run.paused else ""
         text = f"**{state}** · {run.text}" if state and run.text else f"**{state}**" if state else run.text
         if self._status.content != text:
             self._status.content = text
-        for name, points in list(run.curves().items())[:_MOST_CURVES]:
-            if len(points):
-                self._show_curve(name, points)
+        now = time.monotonic()
+        if curves or now >= self._next_curves:
+            self._next_curves = now + _CURVES_PAUSE
+            for name, points in list(run.curves().items())[:_MOST_CURVES]:
+                if len(points):
+                    self._show_curve(name, points)
         if run.knobs != self._offered:
-            self._show_settings(dict(run.knobs))
+            self._offered = dict(run.knobs)
+            with self._folder:
+                self._settings.show(self._offered)
 
     def finish(self, text: str) -> None:
         """Show that the run is over."""
         self._pause.visible = self._stop.visible = False
-        if self._settings is not None:
-            self._settings.remove()
-            self._settings = None
         self._run.text, self._run.paused, self._run.stopped = text, False, False
-        self._offered = self._run.knobs = {}
-        self.update()
-
-    def _show_pause(self) -> None:
-        """Name the button by what it does."""
-        import viser
-
-        paused = self._run.paused
-        self._pause.label = "Go on" if paused else "Pause"
-        self._pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
+        self._run.knobs = {}
+        self.update(curves=True)
 
     def _show_curve(self, name: str, points: np.ndarray) -> None:
         """Draw a curve."""
@@ -160,30 +155,3 @@ class RunPanel:
                 legend=viser.uplot.Legend(show=False),
                 height=_CURVE_HEIGHT,
             )
-
-    def _show_settings(self, knobs: dict[str, Knob]) -> None:
-        """Show a field for each setting that may change."""
-        self._offered = knobs
-        if self._settings is not None:
-            self._settings.remove()
-            self._settings = None
-        if not knobs:
-            return
-        with self._folder:
-            self._settings = self._server.gui.add_folder("Settings", order=_LAST)
-        with self._settings:
-            for knob in knobs.values():
-                self._add_field(knob)
-
-    def _add_field(self, knob: Knob) -> None:
-        """Add the field of a setting."""
-        gui, label = self._server.gui, knob.name.replace("_", " ")
-        field: Any
-        if knob.choices:
-            field = gui.add_dropdown(label, knob.choices, initial_value=str(knob.value))
-        else:
-            value = float(knob.value)
-            step = 10.0 ** (math.floor(math.log10(abs(value))) - 2) if value else 0.01
-            field = gui.add_number(label, value, min=knob.least, max=knob.most, step=step)
-
-        field.on_update(lambda _: self._run.change(knob.name, field.value))

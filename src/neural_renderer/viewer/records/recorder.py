@@ -63,6 +63,7 @@ class Recorder:
         self._blobs: dict[str, str] = {}
         self._numbers: dict[str, list[tuple[int, float]]] = {}
         self._seen, self._stride = 0, 1
+        self._step = self._offset = self._earlier = 0  # of the curves: phases that count from 1 follow each other
         self._written, self._interval = time.monotonic(), _LEAST_INTERVAL
         self._too_large = 0
         write_file(self.path, self._content())  # a name that cannot be written is told at the start
@@ -82,7 +83,8 @@ class Recorder:
         self._seen += 1
         if self._seen % self._stride and not always:
             return
-        frame: dict[str, Any] = {"step": step, "label": label, "number": self._seen, "meshes": {}}
+        place = step + (self._offset if step <= self._step else self._earlier)
+        frame: dict[str, Any] = {"step": step, "label": label, "place": place, "number": self._seen, "meshes": {}}
         for name, snapshot in meshes.items():
             usable, _ = snapshot.finite()
             if len(usable.faces):
@@ -99,9 +101,12 @@ class Recorder:
         self._write_sometimes()
 
     def log(self, step: int, numbers: Mapping[str, float]) -> None:
-        """Add numbers of a step, for the curves."""
+        """Add numbers of a step, for the curves. A step that is less than the last one begins a new phase."""
+        if step < self._step:
+            self._earlier, self._offset = self._offset, self._offset + self._step
+        self._step = step
         for name, value in numbers.items():
-            self._numbers.setdefault(name, []).append((step, value))
+            self._numbers.setdefault(name, []).append((self._offset + step, value))
 
     def write(self) -> str:
         """Write the file; return a sentence about it."""

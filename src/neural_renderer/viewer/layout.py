@@ -1,0 +1,76 @@
+"""Where meshes stand in the scene, and from where a browser sees all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+Box = tuple[np.ndarray, np.ndarray]
+"""Least and greatest coordinates, [3] each."""
+FIELD = 0.7
+"""Vertical field of view of the first view, in radians."""
+_ASPECT = 1.2  # width over height of the first view, at least
+_VIEW = np.array([-0.45, 0.35, 1.0])  # direction of the first view: right, up, backward
+_GAP = 0.25  # between meshes side by side, relative to the width of the widest
+_MARGIN = 1.1  # of the distance, relative to the least one that shows everything
+
+
+def axes_of(up: str) -> np.ndarray:
+    """Return directions right, up and backward as rows [3, 3], for an axis that is up, such as "+z"."""
+    number, sign = "xyz".index(up[1]), -1.0 if up[0] == "-" else 1.0
+    upward = sign * np.eye(3)[number]
+    right = np.eye(3)[0 if number else 1]
+    return np.stack((right, upward, np.cross(right, upward)))
+
+
+def places_in_row(boxes: Sequence[Box], axes: np.ndarray) -> list[np.ndarray]:
+    """Choose places [3] of the origins of meshes, so that these stand in a row on the ground of the first one.
+
+    Args:
+        boxes: Bounds of the meshes, each in its own coordinates.
+        axes: Directions as in `axes_of`.
+    """
+    turned = [_turned(box, axes) for box in boxes]
+    widths = [float(high[0] - low[0]) for low, high in turned]
+    gap = _GAP * max(widths, default=0.0)
+    left = -(sum(widths) + gap * (len(widths) - 1)) / 2
+    places = []
+    for (low, high), width in zip(turned, widths, strict=True):
+        start_low, start_high = turned[0]
+        start, middle = (start_low + start_high) / 2, (low + high) / 2
+        place = np.array([start[0] + left + width / 2 - middle[0], start_low[1] - low[1], start[2] - middle[2]])
+        places.append(axes.T @ place)
+        left += width + gap
+    return places
+
+
+def first_view(boxes: Sequence[Box], axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Choose the position of a camera, and the point it looks at, so that all boxes are in the picture.
+
+    Args:
+        boxes: Bounds of the meshes in the scene.
+        axes: Directions as in `axes_of`.
+
+    Returns:
+        Two points [3].
+    """
+    backward = axes.T @ _VIEW
+    if not boxes:
+        return backward, np.zeros(3)
+    low, high = np.min([one for one, _ in boxes], 0), np.max([one for _, one in boxes], 0)
+    center = (low + high) / 2
+    corners = np.stack(np.meshgrid(*np.stack((low, high), 1)), -1).reshape(-1, 3) - center
+    backward = backward / np.linalg.norm(backward)
+    right = np.cross(axes[1], backward)
+    right /= np.linalg.norm(right)
+    height, width = np.abs(corners @ np.cross(backward, right)), np.abs(corners @ right)
+    needed = np.maximum(height, width / _ASPECT) / np.tan(FIELD / 2) + corners @ backward
+    distance = _MARGIN * max(float(needed.max()), 1e-6)
+    return center + distance * backward, center
+
+
+def _turned(box: Box, axes: np.ndarray) -> Box:
+    """Turn a box into the coordinates right, up and backward."""
+    one, other = axes @ box[0], axes @ box[1]
+    return np.minimum(one, other), np.maximum(one, other)

@@ -1,0 +1,94 @@
+"""Where meshes stand, and whence a browser sees them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import neural_renderer as nr
+from neural_renderer.viewer.layout import FIELD, axes_of, first_view, places_in_row
+from neural_renderer.viewer.viewer import UP, Viewer
+
+BOXES = [
+    (np.array([-1.0, -2.0, 0.0]), np.array([1.0, 3.0, 1.0])),
+    (np.array([4.0, 5.0, 6.0]), np.array([5.0, 7.0, 9.0])),
+    (np.array([0.0, 0.0, 0.0]), np.array([0.5, 0.25, 0.125])),
+]
+
+
+def corners(box: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    return np.stack(np.meshgrid(*np.stack(box, 1)), -1).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("up", UP)
+class TestUp:
+    def test_axes_are_a_rotation(self, up: str) -> None:
+        axes = axes_of(up)
+        assert np.allclose(axes @ axes.T, np.eye(3)) and np.linalg.det(axes) == pytest.approx(1)
+        assert axes[1]["xyz".index(up[1])] == (1 if up[0] == "+" else -1)
+
+    def test_meshes_stand_on_one_ground(self, up: str) -> None:
+        axes = axes_of(up)
+        moved = [
+            (place + low, place + high) for place, (low, high) in zip(places_in_row(BOXES, axes), BOXES, strict=True)
+        ]
+        turned = [np.sort(np.stack((axes @ low, axes @ high)), 0) for low, high in moved]
+        assert np.ptp([box[0, 1] for box in turned]) < 1e-12  # the ground
+        assert np.ptp([box[:, 2].mean() for box in turned]) < 1e-12
+        assert all(one[1, 0] < other[0, 0] for one, other in pairwise(turned))
+
+    def test_the_first_view_shows_everything(self, up: str) -> None:
+        axes = axes_of(up)
+        position, center = first_view(BOXES, axes)
+        forward = (center - position) / np.linalg.norm(center - position)
+        assert (position - center) @ axes[1] > 0  # from above
+        right = np.cross(forward, axes[1])
+        right /= np.linalg.norm(right)
+        for corner in np.concatenate(
+            [np.stack(np.meshgrid(*zip(*box, strict=True)), -1).reshape(-1, 3) for box in BOXES]
+        ):
+            depth = (corner - position) @ forward
+            assert depth > 0
+            assert abs((corner - position) @ np.cross(right, forward)) < depth * np.tan(FIELD / 2)
+            assert abs((corner - position) @ right) < 1.2 * depth * np.tan(FIELD / 2)
+
+
+def test_without_meshes_there_is_a_view() -> None:
+    position, center = first_view([], axes_of("+y"))
+    assert np.isfinite(position).all() and not center.any()
+
+
+def test_names_need_not_differ_in_letters(open_viewer: Callable[..., Viewer]) -> None:
+    viewer = open_viewer()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name in ("a/b", "a_b", "猫", "犬", "a/b"):
+            viewer.show(nr.Mesh.icosphere(0), name)
+            viewer.flush()
+        viewer.remove("a_b")
+        viewer.flush()
+    shown = viewer._page.scene.meshes
+    assert list(shown) == ["a/b", "猫", "犬"] and len({one.frame.name for one in shown.values()}) == 3
+    viewer.set_up("+z")
+    viewer.flush()
+    # They stand in a row along x, on the same z.
+    assert np.ptp([one.place[2] for one in shown.values()]) == 0
+    assert np.ptp([one.place[0] for one in shown.values()]) > 2
+
+
+def test_the_first_view_follows_a_mesh_that_grows(open_viewer: Callable[..., Viewer]) -> None:
+    viewer = open_viewer()
+    vertices, faces = nr.icosphere(1)
+    distances = []
+    for size in (1.0, 1.2, 3.0, 0.5):
+        viewer.show((size * vertices, faces))
+        viewer.flush()
+        camera = viewer._page.server.initial_camera
+        distances.append(float(np.linalg.norm(np.subtract(camera.position, camera.look_at))))
+    assert distances[0] == distances[1]
+    assert distances[2] == pytest.approx(3 * distances[0], rel=1e-5)
+    assert distances[3] == pytest.approx(0.5 * distances[0], rel=1e-5)
