@@ -1,4 +1,4 @@
-"""Where meshes stand in the scene, and from where a browser sees all of them."""
+"""Layout of meshes in the scene, and a first view that shows all of them."""
 
 from __future__ import annotations
 
