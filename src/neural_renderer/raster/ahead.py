@@ -39,6 +39,7 @@ _ALWAYS: Functions = (coverage, gather_corners)
 _VISIBILITY: dict[str, Functions] = {
     "nmr": (nmr_gradient, empty_lines, visible_faces),
     "edge": (edge_gradient, add_intersections, neighbors, visible_faces),
+    "opendr": (),  # plain torch
 }
 
 
