@@ -12,7 +12,8 @@ ORDER = ("edge", "nmr", "opendr", "reinforce", "DEODR", "Mitsuba 3")
 def table(report: dict[str, Any]) -> str:
     """Make the tables: size ± interval, cosine, noise and time of each renderer; then practice."""
     rows = report["rows"]
-    names = [name for name in ORDER if any(row["renderer"] == name for row in rows)]
+    every = [*rows, *report.get("poses", []), *report.get("shapes", [])]
+    names = [name for name in ORDER if any(row["renderer"] == name for row in every)]
     lines = ["| scene | of | " + " | ".join(names) + " |", "|---|---|" + "---:|" * len(names)]
     cases = list(dict.fromkeys((row["scene"], row["of"]) for row in rows))
     for scene, of in cases:
@@ -26,9 +27,10 @@ def table(report: dict[str, Any]) -> str:
 
 
 def _cell(row: dict[str, Any]) -> str:
-    if not row["size"]:
+    if abs(row["size"]) < 1e-6:
         return "0"
-    return f"{row['size']:.2f} ± {row['interval']:.2f}, {row['cosine']:.2f}, {row['noise']:.2g}"
+    digits = 2 if abs(row["size"]) < 10 else 0
+    return f"{row['size']:.{digits}f} ± {row['interval']:.{digits}f}, {row['cosine']:.2f}, {row['noise']:.2g}"
 
 
 def _practice(report: dict[str, Any], names: list[str]) -> list[str]:
@@ -64,7 +66,9 @@ def plot(report: dict[str, Any], path: Path) -> None:
         sizes = [row["size"] for row in own]
         left.errorbar(sides, sizes, [row["interval"] for row in own], marker="o", color=colors[name], label=name)
         scenes = [
-            r for r in rows if r["renderer"] == name and r["of"] in ("vertices", "places", "eye", "move") and r["size"]
+            r
+            for r in rows
+            if r["renderer"] == name and r["of"] in ("vertices", "places", "eye", "move") and abs(r["size"]) > 1e-6
         ]
         if not scenes:
             continue

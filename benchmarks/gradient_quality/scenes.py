@@ -113,7 +113,7 @@ def scenes(quick: bool = False) -> dict[str, Scene]:
     found["sub-pixel bevel at an outline"] = _bevel()
     colors = corner_colors(many_faces, 5, 0.0)
     found[f"{len(many_faces):,} faces of a pixel"] = Scene(
-        {"eye": eye}, {"eye": 0.002}, lambda eye: colored(many_faces, colors, many_size)(many, eye), 8
+        {"eye": eye}, {"eye": 0.03}, lambda eye: colored(many_faces, colors, many_size)(many, eye), 32 if quick else 8
     )
     return found
 

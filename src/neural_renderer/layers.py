@@ -13,6 +13,7 @@ from . import validate
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.layers import layers_gradient
+from .raster.warp.registration import needs_gradient
 
 if TYPE_CHECKING:
     from .deferred import Fragments
@@ -110,7 +111,7 @@ class Layers:
             pictures.append(picture)
         validate.finite("colors", picture)
         seams = validate.flag("seams", seams)
-        moving = first.corners.requires_grad and torch.is_grad_enabled()
+        moving = needs_gradient(first.corners)
         if first.settings.gradient != "edge" or not moving:
             return first.image(picture, seams=seams, edge_hashes=edge_hashes).contiguous()
         settings = first.settings

@@ -64,7 +64,7 @@ def draw(picture: Picture, gradient: str, vertices: Tensor | None = None) -> Ten
         anti_aliasing=False,
         two_sided=True,
         perspective=False,
-        eps=0.0,
+        eps=1e-4,
         gradient=gradient,
         triangles=picture.faces,
     ).rgb

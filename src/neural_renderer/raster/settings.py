@@ -19,6 +19,7 @@ from .visibility.comparators.opendr import opendr_gradient
 from .visibility.edge import edge_gradient
 from .visibility.nmr import nmr_gradient
 from .visibility.rings import edge_rings
+from .warp.registration import needs_gradient
 
 GRADIENTS = ("nmr", "edge", "opendr")
 _CGROUPS = Path("/proc/self/cgroup")
@@ -123,7 +124,7 @@ class Settings:
 
     def rings(self, corners: Tensor, triangles: Tensor) -> Tensor | None:
         """Find the `edge_rings` of the faces with these vertex indices; None if no gradient needs them."""
-        needed = self.gradient == "edge" and corners.requires_grad and torch.is_grad_enabled()
+        needed = self.gradient == "edge" and needs_gradient(corners)
         return edge_rings(triangles) if needed else None
 
     def through_visibility(
@@ -151,7 +152,7 @@ class Settings:
             [B, C, height, width] float32.
         """
         halved = self.anti_aliasing
-        if not (corners.requires_grad and torch.is_grad_enabled()):
+        if not needs_gradient(corners):
             return halve(image) if halved else image
         if self.gradient == "edge":
             hashes = edge_hashes() if edge_hashes is not None and seams else None
