@@ -64,7 +64,9 @@ def step(adapter: Adapter, picture: Picture, target: Tensor) -> float:
     """Add the gradient of the squared error to the leaves of a picture; return the loss."""
     still = picture.detached()
     with torch.no_grad():
-        image = draw(still, "edge").double()
+        # The renderer's own image, if it is not the exact one.
+        own = getattr(adapter, "image", None)
+        image = (own(still) if own else draw(still, "edge")).double()
     difference = image - target
     _, to_vertices, _ = adapter.draw(still, 2 * difference)
     torch.autograd.backward(picture.vertices, to_vertices.double())

@@ -39,16 +39,20 @@ def _practice(report: dict[str, Any], names: list[str]) -> list[str]:
         return []
     titles = list(dict.fromkeys(row["mesh"] for row in poses))
     lines = [
-        "| renderer | " + " | ".join(f"pose of the {title}" for title in titles) + " | seconds a pose | IoU, steps |"
+        "| renderer | "
+        + " | ".join(f"pose of the {title}" for title in titles)
+        + " | seconds a pose | IoU, steps | ms |"
     ]
-    lines.append("|---|" + "---:|" * (len(titles) + 2))
+    lines.append("|---|" + "---:|" * (len(titles) + 3))
     for name in names:
         own = {row["mesh"]: row for row in poses if row["renderer"] == name}
         cells = [f"{own[t]['success']:.0%} ({own[t]['steps']:.0f})" if t in own else "" for t in titles]
         mean = f"{sum(row['seconds'] for row in own.values()) / len(own):.2f}" if own else ""
         shape = [row for row in shapes if row["renderer"] == name]
         overlap = f"{shape[0]['iou']:.3f}, {shape[0]['steps']}" if shape else ""
-        lines.append(f"| {name} | " + " | ".join(cells) + f" | {mean} | {overlap} |")
+        scenes = _of_scenes(report["rows"], name)
+        time = f"{_mean([1e3 * row['seconds'] for row in scenes]):.0f}" if scenes else ""
+        lines.append(f"| {name} | " + " | ".join(cells) + f" | {mean} | {overlap} | {time} |")
     return lines
 
 
@@ -74,14 +78,20 @@ def plot(report: dict[str, Any], path: Path) -> None:
             continue
         time = _mean([row["seconds"] * 1e3 for row in scenes])
         middle.scatter(time, _mean([row["noise"] for row in scenes]), 90, color=colors[name])
-        middle.annotate(name, (time, _mean([row["noise"] for row in scenes])), (6, 6), textcoords="offset points")
+        middle.annotate(
+            name,
+            (time, _mean([row["noise"] for row in scenes])),
+            (6, -14 if name == "DEODR" else 6),
+            textcoords="offset points",
+        )
         places = [names.index(name)] * len(scenes)
         right.plot(places, [row["cosine"] for row in scenes], "o", color=colors[name], alpha=0.5)
     left.set(
         xscale="log", yscale="log", xlabel="side of a lone triangle, pixels", ylabel="size of the gradient (1 is right)"
     )
     left.axhline(1, color="black", linewidth=0.8, zorder=0)
-    left.legend(frameon=False)
+    left.set_ylim(0.1, 100)
+    left.legend(frameon=False, ncols=2, loc="upper right")
     middle.set(xscale="log", yscale="log", xlabel="milliseconds, forward and backward", ylabel="noise of one sample")
     middle.margins(0.25)
     right.set_xticks(range(len(names)), names, rotation=20)
@@ -91,6 +101,12 @@ def plot(report: dict[str, Any], path: Path) -> None:
         axes.grid(alpha=0.3)
     figure.tight_layout()
     figure.savefig(path, dpi=110)
+
+
+def _of_scenes(rows: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
+    """Choose a renderer's rows of scenes whose shape or camera moves, without those that it does not see at all."""
+    moving = ("vertices", "places", "eye", "move")
+    return [row for row in rows if row["renderer"] == name and row["of"] in moving and abs(row["size"]) > 1e-6]
 
 
 def _mean(values: list[float]) -> float:

@@ -16,6 +16,8 @@ class Adapter(Protocol):
     Attributes:
         name: In tables.
         most_shifts: Sub-pixel shifts that it has time for.
+
+    A renderer whose image is not exact, but smoothed, also has a method ``image(picture)``, for losses in practice.
     """
 
     name: str

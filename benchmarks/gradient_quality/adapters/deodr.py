@@ -17,6 +17,10 @@ class Deodr:
 
     name, most_shifts, sigma = "DEODR", 10**6, 1.0
 
+    def image(self, picture: Picture) -> Tensor:
+        """Draw without a gradient."""
+        return self.draw(picture, torch.zeros(3, picture.size, picture.size))[0]
+
     def draw(self, picture: Picture, pull: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         size, place = picture.size, picture.vertices[:, :2].numpy()
         ij = np.stack((place[:, 0] - 0.5, size - 0.5 - place[:, 1]), 1)  # y down, pixel centres at the integers
