@@ -82,7 +82,7 @@ class Settings:
         height, width = image_size("size", size)
         two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
         if not isinstance(gradient, str) or gradient not in GRADIENTS:
-            hint = "; the score-function estimate needs a loss: call reinforce" if gradient == "reinforce" else ""
+            hint = "; the score-function estimate needs a loss: call reinforce" if str(gradient) == "reinforce" else ""
             raise ValueError(f"gradient: expected one of {', '.join(GRADIENTS)}, got {gradient!r}{hint}")
         near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
         if not 0 <= near < far <= FARTHEST:
