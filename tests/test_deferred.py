@@ -87,7 +87,7 @@ def test_what_does_not_fit(device):
         nr.fragments(mesh, 3.0)
     with pytest.raises(ValueError, match=r"vertices without a camera: expected shape \[V, 4\]"):
         nr.fragments(mesh, None)
-    with pytest.raises(ValueError, match="gradient: expected one of nmr, edge"):
+    with pytest.raises(ValueError, match="gradient: expected one of nmr, edge, opendr"):
         nr.fragments(mesh, camera, gradient="soft")
 
 

@@ -18,6 +18,7 @@ from .meshes.sample_points import SurfacePoints, sample_points
 from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
+from .raster.visibility.comparators.reinforce import reinforce
 from .rendering import render
 from .shading.environments.light import EnvironmentLight
 from .shading.lights import Light
@@ -89,6 +90,7 @@ __all__ = [
     "rasterize_images",
     "rasterize_rgbad",
     "rasterize_silhouettes",
+    "reinforce",
     "render",
     "sample_points",
     "sample_texture",

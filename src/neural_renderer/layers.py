@@ -13,6 +13,7 @@ from . import validate
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.layers import layers_gradient
+from .raster.warp.registration import needs_gradient
 
 if TYPE_CHECKING:
     from .deferred import Fragments
@@ -102,7 +103,7 @@ class Layers:
         for layer, color, alpha in zip(self.layers[::-1], colors[::-1], opacities[::-1], strict=True):
             blended = alpha * color.float() + (1 - alpha) * through.movedim(1, 3)
             through = picture = composite(blended, picture, layer.face_index)
-            if first.settings.gradient == "nmr" and layer is not first:
+            if first.settings.gradient != "edge" and layer is not first:
                 # Seen through the layer in front. Elsewhere that layer's faces, which may end at the same edges, have
                 # the gradient.
                 whole = replace(first.settings, anti_aliasing=False)
@@ -110,8 +111,8 @@ class Layers:
             pictures.append(picture)
         validate.finite("colors", picture)
         seams = validate.flag("seams", seams)
-        moving = first.corners.requires_grad and torch.is_grad_enabled()
-        if first.settings.gradient == "nmr" or not moving:
+        moving = needs_gradient(first.corners)
+        if first.settings.gradient != "edge" or not moving:
             return first.image(picture, seams=seams, edge_hashes=edge_hashes).contiguous()
         settings = first.settings
         shown = torch.stack([layer.face_index for layer in self.layers])

@@ -75,8 +75,8 @@ def render(
         near, far: Depth range in world units, 0 <= near < far; a point is visible if near < depth < far.
         anti_aliasing: Draw at twice the size and average 2 x 2 pixels.
         two_sided: Draw also faces seen from behind.
-        gradient: Estimator of the gradient through visibility: ``"edge"``, unbiased, or ``"nmr"``, the paper's (see
-            `rasterize_images`).
+        gradient: Estimator of the gradient through visibility: ``"edge"``, unbiased, ``"nmr"``, the paper's, or
+            ``"opendr"``, a comparator (see `rasterize_images`).
         eps: Added to distances in the denominators of ``"nmr"``, in screen units; cube coordinates end at T - 1 - eps.
         layers: Number of faces that are blended at each pixel, for a `UVMesh` whose materials are transparent, cut out
             or not double-sided. None draws the visible faces, all opaque. Depth is that of the nearest face.

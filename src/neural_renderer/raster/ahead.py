@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from .colors.composite import composite
@@ -28,7 +27,7 @@ from .visibility.neighbors import neighbors
 from .visibility.nmr import nmr_gradient
 from .visibility.scanlines import empty_lines
 from .warp.launch import load_ahead
-from .warp.registration import is_plain
+from .warp.registration import is_plain, needs_gradient
 
 Functions = tuple[Callable[..., Any], ...]
 
@@ -41,6 +40,7 @@ _ALWAYS: Functions = (coverage, gather_corners)
 _VISIBILITY: dict[str, Functions] = {
     "nmr": (nmr_gradient, empty_lines, visible_faces),
     "edge": (edge_gradient, add_intersections, neighbors, visible_faces),
+    "opendr": (),  # plain torch
 }
 
 
@@ -60,7 +60,7 @@ def load_kernels(
     """
     if not isinstance(positions[0], Tensor) or not is_plain(positions):
         return
-    moving = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in positions)
+    moving = needs_gradient(*positions)
     # The modules that take longest to compile come first.
     needed: Functions = _VISIBILITY[settings.gradient] if moving else ()
     needed += scene if "rgb" in outputs else scene[: len(PROJECTION)]

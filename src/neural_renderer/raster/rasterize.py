@@ -52,6 +52,7 @@ def rasterize_images(
         gradient: Estimator of the gradient through visibility. ``"edge"`` is the derivative of the image averaged over
             sub-pixel shifts, including the derivatives of texture coordinates and depth. ``"nmr"`` is the paper's
             approximation (section 3.2): it also acts over long distances, and its magnitude is not a derivative's.
+            ``"opendr"`` is OpenDR's (Loper and Black, 2014), by differences of neighbouring pixels: for comparison.
         triangles: Vertex indices of ``faces``, [F, 3] or [B or 1, F, 3] integer, as given to `vertices_to_faces`. With
             them ``"edge"`` finds adjacent faces once per mesh. Without them, it searches for adjacent faces by the
             positions of corners in every backward pass.

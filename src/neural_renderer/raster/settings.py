@@ -15,11 +15,13 @@ from torch import Tensor
 from .. import validate
 from .colors.downsample import halve
 from .ops.coverage import coverage
+from .visibility.comparators.opendr import opendr_gradient
 from .visibility.edge import edge_gradient
 from .visibility.nmr import nmr_gradient
 from .visibility.rings import edge_rings
+from .warp.registration import needs_gradient
 
-GRADIENTS = ("nmr", "edge")
+GRADIENTS = ("nmr", "edge", "opendr")
 _CGROUPS = Path("/proc/self/cgroup")
 _LIMITS = {
     "": (Path("/sys/fs/cgroup"), "memory.max"),
@@ -42,7 +44,7 @@ class Settings:
         anti_aliasing: Whether faces are drawn at twice the size and averaged over 2 x 2 pixels.
         two_sided: Whether faces whose corners run clockwise on the screen are drawn.
         perspective: Whether the projection is perspective; else orthographic.
-        gradient: Estimator of the gradient through visibility, "nmr" or "edge".
+        gradient: Estimator of the gradient through visibility, "nmr", "edge" or "opendr".
     """
 
     height: int
@@ -80,7 +82,8 @@ class Settings:
         height, width = image_size("size", size)
         two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
         if not isinstance(gradient, str) or gradient not in GRADIENTS:
-            raise ValueError(f"gradient: expected one of {', '.join(GRADIENTS)}, got {gradient!r}")
+            hint = "; the score-function estimate needs a loss: call reinforce" if str(gradient) == "reinforce" else ""
+            raise ValueError(f"gradient: expected one of {', '.join(GRADIENTS)}, got {gradient!r}{hint}")
         near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
         if not 0 <= near < far <= FARTHEST:
             raise ValueError(f"near, far: expected 0 <= near < far <= {FARTHEST:g}, got near {near}, far {far}")
@@ -121,7 +124,7 @@ class Settings:
 
     def rings(self, corners: Tensor, triangles: Tensor) -> Tensor | None:
         """Find the `edge_rings` of the faces with these vertex indices; None if no gradient needs them."""
-        needed = self.gradient == "edge" and corners.requires_grad and torch.is_grad_enabled()
+        needed = self.gradient == "edge" and needs_gradient(corners)
         return edge_rings(triangles) if needed else None
 
     def through_visibility(
@@ -134,7 +137,7 @@ class Settings:
         edge_hashes: Callable[[], Tensor] | None = None,
         rings: Tensor | None = None,
     ) -> Tensor:
-        """Average an image for anti-aliasing, and attach the gradient: `nmr_gradient` or `edge_gradient`.
+        """Average an image for anti-aliasing, and attach the gradient through visibility.
 
         Args:
             image: Image with its background, before anti-aliasing, [B, C, H, W] float32.
@@ -149,13 +152,15 @@ class Settings:
             [B, C, height, width] float32.
         """
         halved = self.anti_aliasing
-        if not (corners.requires_grad and torch.is_grad_enabled()):
+        if not needs_gradient(corners):
             return halve(image) if halved else image
         if self.gradient == "edge":
             hashes = edge_hashes() if edge_hashes is not None and seams else None
             return edge_gradient(
                 image, corners, face_index, self.two_sided, self.perspective, seams, hashes, rings, halved
             )
+        if self.gradient == "opendr":
+            return opendr_gradient(image, corners, face_index, self.perspective, halved)
         if not self.perspective:  # an orthographic camera has no plane that corners can lie behind
             corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
         return nmr_gradient(image, corners, face_index, self.eps, self.two_sided, binary, halved)

@@ -237,11 +237,8 @@ def _seam_gain(scan: _Scan, f: int, g: int, u: int, c: float, d: int) -> float:
     inner = math.floor(c) if d > 0 else math.ceil(c)
     offset = abs(c - inner)
     chords = [min(abs(scan.exit(face, u, c) - c), 1.0) for face in (f, g)]
-    probability = 1.0
-    if min(scan.area(f), scan.area(g)) < SMALL:  # only a pair of pixels that shows both faces has both colours
-        if (shown[inner], shown[inner + d]) != (f, g):
-            return 0.0
-        probability = max(sum(chords) - 1, LEAST_CHORD)
+    if min(scan.area(f), scan.area(g)) < SMALL:
+        return _small_seam_gain(scan, (f, g), u, inner, d, offset, chords)
     sides = []
     for face, chord, pixel, way, gap in zip(
         (f, g), chords, (inner, inner + d), (-d, d), (offset, 1 - offset), strict=True
@@ -256,6 +253,26 @@ def _seam_gain(scan: _Scan, f: int, g: int, u: int, c: float, d: int) -> float:
             if color is None:
                 return 0.0
             sides.append(color)
-    part = offset if probability < 1 else float(offset >= 0.5)
-    pull = [(1 - part) * i + part * o for i, o in zip(pulls[inner], pulls[inner + d], strict=True)]
-    return sum((a - b) * g / probability for a, b, g in zip(*sides, pull, strict=True))
+    pull = pulls[inner + d] if offset >= 0.5 else pulls[inner]
+    return sum((a - b) * g for a, b, g in zip(*sides, pull, strict=True))
+
+
+def _small_seam_gain(
+    scan: _Scan, faces: tuple[int, int], u: int, inner: int, d: int, offset: float, chords: list[float]
+) -> float:
+    """Compute the gain at a seam of a small face: each side that is shown, by the inverse of its chord."""
+    pixels = (inner, inner + d)
+    shows = [scan.shown[u][pixel] == face for pixel, face in zip(pixels, faces, strict=True)]
+    weights = [seen / max(chord, LEAST_CHORD) for seen, chord in zip(shows, chords, strict=True)]
+    if not any(shows):
+        return 0.0
+    places = [(u, inner + d * n) for n in (-1, -2, 2, 3)] + [(u + n, pixel) for n in (-1, 1) for pixel in pixels]
+    inside = [(i, j) for i, j in places if 0 <= i < len(scan.shown) and 0 <= j < len(scan.shown[0])]
+    others = [(i, j) for i, j in inside if scan.shown[i][j] >= 0 and scan.shown[i][j] not in faces]
+    total = 0.0
+    for n in range(len(scan.pulls[u][inner])):
+        own, other = (scan.colors[u][pixel][n] for pixel in pixels)
+        mean = sum(scan.colors[i][j][n] for i, j in others) / len(others) if others else (own + other) / 2
+        pull = (1 - offset) * scan.pulls[u][pixels[0]][n] + offset * scan.pulls[u][pixels[1]][n]
+        total += (weights[0] * (own - mean) - weights[1] * (other - mean)) * pull
+    return total

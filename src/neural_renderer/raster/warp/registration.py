@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, NoReturn, ParamSpec, TypeVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -33,7 +33,7 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
     registered = getattr(torch.ops.neural_renderer, function.__name__).default
 
     plain: Callable[..., Any] = function
-    graph: list[Any] = []  # the `torch.autograd.Function`, set by `differentiable`
+    graph: list[Any] = []  # two `torch.autograd.Function`, set by `differentiable`; the second one for torch.func
     defaults = tuple(parameter.default for parameter in inspect.signature(function).parameters.values())
 
     @functools.wraps(function)
@@ -41,6 +41,8 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
         if not torch.compiler.is_compiling() and forward_ad._current_level >= 0:
             _refuse_tangents(function.__name__, inputs)
         if not is_plain(inputs):
+            if graph and torch._C._are_functorch_transforms_active() and not torch.compiler.is_compiling():
+                return graph[1].apply(*inputs, *defaults[len(inputs) :])
             return registered(*inputs)
         inputs += defaults[len(inputs) :]
         if not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
@@ -67,7 +69,15 @@ def differentiable(call: Any, backward: Callable[..., Any], setup_context: Calla
         return output
 
     methods = {"forward": staticmethod(forward), "backward": staticmethod(backward)}
-    call.graph[:] = [type(name, (torch.autograd.Function,), methods)]
+    # The rules of `torch.func` need a forward pass without a context.
+    separate = {
+        "forward": staticmethod(lambda *inputs: call.__wrapped__(*inputs)),
+        "setup_context": staticmethod(setup_context or (lambda ctx, inputs, output: None)),
+        "backward": staticmethod(backward),
+        "jvp": staticmethod(functools.partial(_refuse_forward_mode, name)),
+        "vmap": staticmethod(functools.partial(_one_by_one, call)),
+    }
+    call.graph[:] = [type(name, (torch.autograd.Function,), part) for part in (methods, separate)]
 
 
 def differentiable_once(function: Callable[P, R]) -> Callable[P, R]:
@@ -81,6 +91,18 @@ def differentiable_once(function: Callable[P, R]) -> Callable[P, R]:
 
     differentiable(backward, refuse)
     return backward
+
+
+def _one_by_one(call: Any, info: Any, in_dims: tuple[int | None, ...], *inputs: Any) -> Any:
+    """Run an operator for each element of the dimension that `torch.func.vmap` adds, and stack the results in front."""
+    results = []
+    for n in range(info.batch_size):
+        own = (value if dim is None else value.select(dim, n) for value, dim in zip(inputs, in_dims, strict=True))
+        results.append(call(*own))
+    if isinstance(results[0], Tensor):
+        return torch.stack(results), 0
+    stacked = tuple(torch.stack(parts) for parts in zip(*results, strict=True))
+    return stacked, (0,) * len(stacked)
 
 
 def is_plain(inputs: tuple[Any, ...]) -> bool:
@@ -100,6 +122,16 @@ def is_plain(inputs: tuple[Any, ...]) -> bool:
     return True
 
 
+def needs_gradient(*tensors: Tensor) -> bool:
+    """Test whether a gradient to one of the tensors may be asked for.
+
+    Inside a transformation of `torch.func` a tensor does not tell, so the answer is yes.
+    """
+    if not torch.is_grad_enabled():
+        return False
+    return torch._C._are_functorch_transforms_active() or any(tensor.requires_grad for tensor in tensors)
+
+
 def _requires_grad(value: Any) -> bool:
     return isinstance(value, Tensor) and value.requires_grad
 
@@ -107,7 +139,11 @@ def _requires_grad(value: Any) -> bool:
 def _refuse_tangents(name: str, inputs: tuple[Any, ...]) -> None:
     for value in inputs:
         if isinstance(value, Tensor) and forward_ad.unpack_dual(value).tangent is not None:
-            raise RuntimeError(
-                f"{name}: expected tensors without tangents, got one to differentiate in forward mode; the rasteriser "
-                "has gradients in reverse mode only (backward)"
-            )
+            _refuse_forward_mode(name)
+
+
+def _refuse_forward_mode(name: str, *_: Any) -> NoReturn:
+    raise RuntimeError(
+        f"{name}: expected tensors without tangents, got one to differentiate in forward mode; the rasteriser "
+        "has gradients in reverse mode only (backward)"
+    )

@@ -1,0 +1,1 @@
+"""Gradients of other papers, to compare with: OpenDR, and the score function (REINFORCE)."""
