@@ -277,8 +277,7 @@ def fragments(
     vertices, camera = scene_camera(vertices, camera)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     load_kernels(settings, ("rgb",), ATTRIBUTES, *causes(vertices, camera), scene=PROJECTION)
-    faces = checked_faces(faces)
-    corners = screen_corners(camera, vertices, faces, settings.width / settings.height)
+    corners, faces = screen_corners(camera, vertices, faces, settings.width / settings.height)
     if layers is None:
         return visible_fragments(corners, faces, vertices.shape[-2], settings, 8)
     return visible_layers(corners, faces, vertices.shape[-2], settings, validate.whole("layers", layers, 1))

@@ -22,7 +22,6 @@ from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.light_pixels import light_pixels
 from .raster.cubes import cube_colors
-from .raster.faces import checked_faces
 from .raster.images import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .shading.lights import AnyLight, Light, light_factors, pixel_lights
@@ -113,8 +112,7 @@ def render(
     load_kernels(
         settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, *causes(vertices, camera), scene=SCENE
     )
-    faces = checked_faces(faces)
-    corners = screen_corners(camera, vertices, faces, aspect)
+    corners, faces = screen_corners(camera, vertices, faces, aspect)
     if layers is not None:
         if not isinstance(mesh, UVMesh):
             raise TypeError(f"mesh: expected a UVMesh to draw layers, got {type(mesh).__name__}")

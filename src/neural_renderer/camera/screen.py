@@ -10,7 +10,7 @@ from torch import Tensor
 
 from .. import validate
 from ..constants import on_device
-from ..raster.faces import corner_indices, corners_of
+from ..raster.faces import checked_faces, corner_indices, corners_of
 from ..raster.ops.pinhole import pinhole
 from ..raster.ops.project_corners import project_corners
 from ..raster.warp.layout import images_of
@@ -82,26 +82,29 @@ def screen_positions(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
     return camera(vertices, aspect=aspect) if simple is None else pinhole(*simple, aspect, camera.perspective)
 
 
-def screen_corners(camera: Camera, vertices: Tensor, faces: Tensor, aspect: float) -> Tensor:
+def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) -> tuple[Tensor, Tensor]:
     """Project the corners of faces, as `screen_positions` and `corners_of` do one after the other.
 
     Args:
         camera, vertices, aspect: As of `screen_positions`.
-        faces: Vertex indices [F, 3] or [B, F, 3], int32 or int64.
+        faces: Vertex indices [F, 3] or [B, F, 3].
 
     Returns:
-        [B, F, 3, 3] float32.
+        The corners, [B, F, 3, 3] float32, and the faces as from `checked_faces`.
 
     Raises:
-        TypeError, ValueError: As `screen_positions` and `corners_of`; or a position that overflows float32.
+        TypeError, ValueError: As `screen_positions`, `checked_faces` and `corners_of`, in this order; or a position
+            that overflows float32.
     """
     simple = None if camera.is_fisheye else _pinhole(camera, vertices)
     if simple is None:
-        screen = screen_positions(camera, vertices, aspect)
-        return corners_of(validate.in_float32("vertices on the screen", screen), faces)
+        screen = validate.in_float32("vertices on the screen", screen_positions(camera, vertices, aspect))
+        faces = checked_faces(faces)
+        return corners_of(screen, faces), faces
     points, rotation, origin, width = simple
-    faces = corner_indices(points, faces, images_of(*simple))
-    return project_corners(points, faces, rotation, origin, width, aspect, camera.perspective)
+    faces = checked_faces(faces)
+    indices = corner_indices(points, faces, images_of(*simple))
+    return project_corners(points, indices, rotation, origin, width, aspect, camera.perspective), faces
 
 
 def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:

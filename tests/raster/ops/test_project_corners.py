@@ -32,7 +32,7 @@ def scene(device, cameras, meshes, orthographic=False, dtype=torch.float32, came
 def test_values_are_those_of_two_operators(device, cameras, meshes, orthographic):
     (points, _, _), faces, camera = scene(device, cameras, meshes, orthographic)
     expected = corners_of(screen_positions(camera, points, 1.5), faces)
-    assert torch.equal(screen_corners(camera, points, faces, 1.5), expected)
+    assert torch.equal(screen_corners(camera, points, faces, 1.5)[0], expected)
 
 
 @pytest.mark.parametrize("camera_too", [False, True])
@@ -47,7 +47,7 @@ def test_gradients(device, cameras, meshes, orthographic, camera_too):
     exact = screen.gather(1, index.flatten(1)[..., None].expand(-1, -1, 3)).unflatten(1, (-1, 3))
     random = torch.Generator().manual_seed(0)
     grad = torch.randn(exact.shape, generator=random, dtype=torch.float64).to(device)
-    ours = torch.autograd.grad(screen_corners(camera, leaves[0], faces, 1.5), leaves[:count], grad.float())
+    ours = torch.autograd.grad(screen_corners(camera, leaves[0], faces, 1.5)[0], leaves[:count], grad.float())
     theirs = torch.autograd.grad(exact, exact_leaves[:count], grad)
     for one, other in zip(ours, theirs, strict=True):
         # Each gradient is a sum of some hundreds of terms at most, each of some 30 roundings.
@@ -59,7 +59,7 @@ def test_an_index_out_of_range_gives_nan_without_checks(device):
     faces[0, 0], faces[1, 1] = 12, -2
     nr.check_values(False)
     try:
-        corners = screen_corners(camera, points, faces, 1.0)
+        corners, _ = screen_corners(camera, points, faces, 1.0)
     finally:
         nr.check_values(True)
     wrong = torch.zeros(1, 20, 3, dtype=torch.bool, device=device)
