@@ -31,6 +31,11 @@ class Remeshed:
         vertices: [V, 3], of the dtype of the old vertices.
         faces: [F, 3] int64.
         attributes: [V, C], values carried along, or None.
+
+    Example:
+        >>> found = nr.remesh(nr.icosphere(2), 0.2, attributes=torch.rand(162, 8))
+        >>> len(found.attributes) == len(found.vertices)
+        True
     """
 
     vertices: Tensor
