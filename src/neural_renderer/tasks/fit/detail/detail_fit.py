@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .... import validate
-from ....meshes.normals import vertex_normals
+from ....meshes.normals import face_normals, vertex_normals
 from ...observer import LEAST_RATE, Knob, turn_weight, weight_knobs
 from ...settings import DetailWeights
 from ..fit_views import Views, mask_iou, views_of_step
@@ -18,6 +18,9 @@ from .pyramid import Pyramid, shortest_edge
 
 _LONGEST = 0.15  # target length of edges, where the object is about 2 long
 _DECAY_FROM, _LAST_RATE = 0.7, 0.05  # the rate decreases from this fraction of the steps on, to this share
+# Smooth normals move the surface far, but do not notice neighbouring faces that are bent to and fro. So from this
+# fraction of the steps on, normals are those of faces.
+_FLAT_FROM = 0.4
 _SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
 
 
@@ -101,7 +104,7 @@ class DetailFit:
         progress = self.step / self.steps
         views = self._pyramid.at(progress)[views_of_step(self._count, self._batch, self._seed, self.step)]
         vertices = self._descent.vertices.clone().requires_grad_()
-        parts, iou = self._losses(views, vertices, progress >= _SMOOTH_FROM)
+        parts, iou = self._losses(views, vertices, progress >= _FLAT_FROM, progress >= _SMOOTH_FROM)
         loss = torch.stack([getattr(self._weights, name) * part for name, part in parts.items()]).sum()
         (gradient,) = torch.autograd.grad(loss, vertices)
         decay = min(1.0, max(_LAST_RATE, (1 - progress) / (1 - _DECAY_FROM)))
@@ -111,13 +114,19 @@ class DetailFit:
         self.step += 1
         return {"loss": loss.item(), "iou": iou.item(), **{name: part.item() for name, part in parts.items()}}
 
-    def _losses(self, views: Views, vertices: Tensor, anti_aliasing: bool) -> tuple[dict[str, Tensor], Tensor]:
+    def _losses(
+        self, views: Views, vertices: Tensor, flat: bool, anti_aliasing: bool
+    ) -> tuple[dict[str, Tensor], Tensor]:
         """Compute the parts of the loss, and the mean silhouette IoU."""
         seen = views.fragments((vertices, self._descent.faces), anti_aliasing)
         eyes, forward = views.eyes()
-        normals = vertex_normals(vertices, self._descent.faces).expand(len(views), -1, -1)
         depth = ((vertices - eyes[:, None]) * forward[:, None]).sum(2, keepdim=True)
-        surface = seen.interpolate(torch.cat((normals, depth), 2))
+        faces = self._descent.faces
+        if flat:
+            normals = -face_normals(vertices[faces])[:, None].expand(-1, 3, -1)
+        else:
+            normals = vertex_normals(vertices, faces)[0][faces]
+        surface = seen.interpolate(torch.cat((normals.expand(len(views), -1, -1, -1), depth[:, faces]), 3))
         normal = F.normalize(surface[..., :3], dim=3)
         layers = {"silhouette": torch.ones_like(normal[..., :1])}
         targets = {"silhouette": views.masks[:, None]}
@@ -127,7 +136,8 @@ class DetailFit:
             # Composited as a difference: a part that appears or vanishes has no error at all.
             layers["depth"], targets["depth"] = _depth_error(surface[..., 3:], views.depth), torch.zeros(())
         sizes = [part.shape[3] for part in layers.values()]
-        images = dict(zip(layers, seen.composite(torch.cat(list(layers.values()), 3)).split(sizes, 1), strict=True))
+        drawn = seen.composite(torch.cat(list(layers.values()), 3), seams=flat)  # normals of faces jump at edges
+        images = dict(zip(layers, drawn.split(sizes, 1), strict=True))
         losses = {name: (image - targets[name].to(image)).abs().sum(1).mean() for name, image in images.items()}
         return losses, mask_iou(images["silhouette"][:, 0], views.masks).mean()
 
