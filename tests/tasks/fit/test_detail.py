@@ -101,10 +101,10 @@ def test_hollow_that_outlines_do_not_show(views: Views, name: str) -> None:
     """From a sphere: the dent appears, the mesh stays closed, and a resumed fit goes on in the same way."""
     kept = replace(views, **{other: None for other in ("normals", "depth") if other != name})
     start = nr.icosphere(3, radius=0.85)
-    fit = DetailFit(kept, *start, steps=40)
+    fit = DetailFit(kept, *start, steps=30)
     state: Any = None
     while not fit.done:
-        if fit.step == 35:
+        if fit.step == 26:
             state = copy.deepcopy(fit.state_dict())
         numbers = fit.advance()
     assert set(numbers) == {"loss", "iou", "silhouette", name}
@@ -113,7 +113,7 @@ def test_hollow_that_outlines_do_not_show(views: Views, name: str) -> None:
     assert distance(fit.shape, dented()) < 0.5 * distance(start, dented())
     edges = torch.sort(torch.stack((fit.shape[1], fit.shape[1].roll(-1, 1)), 2).reshape(-1, 2), 1).values
     assert (torch.unique(edges, dim=0, return_counts=True)[1] == 2).all()
-    again = DetailFit(kept, *start, steps=40)
+    again = DetailFit(kept, *start, steps=30)
     again.load_state_dict(state)
     while not again.done:
         again.advance()
