@@ -42,6 +42,7 @@ NEVER_RAISES = {
     "Config",
     "Viewer.offer",
     "Viewer.finish",
+    "Remeshed",
 }
 WITHOUT_EXAMPLE = {
     "losses.silhouette_iou",  # deprecated

@@ -14,6 +14,8 @@ from .meshes.batch import batch, join
 from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals
 from .meshes.primitives import cube, icosphere, torus
+from .meshes.remeshing.closest_points import closest_points
+from .meshes.remeshing.remesh import Remeshed, remesh
 from .meshes.sample_points import SurfacePoints, sample_points
 from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
@@ -53,6 +55,7 @@ __all__ = [
     "Phong",
     "PointLight",
     "Rasterize",
+    "Remeshed",
     "Renderer",
     "ShadowedLight",
     "SphericalHarmonicLight",
@@ -65,6 +68,7 @@ __all__ = [
     "__version__",
     "batch",
     "check_values",
+    "closest_points",
     "corner_tangents",
     "cross",
     "cube",
@@ -91,6 +95,7 @@ __all__ = [
     "rasterize_rgbad",
     "rasterize_silhouettes",
     "reinforce",
+    "remesh",
     "render",
     "sample_points",
     "sample_texture",

@@ -152,6 +152,38 @@ def test_interrupted_and_resumed(
     assert histories[0] == histories[1]
 
 
+def test_maps_of_normals_are_followed_and_resumed(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "normals").mkdir()
+    normals = Views.of(thing(), nr.Camera.look_at(EYES, viewing_angle=22.0), 48, normals=True).normals
+    for index, image in enumerate(normals):  # type: ignore[arg-type]
+        nr.save_image(folder / "normals" / f"r_{index}.png", (image + 1) / 2)
+    arguments = ["fit", str(folder), "-o", str(tmp_path / "a"), *SMALL, "--detail-steps", "4"]
+    advance = MeshFit.advance
+
+    def interrupted(fit: MeshFit) -> dict[str, float]:
+        if fit.phase == "detail" and fit.step == 2:
+            signal.raise_signal(signal.SIGINT)
+        return advance(fit)
+
+    monkeypatch.setattr(MeshFit, "advance", interrupted)
+    assert cli.main(arguments) == 130
+    assert (tmp_path / "a" / "preview.png").is_file()
+    monkeypatch.setattr(MeshFit, "advance", advance)
+    assert cli.main([*arguments, "--detail-weights.normals", "2", "--resume"]) == 1
+    capsys.readouterr()
+    assert cli.main([*arguments, "--resume"]) == 0
+    arguments[3] = str(tmp_path / "b")
+    assert cli.main(arguments) == 0
+    histories = [json.loads((tmp_path / name / "report.json").read_text())["history"] for name in "ab"]
+    assert histories[0] == histories[1]
+    assert [row["phase"] for row in histories[0]] == ["shape"] * 4 + ["detail"] * 4 + ["texture"] * 4
+    arguments[3] = str(tmp_path / "c")
+    assert cli.main([*arguments, "--no-maps"]) == 1
+    assert "--detail-steps: expected 0 for views without normals and depth" in capsys.readouterr().err
+
+
 def test_texture_and_camera_of_a_known_mesh(folder: Path, tmp_path: Path) -> None:
     thing().save(tmp_path / "thing.obj")
     known = ["--mesh", str(tmp_path / "thing.obj"), *SMALL]

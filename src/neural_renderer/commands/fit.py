@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
 
 _MAY_DIFFER = (
-    *("images", "masks", "output", "steps", "texture_steps", "turntable"),
+    *("images", "masks", "output", "steps", "detail_steps", "texture_steps", "turntable"),
     *("allow_outside", "resume", "force", "device", "watch"),
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
@@ -41,6 +41,8 @@ def run(options: FitOptions) -> int:
     """Fit and write the results; return the exit code: 0, 3 if outlines do not match the masks, 130 after Ctrl-C."""
     check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, starts=1)
     check_counts(options, turntable=0, seed=0)
+    if options.detail_steps is not None:
+        check_counts(options, detail_steps=0)
     if options.up is not None and not any(options.up):
         raise ValueError("--up: expected a direction, got 0 0 0")
     if options.recover != "shape" and options.mesh is None:
@@ -72,6 +74,9 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
         photos=options.photos,
         masks=options.masks,
         box=options.box,
+        maps=options.maps,
+        normals_in=options.normals_in,
+        depth_scale=options.depth_scale,
         allow_outside=options.allow_outside,
         **_mask_rule(options),
     ).to(choose_device(options.device))
@@ -95,18 +100,20 @@ def _run_mesh_fit(options: FitOptions, fitted: Views, held_out: Views | None, st
         start,
         recover="texture" if options.recover == "texture" else "shape",
         steps=options.steps,
+        detail_steps=options.detail_steps,
         texture_steps=options.texture_steps,
         cells=options.cells,
         texture_size=options.texture_size,
         color_from=options.color_from,
         weights=options.weights,
+        detail_weights=options.detail_weights,
         batch=options.batch,
         gradient=options.gradient,
         seed=options.seed,
     )
     make_folder("--output", options.output)
     camera = (getattr(fitted.camera, part.name) for part in fields(fitted.camera))
-    images = fitted.masks, fitted.photos, *camera
+    images = fitted.masks, fitted.photos, fitted.normals, fitted.depth, *camera
     runner = _runner(options, fit, images, lambda: (fit.views, fit.shape), viewer, fit.mesh)
     finished = runner.run(options.resume)
     write_mesh(options, fit, fitted)

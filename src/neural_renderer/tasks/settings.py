@@ -52,8 +52,41 @@ class FitWeights:
     smoothness: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not isinstance(value, Real):
-                raise TypeError(f"{name}: expected a number, got {type(value).__name__}")
-            if not 0 <= float(value) < math.inf:
-                raise ValueError(f"{name}: expected a finite weight of at least 0, got {value}")
+        _check_weights(vars(self))
+
+
+@dataclass(frozen=True)
+class DetailWeights:
+    """Weights of the losses of a detail fit, ≥ 0; 0 disables a loss. All are mean absolute differences over pixels.
+
+    Attributes:
+        silhouette: Weight of silhouettes.
+        normals: Weight of normals, summed over three channels.
+        depth: Weight of depth, with half the longest side of the object as unit.
+        smooth: Share of the way to the mean of its neighbours that each vertex moves in a step, at first.
+
+    Raises:
+        TypeError, ValueError: A weight is not a finite number ≥ 0.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import DetailWeights
+        >>> DetailWeights(normals=0.5).normals
+        0.5
+    """
+
+    silhouette: float = 1.0
+    normals: float = 1.0
+    depth: float = 1.0
+    smooth: float = 0.02
+
+    def __post_init__(self) -> None:
+        _check_weights(vars(self))
+
+
+def _check_weights(weights: dict[str, float]) -> None:
+    """Raise TypeError or ValueError if a weight is not a finite number ≥ 0."""
+    for name, value in weights.items():
+        if not isinstance(value, Real):
+            raise TypeError(f"{name}: expected a number, got {type(value).__name__}")
+        if not 0 <= float(value) < math.inf:
+            raise ValueError(f"{name}: expected a finite weight of at least 0, got {value}")

@@ -140,7 +140,8 @@ def _try_mesh(results: Results, name: str, path: Path, allow_outside: bool) -> N
 
 def _read_views(results: Results, _: dict[str, Any], inputs: dict[str, Any], allow_outside: bool) -> None:
     """Read the photographs of a fit."""
-    results.views = load_views(inputs["images"], size=_VIEW_SIZE, allow_outside=allow_outside, **_photo_options(inputs))
+    options = {"size": _VIEW_SIZE, "maps": False, "allow_outside": allow_outside, **_photo_options(inputs)}
+    results.views = load_views(inputs["images"], **options)
 
 
 def _read_camera(results: Results, report: dict[str, Any], inputs: dict[str, Any], _: bool) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ...tasks.settings import FitWeights
+from ...tasks.settings import DetailWeights, FitWeights
 from .watch import WatchOptions
 
 
@@ -62,6 +62,13 @@ class FitOptions:
     box: tuple[float, float, float, float, float, float] | None = None
     """Opposite corners (x y z x y z) of a box around the object, in the world of the cameras. What is outside is
     background."""
+    maps: bool = True
+    """Use the maps in the folders normals and depth beside the images, if there are such: a .png or .npy for each
+    image, as render --save writes them. They show details and hollows that outlines do not show."""
+    normals_in: Literal["world", "camera"] = "world"
+    """Space of the normal maps. camera: x right, y up, z towards the viewer."""
+    depth_scale: float = 1000.0
+    """Steps of a 16-bit depth .png for one unit of the world (above 0); 0 in the .png is no depth."""
     check: bool = True
     """Check first whether masks and cameras agree, and end with an error if they do not."""
     up: tuple[float, float, float] | None = None
@@ -72,6 +79,9 @@ class FitOptions:
     """Hold out every n-th view for the report (at least 2; 0: none)."""
     steps: int = 150
     """Steps of gradient descent for the shape or the camera (at least 1)."""
+    detail_steps: int | None = None
+    """Steps for normals and depth, after those for the shape, which remesh it (at least 0); by default 200 if there
+    are such maps."""
     texture_steps: int = 20
     """Steps of conjugate gradients for the texture (at least 1)."""
     texture_size: int = 4
@@ -89,6 +99,8 @@ class FitOptions:
     recovers some of them, in twice the time."""
     weights: FitWeights = field(default_factory=FitWeights)
     """Weights of the losses."""
+    detail_weights: DetailWeights = field(default_factory=DetailWeights)
+    """Weights of the losses of the steps for normals and depth."""
     turntable: int = 36
     """Pictures of the turntable (0: none)."""
     seed: int = 0

@@ -95,6 +95,7 @@ def _report(options: FitOptions, runner: TaskRunner, results: dict[str, Any], fi
             "images": str(options.images.resolve()),
             "mesh": None if options.mesh is None else str(options.mesh.resolve()),
             "photos": options.photos,
+            "maps": options.maps,
             "background": options.background,
         },
         "gradient": options.gradient,

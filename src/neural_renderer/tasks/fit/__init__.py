@@ -1,7 +1,8 @@
 """Fitting: a textured mesh from images with cameras, the texture of a known mesh, or the camera of one image."""
 
 from ...deprecated import old_names
-from ..settings import FitWeights
+from ..settings import DetailWeights, FitWeights
+from .detail.detail_fit import DetailFit
 from .fit_views import Views
 from .hull import carve, object_bounds
 from .load import load_photo, load_views
@@ -12,6 +13,8 @@ from .texture import TextureFit
 
 __all__ = [
     "CameraFit",
+    "DetailFit",
+    "DetailWeights",
     "FitWeights",
     "MeshFit",
     "ShapeFit",

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ... import metrics, validate
 from ...camera import Camera
+from ...deferred import Fragments, fragments
 from ...deprecated import old_method
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
@@ -33,6 +34,8 @@ class Views:
         masks: [N, H, W] float32 in [0, 1], silhouettes: 1 where the object covers a pixel.
         photos: [N, 3, H, W] float32 in [0, 1], RGB multiplied by the mask; or None.
         region: Where the object is, if that is known: centre [3] and half the side of a cube, in the world; or None.
+        normals: [N, 3, H, W] float32, unit normals in world space, multiplied by the mask; or None.
+        depth: [N, H, W] float32, depth along the viewing axis in world units, 0 where it is not known; or None.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit, there are no views, or a mask is empty.
@@ -48,6 +51,8 @@ class Views:
         >>> shape = nr.icosphere(2, radius=0.5)
         >>> smaller.draw(shape).alpha.shape
         torch.Size([6, 32, 32])
+        >>> smaller.fragments(shape).face_index.shape
+        torch.Size([6, 64, 64])
         >>> smaller.quality(shape)["iou"].min() > 0.99
         tensor(True)
         >>> views = views.to("cuda" if torch.cuda.is_available() else "cpu")
@@ -57,6 +62,8 @@ class Views:
     masks: Tensor
     photos: Tensor | None = None
     region: tuple[Tensor, float] | None = None
+    normals: Tensor | None = None
+    depth: Tensor | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
@@ -66,6 +73,10 @@ class Views:
         validate.floating("masks", self.masks, (len(self.camera), "H", "W"))
         if self.photos is not None:
             validate.floating("photos", self.photos, (len(self.camera), 3, *self.size))
+        if self.normals is not None:
+            validate.floating("normals", self.normals, (len(self.camera), 3, *self.size))
+        if self.depth is not None:
+            validate.floating("depth", self.depth, (len(self.camera), *self.size))
         empty = torch.nonzero(self.masks.amax((1, 2)) <= 0.5).flatten().tolist()
         if empty:
             raise ValueError(f"masks: expected an object in every view, got an empty mask in view {empty[0]}")
@@ -79,13 +90,24 @@ class Views:
         return self.masks.shape[1], self.masks.shape[2]
 
     @classmethod
-    def of(cls, mesh: Mesh | UVMesh, camera: Camera, size: int | tuple[int, int] = 256, **options: Any) -> Views:
+    def of(
+        cls,
+        mesh: Mesh | UVMesh,
+        camera: Camera,
+        size: int | tuple[int, int] = 256,
+        *,
+        normals: bool = False,
+        depth: bool = False,
+        **options: Any,
+    ) -> Views:
         """Render a known mesh from N cameras.
 
         Args:
             mesh: The mesh.
             camera: N cameras.
             size: Side of the images, or height and width, in pixels.
+            normals: Whether to add normals: of faces, or smooth ones if ``shading`` is not "flat".
+            depth: Whether to add depth.
             **options: Options of `render`. The light is None unless given.
 
         Returns:
@@ -96,13 +118,24 @@ class Views:
         """
         with torch.no_grad():
             images = render(mesh, camera, size, outputs=("rgb", "alpha"), **{"light": None, **options})
-        return cls(camera, images.alpha, images.rgb)
+            views = cls(camera, images.alpha, images.rgb)
+            if not normals and not depth:
+                return views
+            geometry: dict[str, Any] = {name: options[name] for name in ("near", "far", "shading") if name in options}
+            plain = {"anti_aliasing": False, "light": None, **geometry}
+            maps = render(mesh, camera, size, outputs=("normal", "depth", "alpha"), **plain)
+        known = maps.depth * maps.alpha
+        return replace(views, normals=maps.normal if normals else None, depth=known if depth else None)
 
     def __getitem__(self, index: Sequence[int] | slice) -> Views:
         """Select views by a slice or a list of numbers."""
         rows = torch.arange(len(self))[index].to(self.masks.device)
-        photos = None if self.photos is None else self.photos[rows]
-        return Views(self.camera[rows], self.masks[rows], photos, self.region)
+        photos, normals, depth = (None if part is None else part[rows] for part in self._maps())
+        return Views(self.camera[rows], self.masks[rows], photos, self.region, normals, depth)
+
+    def _maps(self) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
+        """Return photos, normals and depth."""
+        return self.photos, self.normals, self.depth
 
     def to(self, device: torch.device | str) -> Views:
         """Copy the views to another device.
@@ -113,9 +146,9 @@ class Views:
         Returns:
             The copy.
         """
-        photos = None if self.photos is None else self.photos.to(device)
+        photos, normals, depth = (None if part is None else part.to(device) for part in self._maps())
         region = self.region and (self.region[0].to(device), self.region[1])
-        return Views(self.camera.to(device), self.masks.to(device), photos, region)
+        return Views(self.camera.to(device), self.masks.to(device), photos, region, normals, depth)
 
     moved = old_method("moved", "normalized")
 
@@ -141,7 +174,8 @@ class Views:
         lens: dict[str, Any] = {} if camera.perspective else {"scale": camera.scale * scale}
         moved = replace(camera, origin=origin / scale, translation=translation / scale, **lens)
         region = self.region and ((self.region[0] - center) / scale, self.region[1] / scale)
-        return replace(self, camera=moved, region=region)
+        depth = None if self.depth is None else self.depth / scale
+        return replace(self, camera=moved, region=region, depth=depth)
 
     def eyes(self) -> tuple[Tensor, Tensor]:
         """Compute the cameras' positions and viewing directions in world space.
@@ -167,9 +201,27 @@ class Views:
         Raises:
             TypeError, ValueError: As `render`.
         """
-        # The far plane lies behind objects of a size of about 1, however far away the cameras are.
-        far = 4.0 * float(self.eyes()[0].norm(dim=1).max()) + 4.0
-        return render(shape, self.camera, self.size, light=None, outputs=outputs, near=1e-2, far=far, gradient=gradient)
+        options: dict[str, Any] = {"gradient": gradient, **self._limits()}
+        return render(shape, self.camera, self.size, light=None, outputs=outputs, **options)
+
+    def fragments(self, shape: tuple[Tensor, ...], anti_aliasing: bool = True) -> Fragments:
+        """Rasterise a mesh from all cameras.
+
+        Args:
+            shape: (vertices, faces).
+            anti_aliasing: As in `render`.
+
+        Returns:
+            Fragments of the size of the masks, or of twice that size under anti-aliasing, N each.
+
+        Raises:
+            TypeError, ValueError: As `fragments`.
+        """
+        return fragments(shape, self.camera, self.size, anti_aliasing=anti_aliasing, **self._limits())
+
+    def _limits(self) -> dict[str, Any]:
+        """Choose near and far planes: the far one is behind objects of size 1, however far away the cameras are."""
+        return {"near": 1e-2, "far": 4.0 * float(self.eyes()[0].norm(dim=1).max()) + 4.0}
 
     def quality(self, shape: tuple[Tensor, ...]) -> dict[str, Tensor]:
         """Compare a mesh with the views.

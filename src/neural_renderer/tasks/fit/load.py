@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -16,6 +17,7 @@ from ...camera.files.read import find_image
 from ...io import load_image
 from ...io.files import existing
 from ..masks.rule import MaskRule, mask_in_file, transparency
+from .detail.maps import load_maps
 from .fit_views import Views, downscale
 from .region import outline_of_box, region_of_points
 
@@ -40,6 +42,9 @@ def load_views(
     mask_fill: float = 0.0,
     masks: str | os.PathLike[str] | None = None,
     box: Box | None = None,
+    maps: bool = True,
+    normals_in: Literal["world", "camera"] = "world",
+    depth_scale: float = 1000.0,
     allow_outside: bool = False,
 ) -> Views:
     """Load posed images from a folder.
@@ -47,6 +52,10 @@ def load_views(
     The mask of an image is, in this order: the mask file that the camera file names; a file of its name in the folder
     ``masks``; its alpha channel; what ``mask_below`` or ``background`` leaves; what differs from a plain background;
     the outline of ``box``. A box limits all masks to its outline.
+
+    The folders ``normals`` and ``depth`` beside the images may have a map for each image, with its name, .png or .npy,
+    as the command `neural-renderer render --save` writes them. A .png holds (n + 1) / 2 of normals, and 16 bits of
+    depth; 0 is no depth. A .npy holds normals, or depth along the viewing axis in world units.
 
     Args:
         path: Camera file, or a folder that contains one: ``transforms.json`` (NeRF, Blender, nerfstudio),
@@ -63,6 +72,9 @@ def load_views(
         masks: Folder of mask files, named like the images, with any suffix or one more; None searches the folders
             ``masks`` and ``mask`` beside the images.
         box: Corners (x, y, z, x, y, z) of a box around the object, in the world of the cameras.
+        maps: Whether to read maps of normals and depth.
+        normals_in: Space of the normals: "world", or "camera" for x right, y up, z towards the viewer.
+        depth_scale: Steps of a depth .png for one unit of the world.
         allow_outside: Whether the camera file may name images outside of its folder.
 
     Returns:
@@ -91,7 +103,8 @@ def load_views(
         raise FileNotFoundError(f"masks: expected a folder of masks, got {folder}, which is none")
     found: list[tuple[Tensor, Tensor]] = []
     full = (0, 0)
-    for entry, file, mask_file in list_images(source, folder, allow_outside):
+    listed = list_images(source, folder, allow_outside)
+    for entry, file, mask_file in listed:
         image = _load_as_calibrated(file, entry)
         full = full if found else (image.shape[0], image.shape[1])
         _check_size(file, image, full)
@@ -103,12 +116,17 @@ def load_views(
         found.append((small[:3], small[3]))
     camera, alphas = source.cameras(full), torch.stack([mask for _, mask in found])
     colors = torch.stack([rgb for rgb, _ in found]) if photos else None
-    if box is not None:
-        outlines, region = outline_of_box(camera, box, (alphas.shape[1], alphas.shape[2]))
-        colors = None if colors is None else colors * outlines[:, None]
-        return Views(camera, alphas * outlines, colors, region)
     views = Views(camera, alphas, colors)
-    return views if source.points is None else replace(views, region=region_of_points(views, source.points))
+    if box is not None:
+        outlines, region = outline_of_box(camera, box, views.size)
+        colors = None if colors is None else colors * outlines[:, None]
+        views = Views(camera, alphas * outlines, colors, region)
+    elif source.points is not None:
+        views = replace(views, region=region_of_points(views, source.points))
+    if not maps:
+        return views
+    named = [(entry, file) for entry, file, _ in listed]
+    return load_maps(views, named, source.folders, full, normals_in, depth_scale)
 
 
 def list_images(

@@ -1,4 +1,4 @@
-"""`MeshFit`: a textured mesh from posed images, in two phases: shape, then texture."""
+"""`MeshFit`: a textured mesh from posed images, in three phases: shape, detail, texture."""
 
 from __future__ import annotations
 
@@ -14,37 +14,42 @@ from ...meshes.primitives import icosphere
 from ...meshes.uv_mesh import UVMesh
 from ...pictures.clay import plain_texture
 from ..observer import Knob
-from ..settings import FitWeights
+from ..settings import DetailWeights, FitWeights
+from .detail.detail_fit import DetailFit
 from .fit_views import Views
 from .hull import carve, object_bounds
 from .shape import ShapeFit
 from .texture import TextureFit
 
+_DETAIL_STEPS = 200
 _SPHERE_RADIUS = 0.6
 _SPHERE_OPTIONS = {"subdivisions": 2, "rate": 0.03}  # a sphere is coarse and far from the object
 
 
 class MeshFit:
-    """Fit the shape, then the texture, of a mesh to posed images. Call `advance` until ``done``.
+    """Fit the shape, its details, then the texture, of a mesh to posed images. Call `advance` until ``done``.
 
     Args:
-        views: Views with or without photos. Without photos there is no texture phase.
+        views: Views with or without photos, normals and depth. Without photos there is no texture phase.
         start: Initial shape: "hull", the visual hull of the silhouettes; "sphere"; or a `Mesh` or `UVMesh` in the world
             of the cameras.
         recover: "shape" fits shape and texture; "texture" keeps the shape of the given mesh.
         steps: Steps of the shape phase, ≥ 1.
+        detail_steps: Steps of the detail phase (`DetailFit`), ≥ 0; None is 200 for views with normals or depth, which
+            it needs, and 0 for others.
         texture_steps: Steps of the texture phase, ≥ 1.
         cells: Grid cells along each axis for the visual hull, ≥ 8.
         texture_size: T, texels along the edge of a face's texture cube, ≥ 3.
         color_from: See `ShapeFit`.
         weights: Weights of the losses of the shape phase.
+        detail_weights: Weights of the losses of the detail phase.
         batch: Views per step, ≥ 1.
         gradient: Gradient estimator of the renderer, "edge" or "nmr".
         seed: Seed of the order of the views.
 
     Attributes:
         views: The views, in a world where the object lies in about [-1, 1]³.
-        phase: "shape" or "texture".
+        phase: "shape", "detail" or "texture".
 
     Raises:
         TypeError, ValueError: An argument does not fit, or the silhouettes have no point in common.
@@ -74,11 +79,13 @@ class MeshFit:
         *,
         recover: Literal["shape", "texture"] = "shape",
         steps: int = 150,
+        detail_steps: int | None = None,
         texture_steps: int = 20,
         cells: int = 64,
         texture_size: int = 4,
         color_from: float = 1.0,
         weights: FitWeights = FitWeights(),  # noqa: B008 (immutable)
+        detail_weights: DetailWeights = DetailWeights(),  # noqa: B008 (immutable)
         batch: int = 6,
         gradient: str = "edge",
         seed: int = 0,
@@ -94,11 +101,17 @@ class MeshFit:
         }
         self._shape_options = {"steps": steps, "weights": weights, "gradient": gradient, "color_from": color_from}
         self._shape_options |= {"batch": batch, "seed": seed}
+        has_maps = views.normals is not None or views.depth is not None
+        detail_steps = _DETAIL_STEPS * has_maps if detail_steps is None else detail_steps
+        self._detail_options = {"steps": validate.whole("detail_steps", detail_steps, 0), "weights": detail_weights}
+        self._detail_options |= {"seed": seed}
+        if detail_steps and not has_maps:
+            raise ValueError("detail_steps: expected 0 for views without normals and depth, got more")
         if start == "sphere":
             self._shape_options |= _SPHERE_OPTIONS
         vertices, faces = self._initial_shape(start, validate.whole("cells", cells, 8))
-        self.phase = recover
-        self._fit: ShapeFit | TextureFit = self._start_phase(vertices, faces)
+        self.phase: str = recover
+        self._fit: ShapeFit | DetailFit | TextureFit = self._start_phase(vertices, faces)
 
     @property
     def step(self) -> int:
@@ -113,7 +126,7 @@ class MeshFit:
     @property
     def done(self) -> bool:
         """Whether all phases are over."""
-        return self._fit.done and (self.phase == "texture" or self.views.photos is None)
+        return self._fit.done and self._next_phase() is None
 
     @property
     def shape(self) -> tuple[Tensor, ...]:
@@ -146,11 +159,13 @@ class MeshFit:
         """Take one step.
 
         Returns:
-            "loss" before the step and, in the shape phase, "iou", the mean silhouette IoU of the views of the step.
+            "loss" before the step and, but in the texture phase, "iou", the mean silhouette IoU of the views of the
+            step.
         """
-        if self._fit.done and not self.done:
+        following = self._next_phase()
+        if self._fit.done and following is not None:
             vertices, faces, *_ = self.shape
-            self.phase = "texture"
+            self.phase = following
             self._fit = self._start_phase(vertices, faces)
         return self._fit.advance()
 
@@ -158,9 +173,9 @@ class MeshFit:
         """List the settings that may change between two steps.
 
         Returns:
-            Those of the shape phase, see `ShapeFit.knobs`; none in the texture phase, which has none.
+            Those of the phase, see `ShapeFit.knobs` and `DetailFit.knobs`; none in the texture phase, which has none.
         """
-        return self._fit.knobs() if isinstance(self._fit, ShapeFit) else []
+        return [] if isinstance(self._fit, TextureFit) else self._fit.knobs()
 
     def turn(self, name: str, value: float | str) -> None:
         """Change a setting. `state_dict` does not contain it.
@@ -172,7 +187,7 @@ class MeshFit:
         Raises:
             TypeError, ValueError: There is no such setting, or the value does not fit.
         """
-        if not isinstance(self._fit, ShapeFit):
+        if isinstance(self._fit, TextureFit):
             raise ValueError(f"name: expected a setting that can change, got {name!r} in the texture phase")
         self._fit.turn(name, value)
 
@@ -197,10 +212,18 @@ class MeshFit:
         self._fit = self._start_phase(state["fit"]["vertices"], state["fit"]["faces"])
         self._fit.load_state_dict(state["fit"])
 
-    def _start_phase(self, vertices: Tensor, faces: Tensor) -> ShapeFit | TextureFit:
+    def _next_phase(self) -> str | None:
+        """Tell which phase follows the current one; None after the last."""
+        if self.phase == "shape" and self._detail_options["steps"]:
+            return "detail"
+        return "texture" if self.phase != "texture" and self.views.photos is not None else None
+
+    def _start_phase(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
         """Make the fit of the current phase."""
         if self.phase == "shape":
             return ShapeFit(self.views, vertices, faces, **self._shape_options)  # type: ignore[arg-type]
+        if self.phase == "detail":
+            return DetailFit(self.views, vertices, faces, **self._detail_options)  # type: ignore[arg-type]
         return TextureFit(self.views, vertices, faces, **self._texture_options)
 
     def _initial_shape(self, start: Any, cells: int) -> tuple[Tensor, Tensor]:

@@ -1,0 +1,1 @@
+"""Remeshing: local operations on triangle meshes, each on many edges at once."""

@@ -1,0 +1,136 @@
+"""Closest points on a mesh, exact, with a tree of boxes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ... import validate
+from ..batch import mesh_parts
+from ..normals import face_normals
+from ..sample_points import SurfacePoints
+
+_AT_ONCE = 32768  # points; limits memory
+_BITS = 10  # of each coordinate in the order of faces along a space-filling curve
+
+
+def closest_points(mesh: Any, points: Tensor) -> SurfacePoints:
+    """Find the closest point on a mesh for each of some points, for example for the distance between two surfaces.
+
+    A tree of boxes around faces, in the order of Morton's curve, is searched for all points at once.
+
+    Args:
+        mesh: `Mesh`, `UVMesh`, or (vertices [V, 3], faces [F, 3]).
+        points: [N, 3] floating, finite.
+
+    Returns:
+        The closest points, their normals, faces and weights, N each. Gradients reach the vertices; the choice of faces
+        and weights has none.
+
+    Raises:
+        TypeError, ValueError: A type or shape does not fit, an index is out of range, a value is not finite, or the
+            mesh has no faces.
+
+    Example:
+        >>> found = closest_points(nr.Mesh(*nr.cube()), torch.tensor([[3.0, 0.5, 0.0]]))
+        >>> found.points.detach()
+        tensor([[1.0000, 0.5000, 0.0000]])
+    """
+    vertices, faces, _ = mesh_parts(mesh)
+    vertices = validate.wide(validate.floating("vertices", vertices, ("V", 3)))
+    faces = validate.indices("faces", faces, ("F", 3)).long()
+    points = validate.wide(validate.floating("points", points, ("N", 3))).to(vertices.dtype)
+    validate.same_device(vertices=vertices, faces=faces, points=points)
+    validate.finite("vertices", vertices)
+    validate.finite("points", points)
+    validate.in_range("faces", faces, len(vertices))
+    if not len(faces):
+        raise ValueError("mesh: expected at least one face, got none")
+    with torch.no_grad():
+        tree = FaceTree(vertices, faces)
+        found = [tree.closest(part) for part in points.detach().split(_AT_ONCE)]
+        index, weights = (torch.cat(part) for part in zip(*found, strict=True))
+    corners = vertices[faces[index]]
+    return SurfacePoints((weights[..., None] * corners).sum(1), -face_normals(corners), index, weights, faces)
+
+
+class FaceTree:
+    """Binary tree of boxes around the faces of a mesh.
+
+    Args:
+        vertices: [V, 3] floating.
+        faces: [F, 3] int64, F ≥ 1.
+    """
+
+    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
+        self._vertices, self._indices = vertices, faces
+        corners = vertices[faces]
+        order = torch.argsort(_morton_codes(corners.mean(1)), stable=True)
+        depth = max(len(faces) - 1, 0).bit_length()
+        self._faces = order[torch.arange(2**depth, device=order.device) * len(faces) >> depth]  # each once or twice
+        self._corners = corners[self._faces]
+        boxes = torch.cat((self._corners.amin(1), self._corners.amax(1), self._corners.mean(1)), 1)
+        self._levels = [boxes]  # lowest and highest corners of boxes, and a point of the surface in each
+        for _ in range(depth):
+            low, high, middle = boxes.view(-1, 2, 9).split(3, 2)
+            boxes = torch.cat((low.amin(1), high.amax(1), middle[:, 0]), 1)
+            self._levels.insert(0, boxes)
+
+    def project(self, points: Tensor) -> Tensor:
+        """Find the closest points [N, 3] on the mesh."""
+        found = [self.closest(part) for part in points.split(_AT_ONCE)]
+        index, weights = (torch.cat(part) for part in zip(*found, strict=True))
+        return (weights[..., None] * self._vertices[self._indices[index]]).sum(1)
+
+    def closest(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Find the face [N] and the weights [N, 3] of its corners at the closest point for each of N points."""
+        rows = torch.arange(len(points), device=points.device)
+        bound = torch.full_like(points[:, 0], torch.inf)  # the closest point is at most this far, squared
+        owner, node = rows, torch.zeros_like(rows)
+        for level in range(1, len(self._levels)):
+            owner, node = owner.repeat_interleave(2), (2 * node[:, None] + node.new_tensor([0, 1])).flatten()
+            low, high, middle = self._levels[level][node].split(3, 1)
+            place = points[owner]
+            bound = bound.scatter_reduce(0, owner, (middle - place).square().sum(1), "amin")
+            distance = torch.maximum(low - place, place - high).clamp(min=0).square().sum(1)
+            kept = distance <= bound[owner]
+            owner, node = owner[kept], node[kept]
+        weights, distance = _closest_on_faces(points[owner], self._corners[node])
+        least = torch.full_like(bound, torch.inf).scatter_reduce(0, owner, distance, "amin")
+        best = torch.nonzero(distance == least[owner])[:, 0]
+        chosen = torch.empty_like(rows).index_copy(0, owner[best].flip(0), best.flip(0))
+        return self._faces[node[chosen]], weights[chosen]
+
+
+def _closest_on_faces(points: Tensor, corners: Tensor) -> tuple[Tensor, Tensor]:
+    """Find the closest point to each of N points on its own face [N, 3, 3]: weights [N, 3], squared distances [N]."""
+    sides = corners.roll(-1, 1) - corners
+    along = ((points[:, None] - corners) * sides).sum(2) / sides.square().sum(2).clamp(min=1e-30)
+    along = along.clamp(0, 1)
+    on_side = (corners + along[..., None] * sides - points[:, None]).square().sum(2)
+    distance, side = on_side.min(1)
+    share = along.gather(1, side[:, None])
+    weights = torch.zeros_like(points).scatter(1, side[:, None], 1 - share).scatter(1, (side[:, None] + 1) % 3, share)
+    normal = torch.linalg.cross(sides[:, 0], sides[:, 1], dim=1)
+    square = normal.square().sum(1)
+    # The weight of a corner is the area of the face that the point and the opposite side span, over that of the face.
+    inner = (torch.linalg.cross(sides, points[:, None] - corners, dim=2) * normal[:, None]).sum(2)
+    inner = inner.roll(-1, 1) / square.clamp(min=1e-30)[:, None]
+    height = ((points - corners[:, 0]) * normal).sum(1).square() / square.clamp(min=1e-30)
+    inside = (inner >= 0).all(1) & (square > 0) & (height <= distance)
+    return torch.where(inside[:, None], inner / inner.sum(1, keepdim=True).clamp(min=1e-30), weights), torch.where(
+        inside, height, distance
+    )
+
+
+def _morton_codes(points: Tensor) -> Tensor:
+    """Interleave the bits of coordinates: nearby points [N, 3] get nearby numbers [N] int64."""
+    low, high = points.amin(0), points.amax(0)
+    places = ((points - low) / (high - low).amax().clamp(min=1e-30) * (2**_BITS - 1)).long()
+    code = torch.zeros_like(places[:, 0])
+    for bit in range(_BITS):
+        for axis in range(3):
+            code |= (places[:, axis] >> bit & 1) << (3 * bit + axis)
+    return code

@@ -1,0 +1,76 @@
+"""Edges of a triangle mesh with their faces: what the operations of remeshing look up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Edges of a mesh.
+
+    Attributes:
+        keys: [E] int64, ascending: lower vertex index · number of vertices + higher index.
+        ends: [E, 2] int64, lower vertex index first.
+        sides: [F, 3] int64, the edge from each corner of a face to the next one.
+        faces: [E, 2] int64, two faces of each edge; only valid where ``regular``.
+        opposite: [E, 2] int64, the third vertices of these faces, likewise.
+        regular: [E] bool: exactly two faces have the edge, in opposite directions. Other edges are boundaries, are not
+            manifold, or join faces of different orientation.
+        fixed: [V] bool, vertices at edges that are not regular.
+    """
+
+    keys: Tensor
+    ends: Tensor
+    sides: Tensor
+    faces: Tensor
+    opposite: Tensor
+    regular: Tensor
+    fixed: Tensor
+
+    @classmethod
+    def of(cls, faces: Tensor, count: int) -> Edges:
+        """Find the edges of faces [F, 3] int64 with ``count`` vertices."""
+        start, end = faces.flatten(), faces.roll(-1, 1).flatten()
+        keys, order = torch.sort(torch.minimum(start, end) * count + torch.maximum(start, end), stable=True)
+        is_first = torch.ones_like(keys, dtype=torch.bool)
+        is_first[1:] = keys[1:] != keys[:-1]
+        first = torch.nonzero(is_first)[:, 0]
+        number = torch.diff(first, append=first.new_tensor([len(keys)]))
+        sides = torch.empty_like(order).scatter_(0, order, is_first.cumsum(0) - 1)
+        own = order[torch.stack((first, (first + 1).clamp(max=max(len(keys) - 1, 0))), 1)]  # two sides of each edge
+        regular = (number == 2) & (start[own[:, 0]] == end[own[:, 1]])
+        keys = keys[first]
+        ends = torch.stack((keys // count, keys % count), 1)
+        fixed = torch.zeros(count, dtype=torch.bool, device=faces.device)
+        fixed[ends[~regular].flatten()] = True
+        opposite = faces.roll(-2, 1).flatten()[own]
+        return cls(keys, ends, sides.view(-1, 3), own // 3, opposite, regular, fixed)
+
+    def contain(self, keys: Tensor) -> Tensor:
+        """Tell which keys [N] are those of edges, [N] bool."""
+        place = torch.searchsorted(self.keys, keys).clamp(max=len(self.keys) - 1)
+        return self.keys[place] == keys
+
+    def valence(self) -> Tensor:
+        """Count the edges of each vertex, [V] int64."""
+        return torch.bincount(self.ends.flatten(), minlength=len(self.fixed))
+
+
+def area_vectors(corners: Tensor) -> Tensor:
+    """Compute normals [F, 3] of faces [F, 3 corners, 3], of length twice the area, out of counter-clockwise faces."""
+    return torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], dim=1)
+
+
+def lengths(vertices: Tensor, ends: Tensor) -> Tensor:
+    """Compute the lengths [E] of edges [E, 2]."""
+    return (vertices[ends[:, 0]] - vertices[ends[:, 1]]).norm(dim=1)
+
+
+def least_of_neighbors(values: Tensor, ends: Tensor) -> Tensor:
+    """Take the least of the value [V] of each vertex and those of its neighbours."""
+    a, b = ends.unbind(1)
+    return values.scatter_reduce(0, a, values[b], "amin").scatter_reduce(0, b, values[a], "amin")

@@ -1,0 +1,153 @@
+"""Isotropic remeshing: faces become nearly equilateral, with edges of a given length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ... import validate
+from ..batch import mesh_parts
+from .closest_points import FaceTree
+from .collapse import collapse_short
+from .edges import Edges, area_vectors
+from .flip import flip_edges
+from .relax import move_safely, relax
+from .split import split_long
+from .surface import Surface
+
+_MOST_SPLITS = 12  # times all edges are halved before the first pass
+_PROJECTED = 2  # the last passes, in which vertices return to the surface
+_MOST_FACES = 20_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Remeshed:
+    """A remeshed surface; the result of `remesh`.
+
+    Attributes:
+        vertices: [V, 3], of the dtype of the old vertices.
+        faces: [F, 3] int64.
+        attributes: [V, C], values carried along, or None.
+
+    Example:
+        >>> found = nr.remesh(nr.icosphere(2), 0.2, attributes=torch.rand(162, 8))
+        >>> len(found.attributes) == len(found.vertices)
+        True
+    """
+
+    vertices: Tensor
+    faces: Tensor
+    attributes: Tensor | None
+
+
+@torch.no_grad()
+def remesh(
+    mesh: Any,
+    edge_length: float | Tensor,
+    *,
+    attributes: Tensor | None = None,
+    passes: int = 5,
+    project: bool = True,
+) -> Remeshed:
+    """Remesh a surface towards a given edge length, by splits, collapses and flips of edges.
+
+    Each pass splits edges longer than 4/3 of the length, collapses those shorter than 4/5, flips edges towards six
+    neighbours of each vertex, and smooths along the surface (Botsch and Kobbelt, "A Remeshing Approach to
+    Multiresolution Modeling", 2004). All work on many edges at once.
+
+    A closed manifold stays one, of the same topology. Borders are kept, apart from splits of their edges; so are edges
+    of more than two faces. Merge vertices that a file has split first (`Mesh.merge_vertices`). Sharp edges become blunt
+    by up to one edge length.
+
+    Args:
+        mesh: `Mesh`, `UVMesh`, or (vertices [V, 3], faces [F, 3]). Textures are not carried along.
+        edge_length: Length in world units, > 0; or one for each vertex, [V], interpolated between them.
+        attributes: Values of vertices to carry along, [V, C] floating: a new vertex gets the mean of its edge's ends.
+        passes: Number of passes, ≥ 1. The first reaches the length; the others improve the faces.
+        project: Whether vertices return to the old surface in the last two passes. Otherwise bends shrink a little.
+
+    Returns:
+        Vertices, faces and attributes, detached.
+
+    Raises:
+        TypeError, ValueError: An argument does not fit, a value is not finite, an index is out of range, or the result
+            would have too many faces.
+
+    Example:
+        >>> vertices, faces = nr.torus(segments=12, sides=6)
+        >>> found = nr.remesh((vertices, faces), 0.1)
+        >>> len(found.faces) > 10 * len(faces)
+        True
+        >>> finer_above = nr.remesh((vertices, faces), torch.where(vertices[:, 1] > 0, 0.05, 0.1))
+    """
+    vertices, faces, _ = mesh_parts(mesh)
+    vertices = validate.wide(validate.floating("vertices", vertices, ("V", 3))).detach()
+    faces = validate.indices("faces", faces, ("F", 3)).long()
+    validate.same_device(vertices=vertices, faces=faces)
+    validate.finite("vertices", vertices, always=True)
+    validate.in_range("faces", faces, len(vertices), always=True)
+    values = [vertices, _lengths_of_vertices(edge_length, vertices)]
+    if attributes is not None:
+        attributes = validate.floating("attributes", attributes, (len(vertices), "C")).detach()
+        validate.same_device(vertices=vertices, attributes=attributes)
+        values.append(attributes.to(vertices.dtype))
+    passes = validate.whole("passes", passes, 1)
+    if not len(faces):
+        raise ValueError("mesh: expected at least one face, got none")
+    _check_size(vertices, faces, values[1][:, 0])
+    faces = faces[(faces != faces.roll(1, 1)).all(1)]
+    tree = FaceTree(vertices, faces) if validate.flag("project", project) else None
+    surface = Surface(torch.cat(values, 1), faces).compact()
+    for _ in range(_MOST_SPLITS):
+        before = len(surface.faces)
+        surface = split_long(surface)
+        if len(surface.faces) == before:
+            break
+    for index in range(passes):
+        surface = remesh_once(surface, tree if index >= passes - _PROJECTED else None)
+    own = surface.values[:, 4:].to(attributes.dtype) if attributes is not None else None
+    return Remeshed(surface.vertices.clone(), surface.faces, own)
+
+
+def remesh_once(surface: Surface, tree: FaceTree | None = None, rounds: int = 4, strength: float = 0.5) -> Surface:
+    """Take one pass: split, collapse, flip, smooth, and return to the surface of ``tree``.
+
+    Args:
+        surface: The mesh.
+        tree: The surface to return to, or None.
+        rounds: Largest number of rounds of collapses and of flips.
+        strength: Strength of the smoothing.
+
+    Returns:
+        The mesh.
+    """
+    surface = relax(flip_edges(collapse_short(split_long(surface), rounds), rounds), strength)
+    if tree is None:
+        return surface
+    fixed = Edges.of(surface.faces, len(surface.values)).fixed[:, None]
+    goal = torch.where(fixed, surface.vertices, tree.project(surface.vertices))
+    return surface.moved(move_safely(surface.vertices, goal, surface.faces))
+
+
+def _lengths_of_vertices(edge_length: Any, vertices: Tensor) -> Tensor:
+    """Check the target length of edges; return that of each vertex, [V, 1]."""
+    if not isinstance(edge_length, Tensor):
+        return vertices.new_full((len(vertices), 1), validate.positive("edge_length", edge_length))
+    validate.floating("edge_length", edge_length, (len(vertices),))
+    validate.same_device(vertices=vertices, edge_length=edge_length)
+    if not bool(((edge_length > 0) & edge_length.isfinite()).all()):
+        raise ValueError("edge_length: expected finite lengths above 0, got others")
+    return edge_length.detach().to(vertices.dtype)[:, None]
+
+
+def _check_size(vertices: Tensor, faces: Tensor, target: Tensor) -> None:
+    """Raise ValueError if the result would have too many faces."""
+    area = area_vectors(vertices[faces]).double().norm(dim=1) / 2
+    count = float((area / (3**0.5 / 4 * target[faces].double().mean(1).square())).sum())
+    if count > _MOST_FACES:
+        raise ValueError(
+            f"edge_length: expected a length that gives at most {_MOST_FACES:,} faces, got one for about {count:,.0f}"
+        )

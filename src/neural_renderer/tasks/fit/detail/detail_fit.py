@@ -1,0 +1,194 @@
+"""`DetailFit`: details of a shape from normals and depth, with remeshing on the way."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .... import validate
+from ....meshes.normals import face_normals, vertex_normals
+from ...observer import LEAST_RATE, Knob, turn_weight, weight_knobs
+from ...settings import DetailWeights
+from ..fit_views import Views, mask_iou, views_of_step
+from .adaptive_descent import AdaptiveDescent
+from .pyramid import Pyramid, shortest_edge
+
+_LONGEST = 0.15  # target length of edges, where the object is about 2 long
+_DECAY_FROM, _LAST_RATE = 0.7, 0.05  # the rate decreases from this fraction of the steps on, to this share
+# Smooth normals move the surface far, but do not notice neighbouring faces that are bent to and fro. So from this
+# fraction of the steps on, normals are those of faces.
+_FLAT_FROM = 0.4
+_SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
+
+
+class DetailFit:
+    """Fit the details of a shape to silhouettes with normals, depth or both. Call `advance` until ``done``.
+
+    Each step draws some views, from coarse to fine. The loss is the mean absolute difference of each map. Vertices
+    move, and the mesh is remeshed, after Palfinger's "Continuous remeshing for inverse rendering" (2022): faces are
+    large where the surface still moves, and shrink to edges of 3 pixels where detail is missing.
+
+    Args:
+        views: Views that are `Views.normalized`, so that the object lies in about [-1, 1]³.
+        vertices: [V, 3] float32, initial positions, for example of a sphere.
+        faces: [F, 3], whole numbers of any real dtype; counter-clockwise seen from outside.
+        steps: Number of steps, ≥ 1.
+        edge_length: Least target length of edges; None is 3 pixels.
+        weights: Weights of the losses.
+        rate: Length of a steady step of a vertex, relative to the length of the edges around it, > 0.
+        batch: Views per step, ≥ 1.
+        seed: Seed of the order of the views.
+
+    Raises:
+        TypeError, ValueError: An argument does not fit.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import DetailFit, Views
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
+        >>> camera = nr.Camera.look_at(eyes, viewing_angle=25)
+        >>> views = Views.of(nr.Mesh.icosphere(3), camera, size=32, normals=True)
+        >>> fit = DetailFit(views, *nr.icosphere(2, radius=0.8), steps=4)
+        >>> torch.save(fit.state_dict(), "start.pt")
+        >>> while not fit.done:
+        ...     numbers = fit.advance()
+        ...     fit.turn("normals", 2.0)
+        >>> vertices, faces = fit.shape[:2]
+        >>> [knob.name for knob in fit.knobs()][:2]
+        ['rate', 'silhouette']
+        >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
+    """
+
+    def __init__(
+        self,
+        views: Views,
+        vertices: Tensor,
+        faces: Tensor,
+        *,
+        steps: int = 200,
+        edge_length: float | None = None,
+        weights: DetailWeights = DetailWeights(),  # noqa: B008 (immutable)
+        rate: float = 0.3,
+        batch: int = 4,
+        seed: int = 0,
+    ) -> None:
+        if views.normals is None and views.depth is None:
+            raise ValueError("views: expected normals or depth, got neither")
+        self.steps, self.step = validate.whole("steps", steps, 1), 0
+        self._count = len(views)
+        self._least = None if edge_length is None else validate.positive("edge_length", edge_length)
+        self._weights, self._rate = weights, validate.positive("rate", rate)
+        self._batch, self._seed = min(validate.whole("batch", batch, 1), len(views)), seed
+        self._descent = AdaptiveDescent(vertices.float(), faces)
+        self._pyramid = Pyramid(views, float(self._descent.surface.target.mean()))
+
+    @property
+    def done(self) -> bool:
+        """Whether all steps are taken."""
+        return self.step >= self.steps
+
+    @property
+    def shape(self) -> tuple[Tensor, ...]:
+        """Current vertices and faces, in the form of `render`."""
+        return self._descent.vertices, self._descent.faces
+
+    def advance(self) -> dict[str, float]:
+        """Take one step.
+
+        Returns:
+            "loss" and "iou", the mean silhouette IoU of the views of the step, both before it; and the parts of the
+            loss by name.
+        """
+        progress = self.step / self.steps
+        views = self._pyramid.at(progress)[views_of_step(self._count, self._batch, self._seed, self.step)]
+        vertices = self._descent.vertices.clone().requires_grad_()
+        parts, iou = self._losses(views, vertices, progress >= _FLAT_FROM, progress >= _SMOOTH_FROM)
+        loss = torch.stack([getattr(self._weights, name) * part for name, part in parts.items()]).sum()
+        (gradient,) = torch.autograd.grad(loss, vertices)
+        decay = min(1.0, max(_LAST_RATE, (1 - progress) / (1 - _DECAY_FROM)))
+        least = shortest_edge(views) if self._least is None else self._least
+        rate, smooth = self._rate * decay, self._weights.smooth * decay
+        self._descent.step(gradient, rate=rate, smooth=smooth, least=least, most=_LONGEST)
+        self.step += 1
+        return {"loss": loss.item(), "iou": iou.item(), **{name: part.item() for name, part in parts.items()}}
+
+    def _losses(
+        self, views: Views, vertices: Tensor, flat: bool, anti_aliasing: bool
+    ) -> tuple[dict[str, Tensor], Tensor]:
+        """Compute the parts of the loss, and the mean silhouette IoU."""
+        seen = views.fragments((vertices, self._descent.faces), anti_aliasing)
+        eyes, forward = views.eyes()
+        depth = ((vertices - eyes[:, None]) * forward[:, None]).sum(2, keepdim=True)
+        faces = self._descent.faces
+        if flat:
+            normals = -face_normals(vertices[faces])[:, None].expand(-1, 3, -1)
+        else:
+            normals = vertex_normals(vertices, faces)[0][faces]
+        surface = seen.interpolate(torch.cat((normals.expand(len(views), -1, -1, -1), depth[:, faces]), 3))
+        normal = F.normalize(surface[..., :3], dim=3)
+        layers = {"silhouette": torch.ones_like(normal[..., :1])}
+        targets = {"silhouette": views.masks[:, None]}
+        if views.normals is not None:
+            layers["normals"], targets["normals"] = normal, views.normals
+        if views.depth is not None:
+            # Composited as a difference: a part that appears or vanishes has no error at all.
+            layers["depth"], targets["depth"] = _depth_error(surface[..., 3:], views.depth), torch.zeros(())
+        sizes = [part.shape[3] for part in layers.values()]
+        drawn = seen.composite(torch.cat(list(layers.values()), 3), seams=flat)  # normals of faces jump at edges
+        images = dict(zip(layers, drawn.split(sizes, 1), strict=True))
+        losses = {name: (image - targets[name].to(image)).abs().sum(1).mean() for name, image in images.items()}
+        return losses, mask_iou(images["silhouette"][:, 0], views.masks).mean()
+
+    def knobs(self) -> list[Knob]:
+        """List the settings that may change between two steps.
+
+        Returns:
+            "rate", the length of a steady step, and the weights of the losses.
+        """
+        return [Knob("rate", self._rate, LEAST_RATE), *weight_knobs(self._weights)]
+
+    def turn(self, name: str, value: float | str) -> None:
+        """Change a setting. `state_dict` does not contain it.
+
+        Args:
+            name: Its name, as in `knobs`.
+            value: Its new value.
+
+        Raises:
+            TypeError, ValueError: There is no such setting, or the value does not fit.
+        """
+        if name == "rate":
+            self._rate = validate.positive(name, value)
+        else:
+            self._weights = turn_weight(self._weights, name, value)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Collect everything that changes from step to step.
+
+        Returns:
+            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
+        """
+        vertices, faces = self.shape
+        state = {"step": self.step, "vertices": vertices, "faces": faces}
+        return state | {"descent": self._descent.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Resume from the state of a fit of the same views.
+
+        Args:
+            state: Result of `state_dict`.
+
+        Raises:
+            KeyError: A name is missing.
+        """
+        self.step = state["step"]
+        self._descent.load_state_dict(state["descent"])
+
+
+def _depth_error(depth: Tensor, target: Tensor) -> Tensor:
+    """Subtract known depth [N, H, W] from that of fragments, [N, H, W, 1] or twice as large; 0 where none is known."""
+    scale = depth.shape[1] // target.shape[1]
+    target = target.repeat_interleave(scale, 1).repeat_interleave(scale, 2)[..., None]
+    return torch.where(target > 0, depth - target, 0.0)

@@ -1,0 +1,181 @@
+"""Normal and depth maps beside the images of a camera file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from PIL import Image
+from torch import Tensor
+
+from .... import validate
+from ....camera import Camera
+from ....camera.files import PosedImage
+from ....camera.files.distortion import undistort
+from ....io.files import existing, reason
+from ....io.images import load_image
+from ..fit_views import Views
+
+_SUFFIXES = (".npy", ".png")
+_KNOWN = 0.999  # share of a reduced pixel whose depth must be known
+_FLAT = 0.25  # least length of a normal in a file; shorter ones are no normals
+
+
+def load_maps(
+    views: Views,
+    found: Sequence[tuple[PosedImage, Path]],
+    folders: Sequence[Path],
+    full: tuple[int, int],
+    normals_in: str = "world",
+    depth_scale: float = 1000.0,
+) -> Views:
+    """Add the maps in the folders ``normals`` and ``depth`` to views, where there are such.
+
+    Args:
+        views: N views.
+        found: Their N entries in the camera file, and images.
+        folders: Folders that may contain the folders of maps.
+        full: Height and width of the images in pixels; maps are reduced to the size of the views.
+        normals_in: "world", or "camera": x right, y up, z towards the viewer.
+        depth_scale: Steps of a .png for one unit of the world.
+
+    Raises:
+        FileNotFoundError, ValueError: A map is missing, has another size or cannot be read.
+    """
+    if normals_in not in ("world", "camera"):
+        raise ValueError(f'normals_in: expected "world" or "camera", got {normals_in!r}')
+    depth_scale = validate.positive("depth_scale", depth_scale)
+    files, entries = [file for _, file in found], [entry for entry, _ in found]
+    normal_files, depth_files = (find_maps(files, folders, name) for name in ("normals", "depth"))
+    masks = views.masks[:, None]
+    if normal_files is not None:
+        own = [read_normals(file, full) for file in normal_files]
+        maps = [_reduced(each.movedim(2, 0), *rest) for each, rest in _with(own, entries, full, views.size)]
+        normals = F.normalize(torch.stack(maps), dim=1) * masks
+        views = replace(views, normals=to_world(normals, views.camera) if normals_in == "camera" else normals)
+    if depth_files is not None:
+        own = [read_depth(file, full, depth_scale) for file in depth_files]
+        layers = [torch.stack((each, (each > 0).to(each))) for each in own]
+        depth, known = torch.stack(
+            [_reduced(each, *rest) for each, rest in _with(layers, entries, full, views.size)]
+        ).unbind(1)
+        views = replace(views, depth=torch.where(known > _KNOWN, depth, 0.0))
+    return views
+
+
+def _with(maps: list[Tensor], entries: list[PosedImage], *sizes: tuple[int, int]) -> list[tuple[Tensor, Any]]:
+    """Put each map together with its entry and the sizes."""
+    return [(each, (entry, *sizes)) for each, entry in zip(maps, entries, strict=True)]
+
+
+def _reduced(image: Tensor, entry: PosedImage, full: tuple[int, int], size: tuple[int, int]) -> Tensor:
+    """Remove the distortion of a map [C, H, W] as that of its image, and reduce it to a size."""
+    if entry.lens.needs_undistortion:
+        image = undistort(image, entry.lens.model, entry.lens.values, entry.lens.intrinsics(full))
+    return F.interpolate(image[None], size, mode="area")[0]
+
+
+def find_maps(images: Sequence[Path], folders: Sequence[Path], name: str) -> list[Path] | None:
+    """Find the maps of all images: files of their names, .npy or .png, in a folder ``name`` beside them.
+
+    Args:
+        images: The images.
+        folders: Further folders that may contain the folder.
+        name: "normals" or "depth".
+
+    Returns:
+        A file for each image, or None if there is no such folder.
+
+    Raises:
+        FileNotFoundError: The folder has no map for an image.
+    """
+    places = [folder / name for folder in dict.fromkeys((images[0].parent, *folders)) if (folder / name).is_dir()]
+    if not places:
+        return None
+    found = []
+    for image in images:
+        files = [place / (image.stem + suffix) for place in places for suffix in _SUFFIXES]
+        file = next((file for file in files if file.is_file()), None)
+        if file is None:
+            raise FileNotFoundError(f"{places[0]}: expected a file {image.stem}.png or .npy for each image, got none")
+        found.append(file)
+    return found
+
+
+def read_normals(path: Path, size: tuple[int, int]) -> Tensor:
+    """Read a normal map.
+
+    Args:
+        path: A .png with (n + 1) / 2 as red, green and blue, or a .npy [H, W, 3].
+        size: Height and width of the image.
+
+    Returns:
+        [H, W, 3], unit vectors, or 0 where the file has no normal.
+
+    Raises:
+        ValueError: The file has another shape, or cannot be read.
+    """
+    values = _array(path, 3) if path.suffix == ".npy" else 2 * load_image(path)[..., :3] - 1
+    _check_size(path, values, size)
+    length = values.norm(dim=2, keepdim=True)
+    return torch.where(length > _FLAT, F.normalize(values, dim=2), 0.0)
+
+
+def read_depth(path: Path, size: tuple[int, int], scale: float) -> Tensor:
+    """Read a depth map.
+
+    Args:
+        path: A .png of 16 bits, or a .npy [H, W].
+        size: Height and width of the image.
+        scale: Steps of the .png for one unit of the world. A .npy is in world units.
+
+    Returns:
+        [H, W], depth along the viewing axis in world units, 0 where the file has none.
+
+    Raises:
+        ValueError: The file has another shape, or cannot be read.
+    """
+    if path.suffix == ".npy":
+        values = _array(path, 0)
+    else:
+        try:
+            with Image.open(existing(path)) as file:
+                if not file.mode.startswith("I"):
+                    raise ValueError(f"{path}: expected a grey picture of 16 bits, got one of mode {file.mode}")
+                values = torch.from_numpy(np.asarray(file, dtype=np.float32) / np.float32(scale))
+        except (OSError, Image.DecompressionBombError) as error:
+            raise ValueError(f"{path}: expected a picture, got one that cannot be read ({reason(error)})") from error
+    _check_size(path, values, size)
+    return torch.where(values.isfinite() & (values > 0), values, 0.0)
+
+
+def to_world(normals: Tensor, camera: Camera) -> Tensor:
+    """Turn normals [N, 3, H, W] of camera space, x right, y up, z towards the viewer, to the world of N cameras."""
+    right, up, forward = camera.rotation.to(normals).unbind(1)
+    up = -up if camera.K is not None else up
+    return torch.einsum("nij,nihw->njhw", torch.stack((right, up, -forward), 1), normals)
+
+
+def _array(path: Path, channels: int) -> Tensor:
+    """Load an array [H, W] or [H, W, channels] of numbers as float32."""
+    try:
+        values: Any = np.load(existing(path), allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise ValueError(f"{path}: expected an array, got a file that cannot be read ({reason(error)})") from error
+    shape = "[H, W, 3]" if channels else "[H, W]"
+    if values.dtype.kind not in "fiu" or values.ndim != (3 if channels else 2) or values.shape[2:] not in ((), (3,)):
+        raise ValueError(f"{path}: expected numbers {shape}, got {values.dtype} {list(values.shape)}")
+    return torch.from_numpy(values.astype(np.float32))
+
+
+def _check_size(path: Path, values: Tensor, size: tuple[int, int]) -> None:
+    """Raise ValueError if a map is not of the image's height and width."""
+    if tuple(values.shape[:2]) != size:
+        raise ValueError(
+            f"{path}: expected {size[1]} x {size[0]} pixels like the image, got {values.shape[1]} x {values.shape[0]}"
+        )
