@@ -86,7 +86,7 @@ class UVMesh(UVMeshData):
 
         The gaps between an image's charts are filled (`fill_gutters`). An image that several materials share appears
         once in ``images``. Materials of OBJ, GLB and glTF files, and the normals of the files, are read, too. Texture
-        coordinates have the transform of the base colour's texture (`KHR_texture_transform`).
+        coordinates have the transform of the base colour's texture (``KHR_texture_transform``).
 
         Args:
             path: OBJ, PLY, STL, OFF, GLB or glTF file.

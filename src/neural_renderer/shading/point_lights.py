@@ -21,7 +21,7 @@ class PointLight:
     """Light that shines from one point in all directions, for one scene or for each scene of a batch.
 
     A white matt surface at distance d that faces the light has the colour ``intensity · color / d^falloff``. An
-    intensity of 1 is π candela (`KHR_lights_punctual` of glTF). Parameters given as tensors get gradients.
+    intensity of 1 is π candela (``KHR_lights_punctual`` of glTF). Parameters given as tensors get gradients.
 
     ``shading="flat"`` lights a face as at its centre.
 
@@ -106,7 +106,7 @@ class SpotLight(PointLight):
     """Point light that shines in a cone, for one scene or for each scene of a batch.
 
     Between the inner and the outer cone, the light falls as clamp((cos θ − cos outer) / (cos inner − cos outer), 0, 1)²
-    of the angle θ to the axis, as in `KHR_lights_punctual` of glTF.
+    of the angle θ to the axis, as in ``KHR_lights_punctual`` of glTF.
 
     Attributes:
         position, intensity, color, falloff: As in `PointLight`.

@@ -304,10 +304,10 @@ class Viewer:
             self._newest.catch_up()
         return goes_on(self)
 
-    # What tasks call; see `tasks.observer.Observer`.
+    # What tasks call; see ``tasks.observer.Observer``.
 
     def observe(self, phase: str, step: int, steps: int, numbers: Mapping[str, float], mesh: Callable[[], Any]) -> None:
-        """See a step of a task; see `tasks.observer.Observer`.
+        """See a step of a task; see ``tasks.observer.Observer``.
 
         Args:
             phase: Name of the phase.
@@ -332,7 +332,7 @@ class Viewer:
         self._newest.observe((step, phase), meshes, always=0 < steps <= step)
 
     def offer(self, knobs: Sequence[Knob]) -> None:
-        """Offer settings that may change; see `tasks.observer.Observer`.
+        """Offer settings that may change; see ``tasks.observer.Observer``.
 
         Args:
             knobs: The settings.
@@ -341,7 +341,7 @@ class Viewer:
         self._update_run()
 
     def changes(self) -> dict[str, float | str]:
-        """Return changes of settings since the last call; see `tasks.observer.Observer`.
+        """Return changes of settings since the last call; see ``tasks.observer.Observer``.
 
         Returns:
             Values by name.

@@ -29,7 +29,7 @@ class Slot(NamedTuple):
         return (self.offset, self.scale, self.rotation) != ((0.0, 0.0), (1.0, 1.0), 0.0)
 
     def transformed(self, uv: np.ndarray) -> np.ndarray:
-        """Transform coordinates [..., 2], v up, as `KHR_texture_transform` does those with v down."""
+        """Transform coordinates [..., 2], v up, as ``KHR_texture_transform`` does those with v down."""
         if not self.has_transform:
             return uv
         with np.errstate(over="ignore", invalid="ignore"):

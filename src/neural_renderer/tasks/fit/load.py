@@ -60,7 +60,7 @@ def load_views(
     Args:
         path: Camera file, or a folder that contains one: ``transforms.json`` (NeRF, Blender, nerfstudio),
             ``cameras.json`` or ``cameras.csv``, a model of COLMAP, or ``*_par.txt`` (Middlebury). The modules in
-            `neural_renderer.camera.files` describe the formats. Or what `read_camera_file` of that package returned.
+            ``neural_renderer.camera.files`` describe the formats. Or what `read_camera_file` of that package returned.
         size: Longer side in pixels, ≥ 16; larger images are scaled down.
         photos: Whether to use colours. Without colours, an image without a mask is a mask itself, white on black.
         background: RGB in [0, 1] of the background, for images without mask and alpha channel.
