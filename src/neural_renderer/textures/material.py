@@ -24,7 +24,8 @@ class Texture:
         image: [H, W, C] floating, row 0 at the top. `Material` says how many channels, and which of them are sRGB.
         wrap: "repeat", "clamp" or "mirror", or two of them, for u and for v.
         offset, scale, rotation: Transform of ``KHR_texture_transform``: numbers or tensors [2], [2] and [], the
-            rotation in radians. It is defined for glTF's coordinates, v down: (u, 1 − v) is scaled, rotated, then moved.
+            rotation in radians. It is defined for glTF's coordinates, v down: (u, 1 − v) is scaled, rotated, then
+            moved.
         uv_set: 0 for ``UVMesh.uv``, 1 for ``UVMesh.uv1``.
 
     Raises:
