@@ -10,9 +10,9 @@ TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
 
-# In three processes: some tests wait for browsers and other processes.
+# In two processes, each of which uses all cores for what it draws.
 test: $(VENV)/installed
-	$(BIN)/python -m pytest --numprocesses 3 --dist worksteal
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
 # With the tests that are marked as slow.
 test-all: $(VENV)/installed

@@ -96,6 +96,7 @@ def test_shape_material_and_light_are_recovered_closely():
     assert place < 0.15 and strength < 0.35 and ambient < 0.15
 
 
+@pytest.mark.slow
 def test_shape_material_and_light_are_recovered():
     """From six views of a bent ellipsoid, beginning with a grey sphere under a lamp elsewhere.
 

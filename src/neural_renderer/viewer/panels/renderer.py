@@ -69,8 +69,9 @@ class RendererPanel:
         self._worker.post("our picture", self._draw)
 
     def _follow(self, client: viser.ClientHandle) -> None:
-        """Follow the camera of a browser."""
+        """Follow the camera of a browser, from where it is now: it may never move."""
         client.camera.on_update(self._move)
+        self._move(client.camera)
 
     def _move(self, camera: viser.CameraHandle) -> None:
         """Follow the browser that moved last."""
