@@ -38,6 +38,7 @@ class Newest:
     ) -> None:
         self._rate, self._put, self._is_watched, self._postpone = rate, put, is_watched, postpone
         self._lock = threading.RLock()
+        self._copying = threading.RLock()  # one copy at a time: an older one never replaces a newer one
         self._copies: dict[str, Snapshot] = {}
         self._early: dict[str, Any] = {}
         self._next = 0.0  # time of the next copy
@@ -66,10 +67,11 @@ class Newest:
 
     def catch_up(self) -> None:
         """Copy the meshes that came too early."""
-        with self._lock:
-            early, self._early = self._early, {}
-        for name, mesh in early.items():
-            self._keep(name, take_snapshot(mesh))
+        with self._copying:
+            with self._lock:
+                early, self._early = self._early, {}
+            for name, mesh in early.items():
+                self._keep(name, take_snapshot(mesh))
 
     def remove(self, name: str) -> None:
         """Forget a mesh; raise ValueError if there is none of this name."""
@@ -87,8 +89,11 @@ class Newest:
     def _copy(self, meshes: Callable[[], Mapping[str, Any]]) -> None:
         """Copy meshes, and choose the time of the next copy."""
         start = time.perf_counter()
-        for name, mesh in meshes().items():
-            self._keep(name, take_snapshot(mesh))
+        with self._copying:
+            for name, mesh in meshes().items():
+                with self._lock:
+                    self._early.pop(name, None)
+                self._keep(name, take_snapshot(mesh))
         took = time.perf_counter() - start
         pause = 1 / self._rate if self.is_hurried else max(1 / self._rate, took / _SHARE)
         if not self.is_hurried and not self._is_watched():
@@ -99,5 +104,4 @@ class Newest:
         """Keep and hand on a copy."""
         with self._lock:
             self._copies[name] = copy
-            self._early.pop(name, None)
         self._put(name, copy)
