@@ -1,4 +1,4 @@
-"""What gradients are worth in practice: poses from images, and shapes from silhouettes.
+"""Use of gradients in practice: poses from images, and shapes from silhouettes.
 
 Every renderer gets the same problems, the same optimiser (Adam) with a rate that suits it, and one image at a time.
 Seconds are of the processor, on one thread.

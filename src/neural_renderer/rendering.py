@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from . import validate
@@ -141,10 +140,7 @@ def _light_on_faces(
     lights: list[AnyLight], vertices: Tensor, faces: Tensor, camera: Camera, batch: int
 ) -> Tensor | None:
     """Add up the light on both sides of faces, [B, 2, F, 3]; None without lights."""
-    if not lights:
-        return None
-    several = [light_factors(one, vertices, faces, batch, camera.mirrored) for one in lights]
-    return several[0] if len(several) == 1 else torch.stack(several).sum(0)
+    return light_factors(lights, vertices, faces, batch, camera.mirrored) if lights else None
 
 
 def _checked_cubes(textures: Tensor | None) -> Tensor:

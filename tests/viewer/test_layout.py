@@ -1,4 +1,4 @@
-"""Where meshes stand, and whence a browser sees them."""
+"""Places of meshes in the scene, and the first view of a browser."""
 
 from __future__ import annotations
 

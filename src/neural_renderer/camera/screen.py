@@ -76,10 +76,8 @@ def screen_positions(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
     Raises:
         TypeError, ValueError: As `Camera.__call__`.
     """
-    if camera.is_fisheye:
-        return _before_the_camera(camera(vertices, aspect=aspect))
     simple = _pinhole(camera, vertices)
-    return camera(vertices, aspect=aspect) if simple is None else pinhole(*simple, aspect, camera.perspective)
+    return _by_camera(camera, vertices, aspect) if simple is None else pinhole(*simple, aspect, camera.perspective)
 
 
 def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) -> tuple[Tensor, Tensor]:
@@ -96,9 +94,9 @@ def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) 
         TypeError, ValueError: As `screen_positions`, `checked_faces` and `corners_of`, in this order; or a position
             that overflows float32.
     """
-    simple = None if camera.is_fisheye else _pinhole(camera, vertices)
+    simple = _pinhole(camera, vertices)
     if simple is None:
-        screen = validate.in_float32("vertices on the screen", screen_positions(camera, vertices, aspect))
+        screen = validate.in_float32("vertices on the screen", _by_camera(camera, vertices, aspect))
         faces = checked_faces(faces)
         return corners_of(screen, faces), faces
     points, rotation, origin, width = simple
@@ -109,7 +107,7 @@ def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) 
 
 def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
     """Return the points, rotation, origin and width for the operator `pinhole`; None if it does not fit."""
-    is_simple = type(camera) is Camera and camera.K is None
+    is_simple = type(camera) is Camera and camera.K is None and not camera.is_fisheye
     if not is_simple or getattr(vertices, "dtype", None) != torch.float32 or not is_plain((vertices, camera.rotation)):
         return None
     validate.vertices(vertices)
@@ -121,8 +119,14 @@ def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, 
     return vertices if vertices.dim() == 3 else vertices[None], rotation, origin, width
 
 
-def _before_the_camera(screen: Tensor) -> Tensor:
-    """Mirror the points behind a fisheye, as a pinhole does: so the rasteriser cuts faces at the camera's plane."""
+def _by_camera(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
+    """Project vertices as ``camera`` does, with the points behind a fisheye mirrored, as a pinhole mirrors them.
+
+    So the rasteriser cuts faces at the camera's plane.
+    """
+    screen = camera(vertices, aspect=aspect)
+    if not camera.is_fisheye:
+        return screen
     place, depth = screen[..., :2], screen[..., 2:]
     return torch.cat((torch.where(depth < 0, -place, place), depth), -1)
 

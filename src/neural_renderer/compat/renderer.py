@@ -333,7 +333,7 @@ class Renderer(nn.Module):
             )
             # Light is computed in world space, on the side that the first packages lit (see the class).
             with validate.called(**_LIGHT):
-                light = light_factors(lamp, vertices, faces, len(corners), mirrored=True)
+                light = light_factors([lamp], vertices, faces, len(corners), mirrored=True)
         with validate.called(**_RASTERIZER):
             return rasterize_images(
                 corners,

@@ -216,11 +216,11 @@ def pixel_lights(lights: Sequence[object]) -> None:
             )
 
 
-def light_factors(light: AnyLight, vertices: Tensor, faces: Tensor, images: int, mirrored: bool) -> Tensor:
-    """Compute the light on both sides of faces as ``light.two_sided``; for callers with first derivatives only.
+def light_factors(lights: Sequence[AnyLight], vertices: Tensor, faces: Tensor, images: int, mirrored: bool) -> Tensor:
+    """Add up the light on both sides of faces, as `Light.two_sided`; for callers with first derivatives only.
 
     Args:
-        light: Any light.
+        lights: At least one light of any kind.
         vertices: [V, 3] or [B, V, 3] floating, finite, in world space.
         faces: Vertex indices in range, [F, 3] or [B, F, 3], int32 or int64.
         images: Number of images B.
@@ -232,10 +232,17 @@ def light_factors(light: AnyLight, vertices: Tensor, faces: Tensor, images: int,
     Raises:
         TypeError, ValueError: As `Light.two_sided`.
     """
-    is_simple = vertices.dtype == torch.float32 and is_plain((vertices,))
-    if not is_simple or not isinstance(light, Light) or type(light) is not Light or light._is_ambient:
-        return light.two_sided(world_corners(vertices, faces, images, in_range=True), mirrored)
     points = vertices if vertices.dim() == 3 else vertices[None]
-    faces = corner_indices(points, faces, images, in_range=True)
-    ambient, directional, direction = light._parameters(points.dtype, points.device, max(len(points), len(faces)))
-    return flat_light(points, faces, ambient, directional, direction, mirrored)
+    is_simple = points.dtype == torch.float32 and is_plain((points,))
+    corners: Tensor | None = None
+    several = []
+    for light in lights:
+        if is_simple and isinstance(light, Light) and type(light) is Light and not light._is_ambient:
+            indices = corner_indices(points, faces, images, in_range=True)
+            batch = max(len(points), len(indices))
+            ambient, directional, direction = light._parameters(points.dtype, points.device, batch)
+            several.append(flat_light(points, indices, ambient, directional, direction, mirrored))
+        else:
+            corners = world_corners(vertices, faces, images, in_range=True) if corners is None else corners
+            several.append(light.two_sided(corners, mirrored))
+    return several[0] if len(several) == 1 else torch.stack(several).sum(0)

@@ -36,7 +36,7 @@ def test_reference(device, meshes, lights, mirrored):
     leaves, light = scene(device, meshes, lights)
     exact_leaves, exact_light = scene(device, meshes, lights, torch.float64)
     batch = max(meshes, lights)
-    ours = light_factors(light, *soup(leaves[0]), batch, mirrored)
+    ours = light_factors([light], *soup(leaves[0]), batch, mirrored)
     exact = exact_light.two_sided(exact_leaves[0].expand(batch, -1, -1, -1), mirrored)
     # A normal is off by some 20 roundings of 1; the light is up to 2 sqrt(3) times its part along the direction.
     size = 2 * float(exact_leaves[3].detach().norm(dim=1).max())
@@ -57,12 +57,12 @@ def test_numbers_are_converted_once_and_tensors_each_time(device):
     corners = scene(device, 1, 1)[0][0].detach()
     direction = torch.tensor([0.0, 1.0, 0.0])
     constant, changing = nr.Light(), nr.Light(direction=direction)
-    before = light_factors(constant, *soup(corners), 1, False), light_factors(changing, *soup(corners), 1, False)
+    before = light_factors([constant], *soup(corners), 1, False), light_factors([changing], *soup(corners), 1, False)
     direction.neg_()
-    after = light_factors(constant, *soup(corners), 1, False), light_factors(changing, *soup(corners), 1, False)
+    after = light_factors([constant], *soup(corners), 1, False), light_factors([changing], *soup(corners), 1, False)
     assert torch.equal(before[0], after[0]) and torch.equal(before[1], after[1].flip(1))
     with pytest.raises(ValueError, match="direction: expected"):
-        light_factors(nr.Light(direction=torch.full((3,), torch.nan)), *soup(corners), 1, False)
+        light_factors([nr.Light(direction=torch.full((3,), torch.nan))], *soup(corners), 1, False)
 
 
 def test_operator_is_well_formed(device):

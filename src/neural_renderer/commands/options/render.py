@@ -10,7 +10,6 @@ import tyro
 
 Saved = Literal["rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"]
 SAVED = get_args(Saved)
-Behind = Literal["white", "black", "transparent", "environment"]
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,8 @@ def _arguments(vertices, rotation, origin, width, aspect, perspective):
     return [array(vertices), array(rotation), array(origin), array(width), aspect, int(perspective)]
 
 
-def _save(ctx, inputs, output):
+def save_projection(ctx, inputs, output):
+    """Keep the inputs of a projection for its gradient: tensors, then aspect and perspective."""
     *tensors, ctx.aspect, ctx.perspective = inputs
     ctx.save_for_backward(*tensors)
 
@@ -109,7 +110,7 @@ def parts_of_camera(gradient, camera, needed):
     ]
 
 
-differentiable(pinhole, _to_inputs, _save)
+differentiable(pinhole, _to_inputs, save_projection)
 
 
 CAMERA = """

@@ -13,7 +13,7 @@ from ..warp.launch import array, launch, module_for_cuda, zeros
 from ..warp.layout import concurrent, images_of, in_any_order
 from ..warp.registration import differentiable, differentiable_once, operator
 from .corners import CORNER, FACE, gather_corners, gather_corners_backward
-from .pinhole import CAMERA, POINT, TO_POINT, parts_of_camera, pinhole, pinhole_backward
+from .pinhole import CAMERA, POINT, TO_POINT, parts_of_camera, pinhole, pinhole_backward, save_projection
 
 # Without fused multiply-adds, positions are bitwise those of `pinhole`.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -82,11 +82,6 @@ def _(grad, vertices, faces, rotation, origin, width, aspect, perspective, camer
     return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if camera_too else 0, 13))
 
 
-def _save(ctx, inputs, output):
-    *tensors, ctx.aspect, ctx.perspective = inputs
-    ctx.save_for_backward(*tensors)
-
-
 def _to_inputs(ctx, grad):
     vertices, faces, *camera = ctx.saved_tensors
     needed = ctx.needs_input_grad[2:5]
@@ -96,7 +91,7 @@ def _to_inputs(ctx, grad):
     return to_vertices, None, *parts_of_camera(to_camera, camera, needed), None, None
 
 
-differentiable(project_corners, _to_inputs, _save)
+differentiable(project_corners, _to_inputs, save_projection)
 
 
 # `corner` is the first of its numbers in [B, F, 3, 3].

@@ -124,7 +124,7 @@ class _Surface(NamedTuple):
         parts = after[..., 0] * later[..., 1] - after[..., 1] * later[..., 0]
         area = parts.sum(-1, keepdim=True)
         side = (after - later) / area[..., None]  # of the edge opposite to each corner
-        # What moves the centre along x changes the weight of a corner by the y of the opposite edge, and vice versa.
+        # A motion of the centre along x changes a corner's weight by the y of the opposite edge, and vice versa.
         to_right, up = side[..., 1] * 2 / width, -side[..., 0] * 2 / height
         z = corners[..., 2]
         values = 1 / z if perspective else -z
