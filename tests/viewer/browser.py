@@ -84,6 +84,7 @@ class Browser:
         self.errors: list[str] = []
         for domain in ("Page", "Runtime", "Network"):
             self.call(f"{domain}.enable")
+        self.call("Emulation.setFocusEmulationEnabled", enabled=True)  # viser's page connects again only with focus
 
     def __enter__(self) -> Browser:
         return self

@@ -219,7 +219,6 @@ def test_a_page_that_was_open_before_sees_all(browser: Browser, open_viewer: Cal
     assert np.linalg.norm(client.camera.position) > 50  # turned, but where it was
 
 
-@pytest.mark.slow  # waits for a second program
 def test_a_page_outlives_its_killed_program(browser: Browser, tmp_path: Path) -> None:
     """After kill -9 the page says that the connection is lost, and the port is free again."""
     pytest.importorskip("viser")
