@@ -10,9 +10,10 @@ TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
 
-# In two processes, each of which uses all cores for what it draws.
+# In two processes, each of which uses all cores for what it draws. Tests start many programs, which begin sooner with
+# the byte code of the first one.
 test: $(VENV)/installed
-	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
 # With the tests that are marked as slow.
 test-all: $(VENV)/installed

@@ -312,6 +312,7 @@ train("mesh", replace(SMALL, steps=1), open_split(folder, "train"), None, out, d
 """
 
 
+@pytest.mark.slow
 def test_two_processes_do_what_one_does(tmp_path: Path) -> None:
     """Two processes compute the gradient of one, to rounding.
 
