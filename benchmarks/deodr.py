@@ -120,7 +120,7 @@ class Scene:
         )  # fmt: skip
 
     def theirs(self, backward: bool) -> None:
-        """Draw into one image repeatedly; ours has to touch new memory."""
+        """Draw into one image repeatedly; ours makes an image for each call."""
         from deodr.differentiable_renderer import renderScene, renderSceneB
 
         image, depth = self.buffers

@@ -26,7 +26,8 @@ from .ops.visible_faces import visible_faces
 from .visibility.edge import add_edges
 from .visibility.intersections import add_intersections
 from .visibility.neighbors import neighbors
-from .warp.launch import copy, zeros
+from .warp.launch import copy
+from .warp.memory import zeros
 from .warp.registration import differentiable, differentiable_once, operator
 
 

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from ..warp.launch import array, launch
 from ..warp.layout import PIXELS_OF_TASK, pixel_tasks, worth_a_thread
+from ..warp.memory import empty
 from ..warp.point import VECTORS, fill
 from ..warp.registration import differentiable, differentiable_once, operator
 
@@ -26,7 +27,7 @@ def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
         [B, C, H, W] float32.
     """
     batch, height, width = face_index.shape
-    image = torch.empty((batch, colors.shape[3], height, width), dtype=torch.float32, device=colors.device)
+    image = empty((batch, colors.shape[3], height, width), colors.device)
     behind = array(background.expand(image.shape), strided=True)
     tasks, each = pixel_tasks(batch * height, width, colors.device)
     arguments = [array(colors), behind, array(face_index), array(image), each]
@@ -44,7 +45,7 @@ def _(colors, background, face_index):
 def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
     """Compute the gradient of `composite` to the colours, [B, H, W, C] float32."""
     batch, channels, height, width = grad.shape
-    to_colors = torch.empty((batch, height, width, channels), dtype=torch.float32, device=grad.device)
+    to_colors = empty((batch, height, width, channels), grad.device)
     tasks, each = pixel_tasks(batch * height, width, grad.device)
     arguments = [array(grad), array(face_index), array(to_colors), each]
     launch(_backward, tasks, arguments, grad.device, worth_a_thread(each * width))

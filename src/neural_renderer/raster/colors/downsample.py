@@ -1,35 +1,50 @@
 """Downsampling of anti-aliased images: the mean of 2 x 2 pixels."""
 
+# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 import torch
-import torch.nn.functional as F
+import warp as wp
 from torch import Tensor
 
+from ..ops.coverage import coverage
+from ..warp.launch import array, launch
+from ..warp.layout import PIXELS_OF_TASK, pixel_tasks, worth_a_thread
+from ..warp.memory import empty
 from ..warp.registration import differentiable, operator
+
+# These kernels are compiled with those of `coverage`, which every image needs: a module of their own would take longer.
+_MODULE = wp.get_module(coverage.__module__)
 
 
 @operator
 def halve(image: Tensor) -> Tensor:
-    """Average 2 x 2 blocks of an image.
-
-    torch's own pooling takes several times as long for images of one channel.
+    """Average 2 x 2 blocks of an image; differentiable.
 
     Args:
         image: [B, C, H, W] float32; H and W even.
 
     Returns:
-        [B, C, H / 2, W / 2] float32, contiguous.
+        [B, C, H / 2, W / 2] float32.
     """
-    # Multiply first, because the sum may overflow float32.
-    rows = image[..., 0::2, :].mul(0.25).add_(image[..., 1::2, :], alpha=0.25)
-    return (rows[..., 0::2] + rows[..., 1::2]).contiguous()
+    batch, channels, height, width = image.shape
+    means = empty((batch, channels, height // 2, width // 2), image.device)
+    _launch(_average, image, means)
+    return means
 
 
 @operator
 def halve_backward(grad: Tensor) -> Tensor:
     """Send a quarter of each gradient to each pixel of its block: the transpose of `halve`."""
-    if not grad.numel():  # torch refuses to enlarge empty images
-        return grad.new_zeros((*grad.shape[:2], 2 * grad.shape[2], 2 * grad.shape[3]))
-    return F.interpolate(grad.contiguous() * 0.25, scale_factor=2, mode="nearest")
+    batch, channels, height, width = grad.shape
+    to_image = empty((batch, channels, 2 * height, 2 * width), grad.device)
+    _launch(_spread, to_image, grad)
+    return to_image
+
+
+def _launch(kernel: wp.Kernel, image: Tensor, means: Tensor) -> None:
+    rows, width = means.shape[:3].numel(), means.shape[3]
+    tasks, each = pixel_tasks(rows, width, image.device)
+    arguments = [array(image.reshape(2 * rows, 2 * width)), array(means.reshape(rows, width)), each]
+    launch(kernel, tasks, arguments, image.device, worth_a_thread(each * width))
 
 
 @torch.library.register_fake("neural_renderer::halve")
@@ -43,3 +58,45 @@ def _(grad):
 
 
 differentiable(halve, lambda ctx, grad: halve_backward(grad))
+
+
+_BLOCKS = f"""
+    const int all = means.shape[0], width = means.shape[1];
+    {PIXELS_OF_TASK}
+    for (int row = first; row < last; ++row) {{
+        float* __restrict__ mean = means.data + (wp::int64)row * width;
+        float* __restrict__ above = image.data + (wp::int64)row * 4 * width;
+        float* __restrict__ below = above + 2 * width;
+        for (int i = left; i < right; ++i) {{
+            EACH
+        }}
+    }}
+"""
+# Quarters are added, because the sum of four values may overflow.
+_AVERAGE = """
+            mean[i] = (0.25f * above[2 * i] + 0.25f * below[2 * i])
+                + (0.25f * above[2 * i + 1] + 0.25f * below[2 * i + 1]);
+"""
+_SPREAD = "above[2 * i] = above[2 * i + 1] = below[2 * i] = below[2 * i + 1] = 0.25f * mean[i];"
+
+
+@wp.func_native(_BLOCKS.replace("EACH", _AVERAGE))
+def average(image: wp.array2d(dtype=float), means: wp.array2d(dtype=float), task: int, each: int):
+    """Average the blocks of a task."""
+    ...
+
+
+@wp.func_native(_BLOCKS.replace("EACH", _SPREAD))
+def spread(image: wp.array2d(dtype=float), means: wp.array2d(dtype=float), task: int, each: int):
+    """Fill the blocks of a task with a quarter of each value."""
+    ...
+
+
+@wp.kernel(module=_MODULE)
+def _average(first: int, image: wp.array2d(dtype=float), means: wp.array2d(dtype=float), each: int):
+    average(image, means, first + wp.tid(), each)
+
+
+@wp.kernel(module=_MODULE)
+def _spread(first: int, image: wp.array2d(dtype=float), means: wp.array2d(dtype=float), each: int):
+    spread(image, means, first + wp.tid(), each)

@@ -6,8 +6,9 @@ import warp as wp
 from torch import Tensor
 
 from ..ops.visible_faces import box_of_face, end_of_run, pixels_of_run, visible_faces
-from ..warp.launch import array, launch, module_for_cuda, zeros
+from ..warp.launch import array, launch, module_for_cuda
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
+from ..warp.memory import empty, zeros
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 
@@ -31,7 +32,7 @@ def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspecti
         [B, H, W, C] float32; 0 where no face is visible.
     """
     batch, height, width = face_index.shape
-    result = torch.empty((batch, height, width, attributes.shape[3]), dtype=torch.float32, device=faces.device)
+    result = empty((batch, height, width, attributes.shape[3]), faces.device)
     tasks, each = pixel_tasks(batch * height, width, faces.device)
     arguments = [array(attributes), array(faces, wp.vec3), array(face_index), int(perspective), each, array(result)]
     launch(_forward, tasks, arguments, faces.device, worth_a_thread(each * width))

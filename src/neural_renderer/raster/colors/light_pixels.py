@@ -6,8 +6,9 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import FACING
-from ..warp.launch import array, launch, zeros
+from ..warp.launch import array, launch
 from ..warp.layout import PIXELS_OF_TASK, in_any_order, pixel_tasks, run_tasks, worth_a_thread
+from ..warp.memory import empty, zeros
 from ..warp.point import fill
 from ..warp.registration import differentiable, differentiable_once, operator
 
@@ -30,7 +31,7 @@ def light_pixels(image: Tensor, light: Tensor, faces: Tensor, face_index: Tensor
         [B, 3, H, W] float32.
     """
     batch, height, width = face_index.shape
-    lit = torch.empty_like(image, memory_format=torch.contiguous_format)
+    lit = empty(image.shape, image.device)
     arguments = [array(image), array(light, wp.vec3), array(faces, wp.vec3), array(face_index), int(perspective)]
     tasks, each = pixel_tasks(batch * height, width, image.device)
     launch(_forward, tasks, [*arguments, each, array(lit)], image.device, worth_a_thread(each * width))
@@ -49,7 +50,7 @@ def light_pixels_backward(
     """Compute the gradients of `light_pixels` to the image, and to the light, [1 or B, 2, F, 3] float32."""
     batch, height, width = face_index.shape
     count = light.shape[2]
-    to_image = torch.empty_like(grad, memory_format=torch.contiguous_format)
+    to_image = empty(grad.shape, grad.device)
     to_light = zeros((batch, 2, count, 3), grad.device)
     arguments = [array(image), array(light, wp.vec3), array(faces, wp.vec3), array(face_index), int(perspective)]
     # On the CPU, and where the order of sums must not vary, one task takes all rows of an image: a run of 0.

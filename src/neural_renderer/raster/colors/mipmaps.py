@@ -6,8 +6,9 @@ import warp as wp
 from torch import Tensor
 from torch.nn import functional
 
-from ..warp.launch import array, launch, zeros
+from ..warp.launch import array, launch
 from ..warp.layout import PIXELS_OF_TASK, in_any_order, pixel_tasks, worth_a_thread
+from ..warp.memory import empty, zeros
 from ..warp.point import fill
 from ..warp.registration import differentiable, differentiable_once, operator
 
@@ -65,7 +66,7 @@ def sample_mipmaps(
         [B, H, W, C] float32; 0 where ``face_index`` is negative.
     """
     batch, rows, columns = face_index.shape
-    result = torch.empty((batch, rows, columns, texels.shape[2]), dtype=torch.float32, device=texels.device)
+    result = empty((batch, rows, columns, texels.shape[2]), texels.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
     arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v), each, array(result)]
     launch(_forward, tasks, arguments, texels.device, worth_a_thread(each * columns))

@@ -6,8 +6,9 @@ import warp as wp
 from torch import Tensor
 
 from ..ops.visible_faces import box_of_face, end_of_run, pixels_of_run, visible_faces
-from ..warp.launch import array, launch, module_for_cuda, zeros
+from ..warp.launch import array, launch, module_for_cuda
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
+from ..warp.memory import empty, zeros
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .cube import CUBE
@@ -45,7 +46,7 @@ def sample_textures(
         [B, 3, H, W] float32.
     """
     batch, height, width = face_index.shape
-    color = torch.empty((batch, 3, height, width), dtype=torch.float32, device=faces.device)
+    color = empty((batch, 3, height, width), faces.device)
     arguments = _arguments(textures, light, faces, face_index, eps, perspective)
     tasks, each = pixel_tasks(batch * height, width, faces.device)
     arguments += [array(background, strided=True), each, array(color)]
@@ -78,7 +79,7 @@ def sample_textures_backward(
     batch, height, width = face_index.shape
     concurrently = in_any_order(faces.device)
     # The task of a face clears its own cubes, which saves a pass over the memory.
-    to_textures = torch.empty(textures.shape, dtype=torch.float32, device=faces.device)
+    to_textures = empty(textures.shape, faces.device)
     if concurrently or batch == 0:
         to_textures.zero_()
     to_light = zeros((batch, *light.shape[1:]), faces.device)

@@ -5,8 +5,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch, module_for_cuda, zeros
+from ..warp.launch import array, launch, module_for_cuda
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
+from ..warp.memory import empty, zeros
 from ..warp.point import over_face, over_rows
 from ..warp.registration import differentiable, differentiable_once, operator
 from .visible_faces import box_of_face, end_of_run, pixels_of_run, visible_faces
@@ -39,8 +40,8 @@ def barycentrics(
         finite for every face that `coverage` draws.
     """
     batch, height, width = face_index.shape
-    weights = torch.empty((batch, height, width, 3), dtype=torch.float32, device=faces.device)
-    depth = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
+    weights = empty((batch, height, width, 3), faces.device)
+    depth = empty((batch, height, width), faces.device)
     tasks, each = pixel_tasks(batch * height, width, faces.device)
     arguments = [array(faces, wp.vec3), array(face_index), near, far, int(perspective), each]
     launch(

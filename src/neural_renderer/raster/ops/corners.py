@@ -5,8 +5,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch, zeros
+from ..warp.launch import array, launch
 from ..warp.layout import concurrent, group_tasks
+from ..warp.memory import empty, zeros
 from ..warp.registration import differentiable, differentiable_once, operator
 
 wp.set_module_options({"enable_backward": False})
@@ -26,7 +27,7 @@ def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
         [B, F, 3, C] float32. An index outside [0, V) gives NaN; padding (-1, -1, -1) gives a face of zeros.
     """
     shape = (vertices.shape[0], *faces.shape[1:], vertices.shape[2])
-    corners = torch.empty(shape, dtype=torch.float32, device=vertices.device)
+    corners = empty(shape, vertices.device)
     groups, each = group_tasks(corners.shape[1], vertices.device, 256)
     arguments = [array(vertices), array(faces), array(corners), groups, each]
     launch(_forward, corners.shape[0] * groups, arguments, vertices.device)

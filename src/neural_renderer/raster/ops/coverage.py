@@ -8,6 +8,7 @@ from torch import Tensor
 from ..warp.geometry import pixel_box, pixel_centre
 from ..warp.launch import array, launch
 from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, concurrent, cpu_bands, pixel_tasks, worth_a_thread
+from ..warp.memory import empty
 from ..warp.registration import operator
 from .draw_concurrently import draw_concurrently
 from .draw_face import clear_rows, draw_into_rows, turn_rows
@@ -39,14 +40,14 @@ def coverage(
         [B, height, width] int32, row 0 at the top; -1 where no face is visible.
     """
     batch, count = faces.shape[:2]
-    face_index = torch.empty((batch, height, width), dtype=torch.int32, device=faces.device)
+    face_index = empty((batch, height, width), faces.device, torch.int32)
     options = [near, far, int(two_sided), int(perspective)]
     if concurrent(faces.device):
         draw_concurrently(faces, face_index, options)
         return face_index
     # One task per image, or per band of its rows, draws all faces in order.
     bands = min(height, cpu_bands(batch, height * width + 32 * count))
-    nearest = torch.empty((batch, height, width), dtype=torch.float32, device=faces.device)
+    nearest = empty((batch, height, width), faces.device)
     maps = [array(nearest), array(face_index)]
     least = worth_a_thread(height * width / max(bands, 1) + 32 * count)
     launch(_draw_band, batch * bands, [array(faces, wp.vec3), *maps, bands, *options], faces.device, least)
@@ -57,7 +58,7 @@ def coverage(
 def silhouette(face_index: Tensor) -> Tensor:
     """Convert ``face_index`` [B, H, W] int32 to a mask, [B, 1, H, W] float32: 1 where a face is visible, else 0."""
     batch, height, width = face_index.shape
-    alpha = torch.empty((batch, 1, height, width), dtype=torch.float32, device=face_index.device)
+    alpha = empty((batch, 1, height, width), face_index.device)
     tasks, each = pixel_tasks(batch * height, width, face_index.device)
     many = MANY_PIXELS // max(each * width, 1)
     launch(_cover, tasks, [array(face_index), array(alpha), each], face_index.device, many)

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from ..warp.launch import array, launch
 from ..warp.layout import concurrent, group_tasks, images_of
+from ..warp.memory import empty
 from ..warp.registration import differentiable, differentiable_once, operator
 from .corners import CORNER, FACE, gather_corners_backward
 
@@ -38,7 +39,7 @@ def flat_light(
         an index outside [0, V).
     """
     batch, count = images_of(vertices, faces, ambient, directional, direction), faces.shape[1]
-    factors = torch.empty((batch, 2, count, 3), dtype=torch.float32, device=vertices.device)
+    factors = empty((batch, 2, count, 3), vertices.device)
     groups, each = group_tasks(count, vertices.device, 512)
     arguments = [*_arguments(vertices, faces, ambient, directional, direction, mirrored), groups, each, array(factors)]
     launch(_forward, batch * groups, arguments, vertices.device, _LEAST)
@@ -72,7 +73,7 @@ def flat_light_backward(
     groups, each = group_tasks(count, grad.device, 512, 32 if light_too else 1)
     # On the CPU, one task sums the gradient to faces that images share, image by image.
     own = batch if concurrent(grad.device) else images_of(vertices, faces)
-    to_corners = torch.empty((own, count, 3, 3), dtype=torch.float32, device=grad.device)
+    to_corners = empty((own, count, 3, 3), grad.device)
     sums = torch.empty((batch, groups, _SUMS) if light_too else (0, 0, _SUMS), device=grad.device)
     arguments = [*_arguments(vertices, faces, ambient, directional, direction, mirrored), groups, each, array(grad)]
     arguments += [int(light_too), array(to_corners), array(sums)]

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from ..warp.launch import array, launch
 from ..warp.layout import concurrent, group_tasks, images_of
+from ..warp.memory import empty
 from ..warp.registration import differentiable, differentiable_once, operator
 
 # Without fused multiply-adds, positions are bitwise those of torch.
@@ -34,7 +35,7 @@ def pinhole(
         [B, V, 3] float32: x, y on the screen, and the depth.
     """
     batch, count = images_of(vertices, rotation, origin, width), vertices.shape[1]
-    screen = torch.empty((batch, count, 3), dtype=torch.float32, device=vertices.device)
+    screen = empty((batch, count, 3), vertices.device)
     groups, each = group_tasks(count, vertices.device, 1024)
     arguments = [*_arguments(vertices, rotation, origin, width, aspect, perspective), groups, each, array(screen)]
     launch(_forward, batch * groups, arguments, vertices.device, _LEAST)
@@ -66,7 +67,7 @@ def pinhole_backward(
     groups, each = group_tasks(count, grad.device, 1024, 32)
     # On the CPU, one task sums the gradient to vertices that images share, image by image.
     own = batch if concurrent(grad.device) else len(vertices)
-    to_vertices = torch.empty((own, count, 3), dtype=torch.float32, device=grad.device)
+    to_vertices = empty((own, count, 3), grad.device)
     sums = torch.empty((batch, groups, _SUMS) if camera_too else (0, 0, _SUMS), device=grad.device)
     arguments = [*_arguments(vertices, rotation, origin, width, aspect, perspective), groups, each, array(grad)]
     arguments += [int(camera_too), array(to_vertices), array(sums)]

@@ -9,8 +9,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch, module_for_cuda, zeros
+from ..warp.launch import array, launch, module_for_cuda
 from ..warp.layout import concurrent, images_of, in_any_order
+from ..warp.memory import empty, zeros
 from ..warp.registration import differentiable, differentiable_once, operator
 from .corners import CORNER, FACE, gather_corners, gather_corners_backward
 from .pinhole import CAMERA, POINT, TO_POINT, parts_of_camera, pinhole, pinhole_backward, save_projection
@@ -42,7 +43,7 @@ def project_corners(
     if not concurrent(vertices.device):
         return gather_corners(pinhole(vertices, rotation, origin, width, aspect, perspective), faces)
     batch = images_of(vertices, rotation, origin, width)
-    corners = torch.empty((batch, *faces.shape[1:], 3), dtype=torch.float32, device=vertices.device)
+    corners = empty((batch, *faces.shape[1:], 3), vertices.device)
     camera = [array(rotation), array(origin), array(width), aspect, int(perspective)]
     arguments = [array(vertices), array(faces), *camera, array(corners)]
     launch(_forward, batch * faces.shape[1], arguments, vertices.device)

@@ -6,8 +6,9 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import Int4, in_front, pixel_box
-from ..warp.launch import array, launch, stream_of, zeros
+from ..warp.launch import array, launch, stream_of
 from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, pixel_tasks
+from ..warp.memory import zeros
 
 wp.set_module_options({"enable_backward": False})
 

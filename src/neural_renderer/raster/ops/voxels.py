@@ -7,8 +7,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch, load_kernel, zeros
+from ..warp.launch import array, launch, load_kernel
 from ..warp.layout import concurrent
+from ..warp.memory import zeros
 
 # Without fused multiply-adds adjacent faces agree on lines through their common edge.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

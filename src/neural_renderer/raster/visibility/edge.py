@@ -36,8 +36,9 @@ from torch import Tensor
 from ..colors.downsample import halve, halve_backward
 from ..ops.visible_faces import visible_faces
 from ..warp.geometry import facing
-from ..warp.launch import array, copy, zeros
+from ..warp.launch import array, copy
 from ..warp.layout import face_tasks
+from ..warp.memory import zeros
 from ..warp.queue import launch_lines, line_task, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
 from .continuity import colors_continue

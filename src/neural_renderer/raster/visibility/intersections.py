@@ -22,8 +22,9 @@ from torch import Tensor
 
 from ..ops.visible_faces import next_shown
 from ..warp.geometry import degenerate, in_front, pixel_box, pixel_centre
-from ..warp.launch import array, launch, zeros
+from ..warp.launch import array, launch
 from ..warp.layout import face_lanes, face_tasks, pixel_tasks, worth_a_thread
+from ..warp.memory import zeros
 from .candidates import find_candidates
 from .crossings import border_weight
 from .nearness import covers, nearness_slope, nearness_terms, total

@@ -13,8 +13,9 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import FACING, IN_FRONT
-from ..warp.launch import array, launch, zeros
+from ..warp.launch import array, launch
 from ..warp.layout import in_any_order, readable
+from ..warp.memory import empty, zeros
 
 wp.set_module_options({"enable_backward": False})
 
@@ -48,7 +49,7 @@ def neighbors(
         drawn. With ``rings``, also -1 for faces that are neither visible nor beside a visible one.
     """
     batch, count = faces.shape[:2]
-    result = torch.empty((batch, count, 3), dtype=torch.int32, device=faces.device)
+    result = empty((batch, count, 3), faces.device, torch.int32)
     corners = array(faces, wp.vec3)
     options, way = [int(two_sided), int(perspective)], 1 if folds else -1
     most = 3 * count

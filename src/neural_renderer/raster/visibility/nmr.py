@@ -16,8 +16,9 @@ from torch import Tensor
 from ..colors.downsample import halve, halve_backward
 from ..ops.visible_faces import visible_faces
 from ..warp.geometry import SHORTEST, facing
-from ..warp.launch import array, copy, launch, zeros
+from ..warp.launch import array, copy, launch
 from ..warp.layout import concurrent, face_tasks, pixel_tasks, worth_a_thread
+from ..warp.memory import zeros
 from ..warp.queue import launch_lines, line_task, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
 from .line_sums import SCAN_LINE

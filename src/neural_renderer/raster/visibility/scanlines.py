@@ -11,6 +11,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.layout import PIXELS_OF_TASK, concurrent
+from ..warp.memory import empty
 
 wp.set_module_options({"enable_backward": False})
 
@@ -27,7 +28,7 @@ def empty_lines(batch: int, lines: int, length: int, planes: int, device: torch.
     it does, minus the decrease.
     """
     shape = (batch, lines, planes, WIDE + length)
-    room = torch.empty(math.prod(shape) + WIDE, dtype=torch.float32, device=device)
+    room = empty((math.prod(shape) + WIDE,), device)
     if not concurrent(device):
         room[-WIDE:] = 0
     return room[:-WIDE].view(shape)

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from .kernel_cache import load_module
 from .layout import PIECES
+from .memory import empty
 
 # Number of compiling threads (each spends two seconds on Warp's headers), and a flag that saves a third of this time.
 _COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
@@ -161,25 +162,14 @@ def stream_of(device: torch.device) -> int | None:
     return None if torch.cuda.is_current_stream_capturing() else torch.cuda.current_stream(device).cuda_stream
 
 
-def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Make a tensor of zeros, float32 or int32.
-
-    On the CPU the memory is the system's empty pages. torch would write zeros on all its threads, which then spin for a
-    while on the processors that a kernel needs.
-    """
-    if device.type != "cpu":
-        return torch.zeros(shape, dtype=dtype, device=device)
-    return torch.from_numpy(np.zeros(tuple(shape), np.float32 if dtype == torch.float32 else np.int32))
-
-
 def copy(tensor: Tensor) -> Tensor:
-    """Make a contiguous copy; on the CPU by the threads that run kernels, see `zeros`."""
+    """Make a contiguous copy of float32 numbers; on the CPU by the threads that run kernels, see `zeros`."""
     if tensor.device.type != "cpu":
         return tensor.clone(memory_format=torch.contiguous_format)
-    source = tensor.detach().numpy()
-    result = np.empty(source.shape, source.dtype)
-    _share(lambda first, last: np.copyto(result[first:last], source[first:last]), len(source), least=1)
-    return torch.from_numpy(result)
+    result = empty(tensor.shape, tensor.device)
+    source, target = tensor.detach().numpy(), result.numpy()
+    _share(lambda first, last: np.copyto(target[first:last], source[first:last]), len(source), least=1)
+    return result
 
 
 def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:

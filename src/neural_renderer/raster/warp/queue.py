@@ -13,8 +13,9 @@ import warp as wp
 from torch import Tensor
 
 from .geometry import pixel_box
-from .launch import array, launch, zeros
+from .launch import array, launch
 from .layout import in_any_order
+from .memory import zeros
 
 # Threads of a launch whose work is known on the device only: about as many as a large GPU runs at once.
 MOST_THREADS = 1 << 18

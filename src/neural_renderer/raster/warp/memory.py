@@ -1,0 +1,67 @@
+"""Memory of tensors that kernels write. On the CPU the memory of images is kept for the images of the next step.
+
+New memory costs time: the system clears each page at its first use, which took a third of a step in colour.
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+# Bytes of the smallest tensor whose memory is kept (smaller ones are fast to allocate), and of all that is kept.
+LEAST, MOST = 1 << 20, 1 << 28
+
+_NUMPY = {torch.float32: np.float32, torch.int32: np.int32}
+
+# Memory that no tensor uses, the oldest first. Tensors are freed on any thread, so each change of it is a single step.
+_free: dict[int, np.ndarray] = {}
+
+
+def empty(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Make a tensor of any contents, float32 or int32."""
+    size = 4 * math.prod(shape)
+    if device.type != "cpu" or size < LEAST:
+        return torch.empty(shape, dtype=dtype, device=device)
+    memory = _take(size)
+    values = memory.view(_NUMPY[dtype]).reshape(tuple(shape))
+    # torch holds `values` as long as a tensor, a view of it or a graph needs them.
+    weakref.finalize(values, _keep, memory).atexit = False
+    return torch.from_numpy(values)
+
+
+def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Make a tensor of zeros, float32 or int32.
+
+    On the CPU the memory is the system's empty pages. torch would write zeros on all its threads, which then spin for a
+    while on the processors that a kernel needs.
+    """
+    if device.type != "cpu":
+        return torch.zeros(shape, dtype=dtype, device=device)
+    return torch.from_numpy(np.zeros(tuple(shape), _NUMPY[dtype]))
+
+
+def _take(size: int) -> np.ndarray:
+    """Return kept memory of exactly this size, else new memory."""
+    for memory in reversed(list(_free.values())):  # the last one used may still lie in the processor's cache
+        if memory.size == size and _free.pop(id(memory), None) is not None:
+            return memory
+    return np.empty(size, np.uint8)
+
+
+def _keep(memory: np.ndarray) -> None:
+    """Keep memory that is no longer used, and give up the oldest if it becomes too much."""
+    if memory.size > MOST:
+        return
+    _free[id(memory)] = memory
+    kept = list(_free.values())
+    total = sum(each.size for each in kept)
+    for each in kept:
+        if total <= MOST:
+            break
+        if _free.pop(id(each), None) is not None:
+            total -= each.size
