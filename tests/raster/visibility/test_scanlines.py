@@ -43,7 +43,7 @@ def scene(device: str, channels: int) -> tuple[torch.Tensor, torch.Tensor]:
     return image.to(device), grad.to(device)
 
 
-@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
 def test_colors(device: str, channels: int) -> None:
     """Plane 0 holds the sum of value times gradient, the others the gradients; lines count from the bottom left."""
     image, grad = scene(device, channels)

@@ -47,6 +47,16 @@ _COPY = """
             const float gain = -pull[from];
             stored[to] = gain > 0.0f ? gain * (1.0f - value[from]) : gain * value[from];
         }
+    } else if (planes == 4) {  // the usual three channels at once, in the order of the loop below
+        const float *green = value + area, *blue = green + area, *by_green = pull + area, *by_blue = by_green + area;
+        float *to_red = stored + plane, *to_green = to_red + plane, *to_blue = to_green + plane;
+        EACH {
+            float sum = value[from] * pull[from];
+            sum += green[from] * by_green[from];
+            sum += blue[from] * by_blue[from];
+            stored[to] = sum;
+            to_red[to] = pull[from], to_green[to] = by_green[from], to_blue[to] = by_blue[from];
+        }
     } else {
         EACH stored[to] = 0.0f;
         for (int c = 0; c < planes - 1; ++c, value += area, pull += area) {
