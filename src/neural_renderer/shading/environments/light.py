@@ -214,9 +214,10 @@ class EnvironmentLight:
     def _kept(self, name: str, image: Tensor) -> Tensor:
         """Compute levels or coefficients of the image; keep them until it changes, unless it gets gradients."""
         compute = prefiltered if name == "levels" else projected
-        if image.requires_grad or not is_plain((image,)):
+        source = torch.as_tensor(self.image)
+        if image.requires_grad or not is_plain((image,)) or source.is_inference():  # changes of these are not counted
             return compute(image)
-        key = (torch.as_tensor(self.image)._version, image.device)
+        key = (source._version, image.device)
         known = self.__dict__.get(f"_{name}")
         if known is None or known[0] != key:
             with torch.inference_mode(False), torch.no_grad():
