@@ -26,7 +26,7 @@ from .raster.settings import Settings
 from .raster.visible import VisibleFaces
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fragments(VisibleFaces):
     """The visible face of each pixel of B images, for custom shaders.
 
