@@ -79,6 +79,8 @@ def test_what_does_not_fit(device):
             fragments.interpolate(wrong)
     with pytest.raises(TypeError, match="attributes: expected a floating-point"):
         fragments.interpolate(mesh.faces)
+    with pytest.raises(TypeError, match="attributes: expected a floating-point torch tensor, got list"):
+        fragments.interpolate([mesh.vertices])
     with pytest.raises(ValueError, match="colors: expected shape"):
         fragments.composite(torch.zeros(2, 40, 56, 3, device=device))
     with pytest.raises(ValueError, match="background: expected"):

@@ -17,6 +17,7 @@ ROOMS = [
     "version",
     "deprecated",
     "validate",
+    "one_line",
     "constants",
     "metrics",
     "io",

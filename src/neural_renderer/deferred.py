@@ -26,7 +26,7 @@ from .raster.settings import Settings
 from .raster.visible import VisibleFaces
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fragments(VisibleFaces):
     """The visible face of each pixel of B images, for custom shaders.
 
@@ -78,7 +78,7 @@ class Fragments(VisibleFaces):
             >>> fragments.interpolate(torch.rand(len(mesh.vertices), 8)).shape  # 8 channels, at twice the size
             torch.Size([1, 128, 128, 8])
         """
-        dims = getattr(attributes, "ndim", 3)
+        dims = getattr(attributes, "ndim", 2)
         batch, count = self.corners.shape[:2]
         if dims == 4 or (dims == 3 and triangles is None and self._has_corners(attributes)):
             return self._interpolate_corners(attributes, triangles)

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from . import validate
+from .one_line import OneLine
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.layers import layers_gradient
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
     from .deferred import Fragments
 
 
-@dataclass(frozen=True, eq=False)
-class Layers:
+@dataclass(frozen=True, eq=False, repr=False)
+class Layers(OneLine):
     """The K nearest faces of each pixel, in order: a sequence of K `Fragments`, the nearest ones first.
 
     A shader runs on each layer, then `composite` blends the layers from front to back.

@@ -127,15 +127,28 @@ def test_projection_agrees_with_an_independent_formula():
 
 
 @pytest.mark.parametrize("make", [np.array, torch.tensor, list])
-def test_translations_have_one_of_three_shapes(make):
+def test_translations_are_rows_or_columns(make):
     K, vertices = np.diag((2.0, 2, 1)), points(4) + 3
-    for t in ([0.0, 0, 3], [[0.0, 0, 3]], [[[0.0, 0, 3]]]):
+    for t in ([0.0, 0, 3], [[0.0, 0, 3]], [[[0.0, 0, 3]]], [[0.0], [0.0], [3.0]], [[[0.0], [0.0], [3.0]]]):
         found = nr.projection(vertices, K, np.eye(3), make(t), orig_size=2)
         assert torch.equal(found.reshape(4, 3), nr.projection(vertices, K, np.eye(3), (0, 0, 3), orig_size=2))
         camera = Camera.projection(K, np.eye(3), make(t), orig_size=2)
         torch.testing.assert_close(camera(vertices), found.reshape(1, 4, 3))
     with pytest.raises(ValueError, match="t: expected shape"):
         nr.projection(vertices, K, np.eye(3), make([[[0.0, 0, 3]] * 2]))
+
+
+def test_calibrations_may_have_the_shapes_of_opencv():
+    """Columns, as `cv2.solvePnP` and `cv2.fisheye.calibrate` return them; four coefficients, as in many files."""
+    vertices, (K, R, t, dist) = points(6), (part[0] for part in calibrated(1))
+    for make, count in ((Camera.projection, 5), (Camera.fisheye, 4)):
+        expected = make(K, R, t[0], dist[:count], (480, 640))(vertices)
+        for shape in ((count, 1), (1, count), (1, count, 1)):
+            found = make(K.numpy(), R.numpy(), t.numpy().T, dist[:count].reshape(shape).numpy(), (480, 640))
+            torch.testing.assert_close(found(vertices), expected, rtol=1e-5, atol=1e-5)
+    four = Camera.projection(K, R, t, dist[:4], (480, 640))
+    assert torch.equal(four(vertices), Camera.projection(K, R, t, [*dist[:4], 0.0], (480, 640))(vertices))
+    assert not four.is_fisheye
 
 
 def test_projection_by_hand():
@@ -366,8 +379,10 @@ LENS, TURN, BACK = np.array([[8.0, 0, 4], [0, 8, 4], [0, 0, 1]]), np.eye(3), (0.
         ((LENS, np.stack((TURN, 0.9 * TURN)), BACK, None, 8), r"^R: expected a rotation matrix .*deviation of 0.19"),
         ((LENS, np.diag((1, 1, -1)), BACK, None, 8), r"^R: expected a rotation matrix, got a reflection"),
         ((LENS, TURN, (0.0, 3.0), None, 8), r"^t: expected shape \[3\]"),
-        ((LENS, TURN, [[0.0], [0.0], [3.0]], None, 8), r"^t: expected shape \[3\]"),
-        ((LENS, TURN, [[[0.0], [0.0], [3.0]]], None, 8), r"^t: expected shape \[3\], \[B, 3\] or \[B, 1, 3\]"),
+        ((LENS, TURN, [[0.0], [3.0]], None, 8), r"^t: expected shape \[3\]"),
+        ((LENS, TURN, [[[0.0, 3.0]]], None, 8), r"^t: expected shape \[3\], \[B, 3\] or \[B, 1, 3\]"),
+        ((LENS, TURN, BACK, (0.1, 0.2, 0.3), 8), r"^dist_coeffs: expected shape \[5\]"),
+        ((LENS, TURN, BACK, np.zeros((8, 1)), 8), r"^dist_coeffs: expected shape \[5\]"),
     ],
 )
 def test_calibrations_that_cannot_be_are_refused(arguments, message):

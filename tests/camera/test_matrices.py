@@ -80,6 +80,15 @@ def test_unproject_inverts_project(kind, size) -> None:
     torch.testing.assert_close(alone[0], points[1], rtol=0, atol=1e-8)
 
 
+def test_points_may_be_arrays_or_lists() -> None:
+    camera, points = cameras("K"), cloud(3, 20)
+    pixels, depth = camera.project(points)
+    for convert in (np.asarray, torch.Tensor.tolist):
+        found = camera.project(convert(points))
+        assert torch.equal(found[0], pixels) and torch.equal(found[1], depth)
+        assert torch.equal(camera.unproject(convert(pixels), convert(depth)), camera.unproject(pixels, depth))
+
+
 def test_pixels_are_where_the_picture_shows_the_point() -> None:
     """A small white face around the point covers the pixel that `project` names, and its depth is there."""
     camera = Camera.look_at((0.3, 1.0, -2.5), viewing_angle=25)

@@ -247,6 +247,22 @@ def test_shading_and_environments(meshes: list[str], tmp_path: Path) -> None:
     assert (nr.load_image(tmp_path / "b.png") - nr.load_image(tmp_path / "c.png")).abs().max() > 0.02
 
 
+def test_layers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    vertices, faces = nr.icosphere(1)
+    glass = (nr.Material("glass", opacity=0.25, alpha_mode="BLEND"),)
+    nr.UVMesh(vertices, faces, vertices[:, :2], torch.ones(2, 2, 3), materials=glass).save(tmp_path / "glass.glb")
+    common = (tmp_path / "glass.glb", "--size", "24", "--no-light", "--background", "0", "0", "0")
+    run(*common, "--layers", "2", "--save", "rgb", tmp_path / "a.npy", "rgb", tmp_path / "a.png")  # twice: both
+    inside = np.load(tmp_path / "a.npy")[10:14, 10:14]
+    np.testing.assert_allclose(inside, 1 - 0.75**2, rtol=0, atol=1e-4)  # the front and the back
+    np.testing.assert_allclose(nr.load_image(tmp_path / "a.png")[10:14, 10:14], inside, rtol=0, atol=STEP)
+    assert "--layers: expected at least 1, got 0" in fails(capsys, *common, "--layers", "0", "-o", tmp_path / "b.png")
+    baked = ("--layers", "2", "--texture-size", "2", "-o", tmp_path / "b.png")
+    assert "--layers: expected the materials of the file" in fails(capsys, *common, *baked)
+    other = ("--layers", "2", "--mode", "normals", "-o", tmp_path / "b.png")
+    assert "--layers: expected --mode rgb, got normals" in fails(capsys, *common, *other)
+
+
 def test_a_picture_may_be_called_as_a_key_of_its_camera_file(meshes: list[str], tmp_path: Path) -> None:
     """Drawn twice: "K" is no file of the camera file."""
     (tmp_path / "a.json").write_text(json.dumps(FORMATS["K, R, t"][0]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch.autograd import gradcheck
 
@@ -49,3 +50,14 @@ def test_gradient():
     # The length that both divide by is a few tenths, and its square is in the gradient.
     torch.testing.assert_close(found, expected, **rounding(256, float(expected.abs().max())))
     assert gradcheck(smooth, vertices.detach().double().requires_grad_())
+
+
+def test_float64_is_computed_in_float64():
+    vertices, faces = nr.icosphere(1)
+    vertices = (vertices.double() * torch.tensor([1.0, 0.7, 0.4])).requires_grad_()
+    assert nr.vertex_normals(vertices, faces).dtype == torch.float64
+    assert gradcheck(lambda v: nr.vertex_normals(v, faces), vertices)
+    padded, rows = nr.batch([nr.Mesh(*nr.icosphere(0)), nr.Mesh(*nr.icosphere(1))])[:2]
+    torch.testing.assert_close(nr.vertex_normals(padded.double(), rows).float(), nr.vertex_normals(padded, rows))
+    with pytest.raises(ValueError, match="faces: expected indices"):
+        nr.vertex_normals(vertices, faces + 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
 
@@ -265,6 +266,7 @@ def test_one_image_in_three_forms_of_coordinates():
     ("change", "sentence"),
     [
         ({"image": torch.rand(3, 8, 9)}, r"image: expected \[H, W, 3\], got .* channels first"),
+        ({"image": torch.rand(8, 8, 4)}, r"image: expected \[H, W, 3\], got .* is without transparency"),
         ({"image": torch.rand(8, 8)}, r"image: expected shape \[H, W, 3\]"),
         ({"uv": torch.rand(7, 2)}, r"uv: expected shape \[8, 2\]"),
         ({"uv": torch.rand(7, 3, 2)}, r"uv: expected shape \[12, 3, 2\]"),
@@ -279,6 +281,12 @@ def test_what_does_not_fit_one_image(change, sentence):
     given = {"vertices": vertices, "faces": faces, "uv": torch.rand(8, 2), "image": torch.rand(8, 8, 3)}
     with pytest.raises(ValueError, match=sentence):
         nr.UVMesh(**(given | change))
+
+
+@pytest.mark.parametrize("image", [torch.zeros(8, 9, 3, dtype=torch.uint8), np.zeros((8, 9, 3), np.uint8)])
+def test_images_of_bytes_are_refused(image):
+    with pytest.raises(TypeError, match=r"image: expected floating numbers in \[0, 1\], got \[8, 9, 3\] uint8"):
+        nr.UVMesh(*nr.cube(), torch.rand(8, 2), image)
 
 
 def test_parameters_are_tensors_of_its_own() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+import numpy as np
 import pytest
 import torch
 
@@ -260,6 +261,13 @@ def test_background_pictures(device, batched, anti_aliasing):
     assert torch.allclose(image, picture.expand(2, 3, 4, 6))
     image.sum().backward()
     assert torch.allclose(picture.grad, torch.full_like(picture, 1.0 if batched else 2.0))
+
+
+def test_a_background_of_bytes_is_refused(device):
+    faces, cubes = empty_scene(device)
+    for picture in (torch.zeros(4, 6, 3, dtype=torch.uint8), np.zeros((4, 6, 3), np.uint8)):
+        with pytest.raises(TypeError, match=r"background: expected numbers in \[0, 1\], got \[4, 6, 3\] uint8"):
+            nr.rasterize_images(faces, (4, 6), textures=cubes, background=picture)
 
 
 def test_two_sided_is_appending_reversed_faces(device):

@@ -105,6 +105,16 @@ def test_an_image_changed_in_place_is_seen():
     torch.testing.assert_close(light.ambience(ways), 2 * before[1])
 
 
+def test_images_of_inference_mode():
+    """Changes of these are not counted, so nothing is kept."""
+    with torch.inference_mode():
+        image, ways = clouds(8, 16), some_directions()
+        light = nr.EnvironmentLight(image)
+        before = light.ambience(ways)
+        image *= 2
+        torch.testing.assert_close(light.ambience(ways), 2 * before)
+
+
 def test_each_image_has_its_own_environment():
     images, intensity = torch.rand(2, 8, 16, 3), torch.tensor([1.0, 3.0])
     ways, rough = some_directions().expand(2, -1, -1, -1), torch.full((2, 8, 8, 1), 0.3)

@@ -133,6 +133,20 @@ def test_an_object_with_the_method_is_a_light(device):
         nr.render((vertices, faces, textures), camera, 16, light=Twice)
 
 
+@pytest.mark.parametrize("shading", ["flat", "smooth"])
+def test_lights_of_each_image_beside_lights_of_all(shading):
+    mesh = nr.Mesh.icosphere(2)
+    camera = nr.Camera.look_at([[0.4, 0.8, -2.5], [2.0, -0.5, 1.5]], viewing_angle=25)
+    places, strength = torch.tensor([[1.0, 2.0, -2.0], [2.0, 0.0, 1.0]]), torch.tensor([0.2, 0.5])
+    shared = [nr.EnvironmentLight(torch.rand(4, 8, 3)), nr.PointLight((-1.0, 2.0, 0.0))]
+    lights = [shared[0], nr.Light(strength), nr.PointLight(places), shared[1]]
+    together = nr.render(mesh, camera, 24, light=lights, shading=shading).rgb
+    for b in range(2):
+        own = [shared[0], nr.Light(float(strength[b])), nr.PointLight(places[b]), shared[1]]
+        alone = nr.render(mesh, camera[b], 24, light=own, shading=shading).rgb
+        torch.testing.assert_close(together[b], alone[0], **rounding(64, 4))
+
+
 def test_lights_per_image(device):
     """Every parameter may have a batch: image b is that of the light b alone."""
     mesh = nr.Mesh.icosphere(2).to(device)

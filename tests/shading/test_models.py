@@ -97,8 +97,9 @@ def test_materials_are_those_of_their_faces():
         whole = dataclasses.replace(mesh, materials=(metal, glossy), material_index=index)
         image = nr.render(whole, CAMERA, 64, **options).rgb
         shown = nr.fragments(whole, CAMERA, 64, anti_aliasing=False).face_index.long()
-        for number, material in ((0, metal), (1, glossy), (-1, nr.Material())):
-            alone = nr.render(dataclasses.replace(mesh, materials=(material,)), CAMERA, 64, **options).rgb
+        for number, material in ((0, metal), (1, glossy), (-1, None)):
+            materials = () if material is None else (material,)
+            alone = nr.render(dataclasses.replace(mesh, materials=materials), CAMERA, 64, **options).rgb
             mine = ((shown >= 0) & (index[shown] == number))[:, None].expand(-1, 3, -1, -1)
             assert mine.sum() > 500
             torch.testing.assert_close(image[mine], alone[mine], rtol=1e-4, atol=1e-5)
@@ -248,9 +249,9 @@ def tinted_and_colored(vertices):
     uv, ones = torch.zeros(count, 3, 2), torch.ones(count, 3, 3)
     colors = torch.where(index[:, None, None] < 0, ones, nr.linear_to_srgb(tint))
     none = torch.full((count,), -1)
-    own = {"materials": materials, "material_index": index}
-    tinted = nr.UVMesh(vertices, faces, uv, none, (), ones, (), **own)
-    return tinted, nr.UVMesh(vertices, faces, uv, none, (), colors, (), materials=(nr.Material(),))
+    tinted = nr.UVMesh(vertices, faces, uv, none, (), ones, (), materials=materials, material_index=index)
+    plain = (nr.Material(),)
+    return tinted, nr.UVMesh(vertices, faces, uv, none, (), colors, (), materials=plain, material_index=index)
 
 
 @pytest.mark.parametrize("layers", [None, 2])
@@ -266,6 +267,16 @@ def test_base_colors_of_materials_show_with_every_shading(shading, layers):
         results.append((image.detach(), vertices.grad))
     torch.testing.assert_close(results[0][0], results[1][0], rtol=0, atol=1e-5)
     torch.testing.assert_close(results[0][1], results[1][1], rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("shading", ["flat", "smooth", "phong", "pbr"])
+def test_a_mesh_without_materials_is_the_same_beside_one_with(shading):
+    tinted, colored = tinted_and_colored(nr.icosphere(1)[0])
+    options = {"light": [*LAMPS, nr.EnvironmentLight(torch.rand(8, 16, 3))], "shading": shading}
+    colored = dataclasses.replace(colored, materials=(), material_index=None)
+    both = nr.render([tinted, colored], CAMERA, 24, **options).rgb
+    for one, mesh in zip(both, (tinted, colored), strict=True):
+        torch.testing.assert_close(one, nr.render(mesh, CAMERA, 24, **options).rgb[0], rtol=0, atol=1e-5)
 
 
 def test_base_colors_of_a_batch_and_their_gradients():

@@ -37,8 +37,8 @@ class CalibratedCamera(CameraModel):
         Args:
             K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels, with the third row (0, 0, 1).
             R: [3, 3] or [B, 3, 3], world-to-camera rotation.
-            t: [3], [B, 3] or [B, 1, 3], world-to-camera translation.
-            dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3); None means no distortion.
+            t: [3], [B, 3] or [B, 1, 3], world-to-camera translation; or columns [3, 1], [B, 3, 1].
+            dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3), or the first four; or a column. None means no distortion.
             orig_size: Side or (height, width) in pixels of the image that K describes. Required. A render of any size
                 shows this whole image, stretched if its aspect is different.
 
@@ -75,8 +75,8 @@ class CalibratedCamera(CameraModel):
         Args:
             K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels, with the third row (0, 0, 1).
             R: [3, 3] or [B, 3, 3], world-to-camera rotation.
-            t: [3], [B, 3] or [B, 1, 3], world-to-camera translation.
-            dist_coeffs: [4] or [B, 4], (k1, k2, k3, k4). None means zeros, the equidistant lens.
+            t: [3], [B, 3] or [B, 1, 3], world-to-camera translation; or columns [3, 1], [B, 3, 1].
+            dist_coeffs: [4] or [B, 4], (k1, k2, k3, k4), or a column. None means zeros, the equidistant lens.
             orig_size: Side or (height, width) in pixels of the image that K describes. Required, as in
                 `Camera.projection`.
 

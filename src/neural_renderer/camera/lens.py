@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from .. import validate
 from ..raster.ops.pinhole import NEAREST
@@ -105,8 +106,8 @@ def projection(
         vertices: [V, 3] or [B, V, 3] floating, in the world.
         K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels.
         R: [3, 3] or [B, 3, 3], world-to-camera rotation.
-        t: [3], [B, 3] or [B, 1, 3], world-to-camera translation.
-        dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3); None means no distortion.
+        t: [3], [B, 3] or [B, 1, 3], world-to-camera translation; or columns [3, 1], [B, 3, 1].
+        dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3), or the first four; or a column. None means no distortion.
         orig_size: Side or (height, width) in pixels of the image that K describes.
         eps: Number added to the depth before the division.
 
@@ -138,7 +139,7 @@ def calibration(
     K: Any, R: Any, t: Any, dist_coeffs: Any, dtype: torch.dtype, device: torch.device, coefficients: int = 5
 ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
     """Convert the arguments of `projection` to tensors (K, R, t, dist_coeffs), each with or without a batch."""
-    t = as_tensor("t", t, dtype)
+    t = _without_column(as_tensor("t", t, dtype))
     if t.ndim == 3:
         if t.shape[1:] != (1, 3):
             raise ValueError(f"t: expected shape [3], [B, 3] or [B, 1, 3], got {validate.shape_of(t)}")
@@ -146,8 +147,16 @@ def calibration(
     K, R = parameter("K", K, (3, 3), dtype, device), parameter("R", R, (3, 3), dtype, device)
     t = parameter("t", t, (3,), dtype, device)
     if dist_coeffs is not None:
+        dist_coeffs = _without_column(as_tensor("dist_coeffs", dist_coeffs, dtype))
+        if coefficients == 5 and dist_coeffs.ndim in (1, 2) and dist_coeffs.shape[-1] == 4:
+            dist_coeffs = functional.pad(dist_coeffs, (0, 1))  # k3 = 0
         dist_coeffs = parameter("dist_coeffs", dist_coeffs, (coefficients,), dtype, device)
     return K, R, t, dist_coeffs
+
+
+def _without_column(value: Tensor) -> Tensor:
+    """Convert columns [N, 1] or [B, N, 1], as functions of OpenCV return vectors, to [N] or [B, N]."""
+    return value[..., 0] if value.ndim in (2, 3) and value.shape[-1] == 1 else value
 
 
 def check_intrinsics(K: Tensor) -> None:

@@ -12,7 +12,7 @@ from torch import Tensor
 from .. import validate
 from ..constants import on_device
 from .lens import image_size, in_parallel, in_perspective, pixels_to_screen
-from .parameters import Scalar, batch_of, batch_size
+from .parameters import Array, Scalar, as_tensor, batch_of, batch_size
 from .pixels import camera_points, pixel_size, pixels_of
 from .view import rotate, transform
 
@@ -115,11 +115,11 @@ class CameraModel:
         x, y, z = screen.unbind(-1)
         return torch.stack((x / aspect, y, z), dim=-1)
 
-    def project(self, points: Tensor, size: float | Sequence[float] | None = None) -> tuple[Tensor, Tensor]:
+    def project(self, points: Array, size: float | Sequence[float] | None = None) -> tuple[Tensor, Tensor]:
         """Project world points to pixels and depth.
 
         Args:
-            points: [V, 3] or [B, V, 3] floating, in the world.
+            points: [V, 3] or [B, V, 3] floating, in the world. Arrays and lists get the dtype of the camera.
             size: Side or (height, width) of the image in pixels. A camera with K has a default: the size that K
                 describes.
 
@@ -138,15 +138,16 @@ class CameraModel:
             (tensor([[[120.,  30.]]]), tensor([[2.5000]]))
         """
         height, width = pixel_size(size, self)
+        points = self._numbers("points", points)
         with validate.called(vertices="points"):
             screen = self(points, width / height)
         return pixels_of(screen, (height, width)), screen[..., 2]
 
-    def unproject(self, pixels: Tensor, depth: Tensor, size: float | Sequence[float] | None = None) -> Tensor:
+    def unproject(self, pixels: Array, depth: Array, size: float | Sequence[float] | None = None) -> Tensor:
         """Find the world points that are visible at pixels; the inverse of `project`.
 
         Args:
-            pixels: [V, 2] or [B, V, 2] floating, as `project` returns them.
+            pixels: [V, 2] or [B, V, 2] floating, as `project` returns them. Arrays and lists as there.
             depth: [V] or [B, V] floating, depth of each in world units, as in `Images`.
             size: As in `project`.
 
@@ -164,6 +165,7 @@ class CameraModel:
             tensor([[[-1.4000,  1.4000,  1.0000]]])
         """
         image = pixel_size(size, self)
+        pixels, depth = self._numbers("pixels", pixels), self._numbers("depth", depth)
         validate.floating("pixels", pixels, ("V", 2) if getattr(pixels, "ndim", 3) == 2 else ("B", "V", 2))
         count = pixels.shape[-2]
         validate.floating("depth", depth, (count,) if getattr(depth, "ndim", 2) == 1 else ("B", count))
@@ -177,6 +179,12 @@ class CameraModel:
         points = camera_points(self, pixels, depth, image) - on_device(self.translation, pixels)[:, None]
         axes = on_device(self.rotation, pixels)
         return rotate(axes.transpose(-1, -2), points) + on_device(self.origin, pixels)[:, None]
+
+    def _numbers(self, name: str, value: Array) -> Tensor:
+        """Convert arrays and lists to tensors of the camera's dtype and device."""
+        if isinstance(value, Tensor):
+            return value
+        return as_tensor(name, value, self.rotation.dtype).to(self.rotation.device)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
         """Copy the cameras to another device or floating dtype.

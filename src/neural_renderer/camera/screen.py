@@ -11,7 +11,6 @@ from torch import Tensor
 from .. import validate
 from ..constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
-from ..raster.ops.pinhole import pinhole
 from ..raster.ops.project_corners import project_corners
 from ..raster.warp.layout import images_of
 from ..raster.warp.registration import is_plain
@@ -62,37 +61,23 @@ def causes(vertices: Tensor, camera: Camera) -> tuple[Tensor, ...]:
     return vertices, *(part for part in lens if isinstance(part, Tensor))
 
 
-def screen_positions(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
-    """Project vertices as ``camera(vertices, aspect)``, with the same values; for callers with first derivatives only.
+def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) -> tuple[Tensor, Tensor]:
+    """Project the corners of faces, as ``camera(vertices, aspect)`` and `corners_of` do one after the other.
+
+    The values are the same; there are first derivatives only.
 
     Args:
         camera: B cameras.
         vertices: [V, 3] or [B, V, 3] floating, in the world.
-        aspect: Width / height of the image.
-
-    Returns:
-        [B, V, 3], as `Camera.__call__`.
-
-    Raises:
-        TypeError, ValueError: As `Camera.__call__`.
-    """
-    simple = _pinhole(camera, vertices)
-    return _by_camera(camera, vertices, aspect) if simple is None else pinhole(*simple, aspect, camera.perspective)
-
-
-def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) -> tuple[Tensor, Tensor]:
-    """Project the corners of faces, as `screen_positions` and `corners_of` do one after the other.
-
-    Args:
-        camera, vertices, aspect: As of `screen_positions`.
         faces: Vertex indices [F, 3] or [B, F, 3].
+        aspect: Width / height of the image.
 
     Returns:
         The corners, [B, F, 3, 3] float32, and the faces as from `checked_faces`.
 
     Raises:
-        TypeError, ValueError: As `screen_positions`, `checked_faces` and `corners_of`, in this order; or a position
-            that overflows float32.
+        TypeError, ValueError: As `Camera.__call__`, `checked_faces` and `corners_of`, in this order; or a position that
+            overflows float32.
     """
     simple = _pinhole(camera, vertices)
     if simple is None:
@@ -106,7 +91,7 @@ def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) 
 
 
 def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
-    """Return the points, rotation, origin and width for the operator `pinhole`; None if it does not fit."""
+    """Return the points, rotation, origin and width for the operator `project_corners`; None if it does not fit."""
     is_simple = type(camera) is Camera and camera.K is None and not camera.is_fisheye
     if not is_simple or getattr(vertices, "dtype", None) != torch.float32 or not is_plain((vertices, camera.rotation)):
         return None

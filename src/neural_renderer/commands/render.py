@@ -45,7 +45,7 @@ _PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
 def run(options: RenderOptions) -> int:
     """Draw mesh files; return the exit code."""
     _check(options)
-    outputs = [path for path in (options.output, *options.save.values()) if path is not None]
+    outputs = [path for path in (options.output, *(path for _, path in options.save)) if path is not None]
     photo = options.background if isinstance(options.background, Path) else None
     check_outputs(outputs, [*options.meshes, options.camera, options.environment, photo])
     device = choose_device(options.device)
@@ -97,7 +97,7 @@ def _check(options: RenderOptions) -> None:
     if suffix not in _PICTURES + _ANIMATIONS:
         expected = ", ".join(_PICTURES + _ANIMATIONS)
         raise ValueError(f"--output: expected a name that ends in {expected}, got {name!r}")
-    check_counts(options, turntable=1, texture_size=1, frame=0)
+    check_counts(options, turntable=1, texture_size=1, frame=0, layers=1)
     if options.turntable is not None and suffix in _PICTURES:
         raise ValueError(f"--output: expected a .gif or .mp4 for a turntable, got {name!r}")
     if options.frame and options.camera is None:
@@ -107,6 +107,10 @@ def _check(options: RenderOptions) -> None:
     if options.save and suffix in _ANIMATIONS:
         raise ValueError(f"--save: expected a picture beside it, got the animation {name!r}")
     check_saved(options.save)
+    if options.layers is not None and options.texture_size is not None:
+        raise ValueError("--layers: expected the materials of the file, without --texture-size")
+    if options.layers is not None and options.mode != "rgb":
+        raise ValueError(f"--layers: expected --mode rgb, got {options.mode}")
     if options.size is not None:
         image_size("size", options.size)
     _check_between("fps", options.fps, 0, math.inf)
@@ -201,13 +205,13 @@ def _look(
     background: Any,
     surroundings: EnvironmentLight | None,
 ) -> dict[str, Any]:
-    """Return the light, the shading and the background of a view, as `render` takes them."""
+    """Return the light, the shading, the background and the layers of a view, as `render` takes them."""
     light: Any = surroundings
     if surroundings is None and options.light:
         light = Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera, _LAMP))
     if surroundings is not None and options.background == "environment":
         background = surroundings.background(camera, size).to(camera.rotation)
-    return {"light": light, "shading": options.shading, "background": background}
+    return {"light": light, "shading": options.shading, "background": background, "layers": options.layers}
 
 
 @torch.no_grad()

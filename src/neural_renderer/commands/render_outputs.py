@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,9 @@ _PICTURES = {
 }
 
 
-def check_saved(save: Mapping[Any, Path]) -> None:
+def check_saved(save: Sequence[tuple[str, Path]]) -> None:
     """Raise ValueError for files whose suffix does not fit the output, ModuleNotFoundError if a writer is missing."""
-    for name, path in save.items():
+    for name, path in save:
         suffixes = (*_PICTURES.get(name, ()), *VALUE_SUFFIXES)
         if path.suffix.lower() not in suffixes:
             raise ValueError(f"--save {name}: expected a name that ends in {', '.join(suffixes)}, got {path.name!r}")
@@ -41,10 +41,11 @@ def save_outputs(options: RenderOptions, mesh: Any, camera: Camera, size: tuple[
         mesh: The mesh.
         camera: One camera.
         size: Height and width in pixels.
-        **scene: Light, shading, background, and near and far planes, as in `render`.
+        **scene: Light, shading, background, layers, and near and far planes, as in `render`.
     """
-    smooth = [name for name in options.save if name in ("rgb", "alpha")]
-    plain = [name for name in options.save if name not in smooth]
+    names = dict(options.save)  # each once
+    smooth = [name for name in names if name in ("rgb", "alpha")]
+    plain = [name for name in names if name not in smooth]
     images: dict[str, Any] = {}
     if smooth:
         drawn = render(mesh, camera, size, outputs=smooth, **scene)
@@ -57,6 +58,6 @@ def save_outputs(options: RenderOptions, mesh: Any, camera: Camera, size: tuple[
         images |= {name: getattr(drawn, name)[0] for name in plain}
         if "depth" in images:
             images["depth"] = images["depth"] * drawn.alpha[0]  # 0 in place of the far plane
-    for name, path in options.save.items():
+    for name, path in options.save:
         image = images[name].cpu()
         save_output(path, (image.movedim(0, 2) if image.dim() == 3 else image).numpy(), name, options.depth_scale)

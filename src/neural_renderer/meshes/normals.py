@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from .. import validate
-from ..raster.faces import checked_faces, vertices_to_faces
+from ..raster.faces import checked_faces, corner_indices, vertices_to_faces
 from ..raster.ops.flat_light import LARGE, SMALLEST_SINE
 
 _TINY = 1e-20  # smallest divisor of a vertex normal
@@ -23,8 +23,9 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
         faces: [F, 3] or [B, F, 3] integer. A row of −1 is padding.
 
     Returns:
-        [B, V, 3] float32 unit vectors (B = 1 for one mesh), on the side where corners run counter-clockwise in a
-        right-handed world. A vertex without a face of positive area has normal 0. Differentiable in vertices.
+        [B, V, 3] unit vectors (B = 1 for one mesh), float64 for float64 vertices, else float32, on the side where
+            corners run counter-clockwise in a right-handed world. A vertex without a face of positive area has normal
+            0. Differentiable in vertices.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit.
@@ -35,9 +36,9 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
         >>> normals = fragments.interpolate(nr.vertex_normals(mesh.vertices, mesh.faces))
         >>> normals = torch.nn.functional.normalize(normals, dim=-1)
     """
-    points = validate.vertices(vertices)
+    points = validate.wide(validate.vertices(vertices))
     faces = checked_faces(faces)
-    corners = vertices_to_faces(points if points.dim() == 3 else points[None], faces)
+    corners = _corners(points if points.dim() == 3 else points[None], faces)
     batch, count = len(corners), vertices.shape[-2]
     v0, v1, v2 = _in_range(corners, (1, 2, 3)).unbind(2)
     normals = torch.linalg.cross(v1 - v0, v2 - v0)  # of length twice the area
@@ -69,6 +70,14 @@ def face_normals(corners: Tensor) -> Tensor:
     floor = SMALLEST_SINE * size.clamp(1e-12, 1)
     normal = normal / torch.maximum(torch.linalg.vector_norm(normal, dim=-1, keepdim=True), floor)
     return normal.to(corners.dtype)
+
+
+def _corners(points: Tensor, faces: Tensor) -> Tensor:
+    """Gather the corners of faces, [B, F, 3, 3], from points [B, V, 3] in their own precision."""
+    if points.dtype == torch.float32:
+        return vertices_to_faces(points, faces)
+    indices = corner_indices(points, faces, len(points)).long().clamp(min=0)  # padding becomes a face without area
+    return points[torch.arange(len(points), device=points.device)[:, None, None], indices]
 
 
 def _in_range(corners: Tensor, dims: tuple[int, ...]) -> Tensor:

@@ -9,12 +9,13 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..one_line import OneLine
 from .batch import mesh_parts
 from .normals import face_normals
 
 
-@dataclass(frozen=True, eq=False)
-class SurfacePoints:
+@dataclass(frozen=True, eq=False, repr=False)
+class SurfacePoints(OneLine):
     """Points on the surface of a mesh.
 
     Attributes:

@@ -208,7 +208,16 @@ def one_image(vertices: Any, faces: Any, uv: Any, image: Any, wrap: Wrap) -> tup
     """
     vertices = validate.floating("vertices", as_tensor(vertices), ("V", 3)).float()
     faces = validate.indices("faces", as_tensor(faces), ("F", 3)).int()
+    if str(getattr(image, "dtype", "")).endswith("uint8"):  # as from a file
+        raise TypeError(
+            f"image: expected floating numbers in [0, 1], got {list(image.shape)} uint8; image / 255 has them"
+        )
     image = as_tensor(image)
+    if isinstance(image, Tensor) and image.ndim == 3 and image.shape[2] == 4:
+        raise ValueError(
+            f"image: expected [H, W, 3], got {validate.shape_of(image)}; image[..., :3] is without transparency, which "
+            f"the opacity_texture of a Material has"
+        )
     if isinstance(image, Tensor) and image.ndim == 3 and image.shape[0] == 3 != image.shape[2]:
         got = validate.shape_of(image)
         raise ValueError(f"image: expected [H, W, 3], got {got}, channels first; image.movedim(0, 2) converts it")

@@ -61,8 +61,8 @@ class UVMesh(UVMeshData):
         wraps: "repeat", "clamp" or "mirror" for each image, or a pair of them, as in `sample_texture`.
         materials: `Material` each: what ``shading`` and ``layers`` of `render` use, and base colours. Empty for a mesh
             that is matt and opaque.
-        material_index: [F] int64, index into ``materials``; −1 for a face without a material. None: all faces have the
-            only material.
+        material_index: [F] int64, index into ``materials``; −1 for a face without a material, which looks as in a mesh
+            without materials. None: all faces have the only material.
         normals: [F, 3, 3] float32, normals of the faces' corners, as in the file; or None.
         tangents: [F, 3, 4] float32, tangents of the corners, towards larger u, and the sign (1 or −1) of the bitangent
             sign · normal × tangent, towards larger v; or None.

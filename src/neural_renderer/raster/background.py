@@ -33,6 +33,8 @@ def background_image(background: Any, batch: int, channels: int, settings: Setti
         ValueError: Its shape fits none of the above, or a value is NaN or infinite.
     """
     height, width = settings.height, settings.width
+    if str(getattr(background, "dtype", "")).endswith("uint8"):  # most likely an image from a file
+        raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")
     if not isinstance(background, Tensor):
         try:
             known = constant(background, torch.float32, device)
@@ -42,8 +44,6 @@ def background_image(background: Any, batch: int, channels: int, settings: Setti
                 f"background: expected a number, a colour [{channels}] or [B, {channels}], or an image, "
                 f"got {reprlib.repr(background)}"
             ) from None
-    elif background.dtype == torch.uint8:  # most likely an image from a file
-        raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")
     validate.dense("background", background)
     if device.type != "meta":
         validate.has_numbers("background", background)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from torch import Tensor
 
+from ..one_line import one_line
+
 OUTPUTS = ("rgb", "alpha", "depth")
 SURFACE = ("normal", "position", "uv", "face_index", "barycentric")
 """Outputs of `render` alone."""
@@ -75,6 +77,9 @@ class Images(_Outputs):
     def depth(self) -> Tensor:
         """Depth along the viewing axis in world units, [B, H, W] float32; ``far`` where no face is visible."""
         return self._drawn(2)
+
+    def __repr__(self) -> str:
+        return one_line(type(self).__name__, [*zip(OUTPUTS, self, strict=True), *vars(self).items()])
 
     def _drawn(self, index: int) -> Tensor:
         image = self[index]

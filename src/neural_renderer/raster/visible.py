@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..one_line import OneLine
 from .colors.downsample import halve
 from .images import Images
 from .ops.barycentrics import barycentrics
@@ -15,8 +16,8 @@ from .ops.coverage import silhouette
 from .settings import Settings
 
 
-@dataclass(frozen=True, eq=False)
-class VisibleFaces:
+@dataclass(frozen=True, eq=False, repr=False)
+class VisibleFaces(OneLine):
     """The visible face of each pixel of B images. Under anti-aliasing, H and W are twice the returned size.
 
     Attributes:

@@ -245,4 +245,5 @@ def light_factors(lights: Sequence[AnyLight], vertices: Tensor, faces: Tensor, i
         else:
             corners = world_corners(vertices, faces, images, in_range=True) if corners is None else corners
             several.append(light.two_sided(corners, mirrored))
-    return several[0] if len(several) == 1 else torch.stack(several).sum(0)
+    # Those for all images broadcast to those for each.
+    return several[0] if len(several) == 1 else torch.stack(torch.broadcast_tensors(*several)).sum(0)

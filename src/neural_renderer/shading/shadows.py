@@ -31,7 +31,8 @@ class ShadowedLight:
     antialiased shadows with depth maps", 1987): the share of pixels within ``softness`` that let light pass.
 
     The shadow itself has no gradient: to the image, moving the mesh or the light does not move its shadow. Colours and
-    strengths of light and surface have their gradients, in and outside of it.
+    strengths of light and surface have their gradients, in and outside of it. Make it outside of compiled functions
+    (`torch.compile`) and give it to them.
 
     Attributes:
         light: `Light`, whose directional part is shadowed, or `SpotLight`, with an ``outer`` angle of at most 85°.

@@ -10,14 +10,15 @@ from torch import Tensor
 
 from .. import validate
 from ..constants import read_once
+from ..one_line import OneLine
 from ..raster.warp.registration import is_plain
 from .sample_texture import Wrap, checked_wrap, sample_texture
 
 ALPHA_MODES = ("OPAQUE", "MASK", "BLEND")
 
 
-@dataclass(frozen=True, eq=False)
-class Texture:
+@dataclass(frozen=True, eq=False, repr=False)
+class Texture(OneLine):
     """Image with its sampler and the transform of its texture coordinates.
 
     Attributes:
@@ -114,8 +115,8 @@ class Texture:
         return bool(self.offset.any() or (self.scale != 1).any() or self.rotation != 0)
 
 
-@dataclass(frozen=True, eq=False)
-class Material:
+@dataclass(frozen=True, eq=False, repr=False)
+class Material(OneLine):
     """Material of glTF 2.0 (metallic-roughness), with the highlight of MTL files.
 
     A `UVMesh` holds several (``materials``) and says which face has which (``material_index``). The base colour is in

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.camera.screen import screen_positions
+from neural_renderer.camera.screen import screen_corners
 from neural_renderer.raster.ops.pinhole import pinhole
 
 BATCHES = [(1, None), (3, None), (3, 3), (1, 3), (3, 1), (1, 0)]
@@ -24,6 +24,12 @@ def scene(device, cameras, meshes, orthographic, dtype=torch.float32, vertices=4
     leaves = [part.to(device, dtype).requires_grad_() for part in (points, eye, 30 * width)]
     lens = {"orthographic": True, "scale": leaves[2]} if orthographic else {"viewing_angle": leaves[2]}
     return leaves, nr.Camera.look_at(leaves[1], **lens)
+
+
+def screen_positions(camera, points, aspect):
+    """Project points as corners of faces, one for each."""
+    faces = torch.arange(points.shape[-2], device=points.device)[:, None].expand(-1, 3)
+    return screen_corners(camera, points, faces, aspect)[0][:, :, 0]
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
@@ -72,4 +78,6 @@ def test_errors_are_those_of_the_camera():
 def test_operator_is_well_formed(device):
     (points, _, _), camera = scene(device, 3, 3, False)
     width = torch.tensor([0.5], device=device)
-    torch.library.opcheck(pinhole.operator, (points, camera.rotation, camera.origin, width, 1.5, True))
+    torch.library.opcheck(
+        pinhole.operator, (points.detach(), camera.rotation.detach(), camera.origin.detach(), width, 1.5, True)
+    )

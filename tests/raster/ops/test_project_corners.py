@@ -1,4 +1,4 @@
-"""Corners on the screen by one operator, held to projection and gathering one after the other, and to float64."""
+"""Corners on the screen by one operator, held to the camera and gathering one after the other, and to float64."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.camera.screen import screen_corners, screen_positions
+from neural_renderer.camera.screen import screen_corners
 from neural_renderer.raster.faces import corners_of
 from neural_renderer.raster.ops.project_corners import project_corners
 
@@ -29,9 +29,9 @@ def scene(device, cameras, meshes, orthographic=False, dtype=torch.float32, came
 
 @pytest.mark.parametrize("orthographic", [False, True])
 @pytest.mark.parametrize("cameras, meshes", BATCHES)
-def test_values_are_those_of_two_operators(device, cameras, meshes, orthographic):
+def test_values_are_those_of_the_camera(device, cameras, meshes, orthographic):
     (points, _, _), faces, camera = scene(device, cameras, meshes, orthographic)
-    expected = corners_of(screen_positions(camera, points, 1.5), faces)
+    expected = corners_of(camera(points, aspect=1.5), faces)
     assert torch.equal(screen_corners(camera, points, faces, 1.5)[0], expected)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -31,7 +31,7 @@ class RenderOptions:
     """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf. Several are drawn as one scene."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Picture to write: .png or .jpg; .gif or .mp4 for an animation. Must not be a texture of a mesh."""
-    save: dict[Saved, Path] = field(default_factory=dict)
+    save: Annotated[tuple[tuple[Saved, Path], ...], tyro.conf.arg(metavar="OUTPUT FILE …")] = ()
     """Outputs and the files to write: .npy, .exr (needs the extra "exr"), or .png for all but position, uv and
     face_index. rgb and alpha are anti-aliased, the others are those at the pixels' centres; 0 where no face is visible,
     -1 for face_index. Normals (smooth) and positions are in world space; depth is along the viewing axis."""
@@ -75,6 +75,9 @@ class RenderOptions:
     shading: Literal["flat", "smooth", "phong", "pbr"] = "flat"
     """Light on faces as a whole (flat), or on each pixel, with smooth normals and normal maps: matt (smooth), with
     highlights (phong), or with metal and roughness of the file's materials (pbr)."""
+    layers: int | None = None
+    """Number of faces that are blended at each pixel (at least 1), for transparent and cut-out materials; 4 is enough
+    for two bodies, one behind the other. By default all faces are opaque."""
     normalize: bool = True
     """Move the model to the origin and scale its longest side to 2 units. Several meshes are moved together."""
     texture_size: int | None = None

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ... import validate
+from ...one_line import OneLine
 from ..batch import mesh_parts
 from .closest_points import FaceTree
 from .collapse import collapse_short
@@ -23,8 +24,8 @@ _PROJECTED = 2  # the last passes, in which vertices return to the surface
 _MOST_FACES = 20_000_000
 
 
-@dataclass(frozen=True, eq=False)
-class Remeshed:
+@dataclass(frozen=True, eq=False, repr=False)
+class Remeshed(OneLine):
     """A remeshed surface; the result of `remesh`.
 
     Attributes:

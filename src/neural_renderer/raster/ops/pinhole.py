@@ -8,7 +8,7 @@ from torch import Tensor
 from ..warp.launch import array, launch
 from ..warp.layout import concurrent, group_tasks, images_of
 from ..warp.memory import empty
-from ..warp.registration import differentiable, differentiable_once, operator
+from ..warp.registration import differentiable_once, operator
 
 # Without fused multiply-adds, positions are bitwise those of torch.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -21,7 +21,7 @@ _SUMS = 13  # partial sums of each group of vertices: rotation, origin, width
 def pinhole(
     vertices: Tensor, rotation: Tensor, origin: Tensor, width: Tensor, aspect: float, perspective: bool
 ) -> Tensor:
-    """Project vertices; differentiable in all tensors.
+    """Project vertices. `project_corners`, which calls it, is differentiable.
 
     Args:
         vertices: [1 or B, V, 3] float32, in the world.
@@ -96,22 +96,12 @@ def save_projection(ctx, inputs, output):
     ctx.save_for_backward(*tensors)
 
 
-def _to_inputs(ctx, grad):
-    vertices, *camera = ctx.saved_tensors
-    needed = ctx.needs_input_grad[1:4]
-    to_vertices, to_camera = pinhole_backward(grad, vertices, *camera, ctx.aspect, ctx.perspective, any(needed))
-    return to_vertices, *parts_of_camera(to_camera, camera, needed), None, None
-
-
 def parts_of_camera(gradient, camera, needed):
     """Split a gradient [B, 13] from `pinhole_backward` into those of the rotation, origin and width that are needed."""
     return [
         (own if len(tensor) == len(own) else own.sum(0)).reshape(tensor.shape) if needs else None
         for tensor, own, needs in zip(camera, gradient.split((9, 3, 1), 1), needed, strict=True)
     ]
-
-
-differentiable(pinhole, _to_inputs, save_projection)
 
 
 CAMERA = """

@@ -17,6 +17,7 @@ from ...constants import on_device
 from ...io.images import load_image
 from ...io.radiance import read_radiance
 from ...io.values import read_exr
+from ...one_line import OneLine
 from ...raster.settings import image_size
 from ...raster.warp.registration import is_plain
 from ...textures.color_space import linear_to_srgb, srgb_to_linear
@@ -25,8 +26,8 @@ from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 from .prefilter import prefiltered, reflected
 
 
-@dataclass(frozen=True, eq=False)
-class EnvironmentLight:
+@dataclass(frozen=True, eq=False, repr=False)
+class EnvironmentLight(OneLine):
     """Distant light from all around, as an equirectangular image, for one scene or for each scene of a batch.
 
     Matt surfaces are lit by its spherical harmonics of order 2 (`SphericalHarmonicLight`; within 1 % for most images),
@@ -214,9 +215,10 @@ class EnvironmentLight:
     def _kept(self, name: str, image: Tensor) -> Tensor:
         """Compute levels or coefficients of the image; keep them until it changes, unless it gets gradients."""
         compute = prefiltered if name == "levels" else projected
-        if image.requires_grad or not is_plain((image,)):
+        source = torch.as_tensor(self.image)
+        if image.requires_grad or not is_plain((image,)) or source.is_inference():  # changes of these are not counted
             return compute(image)
-        key = (torch.as_tensor(self.image)._version, image.device)
+        key = (source._version, image.device)
         known = self.__dict__.get(f"_{name}")
         if known is None or known[0] != key:
             with torch.inference_mode(False), torch.no_grad():

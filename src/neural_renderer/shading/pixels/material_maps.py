@@ -11,6 +11,8 @@ from torch import Tensor
 from ...meshes.uv_mesh import UVMesh
 from ...raster.warp.registration import is_plain
 from ...textures.material import Material, Texture
+from ..pbr import PBR
+from ..phong import Phong
 from .normal_maps import bumped, corner_tangents
 from .planes import planar
 from .visible_surface import VisibleSurface, at_pixels
@@ -20,11 +22,11 @@ if TYPE_CHECKING:
 
 
 class MaterialMaps:
-    """Materials of a `UVMesh` at every pixel. Faces without a material have the default one."""
+    """Materials of a `UVMesh` at every pixel. Faces without one look as in a mesh without materials."""
 
     def __init__(self, fragments: Fragments, mesh: UVMesh) -> None:
         self.fragments, self.mesh = fragments, mesh
-        self.materials = [*mesh.materials, Material()]
+        self.materials = [*mesh.materials, _no_material()]
         self._uv: dict[int, Tensor] = {}
         if mesh.material_index is None:
             self.shown = None  # one material everywhere
@@ -109,6 +111,17 @@ class MaterialMaps:
     def _spread(self, rows: Tensor) -> Tensor:
         """Take a row [M, C] of the material of each pixel."""
         return rows[0].reshape(1, 1, 1, -1) if self.shown is None else planar(rows[self.shown])
+
+
+def _no_material() -> Material:
+    """Make the material that shades as the models for meshes without materials."""
+    matt, glossy = PBR(), Phong()
+    return Material(
+        metallic=matt.metallic,
+        roughness=matt.roughness,
+        specular=(glossy.specular,) * 3,
+        shininess=glossy.shininess,
+    )
 
 
 def _kept_tangents(mesh: UVMesh, uv: Tensor) -> Tensor:

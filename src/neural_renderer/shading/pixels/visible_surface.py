@@ -13,6 +13,7 @@ from ...camera import Camera
 from ...constants import on_device
 from ...meshes.batch import mesh_parts
 from ...meshes.normals import vertex_normals
+from ...one_line import OneLine
 from ...raster.faces import checked_faces, world_corners
 from .planes import planar, unit
 
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
     from ...deferred import Fragments
 
 
-@dataclass(frozen=True, eq=False)
-class VisibleSurface:
+@dataclass(frozen=True, eq=False, repr=False)
+class VisibleSurface(OneLine):
     """The surface that each pixel of B images shows, for lights and reflection models.
 
     Where no face is visible, normals are 0 and the other values mean nothing.
