@@ -13,6 +13,8 @@ from ..camera.files import CameraFile, find_camera_file, read_camera_file
 from ..io import save_image
 from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
+from ..meshes.unwrapping.charts import load_xatlas
+from ..meshes.unwrapping.unwrap import LEAST_SIZE, MOST_SIZE
 from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
 from ..tasks.fit.agreement import check_agreement
 from ..tasks.fit.fit_pictures import comparison, up_axis
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
 
 _MAY_DIFFER = (
-    *("images", "masks", "output", "steps", "camera_steps", "detail_steps", "texture_steps", "turntable"),
+    *("images", "masks", "output", "steps", "camera_steps", "detail_steps", "texture_steps", "turntable", "unwrap"),
     *("allow_outside", "resume", "force", "device", "watch"),
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
@@ -41,6 +43,11 @@ def run(options: FitOptions) -> int:
     """Fit and write the results; return the exit code: 0, 3 if outlines do not match the masks, 130 after Ctrl-C."""
     check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, starts=1)
     check_counts(options, camera_steps=1, turntable=0, seed=0)
+    if options.unwrap:
+        check_counts(options, unwrap=LEAST_SIZE)
+        if options.unwrap > MOST_SIZE:
+            raise ValueError(f"--unwrap: expected at most {MOST_SIZE}, got {options.unwrap}")
+        load_xatlas()  # before time is spent
     if options.refine_cameras and options.recover != "shape":
         raise ValueError(f"--refine-cameras: expected --recover shape, got --recover {options.recover}")
     if options.detail_steps is not None:

@@ -106,6 +106,9 @@ class FitOptions:
     """Weights of the losses."""
     detail_weights: DetailWeights = field(default_factory=DetailWeights)
     """Weights of the losses of the steps for normals and depth."""
+    unwrap: int = 0
+    """Side in pixels of one texture image with large charts (16 to 8192; needs the extra "unwrap"); 0: the image has a
+    small tile for each face."""
     turntable: int = 36
     """Pictures of the turntable (0: none)."""
     seed: int = 0

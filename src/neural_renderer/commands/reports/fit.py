@@ -10,6 +10,7 @@ from torch import Tensor
 from ...camera.files.opencv import save_cameras
 from ...io import save_animation, save_image
 from ...io.atomic_write import write_file
+from ...meshes.unwrapping.unwrap import unwrap
 from ...pictures.curve import curve
 from ...pictures.turntable import turntable
 from ...tasks.fit import CameraFit, MeshFit, Views
@@ -50,8 +51,9 @@ def write_mesh(options: FitOptions, fit: MeshFit, views: Views) -> None:
         views: The fitted views, in the world of the mesh.
     """
     folder, mesh = options.output, fit.mesh()
-    mesh.save(folder / "mesh.obj", overwrite=options.force)
-    mesh.save(folder / "mesh.glb")
+    written = unwrap(mesh, options.unwrap) if options.unwrap else mesh
+    written.save(folder / "mesh.obj", overwrite=options.force)
+    written.save(folder / "mesh.glb")
     save_image(folder / "comparison.png", comparison(fit.views, fit.shape))
     if options.turntable:
         pictures = turntable(upright(mesh, views, options.up), options.turntable, size=_TURNTABLE_SIZE)
