@@ -5,7 +5,6 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
@@ -14,13 +13,15 @@ from ..camera.files import CameraFile, find_camera_file, read_camera_file
 from ..io import save_image
 from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
+from ..meshes.unwrapping.charts import load_xatlas
+from ..meshes.unwrapping.unwrap import LEAST_SIZE, MOST_SIZE
 from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
 from ..tasks.fit.agreement import check_agreement
 from ..tasks.fit.fit_pictures import comparison, up_axis
 from ..tasks.fit.load import list_images
 from .common import check_counts, check_outputs, choose_device, make_folder, say
 from .options.fit import FitOptions
-from .reports.fit import RESULTS, report_camera, report_mesh, write_mesh
+from .reports.fit import CAMERAS, RESULTS, report_camera, report_mesh, write_cameras, write_mesh
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching
 
@@ -28,19 +29,27 @@ if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
 
 _MAY_DIFFER = (
-    *("images", "masks", "output", "steps", "detail_steps", "texture_steps", "turntable"),
+    *("images", "masks", "output", "steps", "camera_steps", "detail_steps", "texture_steps", "turntable", "unwrap"),
     *("allow_outside", "resume", "force", "device", "watch"),
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _PREVIEW_COLUMNS = 4
 _LEAST_IOU = 0.8  # mean of all views; fits of photographs reach 0.95, and wrong cameras rarely more than 0.6
+_REFINED_MARGIN = 4  # see `check_agreement`: cameras to refine may be a little wrong
 _NO_MATCH = 3  # exit code of a fit that ends below
 
 
 def run(options: FitOptions) -> int:
     """Fit and write the results; return the exit code: 0, 3 if outlines do not match the masks, 130 after Ctrl-C."""
     check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, starts=1)
-    check_counts(options, turntable=0, seed=0)
+    check_counts(options, camera_steps=1, turntable=0, seed=0)
+    if options.unwrap:
+        check_counts(options, unwrap=LEAST_SIZE)
+        if options.unwrap > MOST_SIZE:
+            raise ValueError(f"--unwrap: expected at most {MOST_SIZE}, got {options.unwrap}")
+        load_xatlas()  # before time is spent
+    if options.refine_cameras and options.recover != "shape":
+        raise ValueError(f"--refine-cameras: expected --recover shape, got --recover {options.recover}")
     if options.detail_steps is not None:
         check_counts(options, detail_steps=0)
     if options.up is not None and not any(options.up):
@@ -49,7 +58,7 @@ def run(options: FitOptions) -> int:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
     if options.recover != "camera" and not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
-    outputs = [options.output / name for name in RESULTS]
+    outputs = [options.output / name for name in (*RESULTS, *[CAMERAS] * options.refine_cameras)]
     if options.recover == "camera":
         check_outputs(outputs, [options.images, options.mesh])
         return _fit_camera(options)
@@ -81,8 +90,10 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
         **_mask_rule(options),
     ).to(choose_device(options.device))
     if options.check:
-        _check(views, cameras, options.images)
-    fitted, held_out = _split(views, options.held_out)
+        _check(views, cameras, options)
+    kept, left = _split(len(views), options.held_out)
+    fitted, held_out = views[kept], views[left] if left else None
+    names = [cameras.images[row].name for row in kept]
     start: Any = options.start
     if options.mesh is not None:
         start = Mesh.load(options.mesh, texture_size=2, allow_outside=options.allow_outside)
@@ -90,11 +101,18 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
         if viewer is not None:
             viewer.set_up(up_axis(fitted))
             viewer.show_cameras(fitted.camera, fitted.photos, fitted.masks)
-        return _run_mesh_fit(options, fitted, held_out, start, viewer)
+        return _run_mesh_fit(options, fitted, held_out, names, start, viewer)
 
 
-def _run_mesh_fit(options: FitOptions, fitted: Views, held_out: Views | None, start: Any, viewer: Viewer | None) -> int:
-    """Fit a mesh to views, and write the results; return the exit code."""
+def _run_mesh_fit(
+    options: FitOptions,
+    fitted: Views,
+    held_out: Views | None,
+    names: list[str],
+    start: Any,
+    viewer: Viewer | None,
+) -> int:
+    """Fit a mesh to views with names, and write the results; return the exit code."""
     fit = MeshFit(
         fitted,
         start,
@@ -105,6 +123,8 @@ def _run_mesh_fit(options: FitOptions, fitted: Views, held_out: Views | None, st
         cells=options.cells,
         texture_size=options.texture_size,
         color_from=options.color_from,
+        refine_cameras=options.refine_cameras,
+        camera_steps=options.camera_steps,
         weights=options.weights,
         detail_weights=options.detail_weights,
         batch=options.batch,
@@ -117,6 +137,8 @@ def _run_mesh_fit(options: FitOptions, fitted: Views, held_out: Views | None, st
     runner = _runner(options, fit, images, lambda: (fit.views, fit.shape), viewer, fit.mesh)
     finished = runner.run(options.resume)
     write_mesh(options, fit, fitted)
+    if options.refine_cameras:
+        write_cameras(options, fit, names)
     report_mesh(options, runner, fit, held_out, finished)
     stay(viewer, finished or runner.stopped)
     return _exit_code(finished or runner.stopped, fit.views.quality(fit.shape[:2])["iou"])
@@ -165,12 +187,13 @@ def _fit_camera(options: FitOptions) -> int:
     return _exit_code(finished or runner.stopped, views.quality(shape[:2])["iou"])
 
 
-def _check(views: Views, cameras: CameraFile, given: Path) -> None:
+def _check(views: Views, cameras: CameraFile, options: FitOptions) -> None:
     """Raise ValueError, which names the path that was given, if masks and cameras do not agree."""
     try:
-        check_agreement(views, [entry.name for entry in cameras.images])
+        margin = _REFINED_MARGIN if options.refine_cameras else 1
+        check_agreement(views, [entry.name for entry in cameras.images], margin)
     except ValueError as error:
-        raise ValueError(f"{given}: {str(error).removeprefix('views: ')}. --no-check fits anyway") from None
+        raise ValueError(f"{options.images}: {str(error).removeprefix('views: ')}. --no-check fits anyway") from None
 
 
 def _exit_code(finished: bool, iou: Tensor) -> int:
@@ -217,13 +240,13 @@ def _runner(
     return TaskRunner(options.output, fit, settings, preview, device=device, observer=viewer, mesh=mesh)
 
 
-def _split(views: Views, every: int) -> tuple[Views, Views | None]:
-    """Hold out every n-th view."""
+def _split(count: int, every: int) -> tuple[list[int], list[int]]:
+    """Hold out every n-th view: return the numbers of the others and of those."""
     if not every:
-        return views, None
+        return list(range(count)), []
     if every < 2:
         raise ValueError(f"--held-out: expected at least 2, got {every}")
-    rows = list(range(every - 1, len(views), every))
+    rows = list(range(every - 1, count, every))
     if not rows:
-        raise ValueError(f"--held-out: expected at most {len(views)}, the number of views, got {every}")
-    return views[[index for index in range(len(views)) if index not in rows]], views[rows]
+        raise ValueError(f"--held-out: expected at most {count}, the number of views, got {every}")
+    return [index for index in range(count) if index not in rows], rows

@@ -63,7 +63,7 @@ def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wr
         if not shown.any():
             return texture.float()
     image = texture.float().permute(2, 0, 1)[None]
-    return _pull_push(image, shown[None, None].float())[0].permute(1, 2, 0).contiguous()
+    return pull_push(image, shown[None, None].float())[0].permute(1, 2, 0).contiguous()
 
 
 def _shown(uv: Tensor, height: int, width: int, repeat: bool) -> Tensor:
@@ -124,13 +124,13 @@ def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | 
     return torch.cat(found)
 
 
-def _pull_push(image: Tensor, shown: Tensor) -> Tensor:
+def pull_push(image: Tensor, shown: Tensor) -> Tensor:
     """Fill the texels of image [1, C, h, w] where ``shown`` [1, 1, h, w] is 0 from the next coarser level."""
     if image.shape[2:] == (1, 1) or not bool((shown == 0).any()):
         return image
     half = (-(-image.shape[2] // 2), -(-image.shape[3] // 2))
     share = functional.adaptive_avg_pool2d(shown, half)
     coarse = functional.adaptive_avg_pool2d(image * shown, half) / share.clamp(min=1e-6)
-    coarse = _pull_push(coarse, (share > 0).float())
+    coarse = pull_push(coarse, (share > 0).float())
     above = functional.interpolate(coarse, size=image.shape[2:], mode="bilinear", align_corners=False)
     return torch.where(shown > 0, image, above)

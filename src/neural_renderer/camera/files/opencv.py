@@ -8,9 +8,17 @@ camera, x right, y down, z forward. ``dist`` (k1, k2, p1, p2, k3), ``width`` and
 
 from __future__ import annotations
 
+import json
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import torch
+from torch import Tensor
+
+from ...io.atomic_write import write_file
+from ..camera import Camera
 from .keys import above_zero, check_rotation, matrix, rows_of, value_of
 from .lens import Lens
 from .posed import CameraFile, PosedImage
@@ -71,3 +79,54 @@ def _distortion(where: str, row: dict[str, Any]) -> dict[str, float]:
         return {}
     values = matrix(where, row, "dist", (5,), (4,)).tolist()
     return dict(zip(("k1", "k2", "p1", "p2", "k3"), values, strict=False))
+
+
+def save_cameras(
+    path: str | os.PathLike[str], camera: Camera, names: Sequence[str], size: tuple[int, int] | None = None
+) -> None:
+    """Write cameras as K, R and t in the conventions of OpenCV.
+
+    Args:
+        path: The file, ``cameras.json``.
+        camera: N cameras with perspective.
+        names: Names of the N images.
+        size: Height and width of the images in pixels, for cameras without K.
+
+    Raises:
+        OSError: The file cannot be written.
+        ValueError: The cameras are parallel or fisheye ones, or the number of names is another.
+
+    Example:
+        >>> from neural_renderer.camera.files.opencv import save_cameras
+        >>> save_cameras("cameras.json", camera, ["000.png"], (240, 320))
+    """
+    if not camera.perspective or camera.is_fisheye:
+        raise ValueError("camera: expected perspective without a fisheye lens, got another")
+    if len(names) != len(camera):
+        raise ValueError(f"names: expected {len(camera)} names, got {len(names)}")
+    rotation, translation = camera.rotation, camera.translation
+    if camera.K is None:
+        rotation = camera.axes * camera.axes.new_tensor([1.0, -1.0, 1.0])[:, None]
+    translation = translation - torch.einsum("bij,bj->bi", rotation, camera.origin)
+    K, (height, width) = _intrinsics(camera, size)
+    views: list[dict[str, Any]] = []
+    for row, name in enumerate(names):
+        view: dict[str, Any] = {"file": name, "width": width, "height": height, "K": K[row].tolist()}
+        if camera.dist_coeffs is not None:
+            view["dist"] = camera.dist_coeffs[row].tolist()
+        views.append({**view, "R": rotation[row].tolist(), "t": translation[row].tolist()})
+    write_file(path, json.dumps({"views": views}, indent=1) + "\n")
+
+
+def _intrinsics(camera: Camera, size: tuple[int, int] | None) -> tuple[Tensor, tuple[float, float]]:
+    """Return the matrices K [N, 3, 3], and the height and width that they describe."""
+    if camera.K is not None and camera.orig_size is not None:
+        return camera.K, camera.orig_size
+    if size is None:
+        raise ValueError("size: expected the size of the images for cameras without K, got None")
+    height, width = size
+    angle = torch.deg2rad(torch.as_tensor(camera.viewing_angle).to(camera.rotation)).expand(len(camera))
+    K = torch.eye(3).to(camera.rotation).repeat(len(camera), 1, 1)
+    K[:, 0, 0] = K[:, 1, 1] = height / 2 / torch.tan(angle)
+    K[:, 0, 2], K[:, 1, 2] = width / 2, height / 2
+    return K, (height, width)

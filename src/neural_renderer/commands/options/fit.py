@@ -94,13 +94,21 @@ class FitOptions:
     """Half of the vertical field of view in degrees, for --recover camera (above 0, below 90)."""
     gradient: Literal["edge", "nmr"] = "edge"
     """Gradient estimator of the renderer."""
-    color_from: Annotated[float, tyro.conf.arg(aliases=["--colour-from"])] = 1.0
+    refine_cameras: bool = False
+    """Fit the poses of the cameras and their focal length, too, for cameras that are not exact: about 1° and 1% off.
+    The result has a file cameras.json."""
+    camera_steps: int = 150
+    """Steps for the cameras before those for the shape (at least 1), for up to 24 views; more views take more."""
+    color_from: Annotated[float | None, tyro.conf.arg(aliases=["--colour-from"])] = None
     """After this fraction of the steps (0 to 1), colours move the shape, too. Silhouettes do not show hollows; 0.3
-    recovers some of them, in twice the time."""
+    recovers some of them, in twice the time. By default 1, which is never, and 0.4 with --refine-cameras."""
     weights: FitWeights = field(default_factory=FitWeights)
     """Weights of the losses."""
     detail_weights: DetailWeights = field(default_factory=DetailWeights)
     """Weights of the losses of the steps for normals and depth."""
+    unwrap: int = 0
+    """Side in pixels of one texture image with large charts (16 to 8192; needs the extra "unwrap"); 0: the image has a
+    small tile for each face."""
     turntable: int = 36
     """Pictures of the turntable (0: none)."""
     seed: int = 0

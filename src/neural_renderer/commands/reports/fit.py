@@ -7,11 +7,14 @@ from typing import Any
 
 from torch import Tensor
 
+from ...camera.files.opencv import save_cameras
 from ...io import save_animation, save_image
 from ...io.atomic_write import write_file
+from ...meshes.unwrapping.unwrap import unwrap
 from ...pictures.curve import curve
 from ...pictures.turntable import turntable
 from ...tasks.fit import CameraFit, MeshFit, Views
+from ...tasks.fit.cameras.locate import locate_cameras
 from ...tasks.fit.fit_pictures import comparison, upright
 from ...version import __version__
 from ..common import say, say_finished
@@ -19,7 +22,23 @@ from ..options.fit import FitOptions
 from ..task_runner import TaskRunner
 
 _TURNTABLE_SIZE = 256  # pixels
-RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png", "turntable.gif", "report.json")
+_NAMES = {
+    "fitted": "fitted",
+    "held_out": "held-out",
+    "held_out_located": "held-out (with cameras located on the result)",
+}
+CAMERAS = "cameras.json"
+"""File that a fit with refined cameras writes, too."""
+RESULTS = (
+    "mesh.obj",
+    "mesh.glb",
+    "preview.png",
+    "comparison.png",
+    "loss.png",
+    "turntable.gif",
+    "report.json",
+    "cameras.json",
+)
 """Files that a fit writes."""
 
 
@@ -32,19 +51,30 @@ def write_mesh(options: FitOptions, fit: MeshFit, views: Views) -> None:
         views: The fitted views, in the world of the mesh.
     """
     folder, mesh = options.output, fit.mesh()
-    mesh.save(folder / "mesh.obj", overwrite=options.force)
-    mesh.save(folder / "mesh.glb")
+    written = unwrap(mesh, options.unwrap) if options.unwrap else mesh
+    written.save(folder / "mesh.obj", overwrite=options.force)
+    written.save(folder / "mesh.glb")
     save_image(folder / "comparison.png", comparison(fit.views, fit.shape))
     if options.turntable:
         pictures = turntable(upright(mesh, views, options.up), options.turntable, size=_TURNTABLE_SIZE)
         save_animation(folder / "turntable.gif", pictures, fps=15)
 
 
+def write_cameras(options: FitOptions, fit: MeshFit, names: list[str]) -> None:
+    """Write the refined cameras of the images with these names, but parallel and fisheye ones."""
+    camera = fit.cameras()
+    if camera.perspective and not camera.is_fisheye:
+        save_cameras(options.output / CAMERAS, camera, names, fit.views.size)
+
+
 def report_mesh(options: FitOptions, runner: TaskRunner, fit: MeshFit, held_out: Views | None, finished: bool) -> None:
     """Measure a fitted mesh on fitted and held-out views; write ``report.json`` and print a summary."""
     vertices, faces, *_ = fit.shape
     results: dict[str, Any] = {"views": len(fit.views), "vertices": len(vertices), "faces": len(faces)}
-    for name, views in (("fitted", fit.views), ("held_out", held_out and fit.normalize(held_out))):
+    measured = {"fitted": fit.views, "held_out": held_out and fit.normalize(held_out)}
+    if held_out is not None and options.refine_cameras:
+        measured["held_out_located"] = locate_cameras(fit.normalize(held_out), fit.shape)
+    for name, views in measured.items():
         if views is not None:
             results[name] = {
                 measure: {"mean": round(values.mean().item(), 4), "least": round(values.min().item(), 4)}
@@ -108,8 +138,8 @@ def _report(options: FitOptions, runner: TaskRunner, results: dict[str, Any], fi
     write_file(options.output / "report.json", json.dumps(report, indent=1) + "\n")
     if runner.history:
         save_image(options.output / "loss.png", curve(runner.history, "loss", "iou"))
-    for name in ("fitted", "held_out"):
+    for name in ("fitted", "held_out", "held_out_located"):
         if name in results:
             numbers = ", ".join(f"{measure} {value['mean']:.4f}" for measure, value in results[name].items())
-            say(f"{name.replace('_', '-')} views: [bold]{numbers}[/bold]", markup=True)
+            say(f"{_NAMES[name]} views: [bold]{numbers}[/bold]", markup=True)
     say_finished(runner.seconds, options.output, None if finished else len(runner.history))

@@ -221,7 +221,7 @@ class Views:
 
     def _limits(self) -> dict[str, Any]:
         """Choose near and far planes: the far one is behind objects of size 1, however far away the cameras are."""
-        return {"near": 1e-2, "far": 4.0 * float(self.eyes()[0].norm(dim=1).max()) + 4.0}
+        return {"near": 1e-2, "far": 4.0 * float(self.eyes()[0].detach().norm(dim=1).max()) + 4.0}
 
     def quality(self, shape: tuple[Tensor, ...]) -> dict[str, Tensor]:
         """Compare a mesh with the views.

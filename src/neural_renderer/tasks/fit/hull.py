@@ -22,11 +22,12 @@ _DOUBLINGS = 3  # of a given region that the object leaves, at most
 _LEAST_COMPONENT = 0.01  # smaller components, relative to the largest one, are dropped as noise
 
 
-def object_bounds(views: Views) -> tuple[Tensor, float]:
+def object_bounds(views: Views, misses: int = 0) -> tuple[Tensor, float]:
     """Find the object: the box around the visual hull of all silhouettes.
 
     Args:
         views: Views of the object.
+        misses: As in `carve`.
 
     Returns:
         The centre [3] of the box and half its longest side, in world space.
@@ -48,7 +49,7 @@ def object_bounds(views: Views) -> tuple[Tensor, float]:
     for cells in (_COARSE, _FINE):
         while True:
             points = _grid(cells).to(grown) * half + center
-            inside = points[_occupancy(views, grown, points) > 0.5]
+            inside = points[_occupancy(views, grown, points, misses) > 0.5]
             if not wider or not _reaches_border(inside, center, half):
                 break
             half, wider = 2 * half, wider - 1  # the region was that of a part
@@ -78,7 +79,7 @@ def _reaches_border(points: Tensor, center: Tensor, half: float) -> bool:
     return not len(points) or float((points - center).abs().max()) > 0.99 * half
 
 
-def carve(views: Views, cells: int = 64) -> tuple[Tensor, Tensor]:
+def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tensor]:
     """Reconstruct the visual hull by space carving.
 
     Each point of a grid projects into all silhouettes, which are blurred by about one cell. The least value is the
@@ -88,6 +89,8 @@ def carve(views: Views, cells: int = 64) -> tuple[Tensor, Tensor]:
     Args:
         views: Views that are `Views.normalized` to the object's bounds.
         cells: Number of grid cells along each axis.
+        misses: Number of masks in which a point of the hull need not lie, for cameras that are not exact; less than the
+            number of views.
 
     Returns:
         Vertices [V, 3] float32 and faces [F, 3] int64.
@@ -107,7 +110,7 @@ def carve(views: Views, cells: int = 64) -> tuple[Tensor, Tensor]:
 
     def field(points: np.ndarray) -> np.ndarray:
         flat = torch.from_numpy(points.reshape(-1, 3).astype(np.float32)).to(soft.device)
-        value = 0.5 - _occupancy(views, soft, flat).cpu().numpy().astype(np.float64)
+        value = 0.5 - _occupancy(views, soft, flat, misses).cpu().numpy().astype(np.float64)
         border = np.abs(points).max(-1) >= 0.999 * _HALF
         return np.where(border, 0.5, value.reshape(points.shape[:-1]))  # closed, if it reaches the border
 
@@ -128,12 +131,17 @@ def large_components(vertices: Tensor, faces: Tensor, least: float = _LEAST_COMP
     return vertices[used], corners
 
 
-def _occupancy(views: Views, masks: Tensor, points: Tensor) -> Tensor:
-    """Look up points [P, 3] in all masks [N, H, W] and return the least values [P]; masks are clamped at the border."""
-    least = torch.ones(len(points), device=points.device)
+def _occupancy(views: Views, masks: Tensor, points: Tensor, misses: int) -> Tensor:
+    """Look up points [P, 3] in all masks [N, H, W]; masks are clamped at the border.
+
+    Returns:
+        The least value [P] in all masks but those ``misses`` where it is least.
+    """
+    least = torch.ones(misses + 1, len(points), device=points.device)  # in ascending order
     for value in mask_values(views, masks, points):
-        least = torch.minimum(least, value)
-    return least
+        for place in range(misses + 1):
+            least[place], value = torch.minimum(least[place], value), torch.maximum(least[place], value)
+    return least[misses]
 
 
 def _grid(cells: int) -> Tensor:

@@ -1,13 +1,15 @@
-"""`MeshFit`: a textured mesh from posed images, in three phases: shape, detail, texture."""
+"""`MeshFit`: a textured mesh from posed images, in up to four phases: cameras, shape, detail, texture."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from ... import validate
+from ...camera import Camera
 from ...deprecated import old_argument, old_method
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
@@ -15,6 +17,8 @@ from ...meshes.uv_mesh import UVMesh
 from ...pictures.clay import plain_texture
 from ..observer import Knob
 from ..settings import DetailWeights, FitWeights
+from .cameras.camera_refinement import CameraRefinement
+from .cameras.coarse_fit import coarse_fit, coarse_hull, coarse_misses
 from .detail.detail_fit import DetailFit
 from .fit_views import Views
 from .hull import carve, object_bounds
@@ -22,12 +26,14 @@ from .shape import ShapeFit
 from .texture import TextureFit
 
 _DETAIL_STEPS = 200
+_REFINED_SCALE = 1.05  # of the world: the hull of cameras that are not exact is too small
+_REFINED_COLOR_FROM = 0.4  # colours show more of the cameras than outlines
 _SPHERE_RADIUS = 0.6
 _SPHERE_OPTIONS = {"subdivisions": 2, "rate": 0.03}  # a sphere is coarse and far from the object
 
 
 class MeshFit:
-    """Fit the shape, its details, then the texture, of a mesh to posed images. Call `advance` until ``done``.
+    """Fit a mesh to posed images: its shape, its details, then its texture. Call `advance` until ``done``.
 
     Args:
         views: Views with or without photos, normals and depth. Without photos there is no texture phase.
@@ -40,7 +46,10 @@ class MeshFit:
         texture_steps: Steps of the texture phase, ≥ 1.
         cells: Grid cells along each axis for the visual hull, ≥ 8.
         texture_size: T, texels along the edge of a face's texture cube, ≥ 3.
-        color_from: See `ShapeFit`.
+        color_from: See `ShapeFit`. None is 1, and 0.4 if cameras are refined.
+        refine_cameras: Whether to fit the poses of the cameras and their focal length, too: before the shape, and
+            together with it. Not with ``recover="texture"``.
+        camera_steps: Steps of the cameras' phase, ≥ 1, for up to 24 views; more views take more.
         weights: Weights of the losses of the shape phase.
         detail_weights: Weights of the losses of the detail phase.
         batch: Views per step, ≥ 1.
@@ -48,8 +57,7 @@ class MeshFit:
         seed: Seed of the order of the views.
 
     Attributes:
-        views: The views, in a world where the object lies in about [-1, 1]³.
-        phase: "shape", "detail" or "texture".
+        phase: "cameras", "shape", "detail" or "texture".
 
     Raises:
         TypeError, ValueError: An argument does not fit, or the silhouettes have no point in common.
@@ -67,6 +75,8 @@ class MeshFit:
         >>> fit.mesh().save("object.glb")
         >>> fit.knobs()  # in the texture phase
         []
+        >>> len(fit.cameras())
+        6
         >>> iou = fit.normalize(views).quality(fit.shape)["iou"]
         >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
@@ -83,7 +93,9 @@ class MeshFit:
         texture_steps: int = 20,
         cells: int = 64,
         texture_size: int = 4,
-        color_from: float = 1.0,
+        color_from: float | None = None,
+        refine_cameras: bool = False,
+        camera_steps: int = 150,
         weights: FitWeights = FitWeights(),  # noqa: B008 (immutable)
         detail_weights: DetailWeights = DetailWeights(),  # noqa: B008 (immutable)
         batch: int = 6,
@@ -92,8 +104,15 @@ class MeshFit:
     ) -> None:
         if recover == "texture" and not isinstance(start, (Mesh, UVMesh)):
             raise ValueError('start: expected a Mesh with recover="texture", got none')
-        self._center, self._scale = object_bounds(views)
-        self.views = views.normalized(self._center, self._scale)
+        if recover == "texture" and refine_cameras:
+            raise ValueError('refine_cameras: expected False with recover="texture", got True')
+        misses = coarse_misses(views) if refine_cameras else 0
+        center, scale = object_bounds(views, misses)
+        self._center, self._scale = center, scale * _REFINED_SCALE if refine_cameras else scale
+        self._given = views.normalized(self._center, self._scale)
+        self._cameras = CameraRefinement(self._given.camera) if refine_cameras else None
+        if color_from is None:
+            color_from = _REFINED_COLOR_FROM if refine_cameras else 1.0
         self._texture_options = {
             "size": validate.whole("texture_size", texture_size, 3),
             "steps": validate.whole("texture_steps", texture_steps, 1),
@@ -109,9 +128,16 @@ class MeshFit:
             raise ValueError("detail_steps: expected 0 for views without normals and depth, got more")
         if start == "sphere":
             self._shape_options |= _SPHERE_OPTIONS
-        vertices, faces = self._initial_shape(start, validate.whole("cells", cells, 8))
-        self.phase: str = recover
-        self._fit: ShapeFit | DetailFit | TextureFit = self._start_phase(vertices, faces)
+        self._camera_options: dict[str, Any] = {"steps": validate.whole("camera_steps", camera_steps, 1)}
+        self._camera_options |= {"batch": batch, "gradient": gradient, "seed": seed}
+        self._start, self._cells = start, validate.whole("cells", cells, 8)
+        self.phase: str = "cameras" if refine_cameras else recover
+        self._fit: ShapeFit | DetailFit | TextureFit = self._start_phase(*self._initial_shape())
+
+    @property
+    def views(self) -> Views:
+        """The views, in a world where the object lies in about [-1, 1]³, with refined cameras if they are."""
+        return self._given if self._cameras is None else replace(self._given, camera=self._cameras.camera)
 
     @property
     def step(self) -> int:
@@ -155,6 +181,14 @@ class MeshFit:
         vertices, faces, textures = with_texture(self.shape)
         return Mesh(vertices * self._scale + self._center, faces, textures)
 
+    def cameras(self) -> Camera:
+        """Make the current cameras, refined if they are to be.
+
+        Returns:
+            The cameras of the views, in the world of the mesh.
+        """
+        return self.views.normalized(-self._center / self._scale, 1 / self._scale).camera
+
     def advance(self) -> dict[str, float]:
         """Take one step.
 
@@ -164,9 +198,7 @@ class MeshFit:
         """
         following = self._next_phase()
         if self._fit.done and following is not None:
-            vertices, faces, *_ = self.shape
-            self.phase = following
-            self._fit = self._start_phase(vertices, faces)
+            self._follow(following)
         return self._fit.advance()
 
     def knobs(self) -> list[Knob]:
@@ -197,7 +229,8 @@ class MeshFit:
         Returns:
             Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
         """
-        return {"phase": self.phase, "fit": self._fit.state_dict()}
+        cameras = None if self._cameras is None else self._cameras.state_dict()
+        return {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from the state of a fit of the same views.
@@ -208,39 +241,55 @@ class MeshFit:
         Raises:
             KeyError: A name is missing.
         """
-        self.phase = state["phase"]
+        self.phase, cameras = state["phase"], state["cameras"]
+        if self._cameras is not None:
+            self._cameras.load_state_dict(cameras)
         self._fit = self._start_phase(state["fit"]["vertices"], state["fit"]["faces"])
         self._fit.load_state_dict(state["fit"])
 
     def _next_phase(self) -> str | None:
         """Tell which phase follows the current one; None after the last."""
+        if self.phase == "cameras":
+            return "shape"
         if self.phase == "shape" and self._detail_options["steps"]:
             return "detail"
         return "texture" if self.phase != "texture" and self.views.photos is not None else None
 
+    def _follow(self, phase: str) -> None:
+        """Begin the next phase with the shape of this one; but after that of cameras with a new hull or sphere."""
+        vertices, faces, *_ = self.shape
+        if self._cameras is not None and self.phase in ("cameras", "shape"):
+            vertices = self._cameras.settle(vertices)
+        is_new = self.phase == "cameras" and isinstance(self._start, str)
+        self.phase = phase
+        self._fit = self._start_phase(*(self._initial_shape() if is_new else (vertices, faces)))
+
     def _start_phase(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
         """Make the fit of the current phase."""
+        if self.phase == "cameras":
+            return coarse_fit(self._given, vertices, faces, self._cameras, **self._camera_options)  # type: ignore[arg-type]
         if self.phase == "shape":
-            return ShapeFit(self.views, vertices, faces, **self._shape_options)  # type: ignore[arg-type]
+            return ShapeFit(self._given, vertices, faces, cameras=self._cameras, **self._shape_options)  # type: ignore[arg-type]
         if self.phase == "detail":
             return DetailFit(self.views, vertices, faces, **self._detail_options)  # type: ignore[arg-type]
         return TextureFit(self.views, vertices, faces, **self._texture_options)
 
-    def _initial_shape(self, start: Any, cells: int) -> tuple[Tensor, Tensor]:
-        """Make the vertices and faces of ``start``."""
-        device = self.views.masks.device
-        if isinstance(start, (Mesh, UVMesh)):
-            return self._weld(start)
-        if start == "hull":
-            return carve(self.views, cells)
-        if start != "sphere":
-            raise ValueError(f'start: expected "hull", "sphere" or a Mesh, got {start!r}')
+    def _initial_shape(self) -> tuple[Tensor, Tensor]:
+        """Make the vertices and faces with which the current phase starts."""
+        if isinstance(self._start, (Mesh, UVMesh)):
+            return self._weld(self._start)
+        if self._start not in ("hull", "sphere"):
+            raise ValueError(f'start: expected "hull", "sphere" or a Mesh, got {self._start!r}')
+        if self.phase == "cameras":
+            return coarse_hull(self._given)
+        if self._start == "hull":
+            return carve(self.views, self._cells)
         vertices, faces = icosphere(3, _SPHERE_RADIUS)
-        return vertices.to(device), faces.to(device)
+        return vertices.to(self._given.masks), faces.to(self._given.masks.device)
 
     def _weld(self, mesh: Mesh | UVMesh) -> tuple[Tensor, Tensor]:
         """Normalise a mesh and merge equal vertices, because files split vertices at seams of the texture."""
-        corners = mesh.vertices.detach()[mesh.faces[(mesh.faces >= 0).all(1)].long()].to(self.views.masks.device)
+        corners = mesh.vertices.detach()[mesh.faces[(mesh.faces >= 0).all(1)].long()].to(self._given.masks.device)
         vertices, faces = torch.unique((corners.flatten(0, 1) - self._center) / self._scale, dim=0, return_inverse=True)
         faces = faces.view(-1, 3)
         if not bool(self.views.quality((vertices, faces))["iou"].any()):

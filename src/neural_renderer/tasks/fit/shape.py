@@ -14,6 +14,7 @@ from ...meshes.subdivision import split_faces
 from ...meshes.topology import Topology
 from ..observer import LEAST_RATE, Knob, turn_weight, weight_knobs
 from ..settings import FitWeights
+from .cameras.camera_refinement import CameraRefinement
 from .descent import SmoothDescent
 from .fit_views import Views, mask_iou, views_of_step
 
@@ -46,6 +47,8 @@ class ShapeFit:
         batch: Views per step.
         gradient: Gradient estimator of the renderer, "edge" or "nmr".
         seed: Seed of the order of the views.
+        cameras: The cameras of the views, which then move together with the vertices; None keeps them.
+        camera_rate: Length of a step of a camera, in radians and relative to its distance.
 
     Raises:
         TypeError, ValueError: An argument does not fit.
@@ -88,6 +91,8 @@ class ShapeFit:
         batch: int = 6,
         gradient: str = "edge",
         seed: int = 0,
+        cameras: CameraRefinement | None = None,
+        camera_rate: float = 0.005,
     ) -> None:
         self.steps = validate.whole("steps", steps, 1)
         self.step = 0
@@ -97,6 +102,7 @@ class ShapeFit:
         self._subdivisions, self._subdivided = validate.whole("subdivisions", subdivisions, 0), 0
         if not 0 <= validate.number("color_from", color_from) <= 1:
             raise ValueError(f"color_from: expected a fraction in [0, 1], got {color_from}")
+        self._cameras, self._camera_rate = cameras, validate.positive("camera_rate", camera_rate)
         self._color_from = self.steps if views.photos is None else round(color_from * self.steps)
         self._set_shape(vertices.detach().clone(), faces.long(), None)
 
@@ -122,16 +128,24 @@ class ShapeFit:
             self._subdivide()
         if self.step == self._color_from and self._colors is None:
             self._set_shape(self._vertices, self._faces, torch.full_like(self._vertices, 0.5))
-        views = self._views[views_of_step(len(self._views), self._batch, self._seed, self.step)]
+        rows = views_of_step(len(self._views), self._batch, self._seed, self.step)
+        views = self._views[rows]
         parameters = [self._vertices.requires_grad_()]
         if self._colors is not None:
             parameters.append(self._colors.requires_grad_())
-        loss, iou = self._loss(views, *parameters)
+        if self._cameras is None:
+            loss, iou = self._loss(views, *parameters)
+        else:
+            loss, iou = self._loss(self._cameras.place(views, rows), *parameters)
+            loss = loss + self._cameras.prior()
+            parameters += self._cameras.parameters
         gradients = torch.autograd.grad(loss, parameters)
         decay = min(1.0, 2 * (1 - self.step / self.steps) + _LAST_RATE)  # constant in the first half, then linear
         self._vertices = self._descent.step(self._vertices.detach(), gradients[0], self._rate * decay)
         if self._colors is not None:
             self._colors = self._color_descent.step(self._colors.detach(), gradients[1], _COLOR_RATE * decay)
+        if self._cameras is not None:
+            self._cameras.step(gradients[-2:], rows, self._camera_rate * decay)
         self.step += 1
         return {"loss": loss.item(), "iou": iou.item()}
 

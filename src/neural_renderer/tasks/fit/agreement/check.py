@@ -24,19 +24,20 @@ _BETTER = 0.02  # share by which a remedy must surpass those before it, which ar
 _NAMED = 5  # views in a message
 
 
-def check_agreement(views: Views, names: Sequence[str]) -> None:
+def check_agreement(views: Views, names: Sequence[str], margin: int = 1) -> None:
     """Raise ValueError if masks and cameras of some views do not fit together.
 
     Args:
         views: N views, in the world of the cameras.
         names: Names of the N images, for the message. It also says what would mend them, if that is one of the usual
             things.
+        margin: Pixels by which the hull's masks of 96 pixels grow first, which tolerates small errors of cameras.
     """
     if len(views) < 3:  # two silhouettes cannot tell which of them is wrong
         return
-    small = _small(views)
+    small = _small(views, 1)
     partners = sorted({round(i * (len(views) - 1) / (_PARTNERS - 1)) for i in range(_PARTNERS)})
-    inside = _follow_rays(small[partners], small)
+    inside = _follow_rays(_small(views[partners], margin), small)
     covered = torch.zeros(len(views)) if inside is None else _covered(inside)
     if float(covered.min()) >= _LEAST:
         return
@@ -74,10 +75,10 @@ def _remedy(wrong: Views, right: Views | None) -> str | None:
     return advice
 
 
-def _small(views: Views) -> Views:
-    """Scale masks down, and grow them by a pixel, which tolerates small errors of masks and cameras."""
+def _small(views: Views, margin: int) -> Views:
+    """Scale masks down, and grow them by this many pixels."""
     masks = downscale(views.masks, _SIZE)
-    return Views(views.camera, F.max_pool2d(masks[:, None], 3, 1, 1)[:, 0], None, views.region)
+    return Views(views.camera, F.max_pool2d(masks[:, None], 2 * margin + 1, 1, margin)[:, 0], None, views.region)
 
 
 def _covered(inside: Tensor) -> Tensor:

@@ -1,0 +1,97 @@
+"""`unwrap`: a mesh with texture cubes becomes one with a texture image."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ... import validate
+from ...raster.rasterize import rasterize_images
+from ...textures.gutters import pull_push
+from ..mesh import Mesh
+from ..uv_mesh import UVMesh
+from .charts import chart_coordinates
+
+LEAST_SIZE, MOST_SIZE = 16, 8192
+"""Pixels of a side of the image."""
+_SAMPLES = 2  # of a texel, along each axis
+
+
+def unwrap(mesh: Mesh, size: int = 1024, *, gutter: int = 4, uv: Tensor | None = None) -> UVMesh:
+    """Unwrap a mesh into charts, and bake its texture cubes into one image.
+
+    The library xatlas makes the charts (the extra "unwrap"; there is no wheel for Python 3.14). The texels between them
+    continue the colours of the charts, so that bilinear filters and mipmaps draw no seams.
+
+    Args:
+        mesh: The mesh, with texture cubes.
+        size: Side of the square image in pixels, 16 to 8192.
+        gutter: Least pixels between two charts, ≥ 1. Each doubling saves one mipmap level from mixing charts.
+        uv: [F, 3, 2] in [0, 1], texture coordinates of the faces' corners, v up, of charts that do not overlap. None
+            makes charts.
+
+    Returns:
+        A mesh with the same vertices and faces, texture coordinates, and one image; on the device of the mesh, without
+        gradients.
+
+    Raises:
+        ModuleNotFoundError: xatlas is not installed, and ``uv`` is None.
+        TypeError, ValueError: An argument does not fit, or the mesh has no faces.
+
+    Example:
+        >>> cube = nr.Mesh(*nr.cube(), face_colors=torch.rand(12, 3))
+        >>> cells = torch.cartesian_prod(torch.arange(4), torch.arange(4))[:12, None] / 4
+        >>> uv = cells + torch.tensor([[0.02, 0.02], [0.23, 0.02], [0.23, 0.23]])
+        >>> unwrapped = nr.unwrap(cube, size=64, uv=uv)  # or without uv, with xatlas
+        >>> unwrapped.save("cube.glb")
+        >>> unwrapped.images[0].shape
+        torch.Size([64, 64, 3])
+    """
+    if not isinstance(mesh, Mesh):
+        raise TypeError(f"mesh: expected a Mesh, got {type(mesh).__name__}")
+    size, gutter = validate.whole("size", size, LEAST_SIZE), validate.whole("gutter", gutter, 1)
+    if size > MOST_SIZE:
+        raise ValueError(f"size: expected at most {MOST_SIZE}, got {size}")
+    if not len(mesh.faces):
+        raise ValueError("mesh: expected at least one face, got none")
+    vertices, faces = mesh.vertices.detach(), mesh.faces
+    if uv is None:
+        uv = chart_coordinates(vertices, faces, size, gutter)
+    else:
+        validate.finite("uv", validate.floating("uv", uv, (len(faces), 3, 2)))
+        if bool(((uv < 0) | (uv > 1)).any()):
+            raise ValueError("uv: expected coordinates in [0, 1], got others")
+        uv = uv.detach().to(vertices)
+    return UVMesh(vertices, faces, uv, bake(mesh.textures.detach(), uv, size), wrap="clamp")
+
+
+@torch.no_grad()
+def bake(textures: Tensor, uv: Tensor, size: int) -> Tensor:
+    """Draw texture cubes into an image.
+
+    Args:
+        textures: [F, T, T, T, 3] floating.
+        uv: [F, 3, 2], texture coordinates of the faces' corners in [0, 1], v up. Faces do not overlap.
+        size: Side of the image in pixels.
+
+    Returns:
+        [size, size, 3] float32, row 0 at the top. Texels that no face covers continue the colours around them.
+    """
+    corners = functional.pad(2 * uv - 1, (0, 1), value=1.0)
+    fine = (size * _SAMPLES, size * _SAMPLES)
+    drawn = rasterize_images(
+        corners[None],
+        fine,
+        textures=textures[None].to(corners),
+        outputs=("rgb", "alpha"),
+        two_sided=True,  # charts may be mirrored
+        perspective=False,
+        anti_aliasing=False,
+        near=0.5,
+        far=2.0,
+    )
+    # A texel on the border of a chart has the mean colour of its covered samples: half of it shows the chart.
+    share = functional.avg_pool2d(drawn.alpha[:, None], _SAMPLES)
+    image = functional.avg_pool2d(drawn.rgb * drawn.alpha[:, None], _SAMPLES) / share.clamp(min=1e-6)
+    return pull_push(image, (share > 0).float())[0].permute(1, 2, 0).clamp(0, 1).contiguous()
