@@ -40,13 +40,27 @@ def available(names: list[str] | None = None) -> tuple[list[Adapter], list[str]]
     from .ours import Ours, Reinforce
 
     adapters: list[Adapter] = [Ours("edge"), Ours("nmr"), Ours("opendr"), Reinforce()]
-    missing = ["nvdiffrast, kaolin: not measured, they need CUDA", "PyTorch3D, DRTK: not measured, no adapter yet"]
+    missing = ["nvdiffrast, kaolin: not measured, they need CUDA"]
     if importlib.util.find_spec("deodr"):
         from .deodr import Deodr
 
         adapters.append(Deodr())
     else:
         missing.append("DEODR: skipped, it is not installed here (pip install deodr)")
+    if importlib.util.find_spec("drtk"):
+        from .drtk import Drtk
+
+        adapters.append(Drtk())
+    else:
+        missing.append("DRTK: skipped, it is not installed here (from source, github.com/facebookresearch/DRTK)")
+    if importlib.util.find_spec("pytorch3d"):
+        from .pytorch3d import PyTorch3D
+
+        adapters += [PyTorch3D(soft=False), PyTorch3D(soft=True)]
+    else:
+        missing.append(
+            "PyTorch3D: skipped, it is not installed here (from source, github.com/facebookresearch/pytorch3d)"
+        )
     if importlib.util.find_spec("mitsuba"):
         from .mitsuba import Mitsuba
 

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from .colors.downsample import halve, halve_backward
 from .ops.visible_faces import visible_faces
+from .visibility.chains import near_visible
 from .visibility.edge import add_edges
 from .visibility.intersections import add_intersections
 from .visibility.neighbors import neighbors
@@ -83,9 +84,11 @@ def layers_gradient_backward(
         return result
     for image, index in zip(pictures.contiguous(), face_index.contiguous(), strict=True):
         visible = visible_faces(index, faces.shape[1])
-        adjacent, folds = (neighbors(faces, two_sided, perspective, visible, rings, fold) for fold in (False, True))
+        near = visible if rings is None else near_visible(visible, rings[:, :-1] // 3)
+        adjacent, folds = (neighbors(faces, two_sided, perspective, near, rings, fold) for fold in (False, True))
+        near = near_visible(visible, adjacent)
         own = zeros(faces.shape, faces.device)
-        add_edges(own, grad, image, faces, index, visible, adjacent, perspective, seams, edge_hashes, folds)
+        add_edges(own, grad, image, faces, index, near, adjacent, perspective, seams, edge_hashes, folds)
         add_intersections(own, grad, image, faces, index, adjacent, perspective)
         result += own
     return result

@@ -18,6 +18,8 @@ from .operators import SHORTEST
 
 LEAST_CHORD = 0.02  # pixels; the weight of a crossing is at most the inverse
 SMALL = 1.5  # largest area of a small face in pixels
+LONGEST = 6  # most faces of a chain behind an outline
+SAME_DEPTH, SAME_PLACE = 1e-5, 0.02  # two surfaces meet at an edge: relative nearness, pixels
 
 
 def edge_gradient_reference(
@@ -189,31 +191,40 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
     if own < 0:
         return 0.0
 
-    # The chord in the face, and the joint chord with the adjacent face behind it; at most a pixel.
+    # The chord in the face, and the joint chord with the next faces of the surface; at most a pixel.
     chord = joint = 1.0
-    stand_in = -1
+    chain: list[int] = []
     if not scan.perspective or min(scan.depths[f]) > 0:
         ((leaving, end),) = (item for item in scan.crossings(f, u).items() if item[0] != k)
         chord = joint = min(abs(end - c), 1.0)
-        if chord < 1:
-            stand_in = scan.adjacent[f][leaving]
-            if stand_in >= 0:
-                joint = min(abs(scan.exit(stand_in, u, end) - c), 1.0)
-    if own != f and (stand_in < 0 or own != stand_in):
+        face = scan.adjacent[f][leaving]
+        while len(chain) < LONGEST and face >= 0 and joint < 1:
+            chain.append(face)
+            ends = {k: v for k, v in scan.crossings(face, u).items() if v != end}
+            if not ends:
+                break
+            leaving, end = max(ends.items(), key=lambda item: abs(item[1] - end))
+            joint = min(abs(end - c), 1.0)
+            face = scan.adjacent[face][leaving]
+    if own != f and own not in chain:
         return 0.0
     chord = max(chord, LEAST_CHORD)
 
+    meets = 1.0
     if other >= 0:
         height = (1 - share) * scan.nearness(f, k) + share * scan.nearness(f, (k + 1) % 3)
-        if scan.nearness_at(other, u, c) >= height:
-            return 0.0
+        ahead = height - scan.nearness_at(other, u, c)
+        meets = float(ahead > 0)
+        ends_there = any(abs(v - c) < SAME_PLACE for v in scan.crossings(other, u).values())
+        if abs(ahead) <= SAME_DEPTH * abs(height) and ends_there:
+            meets = 0.5
     # The probability, over sub-pixel shifts, that centres show the crossing.
     probability = max(joint, LEAST_CHORD)
 
     # A pixel extends half a pixel from its centre; the centre in a narrow face lies anywhere in it.
     part = offset if joint < 1 else float(offset >= 0.5)
     continues = 0 <= before < len(shown) and shown[before] == own
-    stands_in = own == f and stand_in >= 0 and 0 <= before < len(shown) and shown[before] == stand_in and not continues
+    stands_in = own == f and 0 <= before < len(shown) and shown[before] in chain
     continues_outside = 0 <= behind < len(shown) and shown[behind] == other
     total = 0.0
     for n, pull in enumerate(pulls[inner]):
@@ -226,7 +237,7 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
         if continues_outside:
             outside += (1 - offset) * (colors[outer][n] - colors[behind][n]) / probability
         total += (inside - outside) * ((1 - part) * pull + part * pulls[outer][n])
-    return total
+    return meets * total
 
 
 def _seam_gain(scan: _Scan, f: int, g: int, u: int, c: float, d: int) -> float:
