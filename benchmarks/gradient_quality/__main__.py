@@ -28,6 +28,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="few shifts, starts and seconds: minutes in all")
     parser.add_argument("--only", nargs="*", help="renderers, by their names in the table")
     parser.add_argument("--parts", nargs="*", default=["triangles", "scenes", "practice"])
+    parser.add_argument("--scenes", nargs="*", help="only scenes with these words in their titles")
     parser.add_argument("--shifts", type=int, help="sub-pixel shifts, as far as the time permits")
     parser.add_argument("--starts", type=int, help="poses for each mesh, as far as the time permits")
     parser.add_argument("--report", action="store_true", help="measure nothing, show the file of --json")
@@ -66,7 +67,9 @@ def measure(adapter: Adapter, report: dict[str, Any], part: str, options: argpar
                 found = triangle_quality(side, wish, adapter, count)
                 _add(report, adapter, f"triangle of {side} px", wish, found, count, time.process_time() - began)
     if part == "scenes":
-        for title, scene in scenes(quick).items():
+        for title, scene in scenes().items():
+            if options.scenes and not any(part in title for part in options.scenes):
+                continue
             estimates(scene, adapter, 1)  # compilation
             began = time.process_time()
             estimates(scene, adapter, 1)

@@ -29,3 +29,8 @@ class Drtk:
         image = edge_grad_estimator(places, faces, weights, image, index)[0]
         to_vertices, to_colors = torch.autograd.grad((image * pull.float()).sum(), (vertices, colors))
         return image.detach(), to_vertices, to_colors
+
+
+def adapters() -> list[Drtk]:
+    """Make the adapter."""
+    return [Drtk()]

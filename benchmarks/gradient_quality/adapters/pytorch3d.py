@@ -53,3 +53,8 @@ class PyTorch3D:
             return (alpha * rgb + (1 - alpha) * background).permute(2, 0, 1)
         outside = seen.pix_to_face[0, ..., 0] < 0
         return torch.where(outside[..., None], background, own[0, ..., 0, :]).permute(2, 0, 1)
+
+
+def adapters() -> list[PyTorch3D]:
+    """Make the adapters."""
+    return [PyTorch3D(soft=False), PyTorch3D(soft=True)]

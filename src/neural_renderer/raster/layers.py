@@ -22,11 +22,11 @@ import torch
 from torch import Tensor
 
 from .colors.downsample import halve, halve_backward
-from .ops.visible_faces import visible_faces
-from .visibility.chains import near_visible
+from .ops.visible_faces import near_visible, visible_faces
 from .visibility.edge import add_edges
 from .visibility.intersections import add_intersections
 from .visibility.neighbors import neighbors
+from .visibility.outlines import LONGEST
 from .warp.launch import copy, zeros
 from .warp.registration import differentiable, differentiable_once, operator
 
@@ -84,9 +84,10 @@ def layers_gradient_backward(
         return result
     for image, index in zip(pictures.contiguous(), face_index.contiguous(), strict=True):
         visible = visible_faces(index, faces.shape[1])
-        near = visible if rings is None else near_visible(visible, rings[:, :-1] // 3)
+        near = visible if rings is None else near_visible(visible, rings[:, :-1] // 3, LONGEST - 1)
         adjacent, folds = (neighbors(faces, two_sided, perspective, near, rings, fold) for fold in (False, True))
-        near = near_visible(visible, adjacent)
+        if rings is None:
+            near = near_visible(visible, adjacent, LONGEST - 1)
         own = zeros(faces.shape, faces.device)
         add_edges(own, grad, image, faces, index, near, adjacent, perspective, seams, edge_hashes, folds)
         add_intersections(own, grad, image, faces, index, adjacent, perspective)

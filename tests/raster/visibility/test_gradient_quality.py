@@ -40,7 +40,7 @@ def test_seams_of_small_faces(side):
 
 
 def quality(title, name, shifts):
-    scene = scenes(quick=True)[title]
+    scene = scenes()[title]
     order, truth = difference(scene, name, 16, 12)
     return Quality.of(estimates(scene, Ours("edge"), shifts)[name][:, order], truth)
 

@@ -283,7 +283,8 @@ def _small_seam_gain(
     total = 0.0
     for n in range(len(scan.pulls[u][inner])):
         own, other = (scan.colors[u][pixel][n] for pixel in pixels)
-        mean = sum(scan.colors[i][j][n] for i, j in others) / len(others) if others else (own + other) / 2
+        often = own if shows[0] and (not shows[1] or weights[0] <= weights[1]) else other
+        mean = sum(scan.colors[i][j][n] for i, j in others) / len(others) if others else often
         pull = (1 - offset) * scan.pulls[u][pixels[0]][n] + offset * scan.pulls[u][pixels[1]][n]
         total += (weights[0] * (own - mean) - weights[1] * (other - mean)) * pull
     return total

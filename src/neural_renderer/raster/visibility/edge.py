@@ -15,7 +15,7 @@ on its inner side shows the face and the pixel on its outer side shows a farther
 - Each of the two colours is extrapolated linearly to the crossing if the next pixel shows the same face.
 - dL/dI is the gradient of the pixel that contains the crossing.
 - A pixel centre hits a face whose chord c on the line is shorter than a pixel with probability c only, so the crossing
-  has the weight 1 / c. If the surface continues, the next faces stand in for a missed one; see `chains`.
+  has the weight 1 / c. If the surface continues, the next faces stand in for a missed one; see `outlines`.
 - Where two surfaces meet at an edge, as at a T-junction, each edge has half of the gain.
 - Seams, where two faces of a surface meet in different colours, are in `seams`.
 
@@ -35,20 +35,19 @@ import warp as wp
 from torch import Tensor
 
 from ..colors.downsample import halve, halve_backward
-from ..ops.visible_faces import visible_faces
+from ..ops.visible_faces import near_visible, visible_faces
 from ..warp.geometry import facing
 from ..warp.launch import array, copy, zeros
 from ..warp.layout import face_tasks
 from ..warp.queue import launch_lines, line_task, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
-from .chains import near_visible
 from .continuity import colors_continue
 from .crossings import CROSSINGS
 from .gains import GAINS
 from .intersections import add_intersections
 from .nearness import NEARNESS
 from .neighbors import neighbors
-from .outlines import OUTLINES
+from .outlines import LONGEST, OUTLINES
 from .seams import SEAMS
 
 wp.set_module_options({"enable_backward": False})
@@ -115,9 +114,10 @@ def edge_gradient_backward(
     if result.numel() == 0 or image.numel() == 0:
         return result
     visible = visible_faces(face_index, faces.shape[1])
-    near = visible if rings is None else near_visible(visible, rings[:, :-1] // 3)
+    near = visible if rings is None else near_visible(visible, rings[:, :-1] // 3, LONGEST - 1)
     adjacent = neighbors(faces, two_sided, perspective, near, rings)
-    near = near_visible(visible, adjacent)
+    if rings is None:
+        near = near_visible(visible, adjacent, LONGEST - 1)
     add_edges(result, grad, image, faces, face_index, near, adjacent, perspective, seams, edge_hashes)
     add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
     return result

@@ -11,8 +11,9 @@ middle of it. Then each has half of the gain. This is right if they move togethe
 """
 
 from ..warp.point import fill
-from .chains import LONGEST
 
+# Most faces behind the outline's own that stand in for it: a bevel of three strips. To search more takes time.
+LONGEST = 6
 SAME_DEPTH = 1e-5  # relative difference of nearness up to which two surfaces meet
 SAME_PLACE = 0.02  # pixels between their ends up to which they do
 
