@@ -10,6 +10,7 @@ import argparse
 import json
 import platform
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.gradient_quality", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="few shifts, starts and seconds: minutes in all")
     parser.add_argument("--only", nargs="*", help="renderers, by their names in the table")
-    parser.add_argument("--parts", nargs="*", default=["triangles", "scenes", "practice"])
+    parser.add_argument("--parts", nargs="*", default=["triangles", "scenes", "poses", "shapes"])
     parser.add_argument("--scenes", nargs="*", help="only scenes with these words in their titles")
     parser.add_argument("--shifts", type=int, help="sub-pixel shifts, as far as the time permits")
     parser.add_argument("--starts", type=int, help="poses for each mesh, as far as the time permits")
@@ -57,25 +58,27 @@ def measure(adapter: Adapter, report: dict[str, Any], part: str, options: argpar
     """Measure a renderer and replace its numbers in the report."""
     quick, starts = options.quick, options.starts or (10 if options.quick else 50)
     shifts, seconds = min(options.shifts or (64 if quick else 256), adapter.most_shifts), 20.0 if quick else 30.0
-    slow = adapter.most_shifts < 1000
     report["machine"] = f"{_processor()}, {platform.system()}, torch {torch.__version__}, one thread"
     if part == "triangles":
-        for side in SIDES[:-2] if slow else SIDES[:-1] if quick else SIDES:
-            count = shifts if side < 256 else min(shifts, 64)
+        for side in SIDES:
+            most = shifts if side < 256 else min(shifts, 64)
+            count = _affordable(lambda: triangle_quality(side, "shrink", adapter, 1), most, seconds)
+            if count < 4:
+                print(
+                    f"{adapter.name}: triangle of {side} px: skipped, 4 images take longer than {seconds:.0f} seconds"
+                )
+                continue
             for wish in WISHES:
                 began = time.process_time()
                 found = triangle_quality(side, wish, adapter, count)
                 _add(report, adapter, f"triangle of {side} px", wish, found, count, time.process_time() - began)
     if part == "scenes":
         for title, scene in scenes().items():
-            if options.scenes and not any(part in title for part in options.scenes):
+            if options.scenes and not any(word in title for word in options.scenes):
                 continue
-            estimates(scene, adapter, 1)  # compilation
-            began = time.process_time()
-            estimates(scene, adapter, 1)
-            count = min(shifts, int(seconds / (time.process_time() - began)))
+            count = _affordable(lambda: estimates(scene, adapter, 1), shifts, seconds)
             if count < 4:
-                print(f"{adapter.name}: {title}: skipped, four images take longer than {seconds:.0f} seconds")
+                print(f"{adapter.name}: {title}: skipped, 4 images take longer than {seconds:.0f} seconds")
                 continue
             began = time.process_time()
             samples = estimates(scene, adapter, count)
@@ -84,14 +87,20 @@ def measure(adapter: Adapter, report: dict[str, Any], part: str, options: argpar
                 order, truth = _truth(report, title, name, scene, quick)
                 quality = Quality.of(samples[name][:, order], truth)
                 _add(report, adapter, title, name, quality, len(samples[name]), taken)
-    if part == "practice":
-        for kind in ("poses", "shapes"):
-            report[kind] = [row for row in report[kind] if row["renderer"] != adapter.name]
-        for name in meshes():
-            report["poses"].append({"renderer": adapter.name, **pose(adapter, name, starts, 3 * seconds)})
-            print(report["poses"][-1], flush=True)
-        report["shapes"].append({"renderer": adapter.name, **silhouettes(adapter, 5.0 if quick else 20.0)})
-        print(report["shapes"][-1], flush=True)
+    if part in ("poses", "shapes"):
+        report[part] = [row for row in report[part] if row["renderer"] != adapter.name]
+        rows = [pose(adapter, name, starts, 3 * seconds) for name in meshes()] if part == "poses" else []
+        rows += [silhouettes(adapter, 5.0 if quick else 20.0)] if part == "shapes" else []
+        report[part] += [{"renderer": adapter.name, **row} for row in rows]
+        print(*report[part][-len(rows) :], sep="\n", flush=True)
+
+
+def _affordable(measure_once: Callable[[], Any], most: int, seconds: float) -> int:
+    """Compute how many measurements fit in the time, at most so many; the first one may compile."""
+    measure_once()
+    began = time.process_time()
+    measure_once()
+    return min(most, int(seconds / max(time.process_time() - began, 1e-6)))
 
 
 def _truth(report: dict[str, Any], title: str, name: str, scene: Any, quick: bool) -> tuple[torch.Tensor, torch.Tensor]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -40,27 +40,30 @@ def edge_gradient_reference(
         image, faces, face_index, two_sided, perspective, seams, edge_hashes: As in `edge_gradient`.
         layered: Whether this is a layer of several, in which edges behind folds are visible, and left out.
     """
-    result = torch.zeros(faces.shape, dtype=torch.float64)
-    adjacent = neighbors_reference(faces, two_sided, perspective).cpu()
-    drawn, side = drawn_faces(faces, two_sided, perspective).cpu(), exact_sides(faces, perspective).cpu()
+    moved = torch.zeros(faces.shape, dtype=torch.float64)
+    result = moved.tolist()  # lists, for single numbers of tensors are slow
+    adjacent = neighbors_reference(faces, two_sided, perspective).tolist()
+    drawn, side = drawn_faces(faces, two_sided, perspective).tolist(), exact_sides(faces, perspective).tolist()
     corners = faces.detach().double().cpu()
-    folds = neighbors_reference(faces, two_sided, perspective, folds=True).cpu()
+    points = corners.tolist()
+    folds = neighbors_reference(faces, two_sided, perspective, folds=True).tolist() if layered else adjacent
+    hashes = None if edge_hashes is None else edge_hashes.tolist()
     for b in range(len(faces)):
         pull, color, shown = (m[b].detach().cpu() for m in (grad.double(), image.double(), face_index))
         for axis in range(2):
             scan = _Scan.of(pull, color, shown, corners[b], adjacent[b], axis, perspective)
-            for f, k in itertools.product(drawn[b].nonzero().flatten().tolist(), range(3)):
-                is_outline = bool(adjacent[b, f, k] < 0)
-                if not is_outline and not (seams and _is_seam(edge_hashes, corners[b], adjacent[b], b, f, k)):
+            for f, k in itertools.product([f for f, seen in enumerate(drawn[b]) if seen], range(3)):
+                is_outline = adjacent[b][f][k] < 0
+                if not is_outline and not (seams and _is_seam(hashes, points[b], adjacent[b], b, f, k)):
                     continue
-                other = int(folds[b, f, k])
+                other = folds[b][f][k]
                 if layered and is_outline and other >= 0 and _in_front(scan, other, f, (k + 2) % 3):
                     continue
-                to_start, to_end = _move_edge(scan, f, k, bool(side[b, f] > 0))
-                result[b, f, k, axis] += to_start
-                result[b, f, (k + 1) % 3, axis] += to_end
-            result[b] += intersections_reference(pull, color, shown, corners[b], axis, perspective)
-    return result.to(faces.device)
+                to_start, to_end = _move_edge(scan, f, k, side[b][f] > 0)
+                result[b][f][k][axis] += to_start
+                result[b][f][(k + 1) % 3][axis] += to_end
+            moved[b] += intersections_reference(pull, color, shown, corners[b], axis, perspective)
+    return (moved + torch.tensor(result, dtype=torch.float64).view_as(moved)).to(faces.device)
 
 
 def _in_front(scan: _Scan, other: int, f: int, k: int) -> bool:
@@ -73,13 +76,15 @@ def _in_front(scan: _Scan, other: int, f: int, k: int) -> bool:
     return value > scan.nearness(f, k)
 
 
-def _is_seam(edge_hashes: Tensor | None, corners: Tensor, adjacent: Tensor, b: int, f: int, k: int) -> bool:
+def _is_seam(
+    hashes: list[Any] | None, corners: list[list[list[float]]], adjacent: list[list[int]], b: int, f: int, k: int
+) -> bool:
     """Test whether the hashes of edge k of face f differ from those of the same edge of the adjacent face."""
-    if edge_hashes is None:
+    if hashes is None:
         return True
-    own, g = edge_hashes[min(b, len(edge_hashes) - 1)].tolist(), int(adjacent[f, k])
+    own, g = hashes[min(b, len(hashes) - 1)], adjacent[f][k]
     for m in range(3):
-        if torch.equal(corners[g, [(m + 1) % 3, m]], corners[f, [k, (k + 1) % 3]]):
+        if corners[g][(m + 1) % 3] == corners[f][k] and corners[g][m] == corners[f][(k + 1) % 3]:
             return own[f][k][0] == 0 or own[g][m][1] != own[f][k][0]
     return True
 
@@ -103,7 +108,7 @@ class _Scan(NamedTuple):
         image: Tensor,
         face_index: Tensor,
         corners: Tensor,
-        adjacent: Tensor,
+        adjacent: list[list[int]],
         axis: int,
         perspective: bool,
     ) -> _Scan:
@@ -112,8 +117,7 @@ class _Scan(NamedTuple):
         size = torch.tensor([face_index.shape[1], face_index.shape[0]], dtype=torch.float64)
         pixels = (size * corners[..., :2] + size - 1) / 2
         places = [[(c[1 - axis], c[axis]) for c in face] for face in pixels.tolist()]
-        depths, next_faces = corners[..., 2].tolist(), adjacent.tolist()
-        return cls(pulls, colors, shown, places, depths, next_faces, axis, perspective)
+        return cls(pulls, colors, shown, places, corners[..., 2].tolist(), adjacent, axis, perspective)
 
     def crossings(self, f: int, u: int) -> dict[int, float]:
         """Find the edges of face f that line u crosses, two or none, and the positions on the line."""
