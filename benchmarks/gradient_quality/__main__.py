@@ -11,6 +11,7 @@ import json
 import platform
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,7 @@ def measure(adapter: Adapter, report: dict[str, Any], part: str, options: argpar
     if part == "triangles":
         for side in SIDES:
             most = shifts if side < 256 else min(shifts, 64)
-            count = _affordable(lambda: triangle_quality(side, "shrink", adapter, 1), most, seconds)
+            count = _affordable(partial(triangle_quality, side, "shrink", adapter, 1), most, seconds)
             if count < 4:
                 print(
                     f"{adapter.name}: triangle of {side} px: skipped, 4 images take longer than {seconds:.0f} seconds"
@@ -76,7 +77,7 @@ def measure(adapter: Adapter, report: dict[str, Any], part: str, options: argpar
         for title, scene in scenes().items():
             if options.scenes and not any(word in title for word in options.scenes):
                 continue
-            count = _affordable(lambda: estimates(scene, adapter, 1), shifts, seconds)
+            count = _affordable(partial(estimates, scene, adapter, 1), shifts, seconds)
             if count < 4:
                 print(f"{adapter.name}: {title}: skipped, 4 images take longer than {seconds:.0f} seconds")
                 continue
