@@ -58,6 +58,7 @@ RASTER = [
     "visible",
     "cubes",
     "rasterize",
+    "soft_silhouettes",
 ]
 RECONSTRUCTION = ["data", "networks", "evaluation", "training", "checkpoint", "refine"]  # the last two: old names
 

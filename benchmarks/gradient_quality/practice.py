@@ -73,16 +73,20 @@ def step(adapter: Adapter, picture: Picture, target: Tensor) -> float:
     return float(difference.square().sum())
 
 
-def pose(adapter: Adapter, name: str, starts: int, steps: int = 60) -> dict:
-    """Find poses from images; a start is off by 10° to 40° about a random axis. Success is an error below 5°."""
+def pose(adapter: Adapter, name: str, starts: int, seconds: float, steps: int = 60) -> dict:
+    """Find poses from images; a start is off by 10° to 40° about a random axis. Success is an error below 5°.
+
+    There are at most so many starts, and after two of them, none begins after so many seconds of the processor.
+    """
     vertices, faces = meshes()[name]
     generator = torch.Generator().manual_seed(0)
     colors = corner_colors(faces, 7, 0.0)
     if len(faces) > 100:  # smooth colours by place
         colors = (0.5 + 0.5 * (4 * vertices).sin())[faces]
-    successes, needed = 0, []
+    successes, needed, count = 0, [], 0
     began = time.process_time()
-    for _ in range(starts):
+    while count < min(starts, 2) or (count < starts and time.process_time() - began < seconds):
+        count += 1
         true = rotation(torch.randn(3, generator=generator).double())
         axis = torch.nn.functional.normalize(torch.randn(3, generator=generator).double(), dim=0)
         off = math.radians(10 + 30 * float(torch.rand((), generator=generator)))
@@ -107,9 +111,9 @@ def pose(adapter: Adapter, name: str, starts: int, steps: int = 60) -> dict:
         successes += error < 5
         if error < 5:
             needed.append(steps if first is None else first)
-    seconds = (time.process_time() - began) / starts
+    taken = (time.process_time() - began) / count
     middle = float(torch.tensor(needed).float().median()) if needed else math.nan
-    return {"mesh": name, "success": successes / starts, "starts": starts, "steps": middle, "seconds": seconds}
+    return {"mesh": name, "success": successes / count, "starts": count, "steps": middle, "seconds": taken}
 
 
 def silhouettes(adapter: Adapter, seconds: float, views: int = 8) -> dict:

@@ -6,7 +6,18 @@ import math
 from pathlib import Path
 from typing import Any
 
-ORDER = ("edge", "nmr", "opendr", "reinforce", "DEODR", "Mitsuba 3")
+COLORS = {
+    "edge": "tab:blue",
+    "nmr": "tab:red",
+    "opendr": "tab:green",
+    "reinforce": "tab:gray",
+    "DEODR": "tab:orange",
+    "DRTK": "tab:brown",
+    "PyTorch3D hard": "tab:pink",
+    "PyTorch3D soft": "tab:olive",
+    "Mitsuba 3": "tab:purple",
+}
+ORDER = tuple(COLORS)
 
 
 def table(report: dict[str, Any]) -> str:
@@ -46,7 +57,7 @@ def _practice(report: dict[str, Any], names: list[str]) -> list[str]:
     lines.append("|---|" + "---:|" * (len(titles) + 3))
     for name in names:
         own = {row["mesh"]: row for row in poses if row["renderer"] == name}
-        cells = [f"{own[t]['success']:.0%} ({own[t]['steps']:.0f})" if t in own else "" for t in titles]
+        cells = [_pose(own[t]) if t in own else "" for t in titles]
         mean = f"{sum(row['seconds'] for row in own.values()) / len(own):.2f}" if own else ""
         shape = [row for row in shapes if row["renderer"] == name]
         overlap = f"{shape[0]['iou']:.3f}, {shape[0]['steps']}" if shape else ""
@@ -56,13 +67,18 @@ def _practice(report: dict[str, Any], names: list[str]) -> list[str]:
     return lines
 
 
+def _pose(row: dict[str, Any]) -> str:
+    steps = f", {row['steps']:.0f}" if row["success"] else ""
+    return f"{row['success']:.0%} of {row['starts']}{steps}"
+
+
 def plot(report: dict[str, Any], path: Path) -> None:
     """Plot size against the size of triangles, and noise and direction against time over the scenes."""
     import matplotlib.pyplot as plt
 
     rows = report["rows"]
     names = [name for name in ORDER if any(row["renderer"] == name for row in rows)]
-    colors = dict(zip(ORDER, ("tab:blue", "tab:red", "tab:green", "tab:gray", "tab:orange", "tab:purple"), strict=True))
+    colors = COLORS
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(13, 4))
     for name in names:
         own = [r for r in rows if r["renderer"] == name and r["scene"].startswith("triangle") and r["of"] == "shrink"]

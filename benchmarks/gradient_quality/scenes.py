@@ -13,7 +13,7 @@ import neural_renderer as nr
 from neural_renderer.raster.faces import world_corners
 
 from .adapters import Adapter
-from .adapters.ours import fine
+from .adapters.ours import mean_loss
 from .picture import Picture
 
 
@@ -34,7 +34,7 @@ class Scene:
     supersampling: int = 32
 
 
-def scenes(quick: bool = False) -> dict[str, Scene]:
+def scenes() -> dict[str, Scene]:
     """Make the scenes of the table, by name."""
     eye = torch.tensor([0.7, 0.9, -2.6], dtype=torch.float64)
     ball, ball_faces = nr.icosphere(1)
@@ -49,8 +49,8 @@ def scenes(quick: bool = False) -> dict[str, Scene]:
     boxes_faces = torch.cat((box_faces, box_faces + len(box)))
     smooth_ball, smooth_faces = nr.icosphere(2)
     smooth_ball = smooth_ball.double() * 0.6
-    many, many_faces = nr.icosphere(4 if quick else 6)
-    many, many_size = many.double(), 64 if quick else 288
+    many, many_faces = nr.icosphere(4)
+    ring, ring_faces = nr.torus(segments=320, sides=160)
 
     def colored(faces: Tensor, colors: Tensor, size: int = 96) -> Callable[..., Picture]:
         def build(vertices: Tensor, eye: Tensor = eye) -> Picture:
@@ -102,20 +102,21 @@ def scenes(quick: bool = False) -> dict[str, Scene]:
     found["over the border"] = _flat(
         torch.tensor([[-9.3, 22.0, 2], [31.7, -7.1, 2], [38.2, 53.4, 2]]), torch.tensor([[0, 1, 2]])
     )
-    found["T-junction"] = _flat(
-        torch.tensor(
-            [[6.2, 5.1, 2], [24.3, 6.0, 2], [23.1, 42.7, 2], [7.4, 40.2, 2], [23.7, 24.35, 2], [42.1, 23.8, 2]]
-        ),
-        torch.tensor([[0, 1, 2], [0, 2, 3], [1, 5, 4], [4, 5, 2]]),
-    )
+    found["T-junction"] = _junction()
     for side in (1.0, 2.0):
         found[f"faces of {side:g} px, random colours"] = _flat(*lattice(side), step=0.05)
-    found["sub-pixel bevel at an outline"] = _bevel()
-    colors = corner_colors(many_faces, 5, 0.0)
-    found[f"{len(many_faces):,} faces of a pixel"] = Scene(
-        {"eye": eye}, {"eye": 0.03}, lambda eye: colored(many_faces, colors, many_size)(many, eye), 32 if quick else 8
-    )
+    for strips in (1, 3):
+        found[f"outline behind {strips} strip{'s' * (strips > 1)} of 0.02 px"] = _bevel(strips)
+    found[f"{len(many_faces):,} faces of a pixel"] = _orbit(many.double(), many_faces, eye, 64)
+    found[f"{len(ring_faces):,} faces of a pixel"] = _orbit(ring.double(), ring_faces, eye, 448, 16)
     return found
+
+
+def _orbit(vertices: Tensor, faces: Tensor, eye: Tensor, size: int, supersampling: int = 32) -> Scene:
+    """Make a scene of faces in random colours whose camera moves."""
+    colors = corner_colors(faces, 5, 0.0)
+    step = 0.5 / size  # moves the faces by some 0.2 pixels
+    return Scene({"eye": eye}, {"eye": step}, lambda eye: project(vertices, faces, colors, eye, size), supersampling)
 
 
 def project(vertices: Tensor, faces: Tensor, colors: Tensor, eye: Tensor, size: int) -> Picture:
@@ -172,16 +173,34 @@ def _wire(width: float) -> tuple[Tensor, Tensor]:
     return torch.nn.functional.pad(places, (0, 1), value=2.0), torch.tensor([[0, 1, 2], [0, 2, 3]])
 
 
-def _bevel() -> Scene:
-    """Make a square whose right side ends in a rim of two triangles, 0.02 pixels wide; it moves rigidly."""
-    places = torch.tensor([[10.3, 9.2], [33.4, 10.1], [32.7, 37.2], [9.6, 36.4], [33.42, 10.1], [32.72, 37.2]]).double()
-    depth = torch.tensor([[2.0], [2], [2], [2], [2.2], [2.2]]).double()
-    faces = torch.tensor([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]])
+def _bevel(strips: int) -> Scene:
+    """Make a square whose right side ends in a rim of strips, each 0.02 pixels wide; it moves rigidly."""
+    square = torch.tensor([[10.3, 9.2, 2.0], [9.6, 36.4, 2]]).double()
+    rims = [
+        torch.tensor([[33.4, 10.1, 2], [32.7, 37.2, 2]]) + n * torch.tensor([0.02, 0, 0.2]) for n in range(strips + 1)
+    ]
+    places = torch.cat((square, *(rim.double() for rim in rims)))  # pairs: the lower end, the upper end
+    lower = 2 * torch.arange(strips + 1)
+    faces = torch.cat((torch.stack((lower, lower + 2, lower + 3), 1), torch.stack((lower, lower + 3, lower + 1), 1)))
 
     def build(move: Tensor) -> Picture:
-        return Picture(torch.cat((places + move, depth), 1), faces, torch.ones(4, 3, 3).double(), 48)
+        moved = torch.cat((places[:, :2] + move, places[:, 2:]), 1)
+        return Picture(moved, faces, torch.ones(len(faces), 3, 3).double(), 48)
 
     return Scene({"move": torch.zeros(2).double()}, {"move": 0.2}, build)
+
+
+def _junction() -> Scene:
+    """Make a long edge that meets two short ones at its middle, a T-junction; the corner there stays on the edge."""
+    free = torch.tensor([[6.2, 5.1], [24.3, 6.0], [23.1, 42.7], [7.4, 40.2], [42.1, 23.8]]).double()
+    faces = torch.tensor([[0, 1, 2], [0, 2, 3], [1, 4, 5], [5, 4, 2]])
+    colors = corner_colors(faces, 4, 0.0)
+
+    def build(places: Tensor) -> Picture:
+        corners = torch.cat((places, (places[1:2] + places[2:3]) / 2))
+        return Picture(torch.nn.functional.pad(corners, (0, 1), value=2.0), faces, colors, 48)
+
+    return Scene({"places": free}, {"places": 0.2}, build)
 
 
 def _front(picture: Picture) -> Tensor:
@@ -198,7 +217,11 @@ def loss_weight(size: int, seed: int = 0) -> Tensor:
 
 
 def difference(scene: Scene, name: str, supersampling: int, most: int | None = None) -> tuple[Tensor, Tensor]:
-    """Compute central differences of the loss: the chosen elements of a parameter [N], and the slopes [N] float64."""
+    """Compute central differences of the mean loss over shifts.
+
+    Returns:
+        The chosen elements of a parameter [N], and the slopes [N] float64.
+    """
     supersampling = min(supersampling, scene.supersampling)
     value = scene.parameters[name]
     order = torch.randperm(value.numel(), generator=torch.Generator().manual_seed(0))[: most or value.numel()]
@@ -211,7 +234,7 @@ def difference(scene: Scene, name: str, supersampling: int, most: int | None = N
             moved[k] += sign * scene.steps[name]
             picture = scene.build(**{**scene.parameters, name: moved.view(value.shape)})
             weight = loss_weight(picture.size) if weight is None else weight
-            losses.append((fine(picture, supersampling) * weight).sum())
+            losses.append(mean_loss(picture, weight, supersampling))
         result[n] = (losses[0] - losses[1]) / (2 * scene.steps[name])
     return order, result
 

@@ -21,6 +21,7 @@ from .meshes.unwrapping.unwrap import unwrap
 from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
+from .raster.soft_silhouettes import soft_silhouettes
 from .raster.visibility.comparators.reinforce import reinforce
 from .rendering import render
 from .shading.environments.light import EnvironmentLight
@@ -107,6 +108,7 @@ __all__ = [
     "shade_diffuse",
     "shade_pbr",
     "shade_phong",
+    "soft_silhouettes",
     "srgb_to_linear",
     "surface_opacity",
     "torus",

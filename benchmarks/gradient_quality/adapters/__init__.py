@@ -1,7 +1,8 @@
-"""The renderers of the benchmark. To add one, write an `Adapter` and name it in `available`."""
+"""The renderers of the benchmark. To add one, write an `Adapter` and a function `adapters`; name it in `PEERS`."""
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 from typing import Protocol
 
@@ -35,22 +36,29 @@ class Adapter(Protocol):
         """
 
 
+# Modules of this folder, named as the packages that they need: the name in tables, and how to install it.
+PEERS = {
+    "deodr": ("DEODR", "pip install deodr"),
+    "drtk": ("DRTK", "from source, github.com/facebookresearch/DRTK"),
+    "pytorch3d": ("PyTorch3D", "from source, github.com/facebookresearch/pytorch3d"),
+    "mitsuba": ("Mitsuba 3", "pip install mitsuba; LLVM 19 on the CPU"),
+}
+
+
 def available(names: list[str] | None = None) -> tuple[list[Adapter], list[str]]:
     """Make the adapters that can run here, of these names or all; also return a sentence for each that cannot."""
     from .ours import Ours, Reinforce
 
     adapters: list[Adapter] = [Ours("edge"), Ours("nmr"), Ours("opendr"), Reinforce()]
-    missing = ["nvdiffrast, kaolin: not measured, they need CUDA", "PyTorch3D, DRTK: not measured, no adapter yet"]
-    if importlib.util.find_spec("deodr"):
-        from .deodr import Deodr
-
-        adapters.append(Deodr())
-    else:
-        missing.append("DEODR: skipped, it is not installed here (pip install deodr)")
-    if importlib.util.find_spec("mitsuba"):
-        from .mitsuba import Mitsuba
-
-        adapters.append(Mitsuba())
-    else:
-        missing.append("Mitsuba 3: skipped, it is not installed here (pip install mitsuba; LLVM 19 on the CPU)")
+    missing = ["nvdiffrast, kaolin: not measured, they need CUDA"]
+    for module, (title, how) in PEERS.items():
+        if names is not None and not any(name.startswith(title) for name in names):
+            continue
+        if importlib.util.find_spec(module) is None:
+            missing.append(f"{title}: skipped, it is not installed here ({how})")
+            continue
+        try:
+            adapters += importlib.import_module(f".{module}", __package__).adapters()
+        except ImportError as error:
+            missing.append(f"{title}: skipped, its import failed ({error})")
     return [one for one in adapters if names is None or one.name in names], missing

@@ -47,6 +47,11 @@ class Deodr:
         return torch.from_numpy(image).permute(2, 0, 1), torch.from_numpy(to_vertices), torch.from_numpy(to_colors)
 
 
+def adapters() -> list[Deodr]:
+    """Make the adapter."""
+    return [Deodr()]
+
+
 def _visible_sides(ij: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, ...]:
     """Drop the far sides of closed surfaces, turn faces of open ones to the front, and flag edges of the outline.
 

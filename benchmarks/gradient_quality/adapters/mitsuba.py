@@ -68,6 +68,11 @@ class Mitsuba:
         return scene, mi.traverse(scene)
 
 
+def adapters() -> list[Mitsuba]:
+    """Make the adapter."""
+    return [Mitsuba()]
+
+
 def _attribute(picture: Picture, colors: Tensor) -> tuple[str, Tensor]:
     """Give colours to vertices if those of the corners agree there; else one to each face."""
     flat, where = colors.reshape(-1, 3), picture.faces.reshape(-1)

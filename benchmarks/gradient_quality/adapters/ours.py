@@ -71,9 +71,16 @@ def draw(picture: Picture, gradient: str, vertices: Tensor | None = None) -> Ten
     return image[0] if vertices is None else image
 
 
-def fine(picture: Picture, supersampling: int) -> Tensor:
-    """Average an image of many times the size over blocks, [3, size, size] float64."""
+def mean_loss(picture: Picture, weight: Tensor, supersampling: int) -> float:
+    """Compute the mean of Σ weight · image over shifts by up to half a pixel, for an image averaged over its pixels.
+
+    Both averages are boxes; together they are a tent, as in bilinear interpolation of the weights. The image is drawn
+    at a multiple of the size, with a margin of a pixel, since a tent is two pixels wide.
+    """
     with torch.no_grad():
         scale = torch.tensor([supersampling, supersampling, 1.0], dtype=torch.float64)
-        large = replace(picture, vertices=picture.vertices * scale, size=picture.size * supersampling)
-        return torch.nn.functional.avg_pool2d(draw(large, "edge")[None].double(), supersampling)[0]
+        wide = picture.moved(torch.ones(2))
+        large = draw(replace(wide, vertices=wide.vertices * scale, size=(picture.size + 2) * supersampling), "edge")
+        padded = torch.nn.functional.pad(weight, (1, 1, 1, 1))[None]
+        smooth = torch.nn.functional.interpolate(padded, large.shape[1:], mode="bilinear", align_corners=False)[0]
+        return float((large.double() * smooth).sum()) / supersampling**2

@@ -11,37 +11,45 @@ from benchmarks.gradient_quality.scenes import difference, estimates, scenes
 from benchmarks.gradient_quality.triangles import triangle_quality
 
 
-@pytest.mark.parametrize("side", [4, 16, 64])
 @pytest.mark.parametrize("wish", ["shrink", "grow", "shift", "rotate"])
-def test_lone_triangle(side, wish):
+@pytest.mark.parametrize(
+    ("side", "count"), [(16, 36), *(pytest.param(n, 256, marks=pytest.mark.slow) for n in (4, 16, 64))]
+)
+def test_lone_triangle(side, count, wish):
     """Areas and first moments within 2 %; "rotate" needs second moments, which 4 pixels give within 4 % only."""
-    found = triangle_quality(side, wish, Ours("edge"))
+    found = triangle_quality(side, wish, Ours("edge"), count)
     assert abs(found.size - 1) <= (0.04 if (side, wish) == (4, "rotate") else 0.02), found
     assert found.cosine >= 0.999, found
 
 
 @pytest.mark.parametrize(
-    ("title", "name"), [("occlusion", "vertices"), ("light on faces", "vertices"), ("smooth texture", "vertices")]
+    ("title", "name", "shifts"),
+    [
+        ("light on faces", "vertices", 16),
+        ("T-junction", "places", 16),
+        *(pytest.param(title, "vertices", 64, marks=pytest.mark.slow) for title in ("occlusion", "smooth texture")),
+    ],
 )
-def test_scenes(title, name):
+def test_scenes(title, name, shifts):
     """A dozen coordinates of scenes with outlines, seams and textures, against finite differences."""
-    found = quality(title, name, 64)
+    found = quality(title, name, shifts, 8 if shifts == 16 else 16)
     assert abs(found.size - 1) <= 0.05, found
     assert found.cosine >= 0.99, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [1, 2])
 def test_seams_of_small_faces(side):
     """Faces of one or two pixels in random colours: the size within 3 % and what 144 noisy samples leave open."""
-    found = quality(f"faces of {side} px, random colours", "places", 144)
+    found = quality(f"faces of {side} px, random colours", "places", 144, 16)
     assert abs(found.size - 1) <= 0.03 + 2 * found.interval, found
     assert found.interval <= 0.08, found
     assert found.cosine >= 0.95, found
 
 
-def quality(title, name, shifts):
-    scene = scenes(quick=True)[title]
-    order, truth = difference(scene, name, 16, 12)
+def quality(title, name, shifts, supersampling):
+    scene = scenes()[title]
+    order, truth = difference(scene, name, supersampling, 12)
     return Quality.of(estimates(scene, Ours("edge"), shifts)[name][:, order], truth)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,6 +18,8 @@ from .operators import SHORTEST
 
 LEAST_CHORD = 0.02  # pixels; the weight of a crossing is at most the inverse
 SMALL = 1.5  # largest area of a small face in pixels
+LONGEST = 6  # most faces of a chain behind an outline
+SAME_DEPTH, SAME_PLACE = 1e-5, 0.02  # two surfaces meet at an edge: relative nearness, pixels
 
 
 def edge_gradient_reference(
@@ -38,27 +40,30 @@ def edge_gradient_reference(
         image, faces, face_index, two_sided, perspective, seams, edge_hashes: As in `edge_gradient`.
         layered: Whether this is a layer of several, in which edges behind folds are visible, and left out.
     """
-    result = torch.zeros(faces.shape, dtype=torch.float64)
-    adjacent = neighbors_reference(faces, two_sided, perspective).cpu()
-    drawn, side = drawn_faces(faces, two_sided, perspective).cpu(), exact_sides(faces, perspective).cpu()
+    moved = torch.zeros(faces.shape, dtype=torch.float64)
+    result = moved.tolist()  # lists, for single numbers of tensors are slow
+    adjacent = neighbors_reference(faces, two_sided, perspective).tolist()
+    drawn, side = drawn_faces(faces, two_sided, perspective).tolist(), exact_sides(faces, perspective).tolist()
     corners = faces.detach().double().cpu()
-    folds = neighbors_reference(faces, two_sided, perspective, folds=True).cpu()
+    points = corners.tolist()
+    folds = neighbors_reference(faces, two_sided, perspective, folds=True).tolist() if layered else adjacent
+    hashes = None if edge_hashes is None else edge_hashes.tolist()
     for b in range(len(faces)):
         pull, color, shown = (m[b].detach().cpu() for m in (grad.double(), image.double(), face_index))
         for axis in range(2):
             scan = _Scan.of(pull, color, shown, corners[b], adjacent[b], axis, perspective)
-            for f, k in itertools.product(drawn[b].nonzero().flatten().tolist(), range(3)):
-                is_outline = bool(adjacent[b, f, k] < 0)
-                if not is_outline and not (seams and _is_seam(edge_hashes, corners[b], adjacent[b], b, f, k)):
+            for f, k in itertools.product([f for f, seen in enumerate(drawn[b]) if seen], range(3)):
+                is_outline = adjacent[b][f][k] < 0
+                if not is_outline and not (seams and _is_seam(hashes, points[b], adjacent[b], b, f, k)):
                     continue
-                other = int(folds[b, f, k])
+                other = folds[b][f][k]
                 if layered and is_outline and other >= 0 and _in_front(scan, other, f, (k + 2) % 3):
                     continue
-                to_start, to_end = _move_edge(scan, f, k, bool(side[b, f] > 0))
-                result[b, f, k, axis] += to_start
-                result[b, f, (k + 1) % 3, axis] += to_end
-            result[b] += intersections_reference(pull, color, shown, corners[b], axis, perspective)
-    return result.to(faces.device)
+                to_start, to_end = _move_edge(scan, f, k, side[b][f] > 0)
+                result[b][f][k][axis] += to_start
+                result[b][f][(k + 1) % 3][axis] += to_end
+            moved[b] += intersections_reference(pull, color, shown, corners[b], axis, perspective)
+    return (moved + torch.tensor(result, dtype=torch.float64).view_as(moved)).to(faces.device)
 
 
 def _in_front(scan: _Scan, other: int, f: int, k: int) -> bool:
@@ -71,13 +76,15 @@ def _in_front(scan: _Scan, other: int, f: int, k: int) -> bool:
     return value > scan.nearness(f, k)
 
 
-def _is_seam(edge_hashes: Tensor | None, corners: Tensor, adjacent: Tensor, b: int, f: int, k: int) -> bool:
+def _is_seam(
+    hashes: list[Any] | None, corners: list[list[list[float]]], adjacent: list[list[int]], b: int, f: int, k: int
+) -> bool:
     """Test whether the hashes of edge k of face f differ from those of the same edge of the adjacent face."""
-    if edge_hashes is None:
+    if hashes is None:
         return True
-    own, g = edge_hashes[min(b, len(edge_hashes) - 1)].tolist(), int(adjacent[f, k])
+    own, g = hashes[min(b, len(hashes) - 1)], adjacent[f][k]
     for m in range(3):
-        if torch.equal(corners[g, [(m + 1) % 3, m]], corners[f, [k, (k + 1) % 3]]):
+        if corners[g][(m + 1) % 3] == corners[f][k] and corners[g][m] == corners[f][(k + 1) % 3]:
             return own[f][k][0] == 0 or own[g][m][1] != own[f][k][0]
     return True
 
@@ -101,7 +108,7 @@ class _Scan(NamedTuple):
         image: Tensor,
         face_index: Tensor,
         corners: Tensor,
-        adjacent: Tensor,
+        adjacent: list[list[int]],
         axis: int,
         perspective: bool,
     ) -> _Scan:
@@ -110,8 +117,7 @@ class _Scan(NamedTuple):
         size = torch.tensor([face_index.shape[1], face_index.shape[0]], dtype=torch.float64)
         pixels = (size * corners[..., :2] + size - 1) / 2
         places = [[(c[1 - axis], c[axis]) for c in face] for face in pixels.tolist()]
-        depths, next_faces = corners[..., 2].tolist(), adjacent.tolist()
-        return cls(pulls, colors, shown, places, depths, next_faces, axis, perspective)
+        return cls(pulls, colors, shown, places, corners[..., 2].tolist(), adjacent, axis, perspective)
 
     def crossings(self, f: int, u: int) -> dict[int, float]:
         """Find the edges of face f that line u crosses, two or none, and the positions on the line."""
@@ -189,31 +195,40 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
     if own < 0:
         return 0.0
 
-    # The chord in the face, and the joint chord with the adjacent face behind it; at most a pixel.
+    # The chord in the face, and the joint chord with the next faces of the surface; at most a pixel.
     chord = joint = 1.0
-    stand_in = -1
+    chain: list[int] = []
     if not scan.perspective or min(scan.depths[f]) > 0:
         ((leaving, end),) = (item for item in scan.crossings(f, u).items() if item[0] != k)
         chord = joint = min(abs(end - c), 1.0)
-        if chord < 1:
-            stand_in = scan.adjacent[f][leaving]
-            if stand_in >= 0:
-                joint = min(abs(scan.exit(stand_in, u, end) - c), 1.0)
-    if own != f and (stand_in < 0 or own != stand_in):
+        face = scan.adjacent[f][leaving]
+        while len(chain) < LONGEST and face >= 0 and joint < 1:
+            chain.append(face)
+            ends = {k: v for k, v in scan.crossings(face, u).items() if v != end}
+            if not ends:
+                break
+            leaving, end = max(ends.items(), key=lambda item: abs(item[1] - end))
+            joint = min(abs(end - c), 1.0)
+            face = scan.adjacent[face][leaving]
+    if own != f and own not in chain:
         return 0.0
     chord = max(chord, LEAST_CHORD)
 
+    meets = 1.0
     if other >= 0:
         height = (1 - share) * scan.nearness(f, k) + share * scan.nearness(f, (k + 1) % 3)
-        if scan.nearness_at(other, u, c) >= height:
-            return 0.0
+        ahead = height - scan.nearness_at(other, u, c)
+        meets = float(ahead > 0)
+        ends_there = any(abs(v - c) < SAME_PLACE for v in scan.crossings(other, u).values())
+        if abs(ahead) <= SAME_DEPTH * abs(height) and ends_there:
+            meets = 0.5
     # The probability, over sub-pixel shifts, that centres show the crossing.
     probability = max(joint, LEAST_CHORD)
 
     # A pixel extends half a pixel from its centre; the centre in a narrow face lies anywhere in it.
     part = offset if joint < 1 else float(offset >= 0.5)
     continues = 0 <= before < len(shown) and shown[before] == own
-    stands_in = own == f and stand_in >= 0 and 0 <= before < len(shown) and shown[before] == stand_in and not continues
+    stands_in = own == f and 0 <= before < len(shown) and shown[before] in chain
     continues_outside = 0 <= behind < len(shown) and shown[behind] == other
     total = 0.0
     for n, pull in enumerate(pulls[inner]):
@@ -226,7 +241,7 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
         if continues_outside:
             outside += (1 - offset) * (colors[outer][n] - colors[behind][n]) / probability
         total += (inside - outside) * ((1 - part) * pull + part * pulls[outer][n])
-    return total
+    return meets * total
 
 
 def _seam_gain(scan: _Scan, f: int, g: int, u: int, c: float, d: int) -> float:
@@ -272,7 +287,8 @@ def _small_seam_gain(
     total = 0.0
     for n in range(len(scan.pulls[u][inner])):
         own, other = (scan.colors[u][pixel][n] for pixel in pixels)
-        mean = sum(scan.colors[i][j][n] for i, j in others) / len(others) if others else (own + other) / 2
+        often = own if shows[0] and (not shows[1] or weights[0] <= weights[1]) else other
+        mean = sum(scan.colors[i][j][n] for i, j in others) / len(others) if others else often
         pull = (1 - offset) * scan.pulls[u][pixels[0]][n] + offset * scan.pulls[u][pixels[1]][n]
         total += (weights[0] * (own - mean) - weights[1] * (other - mean)) * pull
     return total

@@ -28,6 +28,7 @@ typedef wp::vec_t<3, float> vec3;
 // The scan lines of one axis of one image, and what they show.
 struct Lines {
     const vec3* faces;  // three corners each
+    const int* adjacent;  // three faces each, across the edges; -1 for none
     const float *image, *grad;  // channels follow each other at a distance of ``area``
     const int* shown;  // visible face of each pixel
     int channels, height, width, perspective, axis, count, length;  // ``count`` lines of ``length`` pixels
@@ -48,16 +49,22 @@ struct Lines {
 
     // The length from ``start`` to the exit of line u from a face, which it enters at ``entry``; at most a pixel.
     CUDA_CALLABLE float chord(int f, int u, float entry, float start) const {
+        int edge;
+        return wp::min(fabsf(exit(f, u, entry, edge) - start), 1.0f);
+    }
+    // The position where line u, which enters a face at ``entry``, leaves it, and the edge there; -1 if it misses it.
+    CUDA_CALLABLE float exit(int f, int u, float entry, int& edge) const {
         const vec3* corners = faces + (wp::int64)f * 3;
         float us[3], vs[3], end = entry;
+        edge = -1;
         for (int k = 0; k < 3; ++k) us[k] = u_of(corners[k]), vs[k] = v_of(corners[k]);
         for (int k = 0; k < 3; ++k) {
             const int m = k == 2 ? 0 : k + 1;
             if ((us[k] <= (float)u) == (us[m] <= (float)u)) continue;
             const float v = vs[k] + (vs[m] - vs[k]) * ((float)u - us[k]) / (us[m] - us[k]);
-            if (fabsf(v - entry) > fabsf(end - entry)) end = v;
+            if (fabsf(v - entry) > fabsf(end - entry)) end = v, edge = k;
         }
-        return wp::min(fabsf(end - start), 1.0f);
+        return end;
     }
     static CUDA_CALLABLE float weight(float chord) { return 1.0f / wp::max(chord, LEAST_CHORD); }
 };

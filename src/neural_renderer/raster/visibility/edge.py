@@ -15,7 +15,8 @@ on its inner side shows the face and the pixel on its outer side shows a farther
 - Each of the two colours is extrapolated linearly to the crossing if the next pixel shows the same face.
 - dL/dI is the gradient of the pixel that contains the crossing.
 - A pixel centre hits a face whose chord c on the line is shorter than a pixel with probability c only, so the crossing
-  has the weight 1 / c. If the surface continues, the adjacent face stands in for a missed one.
+  has the weight 1 / c. If the surface continues, the next faces stand in for a missed one; see `outlines`.
+- Where two surfaces meet at an edge, as at a T-junction, each edge has half of the gain.
 - Seams, where two faces of a surface meet in different colours, are in `seams`.
 
 Where two faces intersect, the visible boundary is the line of equal depth; see `intersections`.
@@ -34,7 +35,7 @@ import warp as wp
 from torch import Tensor
 
 from ..colors.downsample import halve, halve_backward
-from ..ops.visible_faces import visible_faces
+from ..ops.visible_faces import near_visible, visible_faces
 from ..warp.geometry import facing
 from ..warp.launch import array, copy
 from ..warp.layout import face_tasks
@@ -47,7 +48,7 @@ from .gains import GAINS
 from .intersections import add_intersections
 from .nearness import NEARNESS
 from .neighbors import neighbors
-from .outlines import OUTLINES
+from .outlines import LONGEST, OUTLINES
 from .seams import SEAMS
 
 wp.set_module_options({"enable_backward": False})
@@ -114,8 +115,11 @@ def edge_gradient_backward(
     if result.numel() == 0 or image.numel() == 0:
         return result
     visible = visible_faces(face_index, faces.shape[1])
-    adjacent = neighbors(faces, two_sided, perspective, visible, rings)
-    add_edges(result, grad, image, faces, face_index, visible, adjacent, perspective, seams, edge_hashes)
+    near = visible if rings is None else near_visible(visible, rings[:, :-1] // 3, LONGEST - 1)
+    adjacent = neighbors(faces, two_sided, perspective, near, rings)
+    if rings is None:
+        near = near_visible(visible, adjacent, LONGEST - 1)
+    add_edges(result, grad, image, faces, face_index, near, adjacent, perspective, seams, edge_hashes)
     add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
     return result
 
@@ -126,7 +130,7 @@ def add_edges(
     image: Tensor,
     faces: Tensor,
     face_index: Tensor,
-    visible: Tensor,
+    near: Tensor,
     adjacent: Tensor,
     perspective: bool,
     seams: bool,
@@ -140,7 +144,7 @@ def add_edges(
         grad: Gradient to the image, [B, C, H, W] float32.
         image: [B, C, H, W] float32.
         faces, face_index, perspective, seams, edge_hashes: As in `edge_gradient`.
-        visible: As from `visible_faces`.
+        near: As from `near_visible`.
         adjacent: As from `neighbors`.
         folds: Faces that the surface folds back to, as from `neighbors`; an edge behind its fold has no gradient, for
             the face in front has it. None: edges behind folds are hidden anyway.
@@ -152,7 +156,7 @@ def add_edges(
     if folds is None:
         folds = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
     options = [array(folds), int(perspective), int(seams)]
-    arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), *options]
+    arguments = [array(faces, wp.vec3), *maps, array(near), array(adjacent), *options]
     arguments += [array(edge_hashes), array(result, wp.vec3)]
     launch_lines(_move, arguments, batch * faces.shape[1], 1, faces.device, face_tasks(faces, height * width))
 
@@ -190,6 +194,7 @@ _MOVE_EDGES = """
     lines.grad = grad.data + b * lines.channels * lines.area;
     lines.shown = face_index.data + b * lines.area;
     lines.faces = faces.data + first_face * 3;
+    lines.adjacent = adjacent.data + first_face * 3;
     const vec3* corners = faces.data + own * 3;
     const int* next = adjacent.data + own * 3;
     vec3 to[3] = {vec3(0.0f), vec3(0.0f), vec3(0.0f)};
@@ -253,17 +258,15 @@ _HAS_MOVING_EDGE = """
     const int* next = adjacent.data + ((wp::int64)b * adjacent.shape[1] + f) * 3;
     // Most faces end here: the surface continues across all three edges.
     if (!seams && next[0] >= 0 && next[1] >= 0 && next[2] >= 0) return false;
-    // A face that all pixel centres miss still has visible edges if an adjacent face stands in for it.
-    const int* shown = visible.data + (wp::int64)b * visible.shape[1];
+    // A face that all pixel centres miss still has visible edges if a chain of faces stands in for it.
+    const int* shown = near.data + (wp::int64)b * near.shape[1];
     return shown[f] || (next[0] >= 0 && shown[next[0]]) || (next[1] >= 0 && shown[next[1]])
         || (next[2] >= 0 && shown[next[2]]);
 """
 
 
 @wp.func_native(_HAS_MOVING_EDGE)
-def has_moving_edge(
-    visible: wp.array2d(dtype=int), adjacent: wp.array3d(dtype=int), b: int, f: int, seams: int
-) -> bool:
+def has_moving_edge(near: wp.array2d(dtype=int), adjacent: wp.array3d(dtype=int), b: int, f: int, seams: int) -> bool:
     """Test whether an edge of the face may be a visible boundary."""
     ...
 
@@ -345,7 +348,7 @@ def _move(
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
-    visible: wp.array2d(dtype=int),
+    near: wp.array2d(dtype=int),
     adjacent: wp.array3d(dtype=int),
     folds: wp.array3d(dtype=int),
     perspective: int,
@@ -359,7 +362,7 @@ def _move(
 ):
     """Move the edges of one face of one image, or some lines of them; see `launch_lines`."""
     own = (first + wp.tid()) // lanes
-    if threads == 0 and not has_moving_edge(visible, adjacent, own // faces.shape[1], own % faces.shape[1], seams):
+    if threads == 0 and not has_moving_edge(near, adjacent, own // faces.shape[1], own % faces.shape[1], seams):
         return
     thread = wp.int64(first + wp.tid())
     end = thread + wp.int64(1)

@@ -23,13 +23,11 @@ struct Blend {
 struct Gain {
     Blend inside, outside;
     bool before_is_inside, behind_is_outside;  // whether the next pixels show the faces of the near ones
-    int before_face;
 
     // Start with the two pixels beside a crossing, and the ones next to them.
     CUDA_CALLABLE void set(const Lines& lines, const Edge& edge, const Crossing& at) {
         const int before = at.inner - edge.outward, behind = at.outer + edge.outward, last = lines.length - 1;
-        before_face = lines.face(at.u, before);
-        before_is_inside = before_face == at.inner_face;
+        before_is_inside = lines.face(at.u, before) == at.inner_face;
         behind_is_outside = lines.face(at.u, behind) == at.outer_face;
         inside.near = lines.pixel(at.u, at.inner), outside.near = lines.pixel(at.u, at.outer);
         inside.next = lines.pixel(at.u, before < 0 ? 0 : before > last ? last : before);

@@ -2,15 +2,26 @@
 
 The chord of a face is the length of a scan line inside the face. If it is shorter than a pixel, a pixel centre hits it
 with a probability equal to its length, so the crossing is weighted by the inverse. If the surface continues behind the
-chord, a centre in the adjacent face (the stand-in) shows the outline as well, and the chord runs through both faces.
+chord, a centre in the next faces (the stand-ins, a chain) shows the outline as well, and the chord runs through them.
+
+Two surfaces may meet at an edge without being adjacent, as at a T-junction, where the edge of one meets a corner in the
+middle of it. Then each has half of the gain. This is right if they move together; a gap that opens is not seen.
 
 ``OUTLINES`` declares a C++ struct for native functions, after `CROSSINGS`, `GAINS` and `NEARNESS`.
 """
 
-OUTLINES = """
+from ..warp.point import fill
+
+# Most faces behind the outline's own that stand in for it: a bevel of three strips. To search more takes time.
+LONGEST = 6
+SAME_DEPTH = 1e-5  # relative difference of nearness up to which two surfaces meet
+SAME_PLACE = 0.02  # pixels between their ends up to which they do
+
+_OUTLINES = """
 struct Outline {
-    // Whether the face at the outer pixel passes in front of the crossing, and so hides or cuts the edge.
-    static CUDA_CALLABLE bool is_behind(const Lines& lines, const Edge& edge, const Crossing& at) {
+    // The part of the gain that the edge has beside the face at the outer pixel: none if it passes in front of the
+    // crossing, and so hides or cuts the edge; half if it ends there, at the same depth.
+    static CUDA_CALLABLE float part(const Lines& lines, const Edge& edge, const Crossing& at) {
         float x = (2.0f * at.v + 1.0f - (float)lines.length) / (float)lines.length;
         float y = (2.0f * (float)at.u + 1.0f - (float)lines.count) / (float)lines.count;
         if (lines.axis == 1) {
@@ -20,7 +31,16 @@ struct Outline {
         const int perspective = lines.perspective;
         const float own = (1.0f - at.share) * Nearness::of(edge.pz, perspective)
             + at.share * Nearness::of(edge.qz, perspective);
-        return Nearness::of_plane(lines.faces + (wp::int64)at.outer_face * 3, x, y, perspective) >= own;
+        const vec3* corners = lines.faces + (wp::int64)at.outer_face * 3;
+        const float ahead = own - Nearness::of_plane(corners, x, y, perspective);
+        if (fabsf(ahead) > SAME_DEPTH * fabsf(own)) return ahead > 0.0f ? 1.0f : 0.0f;
+        for (int k = 0; k < 3; ++k) {
+            const vec3 &a = corners[k], &b = corners[k == 2 ? 0 : k + 1];
+            const float au = lines.u_of(a), bu = lines.u_of(b), av = lines.v_of(a), u = (float)at.u;
+            if ((au <= u) == (bu <= u)) continue;
+            if (fabsf(av + (lines.v_of(b) - av) * (u - au) / (bu - au) - at.v) < SAME_PLACE) return 0.5f;
+        }
+        return ahead > 0.0f ? 1.0f : 0.0f;
     }
 
     // The gain at a crossing with the background or a farther face outside; else 0.
@@ -28,30 +48,40 @@ struct Outline {
         if (at.inner_face < 0) return 0.0f;
         const float u = (float)at.u;
         float own = 1.0f, joint = 1.0f;  // chords from the crossing on: of the face, and of both
-        int stand_in = -1;  // or the adjacent face behind a chord shorter than a pixel
+        const int before = lines.face(at.u, at.inner - edge.outward);
+        bool shows = at.inner_face == edge.face, shows_before = false;  // the inner pixel, and the one before it
         if (!lines.perspective || edge.rz > 0.0f) {  // otherwise the third corner is behind the camera
             const bool through_pr = (edge.pu <= u) != (edge.ru <= u);
             float exit = edge.rv;
             if (through_pr) exit = edge.pv + (edge.rv - edge.pv) * (u - edge.pu) / (edge.ru - edge.pu);
             else if (edge.qu != edge.ru) exit = edge.qv + (edge.rv - edge.qv) * (u - edge.qu) / (edge.ru - edge.qu);
             own = joint = wp::min(fabsf(exit - at.v), 1.0f);
-            if (own < 1.0f) stand_in = through_pr ? edge.adjacent_pr : edge.adjacent_qr;
-            if (stand_in >= 0) joint = lines.chord(stand_in, at.u, exit, at.v);
+            // Behind a chord shorter than a pixel, follow the surface along the line.
+            int next = through_pr ? edge.adjacent_pr : edge.adjacent_qr;
+            for (int n = 0; n < LONGEST && next >= 0 && joint < 1.0f; ++n) {
+                shows |= at.inner_face == next, shows_before |= before == next;
+                int through;
+                exit = lines.exit(next, at.u, exit, through);
+                joint = wp::min(fabsf(exit - at.v), 1.0f);
+                next = through < 0 ? -1 : lines.adjacent[(wp::int64)next * 3 + through];
+            }
         }
-        if (at.inner_face != edge.face && at.inner_face != stand_in) return 0.0f;
-        if (at.outer_face >= 0 && is_behind(lines, edge, at)) return 0.0f;
+        if (!shows) return 0.0f;
+        const float share = at.outer_face >= 0 ? part(lines, edge, at) : 1.0f;
+        if (share == 0.0f) return 0.0f;
         const float weight = Lines::weight(joint);
         Gain gain;
         gain.set(lines, edge, at);
         gain.inside.extrapolate(weight, at.offset, gain.before_is_inside);
         gain.outside.extrapolate(weight, 1.0f - at.offset, gain.behind_is_outside);
-        if (stand_in >= 0 && gain.before_face == stand_in && at.inner_face == edge.face) {
+        if (shows_before && at.inner_face == edge.face) {
             // The stand-in's colour, plus the face's difference from it. The difference has the larger weight of the
             // face alone, which centres hit less often.
             gain.inside.near_weight = Lines::weight(own);
             gain.inside.next_weight = weight - gain.inside.near_weight;
         }
-        return gain.sum(lines, at, weight > 1.0f);
+        return share * gain.sum(lines, at, weight > 1.0f);
     }
 };
 """
+OUTLINES = fill(_OUTLINES, LONGEST=str(LONGEST), SAME_DEPTH=f"{SAME_DEPTH!r}f", SAME_PLACE=f"{SAME_PLACE!r}f")

@@ -65,12 +65,14 @@ struct Seam {
         if (shows_own) own = Lines::weight(lines.chord(edge.face, at.u, at.v, at.v));
         if (shows_adjacent) adjacent = Lines::weight(lines.chord(edge.adjacent, at.u, at.v, at.v));
         const wp::int64 inner = lines.pixel(at.u, at.inner), outer = lines.pixel(at.u, at.outer);
+        // Without other faces, subtract the colour of the side that is shown more often.
+        const wp::int64 middle = shows_own && (!shows_adjacent || own <= adjacent) ? inner : outer;
         const float *channel = lines.image, *pull = lines.grad;
         float result = 0.0f;
         for (int c = 0; c < lines.channels; ++c, channel += lines.area, pull += lines.area) {
             float mean = 0.0f;
             for (int n = 0; n < count; ++n) mean += channel[around[n]];
-            mean = count > 0 ? mean / (float)count : 0.5f * (channel[inner] + channel[outer]);
+            mean = count > 0 ? mean / (float)count : channel[middle];
             const float difference = own * (channel[inner] - mean) - adjacent * (channel[outer] - mean);
             result += difference * ((1.0f - at.offset) * pull[inner] + at.offset * pull[outer]);
         }
