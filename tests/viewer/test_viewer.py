@@ -121,6 +121,21 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
     assert viewer.close() is None  # again
 
 
+def test_bad_meshes_are_refused_at_once_however_soon_they_come(tmp_path: Path) -> None:
+    """Faces that do not fit the vertices are found in a copy that may come later: it warns, and the record is kept."""
+    vertices, faces = nr.cube()
+    with nr.view(browser=False, record=tmp_path / "run.html", rate=1e-3) as viewer:
+        viewer.show((vertices, faces))
+        for bad in ((vertices[:, :2], faces), (vertices, faces[:, :2]), (vertices, faces, vertices)):
+            with pytest.raises(ValueError, match="expected"):
+                viewer.show(bad)
+        viewer.show((vertices, faces), "other")
+        viewer.show((vertices[:4], faces), "other")
+        with pytest.warns(UserWarning, match="leaves out other: faces: expected vertex indices from 0 to 3"):
+            viewer.flush()
+    assert list(Record(tmp_path / "run.html").meshes(0)) == ["mesh", "other"]
+
+
 def test_a_loop_is_recorded(tmp_path: Path) -> None:
     """However fast it is, the first and the last mesh are there, and nothing is shown twice."""
     with nr.view(browser=False, record=tmp_path / "run.html", rate=1000.0) as viewer:

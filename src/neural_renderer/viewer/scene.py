@@ -14,7 +14,7 @@ from torch import Tensor
 from .drawing.glb import Drawable, write_glb
 from .drawing.snapshot import Snapshot
 from .drawing.surface import Look, drawables, vertex_normals
-from .layout import FIELD, axes_of, first_view, places_in_row
+from .layout import FIELD, Box, axes_of, clip_distances, first_view, places_in_row
 from .worker import Worker
 
 if TYPE_CHECKING:
@@ -86,6 +86,8 @@ class Scene:
         self._first_positions: list[np.ndarray] = []  # the newest is the last
         self.on_change: Callable[[], None] = lambda: None
         """Called in the worker's thread after meshes have changed or moved."""
+        self.other_bounds: Callable[[], list[Box]] = list
+        """Returns the boxes around what else belongs into the first view."""
         server.scene.set_up_direction("+y")
         server.scene.configure_default_lights(False)
         server.scene.configure_environment_map(None)
@@ -130,7 +132,7 @@ class Scene:
 
     def center(self) -> np.ndarray:
         """Return the centre [3] of all visible meshes."""
-        return self._first_view()[1]
+        return first_view(self._bounds(), self._axes)[1]
 
     def set_up(self, axis: str) -> None:
         """Choose the axis that is up, such as "+z". For any thread."""
@@ -142,8 +144,12 @@ class Scene:
 
     def _first_view(self) -> tuple[np.ndarray, np.ndarray]:
         """Choose the position of a camera, and the point it looks at, so that everything visible is in the picture."""
+        return first_view(self._bounds() + self.other_bounds(), self._axes)
+
+    def _bounds(self) -> list[Box]:
+        """Return the boxes around the visible meshes, as they are placed."""
         boxes = [(shown.place, *shown.snapshot.bounds()) for shown in list(self.meshes.values()) if shown.visible]
-        return first_view([(place + low, place + high) for place, low, high in boxes], self._axes)
+        return [(place + low, place + high) for place, low, high in boxes]
 
     def _update(self) -> None:
         """Draw what is new or stale."""
@@ -300,7 +306,7 @@ class Scene:
         position, center = self._first_view()
         radius = float(np.linalg.norm(position - center))
         camera = self._server.initial_camera
-        camera.fov, camera.near, camera.far = FIELD, radius * 1e-3, radius * 1e2
+        camera.fov, (camera.near, camera.far) = FIELD, clip_distances(radius)
         camera.position, camera.look_at = tuple(position), tuple(center)
         clients = self._server.get_clients().values()
         # Nobody's own choice of a view is changed because another mesh has come.
