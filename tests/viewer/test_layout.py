@@ -110,6 +110,33 @@ def test_names_need_not_differ_in_letters(open_viewer: Callable[..., Viewer]) ->
     assert np.ptp([one.place[0] for one in shown.values()]) > 2
 
 
+def test_a_small_mesh_beside_a_large_one(open_viewer: Callable[..., Viewer]) -> None:
+    """With equal sizes all are as large as the first, also those that change or come later; and back."""
+    viewer = open_viewer()
+    viewer.arrange(equal_size=True)
+    vertices, faces = nr.icosphere(1)
+    cow = nr.UVMesh(100 * vertices, faces, torch.zeros(len(vertices), 2), torch.rand(4, 4, 3))
+    for name, mesh in (("ball", (vertices, faces)), ("small", (vertices / 1000, faces)), ("cow", cow)):
+        viewer.show(mesh, name)
+    viewer.show((vertices / 10, faces), "small")
+    viewer.flush()
+    shown = viewer._page.scene.meshes
+    for one in shown.values():
+        assert torch.allclose(one.snapshot.vertices, vertices, atol=1e-6)
+    assert torch.equal(shown["cow"].snapshot.uv_mesh.vertices, shown["cow"].snapshot.vertices)
+    assert "small: 42 vertices, 80 faces, shown 10 times as large" in viewer._page.display._info.content
+    viewer.arrange()
+    viewer.flush()
+    assert torch.equal(shown["small"].snapshot.vertices, vertices / 10) and shown["cow"].scale == 1
+
+
+def test_names_are_no_markdown(open_viewer: Callable[..., Viewer]) -> None:
+    viewer = open_viewer()
+    viewer.show(nr.Mesh.icosphere(0), "<b>*a*_猫")
+    viewer.flush()
+    assert viewer._page.display._info.content.startswith(r"\<b\>\*a\*\_猫: 12 vertices")
+
+
 def test_the_first_view_follows_a_mesh_that_grows(open_viewer: Callable[..., Viewer]) -> None:
     viewer = open_viewer()
     vertices, faces = nr.icosphere(1)

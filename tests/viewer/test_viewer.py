@@ -245,6 +245,12 @@ def test_what_is_no_number_of_a_setting(text: str) -> None:
     assert problem == f"vertex rate: expected a number from 0 to 1, got {text!r}"
 
 
+def test_axes_of_curves_grow_in_steps() -> None:
+    from neural_renderer.viewer.panels.run import round_up
+
+    assert [round_up(value) for value in (0.0, 1.0, 10.0, 11.0, 21.0, 100.0, 501.0)] == [10, 10, 10, 20, 50, 100, 1000]
+
+
 class TestServer:
     def test_a_port_in_use_moves_to_the_next(self, open_viewer: Callable[..., Viewer]) -> None:
         with socket.socket() as taken:

@@ -51,8 +51,8 @@ class Page:
 
     def show_cameras(self, name: str, taken: list[Photograph]) -> None:
         """Show cameras with their photographs. In the worker's thread."""
-        if self.scene.side_by_side:
-            self.display.set_side_by_side(False)  # cameras fit one place only
+        if self.scene.side_by_side or self.scene.equal_size:
+            self.display.arrange(side_by_side=False, equal_size=False)  # cameras fit one place only
         self.frusta.show(name, taken, self.scene.center())
         self.scene.arrange()
         self.renderer.update()

@@ -40,7 +40,9 @@ class Shown:
     """A mesh and its nodes.
 
     Attributes:
-        snapshot: The mesh, without faces that cannot be drawn.
+        original: The mesh, without faces that cannot be drawn.
+        snapshot: The same at the size at which it is shown.
+        scale: Size of the one relative to the other.
         left_out: Number of those faces.
         visible: Whether it is shown.
         place: [3], where its origin lies in the scene.
@@ -49,8 +51,10 @@ class Shown:
         framed: Its size when the first view was chosen.
     """
 
-    snapshot: Snapshot
+    original: Snapshot
     path: str
+    snapshot: Snapshot = field(init=False)
+    scale: float = 1.0
     left_out: int = 0
     visible: bool = True
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -63,6 +67,9 @@ class Shown:
     normals: Any = None
     count: int = 0
 
+    def __post_init__(self) -> None:
+        self.snapshot = self.original
+
 
 class Scene:
     """The meshes of a page.
@@ -71,6 +78,7 @@ class Scene:
         look: How meshes are shown.
         wireframe, normals: Whether edges and vertex normals are drawn.
         side_by_side: Whether meshes stand in a row; otherwise each at its own coordinates.
+        equal_size: Whether the others are shown as large as the first.
         meshes: The meshes by name. Only the worker's thread changes them.
     """
 
@@ -81,7 +89,8 @@ class Scene:
         self._stale: set[str] = set()
         self._frames = self._paths = 0
         self._axes = axes_of("+y")
-        self.look, self.wireframe, self.normals, self.side_by_side = Look(), False, False, True
+        self.look, self.wireframe, self.normals = Look(), False, False
+        self.side_by_side, self.equal_size = True, False
         self.meshes: dict[str, Shown] = {}
         self._first_positions: list[np.ndarray] = []  # the newest is the last
         self.on_change: Callable[[], None] = lambda: None
@@ -166,7 +175,9 @@ class Scene:
             shown = self.meshes[name]
             if shown.values is not None and len(shown.values) != len(usable.vertices):
                 shown.values = None
-            shown.snapshot, shown.left_out = usable, left_out
+            shown.original = shown.snapshot = usable
+            shown.left_out = left_out
+        self._resize(set(coming))
         for name in stale & set(self.meshes):
             self._draw(self.meshes[name])
         if len(self.meshes) != known:
@@ -177,6 +188,20 @@ class Scene:
         self._swap()
         if coming:
             self.on_change()
+
+    def _resize(self, new: Iterable[str] = ()) -> None:
+        """Choose the sizes at which meshes are shown; draw those again soon whose size changes, except new ones."""
+        reference = 0.0
+        for name, shown in self.meshes.items():
+            extent = _extent(shown.original) if self.equal_size else 0.0
+            reference = reference or extent
+            scale = reference / extent if extent else 1.0
+            if scale == shown.scale and (scale == 1 or name not in new):
+                continue
+            shown.snapshot = shown.original if scale == 1 else shown.original.scaled(scale)
+            shown.scale = scale
+            if name not in new:
+                self.redraw(name)
 
     def _draw(self, shown: Shown) -> None:
         """Make the nodes of a mesh. Those that replace visible ones stay invisible until `_swap`."""
@@ -289,6 +314,7 @@ class Scene:
         """Arrange the meshes again soon, and show all of them. For any thread."""
 
         def job() -> None:
+            self._resize()
             self._arrange()
             self._set_first_view()
             self.on_change()
@@ -313,7 +339,7 @@ class Scene:
         moving = [client for client in clients if move or self._is_unmoved(client)]
         self._first_positions = [*self._first_positions[1 - _VIEWS :], position]
         for shown in self.meshes.values():
-            shown.framed = _extent(shown)
+            shown.framed = _extent(shown.snapshot)
         for client in moving:
             self.show_whole(client)
 
@@ -333,11 +359,11 @@ class Scene:
 
     def _has_grown(self, shown: Shown) -> bool:
         """Tell whether a mesh has become much larger or smaller since the first view was chosen."""
-        extent = _extent(shown)
+        extent = _extent(shown.snapshot)
         return not shown.framed / _GROWN <= extent <= shown.framed * _GROWN
 
 
-def _extent(shown: Shown) -> float:
+def _extent(snapshot: Snapshot) -> float:
     """Return the largest side of the box around all vertices; quicker than `Snapshot.bounds`."""
-    axes = np.ascontiguousarray(shown.snapshot.vertices.numpy().T)  # numpy reduces long rows fast
+    axes = np.ascontiguousarray(snapshot.vertices.numpy().T)  # numpy reduces long rows fast
     return float((axes.max(1) - axes.min(1)).max()) if axes.size else 0.0

@@ -65,6 +65,7 @@ class Viewer:
         ...         viewer.log(step, loss=1 / (step + rate()))
         >>> viewer.show_cameras(camera)
         >>> viewer.set_up("+z")
+        >>> viewer.arrange(equal_size=True)
         >>> viewer.show_curves({"IoU": [(1, 0.5), (2, 0.7)]})
         >>> viewer.show_steps(["first", "last"], choose=print)
         >>> nr.save_image("plan.png", torch.rand(8, 8, 3))
@@ -234,6 +235,21 @@ class Viewer:
         page = self._page
         if page is not None:
             self._worker.post("up", lambda: page.display.set_up(axis))
+
+    def arrange(self, *, side_by_side: bool = True, equal_size: bool = False) -> None:
+        """Choose where several meshes stand in the browser, and how large they are there.
+
+        Args:
+            side_by_side: Stand in a row; otherwise each at its own coordinates.
+            equal_size: Show all as large as the first; otherwise each at its own size.
+
+        Raises:
+            TypeError: An argument is neither True nor False.
+        """
+        row, equal = validate.flag("side_by_side", side_by_side), validate.flag("equal_size", equal_size)
+        page = self._page
+        if page is not None:
+            self._worker.post("places", lambda: page.display.arrange(row, equal))
 
     def show_steps(self, labels: Sequence[str], choose: Callable[[int], None]) -> None:
         """Add a slider through steps.

@@ -50,6 +50,12 @@ class Snapshot:
             uv_mesh = replace(uv_mesh, vertices=vertices, faces=self.faces[kept], **own)
         return Snapshot(vertices, self.faces[kept], textures, uv_mesh), int((~kept).sum())
 
+    def scaled(self, factor: float) -> Snapshot:
+        """Return the mesh at another size."""
+        vertices = self.vertices * factor
+        uv_mesh = None if self.uv_mesh is None else replace(self.uv_mesh, vertices=vertices)
+        return Snapshot(vertices, self.faces, self.textures, uv_mesh)
+
     def shape(self) -> UVMesh | tuple[Tensor, ...]:
         """Return the mesh in a form that `render` takes; without colours it is white."""
         if self.uv_mesh is not None:
