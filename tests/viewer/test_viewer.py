@@ -59,6 +59,14 @@ class TestWorker:
             assert all(late - early >= 0.099 for early, late in pairwise(times))
             worker.close()
 
+    def test_who_waits_ends_a_rest(self) -> None:
+        worker, done = Worker(rate=1e-3), []  # a round in 1000 s
+        for number in range(3):
+            worker.post("job", lambda number=number: done.append(number))
+            assert worker.wait(60.0)
+        worker.close()
+        assert done == [0, 1, 2]
+
     def test_more_share_ends_a_rest(self) -> None:
         worker, start = Worker(1000.0, 1e-6), time.monotonic()
         worker.post("long", lambda: sum(range(300_000)) and None)
@@ -133,7 +141,8 @@ def test_bad_meshes_are_refused_at_once_however_soon_they_come(tmp_path: Path) -
         viewer.show((vertices[:4], faces), "other")
         with pytest.warns(UserWarning, match="leaves out other: faces: expected vertex indices from 0 to 3"):
             viewer.flush()
-    assert list(Record(tmp_path / "run.html").meshes(0)) == ["mesh", "other"]
+    record = Record(tmp_path / "run.html")
+    assert list(record.meshes(len(record) - 1)) == ["mesh", "other"]
 
 
 def test_a_loop_is_recorded(tmp_path: Path) -> None:
