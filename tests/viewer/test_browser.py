@@ -216,7 +216,7 @@ def test_a_page_that_was_open_before_sees_all(browser: Browser, open_viewer: Cal
         # All corners of the box around it are in a field of view of 0.7.
         wait_until(lambda size=size: 3 < float(np.linalg.norm(client.camera.position)) / size < 6, "the whole ball")
     browser.drag((300, 400), (440, 420))
-    wait_until(lambda: not viewer._page.scene._is_unmoved(client), "a camera that has moved")
+    wait_until(lambda: not viewer._page.scene.first_view.is_unmoved(client), "a camera that has moved")
     viewer.show(sphere(RED, 1.0))
     viewer.flush()
     assert np.linalg.norm(client.camera.position) > 50  # turned, but where it was

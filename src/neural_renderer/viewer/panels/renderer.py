@@ -20,7 +20,8 @@ from ..drawing.our_picture import (
     picture,
 )
 from ..frusta import Frusta
-from ..scene import Scene, Shown
+from ..scene import Scene
+from ..shown import Shown
 from ..worker import Worker
 
 if TYPE_CHECKING:
