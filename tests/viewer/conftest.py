@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from neural_renderer.viewer.viewer import Viewer
-from tests.viewer.browser import Browser, find_browser
+from tests.viewer.browser import Browser, find_browser, wait_until
 
 
 @pytest.fixture(scope="session")
@@ -22,7 +22,7 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture
-def open_viewer() -> Iterator[Callable[..., Viewer]]:
+def open_viewer(request: pytest.FixtureRequest) -> Iterator[Callable[..., Viewer]]:
     """Opens viewers on any free port, and closes them."""
     pytest.importorskip("viser", reason="viser is not installed (pip install viser)")
     opened = []
@@ -32,5 +32,8 @@ def open_viewer() -> Iterator[Callable[..., Viewer]]:
         return opened[-1]
 
     yield open_one
+    if "browser" in request.fixturenames:
+        request.getfixturevalue("browser").open("about:blank")  # the end of a viewer waits for an open page
+        wait_until(lambda: not any(viewer.clients for viewer in opened), "a page that is left")
     for viewer in opened:
         viewer.close()

@@ -59,6 +59,14 @@ class TestWorker:
             assert all(late - early >= 0.099 for early, late in pairwise(times))
             worker.close()
 
+    def test_who_waits_ends_a_rest(self) -> None:
+        worker, done = Worker(rate=1e-3), []  # a round in 1000 s
+        for number in range(3):
+            worker.post("job", lambda number=number: done.append(number))
+            assert worker.wait(60.0)
+        worker.close()
+        assert done == [0, 1, 2]
+
     def test_more_share_ends_a_rest(self) -> None:
         worker, start = Worker(1000.0, 1e-6), time.monotonic()
         worker.post("long", lambda: sum(range(300_000)) and None)
@@ -119,6 +127,22 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="viewer: expected an open one"):
         viewer.show(MESH)
     assert viewer.close() is None  # again
+
+
+def test_bad_meshes_are_refused_at_once_however_soon_they_come(tmp_path: Path) -> None:
+    """Faces that do not fit the vertices are found in a copy that may come later: it warns, and the record is kept."""
+    vertices, faces = nr.cube()
+    with nr.view(browser=False, record=tmp_path / "run.html", rate=1e-3) as viewer:
+        viewer.show((vertices, faces))
+        for bad in ((vertices[:, :2], faces), (vertices, faces[:, :2]), (vertices, faces, vertices)):
+            with pytest.raises(ValueError, match="expected"):
+                viewer.show(bad)
+        viewer.show((vertices, faces), "other")
+        viewer.show((vertices[:4], faces), "other")
+        with pytest.warns(UserWarning, match="leaves out other: faces: expected vertex indices from 0 to 3"):
+            viewer.flush()
+    record = Record(tmp_path / "run.html")
+    assert list(record.meshes(len(record) - 1)) == ["mesh", "other"]
 
 
 def test_a_loop_is_recorded(tmp_path: Path) -> None:
@@ -228,6 +252,12 @@ def test_numbers_of_settings(text: str) -> None:
 def test_what_is_no_number_of_a_setting(text: str) -> None:
     problem = problem_of(Knob("vertex_rate", 0.5, 0.0, 1.0), text)
     assert problem == f"vertex rate: expected a number from 0 to 1, got {text!r}"
+
+
+def test_axes_of_curves_grow_in_steps() -> None:
+    from neural_renderer.viewer.panels.run import round_up
+
+    assert [round_up(value) for value in (0.0, 1.0, 10.0, 11.0, 21.0, 100.0, 501.0)] == [10, 10, 10, 20, 50, 100, 1000]
 
 
 class TestServer:

@@ -62,6 +62,8 @@ def _free_name(name: str, path: Path, results: Results) -> str:
 
 def _show(viewer: Viewer, results: Results, options: ViewOptions) -> None:
     """Show what was read."""
+    is_run = results.record is not None or results.views is not None or {"before", "result"} & set(results.meshes)
+    viewer.arrange(equal_size=not is_run)  # a small mesh beside a large one is to be seen
     for name, mesh in results.meshes.items():
         if results.record is None or name == "before":
             viewer.show(mesh, name)  # on the left

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from .. import validate
 from ..camera import Camera
+from .layout import Box
 
 if TYPE_CHECKING:
     import viser
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 _MOST = 200  # frusta drawn
 _PHOTO = 192  # longer side of a photograph in the scene, in pixels
 _SIZE = 0.08  # of a frustum, relative to the median distance of the cameras from the scene's centre
+_FAR = 1.5  # relative to that distance: cameras beyond need not be in the first view
 _COLOR = (70, 90, 120)  # RGB
 _PAPER = 0.93  # grey behind photographs of objects that were cut out
 _PARALLEL = 0.05  # field of view in radians with which a camera without perspective is drawn
@@ -101,15 +103,19 @@ class Frusta:
         self._server = server
         self._nodes: list[Any] = []
         self._box: Any = None
+        self._near = np.zeros((0, 3))  # positions
         self.photographs: dict[str, Photograph] = {}
 
     def show(self, name: str, taken: list[Photograph], center: np.ndarray) -> None:
-        """Show cameras around a scene with this centre [3], in place of those that were there."""
+        """Show cameras around meshes with this centre [3], in place of those that were there."""
         for node in self._nodes:
             node.remove()
         self.photographs = {f"photo {number + 1}": one for number, one in enumerate(taken)}
         poses = [one.pose() for one in taken]
-        distance = float(np.median([np.linalg.norm(position - center) for _, position, _ in poses]))
+        positions = np.array([position for _, position, _ in poses])
+        distances = np.linalg.norm(positions - center, axis=1)
+        distance = float(np.median(distances))
+        self._near = positions[distances <= _FAR * distance]
         path = f"/cameras/{re.sub(r'[^0-9A-Za-z_.-]', '_', name)}"
         self._nodes = [
             self._add(f"{path}/{number}", taken[number], poses[number], _SIZE * max(distance, 1e-6))
@@ -119,6 +125,12 @@ class Frusta:
         if self._box is None:
             self._box = self._server.gui.add_checkbox("Cameras", True)
             self._box.on_update(self._hide)
+
+    def bounds(self) -> list[Box]:
+        """Return the box around the visible cameras, without those far away; none without cameras."""
+        if self._box is None or not self._box.value or not len(self._near):
+            return []
+        return [(self._near.min(0), self._near.max(0))]
 
     def _hide(self, _: Any) -> None:
         """Show or hide the cameras, as the box says."""

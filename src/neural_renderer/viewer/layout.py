@@ -10,9 +10,12 @@ Box = tuple[np.ndarray, np.ndarray]
 """Least and greatest coordinates, [3] each."""
 FIELD = 0.7
 """Vertical field of view of the first view, in radians."""
-_ASPECT = 1.2  # width over height of the first view, at least
+_ASPECT = 0.9  # width over height of the first view, at least: panels may be on both sides
 _VIEW = np.array([-0.45, 0.35, 1.0])  # direction of the first view: right, up, backward
 _GAP = 0.25  # between meshes side by side, relative to the width of the widest
+_NEAR, _FAR = 1e-3, 1e2  # planes, relative to the distance of the first view
+_BACKGROUND = 1.0  # distance of the plane with the background
+_MOST_NEARER = 10.0  # times that the near plane may be nearer for it
 _MARGIN = 1.1  # of the distance, relative to the least one that shows everything
 
 
@@ -68,6 +71,18 @@ def first_view(boxes: Sequence[Box], axes: np.ndarray) -> tuple[np.ndarray, np.n
     needed = np.maximum(height, width / _ASPECT) / np.tan(FIELD / 2) + corners @ backward
     distance = _MARGIN * max(float(needed.max()), 1e-6)
     return center + distance * backward, center
+
+
+def clip_distances(radius: float) -> tuple[float, float]:
+    """Choose the distances of the near and the far plane of a camera that is so far from what it looks at.
+
+    viser draws the background on a plane at distance 1: it has to lie between them. Of a very large scene it does not,
+    because the near plane would be so near that depths could not be told apart.
+    """
+    near = radius * _NEAR
+    if _BACKGROUND <= near <= _MOST_NEARER * _BACKGROUND:
+        near = _BACKGROUND / 2
+    return near, max(radius * _FAR, 2 * _BACKGROUND)
 
 
 def _turned(box: Box, axes: np.ndarray) -> Box:

@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from .drawing.snapshot import Snapshot, take_snapshot
+from ..io.files import reason, warn
+from .drawing.snapshot import Snapshot, check_mesh, take_snapshot
 
 _SHARE = 0.01  # of the time that copies of meshes may take in the thread of the work
 _IDLE = 1.0  # seconds between two copies while nobody looks, and nothing is recorded
@@ -50,6 +51,7 @@ class Newest:
 
     def show(self, mesh: Any, name: str) -> None:
         """Copy a mesh as a step of its own, now or, if the last copy was a moment ago, in `catch_up`."""
+        check_mesh(mesh)
         with self._lock:
             self.frame = self.frame[0] + 1, ""
             if name in self._copies and time.monotonic() < self._next:
@@ -66,12 +68,17 @@ class Newest:
             self._copy(meshes)
 
     def catch_up(self) -> None:
-        """Copy the meshes that came too early."""
+        """Copy the meshes that came too early. A warning tells which one has faces that do not fit its vertices."""
         with self._copying:
             with self._lock:
                 early, self._early = self._early, {}
             for name, mesh in early.items():
-                self._keep(name, take_snapshot(mesh))
+                try:
+                    copy = take_snapshot(mesh)
+                except (TypeError, ValueError) as error:  # `show` has returned: nobody would catch it here
+                    warn(f"the viewer leaves out {name}: {reason(error)}")
+                else:
+                    self._keep(name, copy)
 
     def remove(self, name: str) -> None:
         """Forget a mesh; raise ValueError if there is none of this name."""

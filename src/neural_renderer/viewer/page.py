@@ -42,7 +42,7 @@ class Page:
         self.renderer = RendererPanel(self.server, self.scene, worker, self.frusta)
         self._pictures: PicturesPanel | None = None
         self._steps: StepsPanel | None = None
-        self.scene.on_change = self._follow
+        self.scene.on_change, self.scene.other_bounds = self._follow, self.frusta.bounds
 
     @property
     def clients(self) -> int:
@@ -51,9 +51,10 @@ class Page:
 
     def show_cameras(self, name: str, taken: list[Photograph]) -> None:
         """Show cameras with their photographs. In the worker's thread."""
-        if self.scene.side_by_side:
-            self.display.set_side_by_side(False)  # cameras fit one place only
+        if self.scene.side_by_side or self.scene.equal_size:
+            self.display.arrange(side_by_side=False, equal_size=False)  # cameras fit one place only
         self.frusta.show(name, taken, self.scene.center())
+        self.scene.arrange()
         self.renderer.update()
 
     def show_pictures(self, pictures: Mapping[str, Path]) -> None:

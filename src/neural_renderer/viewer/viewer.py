@@ -65,6 +65,7 @@ class Viewer:
         ...         viewer.log(step, loss=1 / (step + rate()))
         >>> viewer.show_cameras(camera)
         >>> viewer.set_up("+z")
+        >>> viewer.arrange(equal_size=True)
         >>> viewer.show_curves({"IoU": [(1, 0.5), (2, 0.7)]})
         >>> viewer.show_steps(["first", "last"], choose=print)
         >>> nr.save_image("plan.png", torch.rand(8, 8, 3))
@@ -186,9 +187,7 @@ class Viewer:
             TypeError, ValueError: An argument does not fit.
         """
         taken = photographs(camera, photos, masks)
-        page = self._page
-        if page is not None:
-            self._worker.post("cameras", lambda: page.show_cameras(name, taken))
+        self._on_page("cameras", lambda page: page.show_cameras(name, taken))
 
     def show_pictures(self, pictures: Mapping[str, str | os.PathLike[str]]) -> None:
         """Offer pictures, such as those that a program has written, in a panel of their own.
@@ -200,9 +199,7 @@ class Viewer:
             FileNotFoundError: A file does not exist.
         """
         files = {name: existing(path) for name, path in pictures.items()}
-        page = self._page
-        if page is not None:
-            self._worker.post("pictures", lambda: page.show_pictures(files))
+        self._on_page("pictures", lambda page: page.show_pictures(files))
 
     def show_curves(self, numbers: Mapping[str, Sequence[tuple[float, float]]]) -> None:
         """Draw curves, such as those of a run that is over.
@@ -231,9 +228,20 @@ class Viewer:
         """
         if axis not in UP:
             raise ValueError(f"axis: expected one of {', '.join(UP)}, got {axis!r}")
-        page = self._page
-        if page is not None:
-            self._worker.post("up", lambda: page.display.set_up(axis))
+        self._on_page("up", lambda page: page.display.set_up(axis))
+
+    def arrange(self, *, side_by_side: bool = True, equal_size: bool = False) -> None:
+        """Choose where several meshes stand in the browser, and how large they are there.
+
+        Args:
+            side_by_side: Stand in a row; otherwise each at its own coordinates.
+            equal_size: Show all as large as the first; otherwise each at its own size.
+
+        Raises:
+            TypeError: An argument is neither True nor False.
+        """
+        row, equal = validate.flag("side_by_side", side_by_side), validate.flag("equal_size", equal_size)
+        self._on_page("places", lambda page: page.display.arrange(row, equal))
 
     def show_steps(self, labels: Sequence[str], choose: Callable[[int], None]) -> None:
         """Add a slider through steps.
@@ -248,9 +256,7 @@ class Viewer:
         labels = list(labels)
         if not labels:
             raise ValueError("labels: expected at least one step, got none")
-        page = self._page
-        if page is not None:
-            self._worker.post("steps", lambda: page.show_steps(labels, choose))
+        self._on_page("steps", lambda page: page.show_steps(labels, choose))
 
     def log(self, step: int, **numbers: float) -> None:
         """Add numbers, such as losses, to curves.
@@ -357,9 +363,7 @@ class Viewer:
         self._newest.is_hurried = True
         self._worker.set_share(1.0)
         self._newest.catch_up()
-        page = self._page
-        if page is not None:
-            self._worker.post("finish", lambda: page.finish(text))
+        self._on_page("finish", lambda page: page.finish(text))
 
     def wait(self, for_browser: bool = False) -> None:
         """Wait until Ctrl-C, which raises KeyboardInterrupt.
@@ -482,5 +486,10 @@ class Viewer:
 
     def _update_run(self) -> None:
         """Show the state of the run soon."""
-        if self._page is not None:
-            self._worker.post("run", self._page.update_run)
+        self._on_page("run", lambda page: page.update_run())
+
+    def _on_page(self, name: str, job: Callable[[Page], None]) -> None:
+        """Change the page soon, in the worker's thread, if there is one; a later change of this name replaces it."""
+        page = self._page
+        if page is not None:
+            self._worker.post(name, lambda: job(page))

@@ -27,6 +27,7 @@ class Worker:
         self._jobs: dict[str, Callable[[], None]] = {}
         self._changed = threading.Condition()
         self._closed = self._busy = self._failed = False
+        self._waiting = 0  # threads in `wait`
         self._thread = threading.Thread(target=self._work, name="neural-renderer viewer", daemon=True)
         self._thread.start()
 
@@ -44,9 +45,14 @@ class Worker:
                 self._changed.notify_all()
 
     def wait(self, seconds: float) -> bool:
-        """Wait until nothing is left to do; return False if that takes longer."""
+        """Wait until nothing is left to do, without rests; return False if that takes longer."""
         with self._changed:
-            return self._changed.wait_for(lambda: not self._jobs and not self._busy, seconds)
+            self._waiting += 1
+            self._changed.notify_all()
+            try:
+                return self._changed.wait_for(lambda: not self._jobs and not self._busy, seconds)
+            finally:
+                self._waiting -= 1
 
     def close(self) -> None:
         """Finish the round that has begun, and end."""
@@ -77,7 +83,7 @@ class Worker:
         with self._changed:
             self._busy = False
             self._changed.notify_all()
-            while not self._closed:
+            while not (self._closed or self._waiting):
                 left = start + max(1 / self._rate, min(took / self._share, _SLOWEST)) - time.monotonic()
                 if left <= 0:
                     return

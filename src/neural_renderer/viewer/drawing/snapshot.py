@@ -50,6 +50,12 @@ class Snapshot:
             uv_mesh = replace(uv_mesh, vertices=vertices, faces=self.faces[kept], **own)
         return Snapshot(vertices, self.faces[kept], textures, uv_mesh), int((~kept).sum())
 
+    def scaled(self, factor: float) -> Snapshot:
+        """Return the mesh at another size."""
+        vertices = self.vertices * factor
+        uv_mesh = None if self.uv_mesh is None else replace(self.uv_mesh, vertices=vertices)
+        return Snapshot(vertices, self.faces, self.textures, uv_mesh)
+
     def shape(self) -> UVMesh | tuple[Tensor, ...]:
         """Return the mesh in a form that `render` takes; without colours it is white."""
         if self.uv_mesh is not None:
@@ -90,6 +96,19 @@ def take_snapshot(mesh: Any) -> Snapshot:
         }
         copy = replace(mesh, **own, images=tuple(_copy(image) for image in mesh.images))
         return Snapshot(*_checked(copy.vertices, copy.faces), None, copy)
+    vertices, faces, textures = _parts(mesh)
+    vertices, faces = _checked(_copy(vertices), _copy(faces))
+    return Snapshot(vertices, faces, None if textures is None else _copy(textures).float())
+
+
+def check_mesh(mesh: Any) -> None:
+    """Raise what `take_snapshot` raises, without a copy: from types and shapes, not from values."""
+    if not isinstance(mesh, (Snapshot, UVMesh)):
+        _parts(mesh)
+
+
+def _parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Return vertices, faces and textures of one mesh; check their types and shapes."""
     if isinstance(mesh, Mesh):
         mesh = mesh.vertices, mesh.faces, mesh.textures
     if not isinstance(mesh, (tuple, list)) or len(mesh) not in (2, 3):
@@ -97,17 +116,15 @@ def take_snapshot(mesh: Any) -> Snapshot:
             f"mesh: expected a Mesh, a UVMesh, (vertices, faces) or (vertices, faces, textures), got "
             f"{type(mesh).__name__}"
         )
-    vertices, faces = _checked(*(_copy(_single(part)) for part in mesh[:2]))
-    textures = None
-    if len(mesh) == 3 and mesh[2] is not None:
-        textures = _copy(_single(mesh[2], 5)).float()
-        validate.cubes("textures", textures, len(faces))
-    return Snapshot(vertices, faces, textures)
+    vertices = validate.floating("vertices", _single(mesh[0]), ("V", 3))
+    faces = validate.indices("faces", _single(mesh[1]), ("F", 3))
+    if len(mesh) == 2 or mesh[2] is None:
+        return vertices, faces, None
+    return vertices, faces, validate.cubes("textures", _single(mesh[2], 5), len(faces))
 
 
 def _checked(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
-    """Check shapes and indices; vertices may be infinite, or no numbers, in an optimisation that diverges."""
-    validate.floating("vertices", vertices, ("V", 3))
+    """Check indices; vertices may be infinite, or no numbers, in an optimisation that diverges."""
     faces = validate.indices("faces", faces, ("F", 3), always=True).int()
     numbers = faces.numpy()  # torch's threads would cost more than they save
     if numbers.size and not 0 <= numbers.min() <= numbers.max() < len(vertices):

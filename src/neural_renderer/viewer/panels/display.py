@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +39,7 @@ class DisplayPanel:
             normals = gui.add_checkbox("Normals", False)
             self.faces = FacesPanel(server, scene, worker)
             self._row: Any = gui.add_checkbox("Side by side", scene.side_by_side)
+            self._equal: Any = gui.add_checkbox("Equal size", scene.equal_size, hint="Show all as large as the first")
             up: Any = gui.add_dropdown("Up", tuple(_UP))
             background = gui.add_rgb("Background", _BACKGROUND)
             whole = gui.add_button("Whole view")
@@ -55,10 +57,11 @@ class DisplayPanel:
             control.on_update(look)
 
         def arrange(_: Any) -> None:
-            scene.side_by_side = self._row.value
+            scene.side_by_side, scene.equal_size = self._row.value, self._equal.value
             scene.arrange()
 
         self._row.on_update(arrange)
+        self._equal.on_update(arrange)
         up.on_update(lambda _: scene.set_up(_UP[up.value]))
         background.on_update(lambda _: self._set_background(background.value))
         whole.on_click(self._show_whole)
@@ -71,9 +74,10 @@ class DisplayPanel:
         self._up.value = next(name for name, value in _UP.items() if value == up)
         self._scene.set_up(up)
 
-    def set_side_by_side(self, wanted: bool) -> None:
-        """Stand meshes in a row, or each at its own coordinates."""
-        self._row.value = self._scene.side_by_side = wanted
+    def arrange(self, side_by_side: bool, equal_size: bool) -> None:
+        """Stand meshes in a row, or each at its own coordinates; and as large as the first, or at their own sizes."""
+        self._row.value = self._scene.side_by_side = side_by_side
+        self._equal.value = self._scene.equal_size = equal_size
         self._scene.arrange()
 
     def list_meshes(self) -> None:
@@ -81,10 +85,12 @@ class DisplayPanel:
         lines = []
         for name, shown in self._scene.meshes.items():
             snapshot = shown.snapshot
-            lines.append(f"{name}: {len(snapshot.vertices):,} vertices, {len(snapshot.faces):,} faces")
+            lines.append(f"{_plain(name)}: {len(snapshot.vertices):,} vertices, {len(snapshot.faces):,} faces")
             if shown.left_out:
                 lines[-1] += f", and {shown.left_out:,} left out because a vertex is not finite"
-        text = "  \n".join(lines).replace("_", "\\_") or "*No mesh yet.*"
+            if shown.scale != 1:
+                lines[-1] += f", shown {shown.scale:.3g} times as large"
+        text = "  \n".join(lines) or "*No mesh yet.*"
         if self._info.content != text:
             self._info.content = text
         wanted = list(self._scene.meshes) if len(self._scene.meshes) > 1 else []
@@ -125,3 +131,8 @@ class DisplayPanel:
     def _set_background(self, color: tuple[int, int, int]) -> None:
         """Fill the background with a colour."""
         self._server.scene.set_background_image(np.full((1, 1, 3), color, np.uint8), format="png")
+
+
+def _plain(name: str) -> str:
+    """Keep Markdown from reading anything into a name."""
+    return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", name)

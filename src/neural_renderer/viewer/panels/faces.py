@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..scene import Scene, Shown
+from ..scene import Scene
+from ..shown import Shown
 from ..worker import Worker
 
 if TYPE_CHECKING:

@@ -20,7 +20,8 @@ from ..drawing.our_picture import (
     picture,
 )
 from ..frusta import Frusta
-from ..scene import Scene, Shown
+from ..scene import Scene
+from ..shown import Shown
 from ..worker import Worker
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 _OUTPUTS = {"colour": "rgb", "silhouette": "alpha", "depth": "depth"}
 _HEIGHTS = (128, 256, 384, 512)
-_PLACE, _WIDTH = (15, -15), 380  # of the picture, in pixels of the page: at the bottom on the left
+_WIDTH = 380  # of the picture, in pixels of the page
 _WHITE = (1.0, 1.0, 1.0)
 _SHAFT, _HEAD = 0.003, 0.008  # radii of arrows, relative to the size of the mesh
 _HEAD_LENGTH = 0.02
@@ -57,7 +58,8 @@ class RendererPanel:
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Our renderer"):
             self._image = gui.add_image(np.full((1, 1, 3), 255, np.uint8), format="png")
-        self._panel.float(x=_PLACE[0], y=_PLACE[1], width=_WIDTH)
+        self._panel.dock_left()  # beside the browser's picture: it hides nothing
+        self._panel.set_width(_WIDTH)
         controls = (self._on, self._output, self._height, self._gradient, self._mesh, self._loss, self._target)
         for control in (*controls, self._estimator, self._form):
             control.on_update(lambda _: self.update())

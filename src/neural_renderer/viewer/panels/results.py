@@ -14,20 +14,21 @@ from ...io import load_image
 if TYPE_CHECKING:
     import viser
 
-_PLACE, _WIDTH = (-15, -15), 420  # of the panel of pictures, in pixels of the page: at the bottom on the right
+_WIDTH = 320  # of the panel of pictures, in pixels of the page
 _LARGEST = 1200  # longer side of a picture
 
 
 class PicturesPanel:
-    """A floating panel with one of several pictures."""
+    """A panel with one of several pictures, at the left of the scene: it hides nothing."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._files: dict[str, Path] = {}
         panel = server.gui.add_panel()
         with panel.add_tab("Pictures"):
-            self._choice: Any = server.gui.add_dropdown("Picture", ("–",))
+            self._choice: Any = server.gui.add_dropdown("File", ("–",))
             self._image: Any = server.gui.add_image(np.full((1, 1, 3), 255, np.uint8))
-        panel.float(x=_PLACE[0], y=_PLACE[1], width=_WIDTH)
+        panel.dock_left()
+        panel.set_width(_WIDTH)
         self._choice.on_update(self._show)
 
     def offer(self, pictures: Mapping[str, Path]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -143,15 +144,26 @@ class RunPanel:
 
         thin = points[:: -(-len(points) // _MOST_POINTS)]
         x, y = np.ascontiguousarray(thin[:, 0]), np.ascontiguousarray(thin[:, 1])
+        # viser's page, when it is slow, loses its place in curves whose axis follows them.
+        axis = {"x": viser.uplot.Scale(time=False, range=(0.0, round_up(float(x.max()))))}
         if name in self._curves:
-            self._curves[name].data = (x, y)
+            curve = self._curves[name]
+            curve.data = (x, y)
+            if curve.scales != axis:
+                curve.scales = axis
             return
         with self._folder:
             self._curves[name] = self._server.gui.add_uplot(
                 (x, y),
                 (viser.uplot.Series(label="step"), viser.uplot.Series(label=name, stroke=_COLOR, width=2)),
                 title=name,
-                scales={"x": viser.uplot.Scale(time=False)},
+                scales=axis,
                 legend=viser.uplot.Legend(show=False),
                 height=_CURVE_HEIGHT,
             )
+
+
+def round_up(value: float) -> float:
+    """Return the least of 10, 20, 50, 100, 200, 500, … that is not less."""
+    power = 10.0 ** max(math.floor(math.log10(max(value, 1.0))), 1)
+    return next(factor * power for factor in (1, 2, 5, 10) if value <= factor * power)
