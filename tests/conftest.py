@@ -50,6 +50,15 @@ def emulated_cuda(request: pytest.FixtureRequest) -> Iterator[None]:
     assert not races, f"unordered accesses to memory: {races}"
 
 
+@pytest.fixture
+def deterministic() -> Iterator[None]:
+    """Sums in one order on every device, for tests that compare gradients bit for bit."""
+    before = torch.are_deterministic_algorithms_enabled()
+    torch.use_deterministic_algorithms(True)
+    yield
+    torch.use_deterministic_algorithms(before)
+
+
 @pytest.fixture(params=["here", "all"])
 def nasty(request: pytest.FixtureRequest) -> Path:
     """The folder of meshes that are hard to read: the small ones of this repository, and all of them beside it."""

@@ -126,19 +126,15 @@ def threads():
     torch.set_num_threads(before)
 
 
+@pytest.mark.usefixtures("deterministic")
 def test_gradients_are_deterministic_for_any_number_of_threads(device, threads):
     faces = torch.cat((ball(0, 2, 0.2), Scene(3, 1, 320, 8, 8, True, True, ("plain", "tiny")).faces)).to(device)
     index = coverage(faces, 48, 40, NEAR, FAR, True, True)
     image, grad = Scene(4, 1, 1, 1, 1, True, True, ()).noise(2, 2, 3, 48, 40).to(device)
-    before = torch.are_deterministic_algorithms_enabled()
-    torch.use_deterministic_algorithms(True)
-    try:
-        results = []
-        for count in (1, 2, 1, 3, 2):
-            threads(count)
-            results.append(edge_gradient_backward(grad, image, faces, index, True, True, True))
-    finally:
-        torch.use_deterministic_algorithms(before)
+    results = []
+    for count in (1, 2, 1, 3, 2):
+        threads(count)
+        results.append(edge_gradient_backward(grad, image, faces, index, True, True, True))
     assert results[0].any() and all(torch.equal(results[0], other) for other in results)
 
 
@@ -211,15 +207,15 @@ def test_channels_without_contrast_or_gradient_add_nothing(device):
     torch.testing.assert_close(found, alone, **rounding(4 * 20, float(alone.abs().max())))
 
 
+@pytest.mark.usefixtures("deterministic")
 @pytest.mark.parametrize("batch", [1, 2])
-def test_edges_with_matching_hashes_are_no_seams(device, batch, monkeypatch):
+def test_edges_with_matching_hashes_are_no_seams(device, batch):
     faces = ball(3, 1).repeat(2, 1, 1, 1)
     edge_hashes = torch.randint(0, 2, (batch, faces.shape[1], 3, 2), generator=torch.Generator().manual_seed(batch))
     compared = compare(device, faces, 40, 33, 3, True, True, True, 1, edge_hashes)
     assert compared[0] > 30
     index = coverage(faces.to(device), 40, 33, NEAR, FAR, True, True)
     image, grad = torch.randn(2, 2, 3, 40, 33, device=device)
-    monkeypatch.setattr(torch, "are_deterministic_algorithms_enabled", lambda: True)  # sums in one order
     for value, seams in ((0, True), (7, False)):
         equal = torch.full((1, faces.shape[1], 3, 2), value, device=device)
         found = edge_gradient_backward(grad, image, faces.to(device), index, True, True, True, equal)

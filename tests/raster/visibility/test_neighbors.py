@@ -108,12 +108,12 @@ def test_a_pile_of_equal_faces(device):
         assert (found[0, 1:, 0] == 0).all() and found[0, 0].tolist() == [1, -1, -1]
 
 
-def test_a_pile_is_the_same_in_deterministic_mode(device, monkeypatch):
+@pytest.mark.usefixtures("deterministic")
+def test_a_pile_is_the_same_in_deterministic_mode(device):
     """More faces at an edge than are looked at: the first ones count, in whatever order threads run."""
     corners = torch.tensor([[-0.5, 0, 2.0], [0.5, 0, 2], [0, 0.5, 2], [0, -0.5, 2]])
     pile = corners[torch.tensor([0, 1, 2])].expand(50, 3, 3)
     faces = torch.cat((corners[torch.tensor([[1, 0, 3]])], pile))[None].to(device)
-    monkeypatch.setattr(torch, "are_deterministic_algorithms_enabled", lambda: True)
     found = neighbors(faces, True, True)[0].cpu()
     assert (found[1:, 0] == 0).all() and found[0].tolist() == [1, -1, -1]
 

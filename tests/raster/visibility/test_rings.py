@@ -91,6 +91,7 @@ def gradient(vertices, faces, change=None):
     return leaf.grad
 
 
+@pytest.mark.usefixtures("deterministic")
 def test_faces_may_change_before_the_image_is_made(device):
     """Faces of 64 bits: they are copied to 32. (Changes of 32-bit faces are errors in backward.)"""
     vertices, faces = (t.to(device) for t in nr.icosphere(1, 0.7))
@@ -100,6 +101,7 @@ def test_faces_may_change_before_the_image_is_made(device):
     assert expected.any()
 
 
+@pytest.mark.usefixtures("deterministic")
 def test_rasterized_with_indices_and_without(device):
     vertices, faces = (t.to(device) for t in nr.icosphere(2, 0.7))
     screen = nr.Camera.look_at((0.3, 0.8, -2.2))(vertices)

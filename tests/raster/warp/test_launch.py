@@ -56,14 +56,10 @@ def test_same_bits_whatever_the_threads(threads, batch):
     assert all(t.any() for t in results[0])
 
 
+@pytest.mark.usefixtures("deterministic")
 def test_same_bits_from_run_to_run(device):
-    before = torch.are_deterministic_algorithms_enabled()
-    torch.use_deterministic_algorithms(True)
-    try:
-        first = everything(device, 2)
-        assert all(equal(first, everything(device, 2)) for _ in range(5))
-    finally:
-        torch.use_deterministic_algorithms(before)
+    first = everything(device, 2)
+    assert all(equal(first, everything(device, 2)) for _ in range(5))
 
 
 def test_batch_is_its_images_one_by_one(device):
