@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rich
 import torch
 
 import neural_renderer as nr
@@ -361,7 +362,10 @@ def test_a_program_that_forgets_to_close_ends(tmp_path: Path) -> None:
 def test_in_a_notebook_the_page_is_inline(
     open_viewer: Callable[..., Viewer], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The page alone: viser's table, which rich displays there, is not."""
     shown: list[Any] = []
+    monkeypatch.setattr(rich.get_console(), "is_jupyter", True)
+    monkeypatch.setattr("rich.jupyter.display", lambda *_: shown.append("printed"))
     shell = types.SimpleNamespace(kernel=object())
     ipython = types.ModuleType("IPython")
     ipython.get_ipython = lambda: shell  # type: ignore[attr-defined]
@@ -372,6 +376,7 @@ def test_in_a_notebook_the_page_is_inline(
     monkeypatch.setitem(sys.modules, "IPython.display", display)
     with nr.view(port=0) as viewer:
         assert f'<iframe src="{viewer.url}"' in shown[0] == viewer._repr_html_()
+    assert len(shown) == 1 and not rich.get_console().quiet
     assert capsys.readouterr().out == ""
 
 

@@ -14,6 +14,8 @@ from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+import rich
+
 from ..io.files import warn
 
 if TYPE_CHECKING:
@@ -96,12 +98,17 @@ class _Filtered(io.TextIOBase):
 
 @contextlib.contextmanager
 def _without_output(drops: Callable[[str], bool]) -> Iterator[None]:
-    """Drop some of what is printed: viser prints what a program that uses it should say in its own way."""
-    before = sys.stdout
+    """Drop some of what is printed: viser prints what a program that uses it should say in its own way.
+
+    In a notebook rich's own console, which viser prints with, bypasses the standard output.
+    """
+    before, console = sys.stdout, rich.get_console()
     filtered = sys.stdout = _Filtered(before, drops)
+    was_quiet, console.quiet = console.quiet, console.quiet or console.is_jupyter
     try:
         yield
     finally:
+        console.quiet = was_quiet
         if sys.stdout is filtered:  # nobody else has replaced it meanwhile
             sys.stdout = before
 
