@@ -34,26 +34,6 @@ def visible_faces(face_index: Tensor, count: int) -> Tensor:
     return mask
 
 
-def near_visible(visible: Tensor, links: Tensor, steps: int) -> Tensor:
-    """Mark visible faces, and those that are a few steps from face to linked face away from one.
-
-    Args:
-        visible: 1 for each visible face, [B, F + 1] int32, as from `visible_faces`.
-        links: Linked faces of each face, [1 or B, F, 3]; -1 for none.
-        steps: Number of steps.
-
-    Returns:
-        [B, F + 1] int32; the last entry is 0.
-    """
-    batch, count = len(visible), visible.shape[1] - 1
-    places = torch.where(links < 0, count, links).long().reshape(len(links), -1).expand(batch, -1)
-    near = torch.nn.functional.pad(visible[:, :count], (0, 1))  # the last entry stands for no face
-    for _ in range(steps):
-        linked = near.gather(1, places).view(batch, count, 3).amax(2)
-        near[:, :count] = torch.maximum(near[:, :count], linked)
-    return near
-
-
 def _visible_faces(face_index: Tensor, count: int) -> Tensor:
     visible = zeros((len(face_index), count + 1), face_index.device, torch.int32)
     batch, height, width = face_index.shape

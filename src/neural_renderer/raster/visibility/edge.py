@@ -35,7 +35,7 @@ import warp as wp
 from torch import Tensor
 
 from ..colors.downsample import halve, halve_backward
-from ..ops.visible_faces import near_visible, visible_faces
+from ..ops.visible_faces import visible_faces
 from ..warp.geometry import facing
 from ..warp.launch import array, copy
 from ..warp.layout import face_tasks
@@ -115,11 +115,8 @@ def edge_gradient_backward(
     if result.numel() == 0 or image.numel() == 0:
         return result
     visible = visible_faces(face_index, faces.shape[1])
-    near = visible if rings is None else near_visible(visible, rings[:, :-1] // 3, LONGEST - 1)
-    adjacent = neighbors(faces, two_sided, perspective, near, rings)
-    if rings is None:
-        near = near_visible(visible, adjacent, LONGEST - 1)
-    add_edges(result, grad, image, faces, face_index, near, adjacent, perspective, seams, edge_hashes)
+    adjacent = neighbors(faces, two_sided, perspective, rings)
+    add_edges(result, grad, image, faces, face_index, visible, adjacent, perspective, seams, edge_hashes)
     add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
     return result
 
@@ -130,7 +127,7 @@ def add_edges(
     image: Tensor,
     faces: Tensor,
     face_index: Tensor,
-    near: Tensor,
+    visible: Tensor,
     adjacent: Tensor,
     perspective: bool,
     seams: bool,
@@ -144,7 +141,7 @@ def add_edges(
         grad: Gradient to the image, [B, C, H, W] float32.
         image: [B, C, H, W] float32.
         faces, face_index, perspective, seams, edge_hashes: As in `edge_gradient`.
-        near: As from `near_visible`.
+        visible: As from `visible_faces`.
         adjacent: As from `neighbors`.
         folds: Faces that the surface folds back to, as from `neighbors`; an edge behind its fold has no gradient, for
             the face in front has it. None: edges behind folds are hidden anyway.
@@ -156,7 +153,7 @@ def add_edges(
     if folds is None:
         folds = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
     options = [array(folds), int(perspective), int(seams)]
-    arguments = [array(faces, wp.vec3), *maps, array(near), array(adjacent), *options]
+    arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), *options]
     arguments += [array(edge_hashes), array(result, wp.vec3)]
     launch_lines(_move, arguments, batch * faces.shape[1], 1, faces.device, face_tasks(faces, height * width))
 
@@ -255,18 +252,32 @@ def move_edges(
 
 
 _HAS_MOVING_EDGE = """
-    const int* next = adjacent.data + ((wp::int64)b * adjacent.shape[1] + f) * 3;
-    // Most faces end here: the surface continues across all three edges.
-    if (!seams && next[0] >= 0 && next[1] >= 0 && next[2] >= 0) return false;
-    // A face that all pixel centres miss still has visible edges if a chain of faces stands in for it.
-    const int* shown = near.data + (wp::int64)b * near.shape[1];
-    return shown[f] || (next[0] >= 0 && shown[next[0]]) || (next[1] >= 0 && shown[next[1]])
-        || (next[2] >= 0 && shown[next[2]]);
+    const int* next = adjacent.data + (wp::int64)b * adjacent.shape[1] * 3;
+    const int* shown = visible.data + (wp::int64)b * visible.shape[1];
+    const bool has_outline = next[3 * f] < 0 || next[3 * f + 1] < 0 || next[3 * f + 2] < 0;
+    if (shown[f]) return seams || has_outline;
+    // The outline of a face that all pixel centres miss is visible if one of the faces behind it is; for a seam, the
+    // adjacent face has to be. The search goes from face to face, depth first.
+    int faces[LONGEST + 2], from[LONGEST + 2], steps[LONGEST + 2], last = 0;
+    faces[0] = f, from[0] = -1, steps[0] = has_outline ? LONGEST : seams ? 1 : 0;
+    while (last >= 0) {
+        const int face = faces[last], before = from[last], left = steps[last] - 1;
+        --last;
+        for (int k = 0; k < 3 && left >= 0; ++k) {
+            const int g = next[3 * (wp::int64)face + k];
+            if (g < 0 || g == before) continue;
+            if (shown[g]) return true;
+            if (left > 0) ++last, faces[last] = g, from[last] = face, steps[last] = left;
+        }
+    }
+    return false;
 """
 
 
-@wp.func_native(_HAS_MOVING_EDGE)
-def has_moving_edge(near: wp.array2d(dtype=int), adjacent: wp.array3d(dtype=int), b: int, f: int, seams: int) -> bool:
+@wp.func_native(_HAS_MOVING_EDGE.replace("LONGEST", str(LONGEST)))
+def has_moving_edge(
+    visible: wp.array2d(dtype=int), adjacent: wp.array3d(dtype=int), b: int, f: int, seams: int
+) -> bool:
     """Test whether an edge of the face may be a visible boundary."""
     ...
 
@@ -348,7 +359,7 @@ def _move(
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
-    near: wp.array2d(dtype=int),
+    visible: wp.array2d(dtype=int),
     adjacent: wp.array3d(dtype=int),
     folds: wp.array3d(dtype=int),
     perspective: int,
@@ -362,7 +373,7 @@ def _move(
 ):
     """Move the edges of one face of one image, or some lines of them; see `launch_lines`."""
     own = (first + wp.tid()) // lanes
-    if threads == 0 and not has_moving_edge(near, adjacent, own // faces.shape[1], own % faces.shape[1], seams):
+    if threads == 0 and not has_moving_edge(visible, adjacent, own // faces.shape[1], own % faces.shape[1], seams):
         return
     thread = wp.int64(first + wp.tid())
     end = thread + wp.int64(1)
