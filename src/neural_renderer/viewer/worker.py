@@ -41,6 +41,7 @@ class Worker:
         """Do a job soon."""
         with self._changed:
             if not self._closed:
+                self._jobs.pop(name, None)  # after those that were posted meanwhile
                 self._jobs[name] = job
                 self._changed.notify_all()
 
