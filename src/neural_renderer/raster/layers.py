@@ -22,11 +22,9 @@ import torch
 from torch import Tensor
 
 from .colors.downsample import halve, halve_backward
-from .ops.visible_faces import near_visible, visible_faces
 from .visibility.edge import add_edges
 from .visibility.intersections import add_intersections
 from .visibility.neighbors import neighbors
-from .visibility.outlines import LONGEST
 from .warp.launch import copy
 from .warp.memory import zeros
 from .warp.registration import differentiable, differentiable_once, operator
@@ -84,13 +82,9 @@ def layers_gradient_backward(
     if result.numel() == 0 or pictures.numel() == 0:
         return result
     for image, index in zip(pictures.contiguous(), face_index.contiguous(), strict=True):
-        visible = visible_faces(index, faces.shape[1])
-        near = visible if rings is None else near_visible(visible, rings[:, :-1] // 3, LONGEST - 1)
-        adjacent, folds = (neighbors(faces, two_sided, perspective, near, rings, fold) for fold in (False, True))
-        if rings is None:
-            near = near_visible(visible, adjacent, LONGEST - 1)
+        adjacent, folds = (neighbors(faces, two_sided, perspective, rings, fold) for fold in (False, True))
         own = zeros(faces.shape, faces.device)
-        add_edges(own, grad, image, faces, index, near, adjacent, perspective, seams, edge_hashes, folds)
+        add_edges(own, grad, image, faces, index, adjacent, perspective, seams, edge_hashes, folds)
         add_intersections(own, grad, image, faces, index, adjacent, perspective)
         result += own
     return result

@@ -34,10 +34,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..colors.downsample import halve, halve_backward
-from ..ops.visible_faces import near_visible, visible_faces
+from ..colors.downsample import averaged, halve_backward, like_averaged
+from ..ops.visible_faces import visible_faces
 from ..warp.geometry import facing
-from ..warp.launch import array, copy
+from ..warp.launch import array, no_array
 from ..warp.layout import face_tasks
 from ..warp.memory import zeros
 from ..warp.queue import launch_lines, line_task, queued_threads
@@ -48,7 +48,7 @@ from .gains import GAINS
 from .intersections import add_intersections
 from .nearness import NEARNESS
 from .neighbors import neighbors
-from .outlines import LONGEST, OUTLINES
+from .outlines import OUTLINES
 from .seams import SEAMS
 
 wp.set_module_options({"enable_backward": False})
@@ -56,20 +56,21 @@ wp.set_module_options({"enable_backward": False})
 
 @operator
 def edge_gradient(
-    image: Tensor,
+    image: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
     faces: Tensor,
     face_index: Tensor,
     two_sided: bool,
     perspective: bool,
     seams: bool,
-    edge_hashes: Optional[Tensor] = None,  # noqa: UP045 (schemas are inferred from it)
+    edge_hashes: Optional[Tensor] = None,  # noqa: UP045
     rings: Optional[Tensor] = None,  # noqa: UP045
     halved: bool = False,
 ) -> Tensor:
     """Return the image, and in backward send a gradient through visibility to the faces.
 
     Args:
-        image: Any number of channels with their background, before anti-aliasing, [B, C, H, W] float32.
+        image: Any number of channels with their background, before anti-aliasing, [B, C, H, W] float32. None stands for
+            the silhouette, of one channel.
         faces: Screen-space corners, [B, F, 3, 3] float32.
         face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
         two_sided: As in `coverage`.
@@ -88,19 +89,18 @@ def edge_gradient(
         the image, and gradients to x and y of faces; where faces intersect, also to z. There is no second derivative
         (RuntimeError).
     """
-    return halve(image) if halved else copy(image)
+    return averaged(image, face_index, halved)
 
 
 @torch.library.register_fake("neural_renderer::edge_gradient")
 def _(image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None, halved=False):
-    scale = 2 if halved else 1
-    return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
+    return like_averaged(image, face_index, halved)
 
 
 @differentiable_once
 def edge_gradient_backward(
     grad: Tensor,
-    image: Tensor,
+    image: Optional[Tensor],  # noqa: UP045
     faces: Tensor,
     face_index: Tensor,
     two_sided: bool,
@@ -109,28 +109,30 @@ def edge_gradient_backward(
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045
     rings: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
-    """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces; arguments as there."""
-    grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
+    """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces.
+
+    Args:
+        grad: Gradient to the image, [B, C, H, W] float32; or to the means of its blocks of 2 x 2 pixels,
+            [B, C, H / 2, W / 2].
+        image, faces, face_index, two_sided, perspective, seams, edge_hashes, rings: As in `edge_gradient`.
+    """
+    grad, faces = grad.contiguous(), faces.contiguous()
     result = zeros(faces.shape, faces.device)
-    if result.numel() == 0 or image.numel() == 0:
+    if result.numel() == 0 or grad.numel() == 0:
         return result
-    visible = visible_faces(face_index, faces.shape[1])
-    near = visible if rings is None else near_visible(visible, rings[:, :-1] // 3, LONGEST - 1)
-    adjacent = neighbors(faces, two_sided, perspective, near, rings)
-    if rings is None:
-        near = near_visible(visible, adjacent, LONGEST - 1)
-    add_edges(result, grad, image, faces, face_index, near, adjacent, perspective, seams, edge_hashes)
-    add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
+    adjacent = neighbors(faces, two_sided, perspective, rings)
+    add_edges(result, grad, image, faces, face_index, adjacent, perspective, seams, edge_hashes)
+    if image is not None:  # where two faces of a silhouette meet, both are 1
+        add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
     return result
 
 
 def add_edges(
     result: Tensor,
     grad: Tensor,
-    image: Tensor,
+    image: Tensor | None,
     faces: Tensor,
     face_index: Tensor,
-    near: Tensor,
     adjacent: Tensor,
     perspective: bool,
     seams: bool,
@@ -141,22 +143,22 @@ def add_edges(
 
     Args:
         result: Gradient to the corners, [B, F, 3, 3] float32 of zeros; written.
-        grad: Gradient to the image, [B, C, H, W] float32.
-        image: [B, C, H, W] float32.
+        grad: As in `edge_gradient_backward`.
+        image: [B, C, H, W] float32; None for the silhouette.
         faces, face_index, perspective, seams, edge_hashes: As in `edge_gradient`.
-        near: As from `near_visible`.
         adjacent: As from `neighbors`.
         folds: Faces that the surface folds back to, as from `neighbors`; an edge behind its fold has no gradient, for
             the face in front has it. None: edges behind folds are hidden anyway.
     """
-    batch, _, height, width = image.shape
-    maps = [array(image), array(grad), array(face_index)]
+    batch, height, width = face_index.shape
+    maps = [no_array(4, grad.device) if image is None else array(image), array(grad), array(face_index)]
     if edge_hashes is None:
         edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=faces.device)  # 0 matches nothing
     if folds is None:
         folds = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
     options = [array(folds), int(perspective), int(seams)]
-    arguments = [array(faces, wp.vec3), *maps, array(near), array(adjacent), *options]
+    visible = visible_faces(face_index, faces.shape[1])
+    arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), *options]
     arguments += [array(edge_hashes), array(result, wp.vec3)]
     launch_lines(_move, arguments, batch * faces.shape[1], 1, faces.device, face_tasks(faces, height * width))
 
@@ -173,12 +175,13 @@ def _save(ctx, inputs, output):
 
 def _backward(ctx, grad):
     image, faces, face_index, *rest = ctx.saved_tensors
-    grad = halve_backward(grad) if ctx.halved else grad
-    to_faces = None
+    to_image = to_faces = None
+    if image is not None:
+        to_image = grad = halve_backward(grad) if ctx.halved else grad
     if ctx.needs_input_grad[1]:
         options = (ctx.two_sided, ctx.perspective, ctx.seams, *rest)
         to_faces = edge_gradient_backward(grad, image, faces, face_index, *options)
-    return grad, to_faces, *[None] * 7
+    return to_image, to_faces, *[None] * 7
 
 
 differentiable(edge_gradient, _backward, _save)
@@ -186,12 +189,14 @@ differentiable(edge_gradient, _backward, _save)
 
 _MOVE_EDGES = """
     Lines lines;
-    lines.height = image.shape[2], lines.width = image.shape[3], lines.channels = image.shape[1];
+    lines.height = face_index.shape[1], lines.width = face_index.shape[2], lines.channels = grad.shape[1];
+    lines.is_silhouette = image.shape[0] == 0, lines.halved = grad.shape[3] < lines.width;
     lines.perspective = perspective;
     lines.set(0);
     const wp::int64 first_face = (wp::int64)b * faces.shape[1], own = first_face + f;
-    lines.image = image.data + b * lines.channels * lines.area;
-    lines.grad = grad.data + b * lines.channels * lines.area;
+    lines.image = lines.is_silhouette ? grad.data : image.data + b * lines.channels * lines.area;
+    lines.grad_area = lines.halved ? lines.area / 4 : lines.area;
+    lines.grad = grad.data + b * lines.channels * lines.grad_area;
     lines.shown = face_index.data + b * lines.area;
     lines.faces = faces.data + first_face * 3;
     lines.adjacent = adjacent.data + first_face * 3;
@@ -219,7 +224,8 @@ _MOVE_EDGES = """
                 gain *= Lines::border_weight(at.v, lines.length);
                 to_p += (1.0f - at.share) * gain, to_q += at.share * gain;
             }
-            const float scale = 0.5f * (float)(edge.outward * lines.length);
+            // A pixel has a quarter of the gradient of its block.
+            const float scale = (lines.halved ? 0.125f : 0.5f) * (float)(edge.outward * lines.length);
             to[p][axis] += scale * to_p, to[q][axis] += scale * to_q;
         }
     }
@@ -257,16 +263,34 @@ def move_edges(
 _HAS_MOVING_EDGE = """
     const int* next = adjacent.data + ((wp::int64)b * adjacent.shape[1] + f) * 3;
     // Most faces end here: the surface continues across all three edges.
-    if (!seams && next[0] >= 0 && next[1] >= 0 && next[2] >= 0) return false;
-    // A face that all pixel centres miss still has visible edges if a chain of faces stands in for it.
-    const int* shown = near.data + (wp::int64)b * near.shape[1];
-    return shown[f] || (next[0] >= 0 && shown[next[0]]) || (next[1] >= 0 && shown[next[1]])
-        || (next[2] >= 0 && shown[next[2]]);
-"""
+    const bool ends = (next[0] < 0) | (next[1] < 0) | (next[2] < 0);
+    if (!seams && !ends) return false;
+    const int* shown = visible.data + (wp::int64)b * visible.shape[1];
+    for (int k = 0; k < 3; ++k)
+        if (next[k] >= 0 && shown[next[k]]) return true;
+    if (shown[f] || !ends) return shown[f];
+    // A face that all pixel centres miss still has a visible outline if another one stands in for it. Few are searched:
+    // it may be any of a large surface.
+    int near[FEW], count = 1;
+    near[0] = f;
+    for (int n = 0; n < count; ++n) {
+        for (int k = 0; k < 3; ++k) {
+            const int other = next[3 * (near[n] - f) + k];
+            bool known = other < 0;
+            for (int m = 0; m < count; ++m) known |= near[m] == other;
+            if (known) continue;
+            if (count == FEW || shown[other]) return true;
+            near[count++] = other;
+        }
+    }
+    return false;
+""".replace("FEW", "12")
 
 
 @wp.func_native(_HAS_MOVING_EDGE)
-def has_moving_edge(near: wp.array2d(dtype=int), adjacent: wp.array3d(dtype=int), b: int, f: int, seams: int) -> bool:
+def has_moving_edge(
+    visible: wp.array2d(dtype=int), adjacent: wp.array3d(dtype=int), b: int, f: int, seams: int
+) -> bool:
     """Test whether an edge of the face may be a visible boundary."""
     ...
 
@@ -348,7 +372,7 @@ def _move(
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
-    near: wp.array2d(dtype=int),
+    visible: wp.array2d(dtype=int),
     adjacent: wp.array3d(dtype=int),
     folds: wp.array3d(dtype=int),
     perspective: int,
@@ -362,7 +386,7 @@ def _move(
 ):
     """Move the edges of one face of one image, or some lines of them; see `launch_lines`."""
     own = (first + wp.tid()) // lanes
-    if threads == 0 and not has_moving_edge(near, adjacent, own // faces.shape[1], own % faces.shape[1], seams):
+    if threads == 0 and not has_moving_edge(visible, adjacent, own // faces.shape[1], own % faces.shape[1], seams):
         return
     thread = wp.int64(first + wp.tid())
     end = thread + wp.int64(1)
@@ -371,7 +395,7 @@ def _move(
     alone = int(queue.shape[0] == 0)
     while thread < end:
         face, _lane, part, parts = line_task(
-            faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 1
+            faces, face_index.shape[1], face_index.shape[2], queue, total, lanes, threads, thread, 1
         )
         if face >= 0:
             b = face // faces.shape[1]

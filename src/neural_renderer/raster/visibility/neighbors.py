@@ -30,7 +30,6 @@ def neighbors(
     faces: Tensor,
     two_sided: bool,
     perspective: bool,
-    visible: Tensor | None = None,
     rings: Tensor | None = None,
     folds: bool = False,
 ) -> Tensor:
@@ -40,21 +39,20 @@ def neighbors(
         faces: Screen-space corners, [B, F, 3, 3] float32.
         two_sided: As in `coverage`.
         perspective: As in `coverage`.
-        visible: 1 for each visible face, [B, F + 1] int32, as from `visible_faces`. Used with ``rings`` only.
         rings: [1 or B, F + 1, 3] int32 from `edge_rings` for the vertex indices of the faces.
         folds: Find faces with the same two corners on the same side of the edge.
 
     Returns:
         [B, F, 3] int32: the face across edge k, from corner k to the next; -1 for none and for faces that are not
-        drawn. With ``rings``, also -1 for faces that are neither visible nor beside a visible one.
+        drawn.
     """
     batch, count = faces.shape[:2]
     result = empty((batch, count, 3), faces.device, torch.int32)
     corners = array(faces, wp.vec3)
     options, way = [int(two_sided), int(perspective)], 1 if folds else -1
     most = 3 * count
-    if rings is not None and visible is not None:
-        arguments = [corners, array(visible), array(rings), *options, way, array(result)]
+    if rings is not None:
+        arguments = [corners, array(rings), *options, way, array(result)]
         launch(_search_rings, batch * count, arguments, faces.device, _LEAST)
         if readable(faces.device):
             most = int(rings[0, -1, 0])
@@ -133,18 +131,11 @@ def beside(p: wp.vec3, q: wp.vec3, r: wp.vec3, perspective: int) -> float:
 _SEARCH_RINGS = """
     const wp::int64 count = faces.shape[1], own = b < rings.shape[0] ? b : rings.shape[0] - 1;
     const int* next = rings.data + own * (count + 1) * 3;
-    const int* shown = visible.data + (wp::int64)b * visible.shape[1];
     const wp::vec_t<3, float>* corners = faces.data + b * count * 3;
     int* to = result.data + (b * count + f) * 3;
     to[0] = to[1] = to[2] = -1;
-    int near = shown[f];
-    for (int k = 0; k < 3; ++k) {
-        int entry = next[3 * f + k];
-        near |= entry == 3 * f + k;  // alone in its ring; the table may have a neighbour
-        for (int n = 0; n < MOST && !near && entry != 3 * f + k; ++n, entry = next[entry]) near = shown[entry / 3];
-    }
     const auto* v = corners + 3 * (wp::int64)f;
-    if (!near || !Drawn::is(v, two_sided, perspective)) return;
+    if (!Drawn::is(v, two_sided, perspective)) return;
     for (int k = 0; k < 3; ++k) {
         const auto &p = v[k], &q = v[k == 2 ? 0 : k + 1];
         const float side = Drawn::beside(p, q, v[k == 0 ? 2 : k - 1], perspective);
@@ -163,7 +154,6 @@ _SEARCH_RINGS = """
 @wp.func_native(_DRAWN + _SEARCH_RINGS.replace("MOST", str(MOST_EQUALS)))
 def search_rings(
     faces: wp.array3d(dtype=wp.vec3),
-    visible: wp.array2d(dtype=int),
     rings: wp.array3d(dtype=int),
     two_sided: int,
     perspective: int,
@@ -183,7 +173,6 @@ def search_rings(
 def _search_rings(
     first: int,
     faces: wp.array3d(dtype=wp.vec3),
-    visible: wp.array2d(dtype=int),
     rings: wp.array3d(dtype=int),
     two_sided: int,
     perspective: int,
@@ -192,10 +181,8 @@ def _search_rings(
 ):
     """Find the faces adjacent to one face of one image by the rings of its edges."""
     task = first + wp.tid()
-    search_rings(
-        faces, visible, rings, two_sided, perspective, way, task // int(faces.shape[1]), task % int(faces.shape[1]),
-        result,
-    )  # fmt: skip
+    count = int(faces.shape[1])
+    search_rings(faces, rings, two_sided, perspective, way, task // count, task % count, result)
 
 
 @wp.func
