@@ -61,8 +61,9 @@ def test_operators_are_well_formed(device, name):
             (textures.sample_textures_backward, (image, cubes, light, faces, index, 1e-3, True, True, True)),
         ],
         "edges": [
-            (edges.nmr_gradient, (image.clone().requires_grad_(), leaf, index, 1e-3, True, False)),
-            (edges.nmr_gradient_backward, (image, image, faces, index, 1e-3, True, False)),
+            (edges.nmr_gradient, (image.clone().requires_grad_(), leaf, index, 1e-3, True)),
+            (edges.nmr_gradient, (None, leaf, index, 1e-3, True, True)),
+            (edges.nmr_gradient_backward, (image, image, faces, index, 1e-3, True)),
         ],
         "corners": [
             (corners.gather_corners, (noise(2, 5, 3).requires_grad_(), triangles)),

@@ -18,7 +18,6 @@ from .ops.coverage import coverage
 from .ops.flat_light import flat_light
 from .ops.pinhole import pinhole
 from .ops.project_corners import project_corners
-from .ops.visible_faces import visible_faces
 from .settings import Settings
 from .visibility.continuity import texture_edge_hashes
 from .visibility.edge import edge_gradient
@@ -38,8 +37,8 @@ PROJECTION: Functions = (pinhole, project_corners)
 SCENE: Functions = (*PROJECTION, flat_light)
 _ALWAYS: Functions = (coverage, gather_corners)
 _VISIBILITY: dict[str, Functions] = {
-    "nmr": (nmr_gradient, empty_lines, visible_faces),
-    "edge": (edge_gradient, add_intersections, neighbors, visible_faces),
+    "nmr": (nmr_gradient, empty_lines),
+    "edge": (edge_gradient, neighbors),
     "opendr": (),  # plain torch
 }
 
@@ -63,6 +62,8 @@ def load_kernels(
     moving = needs_gradient(*positions)
     # The modules that take longest to compile come first.
     needed: Functions = _VISIBILITY[settings.gradient] if moving else ()
+    if moving and settings.gradient == "edge" and set(outputs) != {"alpha"}:  # silhouettes do not show intersections
+        needed += (add_intersections,)
     needed += scene if "rgb" in outputs else scene[: len(PROJECTION)]
     if "rgb" in outputs:
         needed += colors

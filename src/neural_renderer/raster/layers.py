@@ -22,7 +22,6 @@ import torch
 from torch import Tensor
 
 from .colors.downsample import halve, halve_backward
-from .ops.visible_faces import visible_faces
 from .visibility.edge import add_edges
 from .visibility.intersections import add_intersections
 from .visibility.neighbors import neighbors
@@ -84,9 +83,8 @@ def layers_gradient_backward(
         return result
     adjacent, folds = (neighbors(faces, two_sided, perspective, rings, fold) for fold in (False, True))
     for image, index in zip(pictures.contiguous(), face_index.contiguous(), strict=True):
-        visible = visible_faces(index, faces.shape[1])
         own = zeros(faces.shape, faces.device)
-        add_edges(own, grad, image, faces, index, visible, adjacent, perspective, seams, edge_hashes, folds)
+        add_edges(own, grad, image, faces, index, adjacent, perspective, seams, edge_hashes, folds)
         add_intersections(own, grad, image, faces, index, adjacent, perspective)
         result += own
     return result

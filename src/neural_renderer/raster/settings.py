@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .colors.downsample import halve
-from .ops.coverage import coverage
+from .colors.downsample import averaged
+from .ops.coverage import coverage, silhouette
 from .visibility.comparators.opendr import opendr_gradient
 from .visibility.edge import edge_gradient
 from .visibility.nmr import nmr_gradient
@@ -120,7 +120,9 @@ class Settings:
     def face_index(self, corners: Tensor) -> Tensor:
         """Find the visible face of each drawn pixel, [B, H, W] int32; see `coverage`."""
         height, width = self.height * self.scale, self.width * self.scale
-        return coverage(corners.detach(), height, width, self.near, self.far, self.two_sided, self.perspective)
+        marked = self.gradient != "opendr" and needs_gradient(corners)
+        options = (self.near, self.far, self.two_sided, self.perspective)
+        return coverage(corners.detach(), height, width, *options, marked)
 
     def rings(self, corners: Tensor, triangles: Tensor) -> Tensor | None:
         """Find the `edge_rings` of the faces with these vertex indices; None if no gradient needs them."""
@@ -129,22 +131,20 @@ class Settings:
 
     def through_visibility(
         self,
-        image: Tensor,
+        image: Tensor | None,
         corners: Tensor,
         face_index: Tensor,
         seams: bool = False,
-        binary: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
         rings: Tensor | None = None,
     ) -> Tensor:
         """Average an image for anti-aliasing, and attach the gradient through visibility.
 
         Args:
-            image: Image with its background, before anti-aliasing, [B, C, H, W] float32.
+            image: Image with its background, before anti-aliasing, [B, C, H, W] float32; None for the silhouette.
             corners: Screen-space corners, [B, F, 3, 3] float32.
             face_index: Visible face of each pixel, [B, H, W] int32.
             seams: Whether colours may jump between adjacent faces; see `edge_gradient`.
-            binary: Whether the image is the silhouette; see `nmr_gradient`.
             edge_hashes: Function that returns the hashes for `edge_gradient`; called only if they are needed.
             rings: As from `rings`.
 
@@ -153,17 +153,18 @@ class Settings:
         """
         halved = self.anti_aliasing
         if not needs_gradient(corners):
-            return halve(image) if halved else image
+            return averaged(image, face_index, halved) if halved or image is None else image
         if self.gradient == "edge":
             hashes = edge_hashes() if edge_hashes is not None and seams else None
             return edge_gradient(
                 image, corners, face_index, self.two_sided, self.perspective, seams, hashes, rings, halved
             )
         if self.gradient == "opendr":
+            image = silhouette(face_index) if image is None else image
             return opendr_gradient(image, corners, face_index, self.perspective, halved)
         if not self.perspective:  # an orthographic camera has no plane that corners can lie behind
             corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
-        return nmr_gradient(image, corners, face_index, self.eps, self.two_sided, binary, halved)
+        return nmr_gradient(image, corners, face_index, self.eps, self.two_sided, halved)
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:

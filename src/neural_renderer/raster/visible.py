@@ -63,24 +63,21 @@ class VisibleFaces(OneLine):
 
     def image(
         self,
-        layers: Tensor,
+        layers: Tensor | None,
         *,
         seams: bool = False,
-        binary: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
     ) -> Tensor:
         """Add the gradient through visibility to an image and average it to the size that is returned.
 
         Args:
-            layers: Image with its background, [B, C, H, W] float32.
-            seams, binary, edge_hashes: As in `Settings.through_visibility`.
+            layers: Image with its background, [B, C, H, W] float32; None for the silhouette, of one channel.
+            seams, edge_hashes: As in `Settings.through_visibility`.
 
         Returns:
             [B, C, height, width] float32.
         """
-        return self.settings.through_visibility(
-            layers, self.corners, self.face_index, seams, binary, edge_hashes, self.rings
-        )
+        return self.settings.through_visibility(layers, self.corners, self.face_index, seams, edge_hashes, self.rings)
 
     def images(
         self, outputs: Collection[str], rgb: Tensor | None = None, edge_hashes: Callable[[], Tensor] | None = None
@@ -93,15 +90,18 @@ class VisibleFaces(OneLine):
             edge_hashes: As in `Settings.through_visibility`.
         """
         layers = {} if rgb is None else {"rgb": rgb}
-        if "alpha" in outputs:
-            layers["alpha"] = silhouette(self.face_index)
         through = "depth" in outputs and self.settings.gradient == "edge"  # "nmr" sends no depth through visibility
+        alone = rgb is None and not through
+        if "alpha" in outputs and alone:
+            layers["alpha"] = self.image(None)
+        elif "alpha" in outputs:
+            layers["alpha"] = silhouette(self.face_index)
         depth = self._locate()[1] if "depth" in outputs else None
         if depth is not None and through:
             layers["depth"] = depth[:, None]
-        if layers:
+        if layers and not alone:
             image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
-            image = self.image(image, seams=rgb is not None, binary=rgb is None, edge_hashes=edge_hashes)
+            image = self.image(image, seams=rgb is not None, edge_hashes=edge_hashes)
             layers = _split(image, layers)
         if depth is not None and not through:
             layers["depth"] = self._average_depth(depth)[:, None]

@@ -316,3 +316,21 @@ def test_depth_inside_faces_is_differentiated(device, perspective):
             step[k, axis] = 2e-3
             expected = (depth(corners + step) - depth(corners - step)) / 4e-3
             assert abs(found[k, axis] - expected) < 0.03 * found.abs().max(), (k, axis)
+
+
+@pytest.mark.usefixtures("deterministic")
+@pytest.mark.parametrize("halved", [False, True])
+def test_silhouettes_need_no_image(device, halved):
+    """The gradient is that of the image of 0 and 1, to the last bit."""
+    scene = Scene(6, 2, 9, 24, 36, True, True, ("plain", "tiny"))
+    faces = scene.faces.to(device)
+    index = coverage(faces, 24, 36, NEAR, FAR, True, True)
+    image = (index >= 0).float()[:, None]
+    grad = scene.noise(2, 1, 12, 18) if halved else scene.noise(*image.shape)
+    outputs, grads = [], []
+    for shown in (None, image):
+        leaf = faces.clone().requires_grad_()
+        outputs.append(edge_gradient(shown, leaf, index, True, True, False, None, None, halved))
+        outputs[-1].backward(grad.to(device))
+        grads.append(leaf.grad)
+    assert torch.equal(*outputs) and torch.equal(*grads) and grads[0].any()

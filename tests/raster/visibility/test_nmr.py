@@ -7,6 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from neural_renderer.raster.colors.downsample import halve, halve_backward
 from neural_renderer.raster.ops.coverage import coverage, silhouette
 from neural_renderer.raster.reference.operators import nmr_gradient_reference
 from neural_renderer.raster.visibility.nmr import nmr_gradient
@@ -20,10 +21,10 @@ KINDS = ("plain", "plain", "tiny", "huge", "outside", "point", "line", "copy", "
 def gradient(image, faces, index, eps, two_sided, binary, grad):
     faces = faces.clone().requires_grad_()
     image = image.clone().requires_grad_()
-    output = nmr_gradient(image, faces, index, eps, two_sided, binary)
+    output = nmr_gradient(None if binary else image, faces, index, eps, two_sided)
     assert torch.equal(output, image)
     output.backward(grad)
-    assert torch.equal(image.grad, grad)
+    assert image.grad is None if binary else torch.equal(image.grad, grad)
     return faces.grad.cpu()
 
 
@@ -212,3 +213,19 @@ def test_size_does_not_depend_on_channels_that_do_not_change(device, binary):
     grads = torch.cat((grad, grad, torch.zeros_like(grad)), 1)
     found = gradient(images, faces, index, 1e-3, True, False, grads)
     torch.testing.assert_close(found, alone, **rounding(4 * 20, float(alone.abs().max())))
+
+
+@pytest.mark.usefixtures("deterministic")
+def test_averaged_silhouettes_have_the_gradient_of_their_pixels(device):
+    """Each pixel of a block has a quarter of its gradient, to the last bit."""
+    scene = Scene(6, 2, 9, 24, 36, True, True, ("plain", "tiny"))
+    faces = scene.faces.to(device)
+    index = coverage(faces, 24, 36, NEAR, FAR, True, True)
+    image = (index >= 0).float()[:, None]
+    grad = scene.noise(2, 1, 12, 18).to(device)
+    alone = gradient(image, faces, index, 1e-3, True, True, halve_backward(grad))
+    leaf = faces.clone().requires_grad_()
+    output = nmr_gradient(None, leaf, index, 1e-3, True, True)
+    assert torch.equal(output, halve(image))
+    output.backward(grad)
+    assert torch.equal(leaf.grad.cpu(), alone) and alone.any()

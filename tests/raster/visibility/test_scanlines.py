@@ -13,18 +13,21 @@ from neural_renderer.raster.warp.layout import concurrent, pixel_tasks
 HEIGHT, WIDTH = 5, 37  # columns come in groups of WIDE, of which the last is not full
 
 
-def stored(image: torch.Tensor, grad: torch.Tensor, planes: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def stored(
+    image: torch.Tensor, grad: torch.Tensor, planes: int, index: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     batch, device = len(image), image.device
     rows = empty_lines(batch, HEIGHT, WIDTH, planes, device)
     columns = empty_lines(batch, WIDTH, HEIGHT, planes, device)
     spans = torch.zeros((batch, HEIGHT + WIDTH, 2), dtype=torch.int32, device=device)
-    lines = [array(rows), array(columns), array(spans, wp.vec2i)]
+    index = torch.empty((batch, HEIGHT, WIDTH), dtype=torch.int32, device=device) if index is None else index
+    maps = [array(image), array(grad), array(index), array(rows), array(columns), array(spans, wp.vec2i)]
     if concurrent(device):
         tasks, each = pixel_tasks(batch * HEIGHT, WIDTH, device)
-        launch(copy_pixels, tasks, [array(image), array(grad), *lines, each], device)
+        launch(copy_pixels, tasks, [*maps, each], device)
     else:
         tasks = batch * (-(-HEIGHT // WIDE) - (-WIDTH // WIDE))
-        launch(copy_lines, tasks, [array(image), array(grad), *lines, WIDE], device)
+        launch(copy_lines, tasks, [*maps, WIDE], device)
         assert not rows[..., :WIDE].any() and not columns[..., :WIDE].any()
     return rows, columns, spans
 
@@ -59,7 +62,7 @@ def test_colors(device: str, channels: int) -> None:
 def test_silhouettes(device: str) -> None:
     """The one plane holds what changing a pixel gains: covering it counts above 0, uncovering it below."""
     image, grad = scene(device, 1)
-    rows, columns, spans = stored(image, grad, 1)
+    rows, columns, spans = stored(image, grad, 1, image[:, 0].int() - 1)
     gain = (-grad).clamp(min=0) * (1 - image) + (-grad).clamp(max=0) * image
     assert torch.equal(rows[..., WIDE:], gain.flip(2).transpose(1, 2))
     assert torch.equal(columns[..., WIDE:], gain.flip(2).permute(0, 3, 1, 2))

@@ -5,8 +5,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..ops.coverage import coverage
-from ..warp.launch import array, launch
+from ..ops.coverage import coverage, silhouette
+from ..warp.launch import array, copy, launch
 from ..warp.layout import PIXELS_OF_TASK, pixel_tasks, worth_a_thread
 from ..warp.memory import empty
 from ..warp.registration import differentiable, operator
@@ -38,6 +38,20 @@ def halve_backward(grad: Tensor) -> Tensor:
     to_image = empty((batch, channels, 2 * height, 2 * width), grad.device)
     _launch(_spread, to_image, grad)
     return to_image
+
+
+def averaged(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:
+    """Copy an image, or average its blocks of 2 x 2 pixels if ``halved``; None is the silhouette of ``face_index``."""
+    if image is None:
+        return silhouette(face_index, halved)
+    return halve(image) if halved else copy(image)
+
+
+def like_averaged(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:
+    """Make an empty tensor of the shape that `averaged` returns."""
+    batch, height, width = face_index.shape
+    scale, channels = 2 if halved else 1, 1 if image is None else image.shape[1]
+    return face_index.new_empty((batch, channels, height // scale, width // scale), dtype=torch.float32)
 
 
 def _launch(kernel: wp.Kernel, image: Tensor, means: Tensor) -> None:

@@ -6,13 +6,14 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import pixel_box, pixel_centre
-from ..warp.launch import array, launch
+from ..warp.launch import array, launch, no_array
 from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, concurrent, cpu_bands, pixel_tasks, worth_a_thread
-from ..warp.memory import empty
+from ..warp.memory import empty, zeros
 from ..warp.registration import operator
 from .draw_concurrently import draw_concurrently
-from .draw_face import clear_rows, draw_into_rows, turn_rows
+from .draw_face import clear_rows, draw_into_rows, mark_rows, turn_rows
 from .drawn_faces import crossing_depth, depth_terms, drawn_face, next_candidate
+from .visible_faces import keep_mask
 
 # Without fused multiply-adds the edge functions of a -> b and b -> a have exactly opposite signs at every pixel:
 # adjacent faces leave no gap, and the CPU and CUDA agree to the bit.
@@ -21,7 +22,14 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @operator
 def coverage(
-    faces: Tensor, height: int, width: int, near: float, far: float, two_sided: bool, perspective: bool
+    faces: Tensor,
+    height: int,
+    width: int,
+    near: float,
+    far: float,
+    two_sided: bool,
+    perspective: bool,
+    marked: bool = False,
 ) -> Tensor:
     """Find the visible face of each pixel: the nearest one at its centre, or at equal depth the one of lowest index.
 
@@ -35,6 +43,7 @@ def coverage(
         far: See ``near``.
         two_sided: Whether faces whose corners run clockwise on the screen are drawn.
         perspective: Whether depth is ``1 / sum(w_k / z_k)``; else ``sum(w_k z_k)``.
+        marked: Whether the result keeps its mask from the start, as `visible_faces` will ask for it in backward.
 
     Returns:
         [B, height, width] int32, row 0 at the top; -1 where no face is visible.
@@ -42,37 +51,48 @@ def coverage(
     batch, count = faces.shape[:2]
     face_index = empty((batch, height, width), faces.device, torch.int32)
     options = [near, far, int(two_sided), int(perspective)]
+    visible = no_array(2, faces.device)
+    if marked and not face_index.is_inference():
+        mask = zeros((batch, count + 1), faces.device, torch.int32)
+        keep_mask(face_index, mask)
+        visible = array(mask)
     if concurrent(faces.device):
-        draw_concurrently(faces, face_index, options)
+        draw_concurrently(faces, face_index, visible, options)
         return face_index
     # One task per image, or per band of its rows, draws all faces in order.
     bands = min(height, cpu_bands(batch, height * width + 32 * count))
     nearest = empty((batch, height, width), faces.device)
     maps = [array(nearest), array(face_index)]
     least = worth_a_thread(height * width / max(bands, 1) + 32 * count)
-    launch(_draw_band, batch * bands, [array(faces, wp.vec3), *maps, bands, *options], faces.device, least)
+    launch(_draw_band, batch * bands, [array(faces, wp.vec3), *maps, visible, bands, *options], faces.device, least)
     return face_index
 
 
 @operator
-def silhouette(face_index: Tensor) -> Tensor:
-    """Convert ``face_index`` [B, H, W] int32 to a mask, [B, 1, H, W] float32: 1 where a face is visible, else 0."""
+def silhouette(face_index: Tensor, halved: bool = False) -> Tensor:
+    """Convert ``face_index`` [B, H, W] int32 to a mask: 1 where a face is visible, else 0.
+
+    Returns:
+        [B, 1, H, W] float32; if ``halved``, the means of its blocks of 2 x 2 pixels, [B, 1, H / 2, W / 2].
+    """
     batch, height, width = face_index.shape
-    alpha = empty((batch, 1, height, width), face_index.device)
-    tasks, each = pixel_tasks(batch * height, width, face_index.device)
+    scale = 2 if halved else 1
+    alpha = empty((batch, 1, height // scale, width // scale), face_index.device)
+    tasks, each = pixel_tasks(batch * alpha.shape[2], alpha.shape[3], face_index.device)
     many = MANY_PIXELS // max(each * width, 1)
-    launch(_cover, tasks, [array(face_index), array(alpha), each], face_index.device, many)
+    launch(_cover, tasks, [array(face_index), array(alpha), int(halved), each], face_index.device, many)
     return alpha
 
 
 @torch.library.register_fake("neural_renderer::silhouette")
-def _(face_index):
+def _(face_index, halved=False):
     batch, height, width = face_index.shape
-    return face_index.new_empty((batch, 1, height, width), dtype=torch.float32)
+    scale = 2 if halved else 1
+    return face_index.new_empty((batch, 1, height // scale, width // scale), dtype=torch.float32)
 
 
 @torch.library.register_fake("neural_renderer::coverage")
-def _(faces, height, width, near, far, two_sided, perspective):
+def _(faces, height, width, near, far, two_sided, perspective, marked=False):
     return faces.new_empty((faces.shape[0], height, width), dtype=torch.int32)
 
 
@@ -108,6 +128,7 @@ def _draw_band(
     faces: wp.array3d(dtype=wp.vec3),
     nearest: wp.array3d(dtype=float),
     face_index: wp.array3d(dtype=int),
+    visible: wp.array2d(dtype=int),
     bands: int,
     near: float,
     far: float,
@@ -143,22 +164,35 @@ def _draw_band(
         f = next_candidate(faces, b, f + 1, low, high, near, far, two_sided, perspective)
     if two_sided == 1:
         turn_rows(face_index, b, height - 1 - top, height - bottom, faces.shape[1])
+    if visible.shape[0] > 0:  # several bands of an image may write to one place, but all write 1
+        mark_rows(face_index, visible, b, height - 1 - top, height - bottom)
 
 
 _COVER = f"""
-    const int width = face_index.shape[2], all = face_index.shape[0] * face_index.shape[1];
+    const int width = alpha.shape[3], all = alpha.shape[0] * alpha.shape[2];
     {PIXELS_OF_TASK}
-    const wp::int64 start = (wp::int64)first * width + left, stop = (wp::int64)(last - 1) * width + right;
-    for (wp::int64 i = start; i < stop; ++i) alpha.data[i] = face_index.data[i] >= 0 ? 1.0f : 0.0f;
+    for (int row = first; row < last; ++row) {{
+        float* __restrict__ to = alpha.data + (wp::int64)row * width;
+        const int* __restrict__ shown = face_index.data + (wp::int64)row * width * (halved ? 4 : 1);
+        const int* __restrict__ below = shown + 2 * width;
+        if (!halved) {{
+            for (int i = left; i < right; ++i) to[i] = shown[i] >= 0 ? 1.0f : 0.0f;
+            continue;
+        }}
+        for (int i = left; i < right; ++i) {{
+            const int first_two = (shown[2 * i] >= 0) + (shown[2 * i + 1] >= 0);
+            to[i] = 0.25f * (float)(first_two + (below[2 * i] >= 0) + (below[2 * i + 1] >= 0));
+        }}
+    }}
 """
 
 
 @wp.func_native(_COVER)
-def cover(face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float), task: int, each: int):
+def cover(face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float), halved: int, task: int, each: int):
     """Fill the pixels of a task of the mask."""
     ...
 
 
 @wp.kernel
-def _cover(first: int, face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float), each: int):
-    cover(face_index, alpha, first + wp.tid(), each)
+def _cover(first: int, face_index: wp.array3d(dtype=wp.int32), alpha: wp.array4d(dtype=float), halved: int, each: int):
+    cover(face_index, alpha, halved, first + wp.tid(), each)

@@ -5,6 +5,7 @@ A thread draws a small face, and many share a large one; see `raster/warp/queue.
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 import warp as wp
@@ -27,12 +28,13 @@ _SMALL = wp.constant(64)
 _LANES = wp.constant(32)
 
 
-def draw_concurrently(faces: Tensor, face_index: Tensor, options: Sequence[float]) -> None:
+def draw_concurrently(faces: Tensor, face_index: Tensor, visible: Any, options: Sequence[float]) -> None:
     """Draw faces as `coverage` does.
 
     Args:
         faces: Screen-space corners, [B, F, 3, 3] float32.
         face_index: Result, [B, H, W] int32; written.
+        visible: Mask as of `visible_faces`, a kernel's argument; written, unless it is empty.
         options: near, far, two_sided and perspective of `coverage`.
     """
     device = faces.device
@@ -45,7 +47,7 @@ def draw_concurrently(faces: Tensor, face_index: Tensor, options: Sequence[float
     threads = min(MOST_THREADS, batch * count * height * min(width, _LANES))
     launch(_draw_large, threads, [*arguments, threads], device)
     tasks, each = pixel_tasks(batch * height, width, device)
-    launch(_decode, tasks, [array(key), array(face_index), count, each], device)
+    launch(_decode, tasks, [array(key), array(face_index), visible, count, each], device)
 
 
 @wp.func
@@ -154,7 +156,10 @@ _DECODE = f"""
     const wp::int64 start = (wp::int64)first * width + left, stop = (wp::int64)(last - 1) * width + right;
     for (wp::int64 i = start; i < stop; ++i) {{
         const unsigned index = (unsigned)key.data[i];
-        face_index.data[i] = key.data[i] == empty ? -1 : (int)(index < (unsigned)count ? index : index - count);
+        const int f = key.data[i] == empty ? -1 : (int)(index < (unsigned)count ? index : index - count);
+        face_index.data[i] = f;
+        if (visible.shape[0] > 0)  // several threads may write to one place, but all write 1
+            visible.data[i / ((wp::int64)face_index.shape[1] * width) * (count + 1) + (f < 0 ? count : f)] = 1;
     }}
 """
 
@@ -163,15 +168,23 @@ _DECODE = f"""
 def decode(
     key: wp.array3d(dtype=wp.int64),
     face_index: wp.array3d(dtype=wp.int32),
+    visible: wp.array2d(dtype=int),
     task: int,
     each: int,
     count: int,
     empty: wp.int64,
 ):
-    """Convert the least keys of the pixels of a task to face indices."""
+    """Convert the least keys of the pixels of a task to face indices, and mark these faces."""
     ...
 
 
 @wp.kernel
-def _decode(first: int, key: wp.array3d(dtype=wp.int64), face_index: wp.array3d(dtype=wp.int32), count: int, each: int):
-    decode(key, face_index, first + wp.tid(), each, count, wp.int64(EMPTY))
+def _decode(
+    first: int,
+    key: wp.array3d(dtype=wp.int64),
+    face_index: wp.array3d(dtype=wp.int32),
+    visible: wp.array2d(dtype=int),
+    count: int,
+    each: int,
+):
+    decode(key, face_index, visible, first + wp.tid(), each, count, wp.int64(EMPTY))

@@ -238,3 +238,16 @@ def clear_rows(
 def turn_rows(face_index: wp.array3d(dtype=int), b: int, first: int, last: int, count: int):
     """Replace the indices of back sides, which start at ``count``, by those of their faces."""
     ...
+
+
+_MARK = """
+    int* own = visible.data + (wp::int64)b * visible.shape[1];
+    const int none = visible.shape[1] - 1;
+"""
+
+
+# Written without a test: faces of neighbouring pixels differ too often for a predictable branch.
+@wp.func_native(_MARK + _EACH.replace("DO", "own[face_index.data[i] < 0 ? none : face_index.data[i]] = 1"))
+def mark_rows(face_index: wp.array3d(dtype=int), visible: wp.array2d(dtype=int), b: int, first: int, last: int):
+    """Mark the faces that the rows [first, last) of an image show, as `visible_faces`."""
+    ...

@@ -6,8 +6,8 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.launch import array, launch
-from ..warp.layout import concurrent, group_tasks, images_of
-from ..warp.memory import empty
+from ..warp.layout import concurrent, group_tasks, images_of, in_any_order
+from ..warp.memory import empty, zeros
 from ..warp.registration import differentiable, differentiable_once, operator
 from .corners import CORNER, FACE, gather_corners_backward
 
@@ -73,11 +73,16 @@ def flat_light_backward(
     groups, each = group_tasks(count, grad.device, 512, 32 if light_too else 1)
     # On the CPU, one task sums the gradient to faces that images share, image by image.
     own = batch if concurrent(grad.device) else images_of(vertices, faces)
-    to_corners = empty((own, count, 3, 3), grad.device)
+    # On CUDA, tasks add to the vertices at once.
+    concurrently = in_any_order(grad.device)
+    to_vertices = zeros(vertices.shape if concurrently else (0, 0, 3), grad.device)
+    to_corners = empty((own, count, 3, 3) if not concurrently else (0, 0, 3, 3), grad.device)
     sums = torch.empty((batch, groups, _SUMS) if light_too else (0, 0, _SUMS), device=grad.device)
     arguments = [*_arguments(vertices, faces, ambient, directional, direction, mirrored), groups, each, array(grad)]
-    arguments += [int(light_too), array(to_corners), array(sums)]
+    arguments += [int(light_too), own, array(to_corners), array(to_vertices), array(sums)]
     launch(_backward, own * groups, arguments, grad.device, max(1, _LEAST * own // max(batch, 1)))
+    if concurrently:
+        return to_vertices, sums.sum(1)
     to_vertices = gather_corners_backward(to_corners, faces, vertices.shape[1])
     if own > len(vertices):
         to_vertices = to_vertices.sum(0, keepdim=True)
@@ -213,6 +218,16 @@ def light_faces(
             to_v[6 + k] = to_n[l] * p[m] - to_n[m] * p[l];
             to_v[3 + k] = -to_v[k] - to_v[6 + k];
         }}
+        #if defined(__CUDA_ARCH__)
+        if (to_vertices.shape[0] > 0) {{
+            float* to_points = to_vertices.data + (points - vertices.data);
+            for (int k = 0; k < 3; ++k) {{
+                {CORNER}
+                for (int c = 0; valid && c < 3; ++c) wp::atomic_add(to_points + 3 * (wp::int64)i + c, to_v[3 * k + c]);
+            }}
+            continue;
+        }}
+        #endif
         for (int k = 0; k < 9; ++k) to[9 * (wp::int64)f + k] = to_v[k] + (add ? to[9 * (wp::int64)f + k] : 0.0f);
     }}
     float* whole = sums.data + (b * (wp::int64)sums.shape[1] + group) * 9;
@@ -234,9 +249,13 @@ def unlight_faces(
     grad: wp.array4d(dtype=float),
     light_too: int,
     to_corners: wp.array4d(dtype=float),
+    to_vertices: wp.array3d(dtype=float),
     sums: wp.array3d(dtype=float),
 ):
-    """Compute the gradients of the faces [begin, end) in image b, accumulated into mesh ``own`` if ``add``."""
+    """Compute the gradients of the faces [begin, end) in image b: to corners, or added to vertices if there are any.
+
+    Those to corners are accumulated into mesh ``own`` if ``add``.
+    """
 
 
 @wp.kernel
@@ -271,7 +290,9 @@ def _backward(
     each: int,
     grad: wp.array4d(dtype=float),
     light_too: int,
+    meshes: int,
     to_corners: wp.array4d(dtype=float),
+    to_vertices: wp.array3d(dtype=float),
     sums: wp.array3d(dtype=float),
 ):
     task = first + wp.tid()
@@ -281,12 +302,12 @@ def _backward(
     end = wp.min(begin + each, faces.shape[1])
     from_image = own
     to_image = own + 1
-    if to_corners.shape[0] < grad.shape[0]:
+    if meshes < grad.shape[0]:
         from_image = 0
         to_image = grad.shape[0]
     for b in range(from_image, to_image):
         add = int(b > from_image)
         unlight_faces(
             vertices, faces, ambient, directional, direction, mirrored, b, own, add, group, begin, end, grad, light_too,
-            to_corners, sums,
+            to_corners, to_vertices, sums,
         )  # fmt: skip

@@ -1,6 +1,8 @@
 """Masks of visible faces. All other faces, often more than half, have no gradient and are skipped."""
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+from typing import cast
+
 import torch
 import warp as wp
 from torch import Tensor
@@ -11,6 +13,8 @@ from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, pixel_tasks
 from ..warp.memory import zeros
 
 wp.set_module_options({"enable_backward": False})
+
+_ALONG = "along"  # instead of the stream on which a mask was written
 
 
 def visible_faces(face_index: Tensor, count: int) -> Tensor:
@@ -23,15 +27,22 @@ def visible_faces(face_index: Tensor, count: int) -> Tensor:
     Returns:
         [B, F + 1] int32: 1 for each visible face, else 0. The last entry stands for pixels without a face.
     """
-    stream = stream_of(face_index.device)
-    if stream is None or face_index.is_inference():
+    if face_index.is_inference():
         return _visible_faces(face_index, count)
-    key = (face_index._version, count, stream)
-    kept = face_index.__dict__.get("_visible")
-    if kept is None or kept[0] != key:
-        kept = face_index.__dict__["_visible"] = (key, _visible_faces(face_index, count))
-    mask: Tensor = kept[1]
+    stream = stream_of(face_index.device)
+    version, made, mask = face_index.__dict__.get("_mask", (None, None, None))
+    if mask is not None and version == face_index._version and mask.shape[1] == count + 1:
+        if made == _ALONG or (made == stream and stream is not None):
+            return cast("Tensor", mask)
+    mask = _visible_faces(face_index, count)
+    if stream is not None:
+        face_index.__dict__["_mask"] = (face_index._version, stream, mask)
     return mask
+
+
+def keep_mask(face_index: Tensor, mask: Tensor) -> None:
+    """Keep a mask that is written together with ``face_index``: where this one can be read, so can the mask."""
+    face_index.__dict__["_mask"] = (face_index._version, _ALONG, mask)
 
 
 def _visible_faces(face_index: Tensor, count: int) -> Tensor:

@@ -35,13 +35,38 @@ _MAY_MEET = """
     };
 """
 
+# Whether face f, shown at pixel i of a row, and another one, shown at the next pixel to the right (k is 0) or below (k
+# is 1), may intersect between them. ``v`` and ``u`` are their corners, and ``next`` the faces that are adjacent to f.
+_PAIR = """
+    struct Pair {
+        typedef wp::vec_t<3, float> vec3;
+        static CUDA_CALLABLE bool may_meet(
+            const vec3* v, const vec3* u, const int* next, int other, int i, int row, int k, int height, int width,
+            int perspective
+        ) {
+            if ((other == next[0]) | (other == next[1]) | (other == next[2])) return false;
+            if (perspective && !((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f)
+                                 & (u[0][2] > 0.0f) & (u[1][2] > 0.0f) & (u[2][2] > 0.0f))) return true;
+            const float across = 2.0f / (float)width, down = 2.0f / (float)height;
+            const float x = (float)(2 * i + 1 - width) / (float)width;
+            const float y = (float)(height - 1 - 2 * row) / (float)height;
+            const float x2 = k == 0 ? x + across : x, y2 = k == 0 ? y : y - down;
+            if (Way::covered(v, x, y, x2, y2) + Way::covered(u, x2, y2, x, y) < 0.999f) return false;
+            const float own_here = Nearness::at(v, x, y, perspective);
+            const float ahead = own_here - Nearness::at(u, x, y, perspective);
+            const float own_there = Nearness::at(v, x2, y2, perspective);
+            const float short_of = Nearness::at(u, x2, y2, perspective) - own_there;
+            return ahead > 0.0f && short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here);
+        }
+    };
+"""
+
 # Pairs of neighbours are found eight at once on the CPU. The pixels of one face, and those without a face, have none.
 _FIND = """
     const int height = face_index.shape[1], width = face_index.shape[2], channels = image.shape[1];
     const int all = face_index.shape[0] * height;
     const wp::int64 area = (wp::int64)height * width;
     const int steps[2] = {1, width};
-    const float across = 2.0f / (float)width, down = 2.0f / (float)height;
     PIXELS_OF_TASK
     for (int line = first; line < last; ++line) {
         const int b = line / height, row = line % height;
@@ -77,24 +102,11 @@ _FIND = """
         }
     }
 """
-_PAIR = """
+_MARK = """
                     const int i = at + n, f = shown[i], other = shown[i + steps[k]];
-                    const int* next = adjacent.data + (own + f) * 3;
-                    if ((other == next[0]) | (other == next[1]) | (other == next[2])) continue;
                     const wp::vec_t<3, float> *v = faces.data + (own + f) * 3, *u = faces.data + (own + other) * 3;
-                    if (perspective == 0 || ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f)
-                                             & (u[0][2] > 0.0f) & (u[1][2] > 0.0f) & (u[2][2] > 0.0f))) {
-                        const float x = (float)(2 * i + 1 - width) / (float)width;
-                        const float y = (float)(height - 1 - 2 * row) / (float)height;
-                        const float x2 = k == 0 ? x + across : x, y2 = k == 0 ? y : y - down;
-                        if (Way::covered(v, x, y, x2, y2) + Way::covered(u, x2, y2, x, y) < 0.999f) continue;
-                        const float own_here = Nearness::at(v, x, y, perspective);
-                        const float ahead = own_here - Nearness::at(u, x, y, perspective);
-                        const float own_there = Nearness::at(v, x2, y2, perspective);
-                        const float short_of = Nearness::at(u, x2, y2, perspective) - own_there;
-                        if (!(ahead > 0.0f && short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here)))
-                            continue;
-                    }
+                    const int* next = adjacent.data + (own + f) * 3;
+                    if (!Pair::may_meet(v, u, next, other, i, row, k, height, width, perspective)) continue;
                     bool differs = false;
                     for (int c = 0; c < channels; ++c)
                         differs |= colors[c * area + i] != colors[c * area + i + steps[k]];
@@ -102,7 +114,7 @@ _PAIR = """
 """
 
 
-@wp.func_native(VECTORS + NEARNESS + _MAY_MEET + fill(_FIND, PIXELS_OF_TASK=PIXELS_OF_TASK, PAIR=_PAIR))
+@wp.func_native(VECTORS + NEARNESS + _MAY_MEET + _PAIR + fill(_FIND, PIXELS_OF_TASK=PIXELS_OF_TASK, PAIR=_MARK))
 def find_candidates(
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),
@@ -117,4 +129,31 @@ def find_candidates(
 
     Adjacent faces of one surface and pixels of equal colour are skipped.
     """
+    ...
+
+
+@wp.func_native(
+    NEARNESS
+    + _MAY_MEET
+    + _PAIR
+    + """
+    const wp::int64 own = b * (wp::int64)adjacent.shape[1];
+    const wp::vec_t<3, float> *v = faces.data + (own + f) * 3, *u = faces.data + (own + other) * 3;
+    return Pair::may_meet(v, u, adjacent.data + (own + f) * 3, other, i, row, k, height, width, perspective);
+"""
+)
+def may_meet(
+    faces: wp.array3d(dtype=wp.vec3),
+    adjacent: wp.array3d(dtype=int),
+    b: int,
+    f: int,
+    other: int,
+    i: int,
+    row: int,
+    k: int,
+    height: int,
+    width: int,
+    perspective: int,
+) -> bool:
+    """Test whether two faces may intersect between pixel i of a row and the next one, to the right (k = 0) or below."""
     ...

@@ -29,10 +29,12 @@ typedef wp::vec_t<3, float> vec3;
 struct Lines {
     const vec3* faces;  // three corners each
     const int* adjacent;  // three faces each, across the edges; -1 for none
-    const float *image, *grad;  // channels follow each other at a distance of ``area``
+    const float *image, *grad;  // channels follow each other at a distance of ``area`` and ``grad_area``
+    bool is_silhouette, halved;  // whether there is no image, and whether gradients are those of blocks of 2 x 2 pixels
     const int* shown;  // visible face of each pixel
     int channels, height, width, perspective, axis, count, length;  // ``count`` lines of ``length`` pixels
-    wp::int64 area, origin, across, along;  // in memory: pixel 0 of line 0, steps to the next line and the next pixel
+    wp::int64 area, grad_area;
+    wp::int64 origin, across, along;  // in memory: pixel 0 of line 0, steps to the next line and the next pixel
 
     CUDA_CALLABLE void set(int in_axis) {
         axis = in_axis, count = axis ? width : height, length = axis ? height : width;
@@ -40,6 +42,16 @@ struct Lines {
         across = axis ? 1 : -width, along = axis ? -width : 1;
     }
     CUDA_CALLABLE wp::int64 pixel(int u, int v) const { return origin + u * across + v * along; }
+    // The place of a pixel's gradient.
+    CUDA_CALLABLE wp::int64 pull(int u, int v) const {
+        if (!halved) return pixel(u, v);
+        const int row = height - 1 - (axis ? v : u), column = axis ? u : v;
+        return (wp::int64)(row / 2) * (width / 2) + column / 2;
+    }
+    // The value of a channel at a pixel.
+    CUDA_CALLABLE float value(const float* channel, wp::int64 pixel) const {
+        return is_silhouette ? (shown[pixel] >= 0 ? 1.0f : 0.0f) : channel[pixel];
+    }
     // The visible face at a pixel: -1 for none, -2 outside the image.
     CUDA_CALLABLE int face(int u, int v) const { return v < 0 || v >= length ? -2 : shown[pixel(u, v)]; }
     // The same as `to_pixels`.

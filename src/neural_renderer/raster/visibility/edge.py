@@ -34,10 +34,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..colors.downsample import halve, halve_backward
+from ..colors.downsample import averaged, halve_backward, like_averaged
 from ..ops.visible_faces import visible_faces
 from ..warp.geometry import facing
-from ..warp.launch import array, copy
+from ..warp.launch import array, no_array
 from ..warp.layout import face_tasks
 from ..warp.memory import zeros
 from ..warp.queue import launch_lines, line_task, queued_threads
@@ -56,20 +56,21 @@ wp.set_module_options({"enable_backward": False})
 
 @operator
 def edge_gradient(
-    image: Tensor,
+    image: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
     faces: Tensor,
     face_index: Tensor,
     two_sided: bool,
     perspective: bool,
     seams: bool,
-    edge_hashes: Optional[Tensor] = None,  # noqa: UP045 (schemas are inferred from it)
+    edge_hashes: Optional[Tensor] = None,  # noqa: UP045
     rings: Optional[Tensor] = None,  # noqa: UP045
     halved: bool = False,
 ) -> Tensor:
     """Return the image, and in backward send a gradient through visibility to the faces.
 
     Args:
-        image: Any number of channels with their background, before anti-aliasing, [B, C, H, W] float32.
+        image: Any number of channels with their background, before anti-aliasing, [B, C, H, W] float32. None stands for
+            the silhouette, of one channel.
         faces: Screen-space corners, [B, F, 3, 3] float32.
         face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
         two_sided: As in `coverage`.
@@ -88,19 +89,18 @@ def edge_gradient(
         the image, and gradients to x and y of faces; where faces intersect, also to z. There is no second derivative
         (RuntimeError).
     """
-    return halve(image) if halved else copy(image)
+    return averaged(image, face_index, halved)
 
 
 @torch.library.register_fake("neural_renderer::edge_gradient")
 def _(image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None, halved=False):
-    scale = 2 if halved else 1
-    return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
+    return like_averaged(image, face_index, halved)
 
 
 @differentiable_once
 def edge_gradient_backward(
     grad: Tensor,
-    image: Tensor,
+    image: Optional[Tensor],  # noqa: UP045
     faces: Tensor,
     face_index: Tensor,
     two_sided: bool,
@@ -109,25 +109,30 @@ def edge_gradient_backward(
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045
     rings: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
-    """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces; arguments as there."""
-    grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
+    """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces.
+
+    Args:
+        grad: Gradient to the image, [B, C, H, W] float32; or to the means of its blocks of 2 x 2 pixels,
+            [B, C, H / 2, W / 2].
+        image, faces, face_index, two_sided, perspective, seams, edge_hashes, rings: As in `edge_gradient`.
+    """
+    grad, faces = grad.contiguous(), faces.contiguous()
     result = zeros(faces.shape, faces.device)
-    if result.numel() == 0 or image.numel() == 0:
+    if result.numel() == 0 or grad.numel() == 0:
         return result
-    visible = visible_faces(face_index, faces.shape[1])
     adjacent = neighbors(faces, two_sided, perspective, rings)
-    add_edges(result, grad, image, faces, face_index, visible, adjacent, perspective, seams, edge_hashes)
-    add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
+    add_edges(result, grad, image, faces, face_index, adjacent, perspective, seams, edge_hashes)
+    if image is not None:  # where two faces of a silhouette meet, both are 1
+        add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
     return result
 
 
 def add_edges(
     result: Tensor,
     grad: Tensor,
-    image: Tensor,
+    image: Tensor | None,
     faces: Tensor,
     face_index: Tensor,
-    visible: Tensor,
     adjacent: Tensor,
     perspective: bool,
     seams: bool,
@@ -138,21 +143,21 @@ def add_edges(
 
     Args:
         result: Gradient to the corners, [B, F, 3, 3] float32 of zeros; written.
-        grad: Gradient to the image, [B, C, H, W] float32.
-        image: [B, C, H, W] float32.
+        grad: As in `edge_gradient_backward`.
+        image: [B, C, H, W] float32; None for the silhouette.
         faces, face_index, perspective, seams, edge_hashes: As in `edge_gradient`.
-        visible: As from `visible_faces`.
         adjacent: As from `neighbors`.
         folds: Faces that the surface folds back to, as from `neighbors`; an edge behind its fold has no gradient, for
             the face in front has it. None: edges behind folds are hidden anyway.
     """
-    batch, _, height, width = image.shape
-    maps = [array(image), array(grad), array(face_index)]
+    batch, height, width = face_index.shape
+    maps = [no_array(4, grad.device) if image is None else array(image), array(grad), array(face_index)]
     if edge_hashes is None:
         edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=faces.device)  # 0 matches nothing
     if folds is None:
         folds = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
     options = [array(folds), int(perspective), int(seams)]
+    visible = visible_faces(face_index, faces.shape[1])
     arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), *options]
     arguments += [array(edge_hashes), array(result, wp.vec3)]
     launch_lines(_move, arguments, batch * faces.shape[1], 1, faces.device, face_tasks(faces, height * width))
@@ -170,12 +175,13 @@ def _save(ctx, inputs, output):
 
 def _backward(ctx, grad):
     image, faces, face_index, *rest = ctx.saved_tensors
-    grad = halve_backward(grad) if ctx.halved else grad
-    to_faces = None
+    to_image = to_faces = None
+    if image is not None:
+        to_image = grad = halve_backward(grad) if ctx.halved else grad
     if ctx.needs_input_grad[1]:
         options = (ctx.two_sided, ctx.perspective, ctx.seams, *rest)
         to_faces = edge_gradient_backward(grad, image, faces, face_index, *options)
-    return grad, to_faces, *[None] * 7
+    return to_image, to_faces, *[None] * 7
 
 
 differentiable(edge_gradient, _backward, _save)
@@ -183,12 +189,14 @@ differentiable(edge_gradient, _backward, _save)
 
 _MOVE_EDGES = """
     Lines lines;
-    lines.height = image.shape[2], lines.width = image.shape[3], lines.channels = image.shape[1];
+    lines.height = face_index.shape[1], lines.width = face_index.shape[2], lines.channels = grad.shape[1];
+    lines.is_silhouette = image.shape[0] == 0, lines.halved = grad.shape[3] < lines.width;
     lines.perspective = perspective;
     lines.set(0);
     const wp::int64 first_face = (wp::int64)b * faces.shape[1], own = first_face + f;
-    lines.image = image.data + b * lines.channels * lines.area;
-    lines.grad = grad.data + b * lines.channels * lines.area;
+    lines.image = lines.is_silhouette ? grad.data : image.data + b * lines.channels * lines.area;
+    lines.grad_area = lines.halved ? lines.area / 4 : lines.area;
+    lines.grad = grad.data + b * lines.channels * lines.grad_area;
     lines.shown = face_index.data + b * lines.area;
     lines.faces = faces.data + first_face * 3;
     lines.adjacent = adjacent.data + first_face * 3;
@@ -216,7 +224,8 @@ _MOVE_EDGES = """
                 gain *= Lines::border_weight(at.v, lines.length);
                 to_p += (1.0f - at.share) * gain, to_q += at.share * gain;
             }
-            const float scale = 0.5f * (float)(edge.outward * lines.length);
+            // A pixel has a quarter of the gradient of its block.
+            const float scale = (lines.halved ? 0.125f : 0.5f) * (float)(edge.outward * lines.length);
             to[p][axis] += scale * to_p, to[q][axis] += scale * to_q;
         }
     }
@@ -382,7 +391,7 @@ def _move(
     alone = int(queue.shape[0] == 0)
     while thread < end:
         face, _lane, part, parts = line_task(
-            faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 1
+            faces, face_index.shape[1], face_index.shape[2], queue, total, lanes, threads, thread, 1
         )
         if face >= 0:
             b = face // faces.shape[1]

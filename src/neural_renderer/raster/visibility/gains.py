@@ -9,8 +9,8 @@ struct Blend {
     wp::int64 near, next;
     float near_weight, next_weight;
 
-    CUDA_CALLABLE float of(const float* channel) const {
-        return near_weight * channel[near] + next_weight * channel[next];
+    CUDA_CALLABLE float of(const Lines& lines, const float* channel) const {
+        return near_weight * lines.value(channel, near) + next_weight * lines.value(channel, next);
     }
     // Extrapolate to the boundary, at a distance of ``offset`` pixels from the near centre, if both pixels show one
     // face, so that the colour is ``linear``. Otherwise take the near pixel's colour.
@@ -37,11 +37,13 @@ struct Gain {
     // If a side is ``narrow``, a visible centre may lie anywhere in it; then it is interpolated between both pixels.
     CUDA_CALLABLE float sum(const Lines& lines, const Crossing& at, bool narrow) const {
         const float share = narrow ? at.offset : at.offset < 0.5f ? 0.0f : 1.0f;
-        const wp::int64 inner = lines.pixel(at.u, at.inner), outer = lines.pixel(at.u, at.outer);
+        const wp::int64 inner = lines.pull(at.u, at.inner), outer = lines.pull(at.u, at.outer);
         const float *channel = lines.image, *pull = lines.grad;
         float result = 0.0f;
-        for (int c = 0; c < lines.channels; ++c, channel += lines.area, pull += lines.area)
-            result += (inside.of(channel) - outside.of(channel)) * ((1.0f - share) * pull[inner] + share * pull[outer]);
+        for (int c = 0; c < lines.channels; ++c, channel += lines.area, pull += lines.grad_area) {
+            const float difference = inside.of(lines, channel) - outside.of(lines, channel);
+            result += difference * ((1.0f - share) * pull[inner] + share * pull[outer]);
+        }
         return result;
     }
 };

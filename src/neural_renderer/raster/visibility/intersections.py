@@ -22,10 +22,10 @@ from torch import Tensor
 
 from ..ops.visible_faces import next_shown
 from ..warp.geometry import degenerate, in_front, pixel_box, pixel_centre
-from ..warp.launch import array, launch
-from ..warp.layout import face_lanes, face_tasks, pixel_tasks, worth_a_thread
+from ..warp.launch import array, launch, module_for_cuda
+from ..warp.layout import face_tasks, in_any_order, pixel_tasks, worth_a_thread
 from ..warp.memory import zeros
-from .candidates import find_candidates
+from .candidates import find_candidates, may_meet
 from .crossings import border_weight
 from .nearness import covers, nearness_slope, nearness_terms, total
 from .neighbors import same
@@ -49,6 +49,12 @@ def add_intersections(
     """
     batch, count = faces.shape[:2]
     height, width = face_index.shape[1:]
+    if in_any_order(faces.device):
+        arguments = [array(faces, wp.vec3), array(image), array(grad), array(face_index), array(adjacent)]
+        tasks, each = pixel_tasks(batch * height, width, faces.device)
+        arguments += [int(perspective), each, array(result, wp.vec3)]
+        launch(_intersect_pairs, tasks, arguments, faces.device)
+        return
     # Most faces have no neighbour that they may intersect. A cheap first pass excludes them.
     candidates = zeros((batch, count), faces.device, torch.int32)
     scene = [array(faces, wp.vec3), array(face_index), array(image), array(adjacent)]
@@ -60,10 +66,9 @@ def add_intersections(
         faces.device,
         worth_a_thread(each * width),
     )
-    lanes = face_lanes(faces, height * width)
     maps = [array(image), array(grad), array(face_index), array(candidates)]
-    arguments = [array(faces, wp.vec3), *maps, int(perspective), lanes, array(result, wp.vec3)]
-    launch(_intersect, batch * count * lanes, arguments, faces.device, face_tasks(faces, height * width))
+    arguments = [array(faces, wp.vec3), *maps, int(perspective), array(result, wp.vec3)]
+    launch(_intersect, batch * count, arguments, faces.device, face_tasks(faces, height * width))
 
 
 @wp.kernel
@@ -266,17 +271,12 @@ def _intersect(
     face_index: wp.array3d(dtype=int),
     candidates: wp.array2d(dtype=int),
     perspective: int,
-    lanes: int,
     result: wp.array3d(dtype=wp.vec3),
 ):
-    """Visit the pixels of one face of one image; with several lanes, each takes every n-th row.
-
-    The other face of an intersection has another task.
-    """
+    """Visit the pixels of one face of one image. The other face of an intersection has another task."""
     task = first + wp.tid()
-    lane = task % lanes
-    b = (task // lanes) // faces.shape[1]
-    f = (task // lanes) % faces.shape[1]
+    b = task // faces.shape[1]
+    f = task % faces.shape[1]
     if candidates[b, f] == 0:
         return
     height = face_index.shape[1]
@@ -288,7 +288,7 @@ def _intersect(
         return
     sums = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     box = pixel_box(v0, v1, v2, 1, height, width)
-    for j in range(box[2] + lane, box[3] + 1, lanes):
+    for j in range(box[2], box[3] + 1):
         row = wp.int64(b) * wp.int64(height) + wp.int64(height - 1 - j)
         i = next_shown(face_index, row, width, box[0], box[1] + 1, f)
         while i <= box[1]:
@@ -297,8 +297,67 @@ def _intersect(
                 sums += pair_gradients(pair_beside(b, i, j, side), f, faces, image, grad, face_index, perspective)
             i = next_shown(face_index, row, width, i + 1, box[1] + 1, f)
     for k in range(3):
-        column = wp.vec3(sums[0, k], sums[1, k], sums[2, k])
-        if lanes == 1:
-            result[b, f, k] += column
-        else:
-            wp.atomic_add(result, b, f, k, column)
+        result[b, f, k] += wp.vec3(sums[0, k], sums[1, k], sums[2, k])
+
+
+@wp.func
+def add_pair(
+    pair: Pair,
+    f: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    perspective: int,
+    result: wp.array3d(dtype=wp.vec3),
+):
+    """Add the gradient to face f, visible at the first pixel of a pair, while other threads do so, too."""
+    b = pair.image
+    v0 = faces[b, f, 0]
+    v1 = faces[b, f, 1]
+    v2 = faces[b, f, 2]
+    if in_front(v0, v1, v2, perspective) != 1 or degenerate(v0, v1, v2):
+        return
+    to = pair_gradients(pair, f, faces, image, grad, face_index, perspective)
+    for k in range(3):
+        wp.atomic_add(result, b, f, k, wp.vec3(to[0, k], to[1, k], to[2, k]))
+
+
+@wp.kernel(launch_bounds=(256, 2), module=module_for_cuda(__name__))
+def _intersect_pairs(
+    first: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    image: wp.array4d(dtype=float),
+    grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
+    adjacent: wp.array3d(dtype=int),
+    perspective: int,
+    each: int,
+    result: wp.array3d(dtype=wp.vec3),
+):
+    """Pair the pixels of a task of `pixel_tasks` with the next ones, to the right and below, on CUDA."""
+    task = first + wp.tid()
+    height = int(face_index.shape[1])
+    width = int(face_index.shape[2])
+    line = task
+    left = int(0)
+    right = width
+    if each == 0:
+        line = task // width
+        left = task % width
+        right = left + 1
+    b = line // height
+    row = line % height
+    for i in range(left, right):
+        f = face_index[b, row, i]
+        directions = int(2)  # a variable, or Warp would unroll the loop
+        if f < 0:
+            directions = 0
+        for k in range(directions):
+            pair = pair_beside(b, i, height - 1 - row, 3 * k)  # to the right, and below
+            other = second_face(pair, face_index)
+            if other >= 0 and other != f:
+                if may_meet(faces, adjacent, b, f, other, i, row, k, height, width, perspective):
+                    add_pair(pair, f, faces, image, grad, face_index, perspective, result)
+                    back = pair_beside(b, pair.i2, pair.j2, 1 + k)  # to the left, and above
+                    add_pair(back, other, faces, image, grad, face_index, perspective, result)

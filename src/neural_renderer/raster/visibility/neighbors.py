@@ -181,10 +181,8 @@ def _search_rings(
 ):
     """Find the faces adjacent to one face of one image by the rings of its edges."""
     task = first + wp.tid()
-    search_rings(
-        faces, rings, two_sided, perspective, way, task // int(faces.shape[1]), task % int(faces.shape[1]),
-        result,
-    )  # fmt: skip
+    count = int(faces.shape[1])
+    search_rings(faces, rings, two_sided, perspective, way, task // count, task % count, result)
 
 
 @wp.func

@@ -9,14 +9,16 @@ Source: Kato, Ushiku and Harada, "Neural 3D Mesh Renderer", CVPR 2018, section 3
 """
 
 # Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+from typing import Optional
+
 import torch
 import warp as wp
 from torch import Tensor
 
-from ..colors.downsample import halve, halve_backward
+from ..colors.downsample import averaged, halve_backward, like_averaged
 from ..ops.visible_faces import visible_faces
 from ..warp.geometry import SHORTEST, facing
-from ..warp.launch import array, copy, launch
+from ..warp.launch import array, launch, no_array
 from ..warp.layout import concurrent, face_tasks, pixel_tasks, worth_a_thread
 from ..warp.memory import zeros
 from ..warp.queue import launch_lines, line_task, queued_threads
@@ -36,12 +38,11 @@ _ROOM, _ROOM_CONCURRENT = 2**23, 2**28
 
 @operator
 def nmr_gradient(
-    image: Tensor,
+    image: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
     faces: Tensor,
     face_index: Tensor,
     eps: float,
     two_sided: bool,
-    binary: bool,
     halved: bool = False,
 ) -> Tensor:
     """Return the image and send a gradient to the x and y of faces, by the estimator "nmr".
@@ -50,44 +51,57 @@ def nmr_gradient(
     difference of sums.
 
     Args:
-        image: [B, C, H, W] float32, any number of channels, with its background, before anti-aliasing.
+        image: [B, C, H, W] float32, any number of channels, with its background, before anti-aliasing. None stands for
+            the silhouette, of one channel: the result is the same, but faster.
         faces: Screen-space corners, [B, F, 3, 3] float32.
         face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
         eps: Added to every distance, in screen units. It bounds the gradient of pixels that touch the edge.
         two_sided: Whether faces whose corners run clockwise are drawn.
-        binary: Whether the image is a silhouette of 0 and 1. The result is the same with False, but slower.
         halved: Whether to average blocks of 2 x 2 pixels (anti-aliasing), which saves a copy of the image.
 
     Returns:
         [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``.
     """
-    return halve(image) if halved else copy(image)
+    return averaged(image, face_index, halved)
 
 
 @torch.library.register_fake("neural_renderer::nmr_gradient")
-def _(image, faces, face_index, eps, two_sided, binary, halved=False):
-    scale = 2 if halved else 1
-    return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
+def _(image, faces, face_index, eps, two_sided, halved=False):
+    return like_averaged(image, face_index, halved)
 
 
 @differentiable_once
 def nmr_gradient_backward(
-    grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, binary: bool
+    grad: Tensor,
+    image: Optional[Tensor],  # noqa: UP045
+    faces: Tensor,
+    face_index: Tensor,
+    eps: float,
+    two_sided: bool,
 ) -> Tensor:
-    """Compute the gradient of `nmr_gradient` to faces, [B, F, 3, 3]; the gradient to z is 0."""
-    grad, image, faces = grad.contiguous(), image.contiguous(), faces.contiguous()
-    batch, channels, height, width = image.shape
+    """Compute the gradient of `nmr_gradient` to faces, [B, F, 3, 3]; the gradient to z is 0.
+
+    Args:
+        grad: Gradient to the image, [B, C, H, W] float32. For the silhouette also that to the means of its blocks of
+            2 x 2 pixels, [B, 1, H / 2, W / 2].
+        image, faces, face_index, eps, two_sided: As in `nmr_gradient`.
+    """
+    grad, faces = grad.contiguous(), faces.contiguous()
+    batch, height, width = face_index.shape
     result = zeros(faces.shape, faces.device)
-    if result.numel() == 0 or image.numel() == 0:
+    if result.numel() == 0 or grad.numel() == 0:
         return result
     device = faces.device
 
-    # The last channels, such as an unused alpha, may have no gradient. On a GPU this test would wait for the device.
-    while not (binary or concurrent(device) or channels == 1 or bool(grad[:, channels - 1].any())):
-        channels -= 1
-    planes = 1 if binary else 1 + channels
+    planes = 1
+    if image is not None:
+        image, channels = image.contiguous(), image.shape[1]
+        # The last channels, such as an unused alpha, may have no gradient. On a GPU this test would wait for it.
+        while not (concurrent(device) or channels == 1 or bool(grad[:, channels - 1].any())):
+            channels -= 1
+        planes = 1 + channels
     # With eps = 0, a pixel that touches the edge would divide by zero.
-    options = [int(binary), max(eps, 1e-12)]
+    eps = max(eps, 1e-12)
     visible = visible_faces(face_index, faces.shape[1])
     room = _ROOM_CONCURRENT if concurrent(device) else _ROOM
     at_once = max(1, min(batch, room // (8 * planes * height * width)))
@@ -98,45 +112,40 @@ def nmr_gradient_backward(
     for first in range(0, batch, at_once):
         here = slice(first, first + at_once)
         images = min(at_once, batch - first)
-        shown = array(image[here])
+        colors = no_array(4, device) if image is None else array(image[here])
+        shown = array(face_index[here])
+        maps = [colors, array(grad[here]), shown, *lines]
         if concurrent(device):
             spans.zero_()
             tasks, each = pixel_tasks(images * height, width, device)
-            launch(copy_pixels, tasks, [shown, array(grad[here]), *lines, each], device)
+            launch(copy_pixels, tasks, [*maps, each], device)
         else:
             tasks = images * (-(-height // WIDE) - (-width // WIDE))
-            launch(copy_lines, tasks, [shown, array(grad[here]), *lines, WIDE], device, worth_a_thread(WIDE * width))
-        arguments = [
-            array(faces[here], wp.vec3),
-            shown,
-            array(face_index[here]),
-            *lines,
-            array(visible[here]),
-            *options,
-        ]
+            launch(copy_lines, tasks, [*maps, WIDE], device, worth_a_thread(WIDE * width))
+        arguments = [array(faces[here], wp.vec3), colors, shown, *lines, array(visible[here]), eps]
         arguments.append(array(result[here], wp.vec3))
         launch_lines(_pull, arguments, images * faces.shape[1], _LANES, device, face_tasks(faces, height * width))
     return result
 
 
 @torch.library.register_fake("neural_renderer::nmr_gradient_backward")
-def _(grad, image, faces, face_index, eps, two_sided, binary):
+def _(grad, image, faces, face_index, eps, two_sided):
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
 def _save(ctx, inputs, output):
-    image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary, ctx.halved = inputs
+    image, faces, face_index, ctx.eps, ctx.two_sided, ctx.halved = inputs
     ctx.save_for_backward(image, faces, face_index)  # not the output, which callers may change in place
 
 
 def _backward(ctx, grad):
     image, faces, face_index = ctx.saved_tensors
-    # Make it contiguous once; earlier operators need it, too.
-    grad = halve_backward(grad) if ctx.halved else grad.contiguous()
-    to_faces = None
+    to_image = to_faces = None
+    if image is not None:  # make it contiguous once; earlier operators need it, too
+        to_image = grad = halve_backward(grad) if ctx.halved else grad.contiguous()
     if ctx.needs_input_grad[1]:
-        to_faces = nmr_gradient_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided, ctx.binary)
-    return grad, to_faces, *[None] * 5
+        to_faces = nmr_gradient_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided)
+    return to_image, to_faces, *[None] * 4
 
 
 differentiable(nmr_gradient, _backward, _save)
@@ -198,9 +207,11 @@ _PULL = (
         SCAN_LINE
         + _EDGE
         + """
-    const Edge edge(p, q, r, axis, image.shape[2], image.shape[3]);
+    const int height = face_index.shape[1], width = face_index.shape[2];
+    const Edge edge(p, q, r, axis, height, width);
     if (!edge.placed) return wp::vec_t<2, float>(0.0f);
-    const int height = image.shape[2], width = image.shape[3], way = edge.outward;
+    const int way = edge.outward;
+    const bool binary = image.shape[0] == 0;
     const wp::int64 area = (wp::int64)height * width, planes = lines.shape[2], plane = lines.shape[3];
     const int* shown = face_index.data + b * area;
     const float* colors = image.data + b * image.shape[1] * area;
@@ -234,14 +245,14 @@ _PULL = (
             const int begin = way > 0 ? (low > outer ? low : outer) : (high < outer ? high : outer);
             const int pixels = way > 0 ? high - begin + 1 : begin - low + 1;
             if (pixels > 0) {
-                line.color = colors + inside;
+                line.color = binary ? line.stored : colors + inside;
                 line.outward(begin, way, pixels, fabsf((float)begin - c));
             }
         }
         if (facing) {
             const int pixels = (inner - edge.far_side(u)) * way + 1;
             if (pixels > 0) {
-                line.color = colors + outside;
+                line.color = binary ? line.stored : colors + outside;
                 line.share_p = -line.share_p, line.share_q = -line.share_q;
                 line.inward(inner, -way, pixels, fabsf((float)inner - c), f, shown + inside, -way * along);
             }
@@ -273,7 +284,6 @@ def pull_edge(
     lines: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
     eps: float,
-    binary: int,
 ) -> wp.vec2:
     """Compute the gradient of the edge p -> q to p and q.
 
@@ -290,7 +300,6 @@ def pull_face(
     rows: wp.array4d(dtype=float),
     columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
-    binary: int,
     eps: float,
     result: wp.array3d(dtype=wp.vec3),
     b: int,
@@ -318,8 +327,8 @@ def pull_face(
             p, q, r = v1, v2, v0
         if k == 2:
             p, q, r = v2, v0, v1
-        to_x = pull_edge(b, f, 0, lane, lanes, part, parts, p, q, r, image, face_index, rows, spans, eps, binary)
-        to_y = pull_edge(b, f, 1, lane, lanes, part, parts, p, q, r, image, face_index, columns, spans, eps, binary)
+        to_x = pull_edge(b, f, 0, lane, lanes, part, parts, p, q, r, image, face_index, rows, spans, eps)
+        to_y = pull_edge(b, f, 1, lane, lanes, part, parts, p, q, r, image, face_index, columns, spans, eps)
         x[k] += to_x[0]
         y[k] += to_y[0]
         x[(k + 1) % 3] += to_x[1]
@@ -345,7 +354,6 @@ def _pull(
     columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
     visible: wp.array2d(dtype=int),
-    binary: int,
     eps: float,
     result: wp.array3d(dtype=wp.vec3),
     queue: wp.array2d(dtype=wp.int64),
@@ -364,13 +372,12 @@ def _pull(
     alone = int(queue.shape[0] == 0)
     while thread < end:
         face, lane, part, parts = line_task(
-            faces, image.shape[2], image.shape[3], queue, total, lanes, threads, thread, 4
+            faces, face_index.shape[1], face_index.shape[2], queue, total, lanes, threads, thread, 4
         )
         if face >= 0:
             b = face // faces.shape[1]
             f = face % faces.shape[1]
             pull_face(
-                faces, image, face_index, rows, columns, spans, binary, eps, result, b, f, lane, lanes, part, parts,
-                alone,
-            )  # fmt: skip
+                faces, image, face_index, rows, columns, spans, eps, result, b, f, lane, lanes, part, parts, alone
+            )
         thread += wp.int64(wp.max(threads, 1))

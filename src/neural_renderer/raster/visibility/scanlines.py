@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..warp.layout import PIXELS_OF_TASK, concurrent
 from ..warp.memory import empty
+from ..warp.point import fill
 
 wp.set_module_options({"enable_backward": False})
 
@@ -36,17 +37,26 @@ def empty_lines(batch: int, lines: int, length: int, planes: int, device: torch.
 
 _COPY = """
     #pragma clang fp contract(fast)
-    const wp::int64 area = (wp::int64)image.shape[2] * image.shape[3], next = planes * plane;
-    const int channels = image.shape[1];
+    const int channels = image.shape[1], height = face_index.shape[1], width = face_index.shape[2];
+    const wp::int64 area = (wp::int64)height * width, next = planes * plane;
     float* stored = lines.data + line;
     for (int k = 0; k < count * planes; ++k)
         for (int i = 1; i <= 16; ++i) stored[k * plane - i] = 0.0f;
     const float *value = image.data + b * channels * area + pixel, *pull = grad.data + b * channels * area + pixel;
-    if (planes == 1) {
-        EACH {
-            const float gain = -pull[from];
-            stored[to] = gain > 0.0f ? gain * (1.0f - value[from]) : gain * value[from];
+    const int* shown = face_index.data + b * area + pixel;
+    const auto gain_of = [](float gain, int face) {
+        const float covered = face >= 0 ? 1.0f : 0.0f;
+        return gain > 0.0f ? gain * (1.0f - covered) : gain * covered;
+    };
+    if (planes == 1 && grad.shape[3] < width) {  // a pixel has a quarter of the gradient of its block
+        pull = grad.data + b * (area / 4) + pixel / width / 2 * (width / 2) + pixel % width / 2;
+        PAIRS {
+            const float gain = -0.25f * pull[block];
+            stored[to] = gain_of(gain, shown[from]), stored[to + APART] = gain_of(gain, shown[from + 1]);
         }
+    } else if (planes == 1) {
+        pull = grad.data + b * area + pixel;
+        EACH stored[to] = gain_of(-pull[from], shown[from]);
     } else if (planes == 4) {  // the usual three channels at once, in the order of the loop below
         const float *green = value + area, *blue = green + area, *by_green = pull + area, *by_blue = by_green + area;
         float *to_red = stored + plane, *to_green = to_red + plane, *to_blue = to_green + plane;
@@ -80,10 +90,18 @@ _COPY = """
 """
 
 
-@wp.func_native(_COPY.replace("EACH", "for (int from = 0, to = 0; to < length; ++from, ++to)"))
+@wp.func_native(
+    fill(
+        _COPY,
+        EACH="for (int from = 0, to = 0; to < length; ++from, ++to)",
+        PAIRS="for (int block = 0, from = 0, to = 0; to < length; ++block, from += 2, to += 2)",
+        APART="1",
+    )
+)
 def copy_row(
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
     b: int,
     pixel: wp.int64,
     count: int,
@@ -100,15 +118,19 @@ def copy_row(
 
 
 @wp.func_native(
-    _COPY.replace(
-        "EACH",
-        "for (int v = 0; v < length; ++v) for (wp::int64 k = 0, from = -(wp::int64)v * image.shape[3], to = v;"
+    fill(
+        _COPY,
+        EACH="for (int v = 0; v < length; ++v) for (wp::int64 k = 0, from = -(wp::int64)v * width, to = v;"
         " k < count; ++k, ++from, to += next)",
+        PAIRS="for (int v = 0; v < length; ++v) for (wp::int64 k = 0, from = -(wp::int64)v * width, to = v,"
+        " block = -(wp::int64)(v / 2) * (width / 2); k < count; k += 2, from += 2, to += 2 * next, ++block)",
+        APART="next",
     )
 )
 def copy_columns(
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
     b: int,
     pixel: wp.int64,
     count: int,
@@ -129,6 +151,7 @@ def copy_lines(
     first: int,
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
     rows: wp.array4d(dtype=float),
     columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
@@ -136,12 +159,14 @@ def copy_lines(
 ):
     """Copy ``abreast`` neighbouring rows or columns of an image. Lines and pixels count from the bottom left.
 
+    With one plane, they are those of the silhouette of ``face_index``, and ``abreast`` is even.
+
     A line's span is from the first to the last pixel that can pull an edge outward: stored as the number of pixels from
     the first one to the end of the line, and from its start to the last one.
     """
     task = first + wp.tid()
-    height = image.shape[2]
-    width = image.shape[3]
+    height = face_index.shape[1]
+    width = face_index.shape[2]
     planes = rows.shape[2]
     row_tasks = (height + abreast - 1) // abreast
     tasks = row_tasks + (width + abreast - 1) // abreast
@@ -154,7 +179,7 @@ def copy_lines(
         for u in range(own * abreast, wp.min((own + 1) * abreast, height)):
             to = (wp.int64(b) * wp.int64(height) + wp.int64(u)) * wp.int64(planes) * plane + wp.int64(WIDE)
             pixel = bottom - wp.int64(u) * wp.int64(width)
-            copy_row(image, grad, b, pixel, 1, width, rows, to, plane, planes, spans, span + wp.int64(u))
+            copy_row(image, grad, face_index, b, pixel, 1, width, rows, to, plane, planes, spans, span + wp.int64(u))
     else:
         u = (own - row_tasks) * abreast
         count = wp.min(abreast, width - u)
@@ -162,14 +187,14 @@ def copy_lines(
         to = (wp.int64(b) * wp.int64(width) + wp.int64(u)) * wp.int64(planes) * plane + wp.int64(WIDE)
         pixel = bottom + wp.int64(u)
         span += wp.int64(height + u)
-        copy_columns(image, grad, b, pixel, count, height, columns, to, plane, planes, spans, span)
+        copy_columns(image, grad, face_index, b, pixel, count, height, columns, to, plane, planes, spans, span)
 
 
 # On CUDA. Nothing is stored beside the lines: there, pixels are read one by one.
 _COPY_PIXELS = f"""
 #if defined(__CUDA_ARCH__)
-    const int channels = image.shape[1], height = image.shape[2], width = image.shape[3], planes = rows.shape[2];
-    const int all = rows.shape[0] * height;
+    const int channels = image.shape[1], height = face_index.shape[1], width = face_index.shape[2];
+    const int planes = rows.shape[2], all = rows.shape[0] * height, half = grad.shape[3] < width ? 2 : 1;
     const wp::int64 area = (wp::int64)height * width, row_plane = rows.shape[3], column_plane = columns.shape[3];
     {PIXELS_OF_TASK}
     for (int row = first; row < last; ++row) {{
@@ -177,15 +202,17 @@ _COPY_PIXELS = f"""
         const int j = height - 1 - row % height;
         wp::vec_t<2, int>* span = spans.data + b * (height + width);
         for (int i = left; i < right; ++i) {{
-            const float* value = image.data + b * channels * area + (row % height) * (wp::int64)width + i;
-            const float* pull = grad.data + (value - image.data);
+            const wp::int64 pixel = b * channels * area + (row % height) * (wp::int64)width + i;
+            const float *value = image.data + pixel, *pull = grad.data + pixel;
             float* in_row = rows.data + (b * height + j) * planes * row_plane + {WIDE} + i;
             float* in_column = columns.data + (b * width + i) * planes * column_plane + {WIDE} + j;
             float sum = 0.0f;
             bool pulls = false;
             if (planes == 1) {{
-                const float gain = -pull[0];
-                sum = gain > 0.0f ? gain * (1.0f - value[0]) : gain * value[0];
+                const wp::int64 block = ((wp::int64)row / half) * (width / half) + i / half;
+                const float gain = -grad.data[block] / (float)(half * half);
+                const float covered = face_index.data[(wp::int64)row * width + i] >= 0 ? 1.0f : 0.0f;
+                sum = gain > 0.0f ? gain * (1.0f - covered) : gain * covered;
                 pulls = sum > 0.0f;
             }}
             for (int c = 0; c < planes - 1; ++c, value += area, pull += area) {{
@@ -210,6 +237,7 @@ _COPY_PIXELS = f"""
 def store_pixels(
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
     rows: wp.array4d(dtype=float),
     columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
@@ -225,13 +253,14 @@ def copy_pixels(
     first: int,
     image: wp.array4d(dtype=float),
     grad: wp.array4d(dtype=float),
+    face_index: wp.array3d(dtype=int),
     rows: wp.array4d(dtype=float),
     columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
     each: int,
 ):
     """Do the same as `copy_lines` on CUDA, where spans are 0 before."""
-    store_pixels(image, grad, rows, columns, spans, first + wp.tid(), each)
+    store_pixels(image, grad, face_index, rows, columns, spans, first + wp.tid(), each)
 
 
 @wp.func

@@ -67,14 +67,15 @@ struct Seam {
         const wp::int64 inner = lines.pixel(at.u, at.inner), outer = lines.pixel(at.u, at.outer);
         // Without other faces, subtract the colour of the side that is shown more often.
         const wp::int64 middle = shows_own && (!shows_adjacent || own <= adjacent) ? inner : outer;
+        const wp::int64 inner_pull = lines.pull(at.u, at.inner), outer_pull = lines.pull(at.u, at.outer);
         const float *channel = lines.image, *pull = lines.grad;
         float result = 0.0f;
-        for (int c = 0; c < lines.channels; ++c, channel += lines.area, pull += lines.area) {
+        for (int c = 0; c < lines.channels; ++c, channel += lines.area, pull += lines.grad_area) {
             float mean = 0.0f;
             for (int n = 0; n < count; ++n) mean += channel[around[n]];
             mean = count > 0 ? mean / (float)count : channel[middle];
             const float difference = own * (channel[inner] - mean) - adjacent * (channel[outer] - mean);
-            result += difference * ((1.0f - at.offset) * pull[inner] + at.offset * pull[outer]);
+            result += difference * ((1.0f - at.offset) * pull[inner_pull] + at.offset * pull[outer_pull]);
         }
         return result;
     }

@@ -207,6 +207,12 @@ def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
 
 
 @cache
+def no_array(dims: int, device: torch.device) -> Any:
+    """Make the argument of a kernel that stands for a tensor that there is not: all its sizes are 0."""
+    return array(torch.empty((0,) * dims, device=device))
+
+
+@cache
 def _inner_dims(dtype: Any) -> int:
     return len(dtype._shape_)
 
