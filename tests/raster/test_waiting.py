@@ -44,10 +44,10 @@ def scene(kind):
 
 
 def step(gpu, mesh, gradient, output):
-    """One step as in a training, after one that may remember what stays the same; returns what the second counted."""
+    """One step as in a training, after two that may remember what stays the same; returns what the third counted."""
     camera = nr.Camera.look_at(GpuTensor(torch.tensor([[0.0, 1.0, -2.5], [1.0, 0.0, 2.0]])))
     light = nr.Light()
-    for _ in range(2):
+    for _ in range(3):
         gpu.waits.clear()
         gpu.copies.clear()
         images = nr.render(mesh, camera, 16, outputs=(output,), gradient=gradient, light=light)

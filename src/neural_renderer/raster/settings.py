@@ -19,6 +19,7 @@ from .visibility.comparators.opendr import opendr_gradient
 from .visibility.edge import edge_gradient
 from .visibility.nmr import nmr_gradient
 from .visibility.rings import edge_rings
+from .warp.layout import in_any_order
 from .warp.registration import needs_gradient
 
 GRADIENTS = ("nmr", "edge", "opendr")
@@ -120,7 +121,9 @@ class Settings:
     def face_index(self, corners: Tensor) -> Tensor:
         """Find the visible face of each drawn pixel, [B, H, W] int32; see `coverage`."""
         height, width = self.height * self.scale, self.width * self.scale
-        marked = self.gradient != "opendr" and needs_gradient(corners)
+        # What will ask for the mask in backward; without an order, "nmr" does not.
+        marked = self.gradient == "edge" or (self.gradient == "nmr" and not in_any_order(corners.device))
+        marked = marked and needs_gradient(corners)
         options = (self.near, self.far, self.two_sided, self.perspective)
         return coverage(corners.detach(), height, width, *options, marked)
 

@@ -7,8 +7,9 @@ import torch
 import warp as wp
 
 from neural_renderer.raster.visibility.scanlines import WIDE, copy_lines, copy_pixels, empty_lines
-from neural_renderer.raster.warp.launch import array, launch
+from neural_renderer.raster.warp.launch import array, launch, no_array
 from neural_renderer.raster.warp.layout import concurrent, pixel_tasks
+from neural_renderer.raster.warp.queue import queue_arrays
 
 HEIGHT, WIDTH = 5, 37  # columns come in groups of WIDE, of which the last is not full
 
@@ -24,7 +25,8 @@ def stored(
     maps = [array(image), array(grad), array(index), array(rows), array(columns), array(spans, wp.vec2i)]
     if concurrent(device):
         tasks, each = pixel_tasks(batch * HEIGHT, WIDTH, device)
-        launch(copy_pixels, tasks, [*maps, each], device)
+        no_queue = [no_array(3, device), no_array(2, device), *queue_arrays(None, device), 8, 4]
+        launch(copy_pixels, tasks, [*maps, *no_queue, each], device)
     else:
         tasks = batch * (-(-HEIGHT // WIDE) - (-WIDTH // WIDE))
         launch(copy_lines, tasks, [*maps, WIDE], device)

@@ -47,7 +47,7 @@ def draw_concurrently(faces: Tensor, face_index: Tensor, visible: Any, options: 
     threads = min(MOST_THREADS, batch * count * height * min(width, _LANES))
     launch(_draw_large, threads, [*arguments, threads], device)
     tasks, each = pixel_tasks(batch * height, width, device)
-    launch(_decode, tasks, [array(key), array(face_index), visible, count, each], device)
+    launch(decode_keys, tasks, [array(key), array(face_index), visible, count, each], device)
 
 
 @wp.func
@@ -179,7 +179,7 @@ def decode(
 
 
 @wp.kernel
-def _decode(
+def decode_keys(
     first: int,
     key: wp.array3d(dtype=wp.int64),
     face_index: wp.array3d(dtype=wp.int32),
@@ -187,4 +187,5 @@ def _decode(
     count: int,
     each: int,
 ):
+    """Run `decode`; ``visible`` is empty where no faces are marked."""
     decode(key, face_index, visible, first + wp.tid(), each, count, wp.int64(EMPTY))

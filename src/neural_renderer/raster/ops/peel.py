@@ -11,10 +11,10 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.geometry import pixel_box, pixel_centre
-from ..warp.launch import array, launch, module_for_cuda
+from ..warp.launch import array, launch, module_for_cuda, no_array
 from ..warp.layout import concurrent, cpu_bands, face_lanes, pixel_tasks, readable, worth_a_thread
 from ..warp.registration import operator
-from .draw_concurrently import EMPTY, decode
+from .draw_concurrently import EMPTY, decode_keys
 from .draw_face import clear_rows, draw_behind_keys, draw_behind_rows, turn_rows
 from .drawn_faces import crossing_depth, depth_terms, drawn_face, next_candidate
 
@@ -69,7 +69,7 @@ def _draw_behind(faces: Tensor, index: Tensor, floor: Tensor, near: float, far: 
         arguments = [corners, array(key), array(floor), near, far, *sides, lanes]
         launch(_peel_face, batch * count * lanes, arguments, faces.device)
         tasks, each = pixel_tasks(batch * height, width, faces.device)
-        launch(_decode, tasks, [array(key), array(index), count, each], faces.device)
+        launch(decode_keys, tasks, [array(key), array(index), no_array(2, faces.device), count, each], faces.device)
         return (key >> 32).int().view(torch.float32)
     bands = min(height, cpu_bands(batch, height * width + 32 * count))
     nearest = torch.empty_like(floor)
@@ -164,8 +164,3 @@ def _peel_face(
                 if z > floor_depth[b, height - 1 - j, i] and z < far:
                     candidate = (wp.int64(wp.cast(z, wp.int32)) << wp.int64(32)) | wp.int64(index)
                     wp.atomic_min(key, b, height - 1 - j, i, candidate)
-
-
-@wp.kernel(module=module_for_cuda(__name__))
-def _decode(first: int, key: wp.array3d(dtype=wp.int64), face_index: wp.array3d(dtype=wp.int32), count: int, each: int):
-    decode(key, face_index, first + wp.tid(), each, count, wp.int64(EMPTY))

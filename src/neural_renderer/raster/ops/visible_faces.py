@@ -103,6 +103,19 @@ def pixels_of_run(face_index: wp.array3d(dtype=int), task: int, run: int):
 
 
 @wp.func
+def pixels_of_task(task: int, each: int, width: int):
+    """Find the pixels of a task of `pixel_tasks` on CUDA: the row, counted over all images, and its [first, end)."""
+    row = task
+    left = int(0)
+    right = width
+    if each == 0:
+        row = task // width
+        left = task % width
+        right = left + 1
+    return row, left, right
+
+
+@wp.func
 def box_of_face(
     faces: wp.array3d(dtype=wp.vec3), face_index: wp.array3d(dtype=int), b: int, f: int, perspective: int
 ) -> Int4:

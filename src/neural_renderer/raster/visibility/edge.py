@@ -37,21 +37,24 @@ from torch import Tensor
 from ..colors.downsample import averaged, halve_backward, like_averaged
 from ..ops.visible_faces import visible_faces
 from ..warp.geometry import facing
-from ..warp.launch import array, no_array
-from ..warp.layout import face_tasks
-from ..warp.memory import zeros
-from ..warp.queue import launch_lines, line_task, queued_threads
+from ..warp.launch import array, launch, module_for_cuda, no_array
+from ..warp.layout import face_tasks, in_any_order
+from ..warp.memory import empty, zeros
+from ..warp.queue import enqueue_lines, launch_lines, line_queue, line_task, queue_arrays, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
 from .continuity import colors_continue
 from .crossings import CROSSINGS
 from .gains import GAINS
 from .intersections import add_intersections
 from .nearness import NEARNESS
-from .neighbors import neighbors
+from .neighbors import neighbors, search_rings
 from .outlines import LONGEST, OUTLINES
+from .rings import edges_alone
 from .seams import SEAMS
 
 wp.set_module_options({"enable_backward": False})
+
+_MOST = wp.constant(1)  # scan lines of a CUDA thread
 
 
 @operator
@@ -120,8 +123,13 @@ def edge_gradient_backward(
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or grad.numel() == 0:
         return result
-    adjacent = neighbors(faces, two_sided, perspective, rings)
-    add_edges(result, grad, image, faces, face_index, adjacent, perspective, seams, edge_hashes)
+    search = None
+    if rings is not None and in_any_order(faces.device) and edges_alone(rings) == 0:
+        search = (rings, two_sided)  # by the launch that queues faces
+        adjacent = empty((*faces.shape[:2], 3), faces.device, torch.int32)
+    else:
+        adjacent = neighbors(faces, two_sided, perspective, rings)
+    add_edges(result, grad, image, faces, face_index, adjacent, perspective, seams, edge_hashes, search=search)
     if image is not None:  # where two faces of a silhouette meet, both are 1
         add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
     return result
@@ -138,6 +146,7 @@ def add_edges(
     seams: bool,
     edge_hashes: Tensor | None,
     folds: Tensor | None = None,
+    search: tuple[Tensor, bool] | None = None,
 ) -> None:
     """Compute the gradient of outlines and seams.
 
@@ -149,6 +158,7 @@ def add_edges(
         adjacent: As from `neighbors`.
         folds: Faces that the surface folds back to, as from `neighbors`; an edge behind its fold has no gradient, for
             the face in front has it. None: edges behind folds are hidden anyway.
+        search: On CUDA, rings without edges that are alone, and ``two_sided``, to find ``adjacent``, which is written.
     """
     batch, height, width = face_index.shape
     maps = [no_array(4, grad.device) if image is None else array(image), array(grad), array(face_index)]
@@ -157,10 +167,16 @@ def add_edges(
     if folds is None:
         folds = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
     options = [array(folds), int(perspective), int(seams)]
-    visible = visible_faces(face_index, faces.shape[1])
-    arguments = [array(faces, wp.vec3), *maps, array(visible), array(adjacent), *options]
-    arguments += [array(edge_hashes), array(result, wp.vec3)]
-    launch_lines(_move, arguments, batch * faces.shape[1], 1, faces.device, face_tasks(faces, height * width))
+    corners, count, device = array(faces, wp.vec3), faces.shape[1], faces.device
+    beside = [array(visible_faces(face_index, count)), array(adjacent)]
+    queue = line_queue(batch * count, device)
+    if queue is not None:
+        rings, two_sided = search or (None, False)
+        known = [no_array(3, device) if rings is None else array(rings), int(two_sided), int(perspective)]
+        filled = [int(seams), height, width, *queue_arrays(queue, device)]
+        launch(_queue_faces, batch * count, [corners, *known, *beside, *filled], device)
+    arguments = [corners, *maps, *beside, *options, array(edge_hashes), array(result, wp.vec3)]
+    launch_lines(_move, arguments, batch * count, queue, 1, device, face_tasks(faces, height * width))
 
 
 @torch.library.register_fake("neural_renderer::edge_gradient_backward")
@@ -275,7 +291,7 @@ _HAS_MOVING_EDGE = """
         for (int k = 0; k < 3 && left >= 0; ++k) {
             const int g = next[3 * (wp::int64)face + k];
             if (g < 0 || g == before) continue;
-            if (shown[g]) return true;
+            if (shown[g] || (has_outline && !searched)) return true;
             if (left > 0) ++last, faces[last] = g, from[last] = face, steps[last] = left;
         }
     }
@@ -285,9 +301,9 @@ _HAS_MOVING_EDGE = """
 
 @wp.func_native(_HAS_MOVING_EDGE.replace("LONGEST", str(LONGEST)))
 def has_moving_edge(
-    visible: wp.array2d(dtype=int), adjacent: wp.array3d(dtype=int), b: int, f: int, seams: int
+    visible: wp.array2d(dtype=int), adjacent: wp.array3d(dtype=int), b: int, f: int, seams: int, searched: int
 ) -> bool:
-    """Test whether an edge of the face may be a visible boundary."""
+    """Test whether an edge of the face may be a visible boundary; ``searched``: ``adjacent`` is known of all faces."""
     ...
 
 
@@ -361,6 +377,31 @@ def move_face(
     )
 
 
+@wp.kernel(module=module_for_cuda(__name__))
+def _queue_faces(
+    first: int,
+    faces: wp.array3d(dtype=wp.vec3),
+    rings: wp.array3d(dtype=int),
+    two_sided: int,
+    perspective: int,
+    visible: wp.array2d(dtype=int),
+    adjacent: wp.array3d(dtype=int),
+    seams: int,
+    height: int,
+    width: int,
+    queue: wp.array2d(dtype=wp.int64),
+    total: wp.array1d(dtype=wp.int64),
+):
+    """Put a face that may have an edge to move into the queue for `_move`. With rings, first find adjacent faces."""
+    task = first + wp.tid()
+    b = task // int(faces.shape[1])
+    f = task % int(faces.shape[1])
+    if rings.shape[0] > 0:
+        search_rings(faces, rings, two_sided, perspective, -1, b, f, adjacent)
+    if has_moving_edge(visible, adjacent, b, f, seams, int(rings.shape[0] == 0)):
+        enqueue_lines(faces, b, f, height, width, queue, total, 1, int(_MOST))
+
+
 @wp.kernel(launch_bounds=(256, 2))
 def _move(
     first: int,
@@ -381,23 +422,21 @@ def _move(
     threads: int,
 ):
     """Move the edges of one face of one image, or some lines of them; see `launch_lines`."""
-    own = (first + wp.tid()) // lanes
-    if threads == 0 and not has_moving_edge(visible, adjacent, own // faces.shape[1], own % faces.shape[1], seams):
-        return
     thread = wp.int64(first + wp.tid())
     end = thread + wp.int64(1)
+    alone = int(threads == 0)
     if threads > 0:
         end = queued_threads(total)
-    alone = int(queue.shape[0] == 0)
+    elif not has_moving_edge(visible, adjacent, int(thread) // faces.shape[1], int(thread) % faces.shape[1], seams, 1):
+        return
     while thread < end:
         face, _lane, part, parts = line_task(
-            faces, face_index.shape[1], face_index.shape[2], queue, total, lanes, threads, thread, 1
+            faces, face_index.shape[1], face_index.shape[2], queue, total, lanes, thread, int(_MOST)
         )
-        if face >= 0:
-            b = face // faces.shape[1]
-            f = face % faces.shape[1]
-            move_face(
-                faces, image, grad, face_index, adjacent, folds, perspective, seams, edge_hashes, result, b, f,
-                part, parts, alone,
-            )  # fmt: skip
+        b = face // faces.shape[1]
+        f = face % faces.shape[1]
+        move_face(
+            faces, image, grad, face_index, adjacent, folds, perspective, seams, edge_hashes, result, b, f, part,
+            parts, alone,
+        )  # fmt: skip
         thread += wp.int64(wp.max(threads, 1))

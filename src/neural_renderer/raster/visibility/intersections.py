@@ -20,7 +20,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..ops.visible_faces import next_shown
+from ..ops.visible_faces import next_shown, pixels_of_task
 from ..warp.geometry import degenerate, in_front, pixel_box, pixel_centre
 from ..warp.launch import array, launch, module_for_cuda
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, worth_a_thread
@@ -339,13 +339,7 @@ def _intersect_pairs(
     task = first + wp.tid()
     height = int(face_index.shape[1])
     width = int(face_index.shape[2])
-    line = task
-    left = int(0)
-    right = width
-    if each == 0:
-        line = task // width
-        left = task % width
-        right = left + 1
+    line, left, right = pixels_of_task(task, each, width)
     b = line // height
     row = line % height
     for i in range(left, right):

@@ -14,8 +14,9 @@ from torch import Tensor
 
 from ..warp.geometry import FACING, IN_FRONT
 from ..warp.launch import array, launch
-from ..warp.layout import in_any_order, readable
+from ..warp.layout import in_any_order
 from ..warp.memory import empty, zeros
+from .rings import edges_alone
 
 wp.set_module_options({"enable_backward": False})
 
@@ -54,8 +55,8 @@ def neighbors(
     if rings is not None:
         arguments = [corners, array(rings), *options, way, array(result)]
         launch(_search_rings, batch * count, arguments, faces.device, _LEAST)
-        if readable(faces.device):
-            most = int(rings[0, -1, 0])
+        alone_count = edges_alone(rings)
+        most = most if alone_count is None else alone_count
     else:
         rings = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
     if most == 0:

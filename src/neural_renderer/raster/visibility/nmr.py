@@ -21,15 +21,16 @@ from ..warp.geometry import SHORTEST, facing
 from ..warp.launch import array, launch, no_array
 from ..warp.layout import concurrent, face_tasks, pixel_tasks, worth_a_thread
 from ..warp.memory import zeros
-from ..warp.queue import launch_lines, line_task, queued_threads
+from ..warp.queue import launch_lines, line_queue, line_task, queue_arrays, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
 from .line_sums import SCAN_LINE
 from .scanlines import WIDE, copy_lines, copy_pixels, empty_lines
 
 wp.set_module_options({"enable_backward": False})
 
-# CUDA threads that share a scan line: neighbours, whose pixels lie in one sector of memory.
+# CUDA threads that share a scan line: neighbours, whose pixels lie in one sector of memory. And their most lines.
 _LANES = 8
+_MOST = wp.constant(4)
 # Keeps the quotient finite if a pixel lies on the edge and the corner's share is 0.
 TINY = 1.0e-15
 # Most bytes of scan lines that are stored at once: on the CPU about the size of its caches.
@@ -102,29 +103,37 @@ def nmr_gradient_backward(
         planes = 1 + channels
     # With eps = 0, a pixel that touches the edge would divide by zero.
     eps = max(eps, 1e-12)
-    visible = visible_faces(face_index, faces.shape[1])
+    count = faces.shape[1]
     room = _ROOM_CONCURRENT if concurrent(device) else _ROOM
     at_once = max(1, min(batch, room // (8 * planes * height * width)))
     rows = empty_lines(at_once, height, width, planes, device)
     columns = empty_lines(at_once, width, height, planes, device)
-    spans = torch.empty((at_once, height + width, 2), dtype=torch.int32, device=device)
+    spans = torch.empty((0 if concurrent(device) else at_once, height + width, 2), dtype=torch.int32, device=device)
     lines = [array(rows), array(columns), array(spans, wp.vec2i)]
+    queue = line_queue(at_once * count, device)
+    visible = visible_faces(face_index, count) if queue is None else None
     for first in range(0, batch, at_once):
         here = slice(first, first + at_once)
         images = min(at_once, batch - first)
         colors = no_array(4, device) if image is None else array(image[here])
         shown = array(face_index[here])
+        corners = array(faces[here], wp.vec3)
         maps = [colors, array(grad[here]), shown, *lines]
         if concurrent(device):
-            spans.zero_()
+            # In one piece of memory, to clear it at once: the total of the queue, the faces in it, and the spans.
+            sizes = (2, images * count if queue else 0, images * (height + width) * 2)
+            total, queued, spans = zeros((sum(sizes),), device, torch.int32).split(sizes)
+            queue = queue and (queue[0], total.view(torch.int64))
+            lines[2] = maps[5] = array(spans.view(images, height + width, 2), wp.vec2i)
+            filled = [array(queued.view(images if queue else 0, count)), *queue_arrays(queue, device)]
             tasks, each = pixel_tasks(images * height, width, device)
-            launch(copy_pixels, tasks, [*maps, each], device)
+            launch(copy_pixels, tasks, [*maps, corners, *filled, _LANES, int(_MOST), each], device)
         else:
             tasks = images * (-(-height // WIDE) - (-width // WIDE))
             launch(copy_lines, tasks, [*maps, WIDE], device, worth_a_thread(WIDE * width))
-        arguments = [array(faces[here], wp.vec3), colors, shown, *lines, array(visible[here]), eps]
-        arguments.append(array(result[here], wp.vec3))
-        launch_lines(_pull, arguments, images * faces.shape[1], _LANES, device, face_tasks(faces, height * width))
+        mask = no_array(2, device) if visible is None else array(visible[here])
+        arguments = [corners, colors, shown, *lines, mask, eps, array(result[here], wp.vec3)]
+        launch_lines(_pull, arguments, images * count, queue, _LANES, device, face_tasks(faces, height * width))
     return result
 
 
@@ -361,23 +370,19 @@ def _pull(
     lanes: int,
     threads: int,
 ):
-    """Move the edges of one face of one image, or some pixels of some lines of them; see `launch_lines`."""
-    own = (first + wp.tid()) // lanes
-    if threads == 0 and visible[own // faces.shape[1], own % faces.shape[1]] == 0:
-        return
+    """Move the edges of a visible face of one image, or some pixels of some lines of them; see `launch_lines`."""
     thread = wp.int64(first + wp.tid())
     end = thread + wp.int64(1)
+    alone = int(threads == 0)
     if threads > 0:
         end = queued_threads(total)
-    alone = int(queue.shape[0] == 0)
+    elif visible[int(thread) // faces.shape[1], int(thread) % faces.shape[1]] == 0:
+        return
     while thread < end:
         face, lane, part, parts = line_task(
-            faces, face_index.shape[1], face_index.shape[2], queue, total, lanes, threads, thread, 4
+            faces, face_index.shape[1], face_index.shape[2], queue, total, lanes, thread, int(_MOST)
         )
-        if face >= 0:
-            b = face // faces.shape[1]
-            f = face % faces.shape[1]
-            pull_face(
-                faces, image, face_index, rows, columns, spans, eps, result, b, f, lane, lanes, part, parts, alone
-            )
+        b = face // faces.shape[1]
+        f = face % faces.shape[1]
+        pull_face(faces, image, face_index, rows, columns, spans, eps, result, b, f, lane, lanes, part, parts, alone)
         thread += wp.int64(wp.max(threads, 1))

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ..warp.launch import stream_of
 from ..warp.layout import readable
 from ..warp.registration import is_plain, operator
 
@@ -47,6 +48,13 @@ def edge_rings(faces: Tensor) -> Tensor:
     return _known_rings(faces) if is_plain((faces,)) else _edge_rings(faces)
 
 
+def edges_alone(rings: Tensor) -> int | None:
+    """Return the number of edges that are alone in their rings; None where reading it would wait for the device."""
+    if readable(rings.device):
+        return int(rings[0, -1, 0])
+    return rings.__dict__.get("_alone")
+
+
 @operator
 def _edge_rings(faces: Tensor) -> Tensor:
     return _known_rings(faces).clone()  # compiled programs may overwrite their inputs
@@ -72,6 +80,9 @@ def _known_rings(faces: Tensor) -> Tensor:
         else:
             same = one.source() is faces and one.version == version >= 0
         if same:
+            # On CUDA read once, of a mesh that comes again; not while a graph is captured.
+            if not known_by_values and "_alone" not in one.rings.__dict__ and stream_of(faces.device) is not None:
+                one.rings.__dict__["_alone"] = int(one.rings[0, -1, 0])
             return one.rings
     rings = _find_rings(faces if faces.dim() == 3 else faces[None])
     copy = faces.clone() if known_by_values else faces[:0]

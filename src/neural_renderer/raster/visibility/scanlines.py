@@ -10,9 +10,11 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from ..ops.visible_faces import pixels_of_task
 from ..warp.layout import PIXELS_OF_TASK, concurrent
 from ..warp.memory import empty
 from ..warp.point import fill
+from ..warp.queue import enqueue_lines
 
 wp.set_module_options({"enable_backward": False})
 
@@ -257,10 +259,32 @@ def copy_pixels(
     rows: wp.array4d(dtype=float),
     columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
+    faces: wp.array3d(dtype=wp.vec3),
+    queued: wp.array2d(dtype=int),
+    queue: wp.array2d(dtype=wp.int64),
+    total: wp.array1d(dtype=wp.int64),
+    lanes: int,
+    most: int,
     each: int,
 ):
-    """Do the same as `copy_lines` on CUDA, where spans are 0 before."""
-    store_pixels(image, grad, face_index, rows, columns, spans, first + wp.tid(), each)
+    """Do the same as `copy_lines` on CUDA, where spans are 0 before, and put each visible face into a queue.
+
+    See `enqueue_lines`. The first thread that finds a face puts it there, and sets its entry of ``queued``, 0 before.
+    """
+    task = first + wp.tid()
+    store_pixels(image, grad, face_index, rows, columns, spans, task, each)
+    if queued.shape[0] == 0:
+        return
+    height = int(face_index.shape[1])
+    width = int(face_index.shape[2])
+    row, left, right = pixels_of_task(task, each, width)
+    b = row // height
+    for i in range(left, right):
+        f = face_index[b, row % height, i]
+        if f >= 0:
+            if queued[b, f] == 0:  # most pixels end here
+                if wp.atomic_cas(queued, b, f, 0, 1) == 0:
+                    enqueue_lines(faces, b, f, height, width, queue, total, lanes, most)
 
 
 @wp.func

@@ -1,4 +1,4 @@
-"""A queue of large faces on CUDA: one launch draws small faces and fills it, and the next shares the large ones.
+"""A queue of faces on CUDA: one launch fills it with large faces, or those that have work; the next shares the work.
 
 Otherwise a few large triangles behind a fine mesh would keep the GPU waiting for the threads that have them.
 """
@@ -37,30 +37,45 @@ def empty_queue(faces: int, device: torch.device) -> tuple[Tensor, Tensor]:
 @functools.cache
 def _no_queue(device: torch.device) -> list[Any]:
     """Make the arguments that stand for a queue where there is none."""
-    return [*map(array, empty_queue(0, device)), 1, 0]
+    return [*map(array, empty_queue(0, device))]
+
+
+def queue_arrays(queue: tuple[Tensor, Tensor] | None, device: torch.device) -> list[Any]:
+    """Make the kernel arguments of a queue, which are empty if there is none."""
+    return [*map(array, queue)] if queue else _no_queue(device)
+
+
+def line_queue(faces: int, device: torch.device) -> tuple[Tensor, Tensor] | None:
+    """Make an empty queue for `launch_lines`; None where each face has one task, which visits its lines in order."""
+    return empty_queue(faces, device) if in_any_order(device) else None
 
 
 def launch_lines(
-    kernel: wp.Kernel, arguments: Sequence[Any], faces: int, lanes: int, device: torch.device, least: int = 1
+    kernel: wp.Kernel,
+    arguments: Sequence[Any],
+    faces: int,
+    queue: tuple[Tensor, Tensor] | None,
+    lanes: int,
+    device: torch.device,
+    least: int = 1,
 ) -> None:
-    """Run a kernel for each face, with more threads for faces that many scan lines cross.
+    """Run a kernel for each face, or on CUDA for each one in a queue, with more threads if many scan lines cross it.
 
     Args:
         kernel: Takes, after ``arguments``, the queue and its total, the number of ``lanes`` and the number of threads
-            of a launch for the faces of the queue, which is 0 in a launch for all faces. See `line_task`.
+            of the launch, which is 0 without a queue. See `line_task`.
         arguments: As of `launch`.
         faces: Number of faces.
+        queue: As from `line_queue`, filled by `enqueue_lines`.
         lanes: Threads on CUDA that share each line.
         device: As of `launch`.
         least: As of `launch`.
     """
-    if not in_any_order(device):
-        launch(kernel, faces, [*arguments, *_no_queue(device)], device, least)
-        return
-    queue, total = map(array, empty_queue(faces, device))
-    launch(kernel, faces * lanes, [*arguments, queue, total, lanes, 0], device)
-    threads = min(MOST_THREADS, 64 * faces * lanes)
-    launch(kernel, threads, [*arguments, queue, total, lanes, threads], device)
+    if queue is None:
+        launch(kernel, faces, [*arguments, *_no_queue(device), 1, 0], device, least)
+    else:
+        threads = min(MOST_THREADS, 64 * faces * lanes)
+        launch(kernel, threads, [*arguments, *map(array, queue), lanes, threads], device)
 
 
 @wp.func
@@ -104,6 +119,23 @@ def line_parts(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3, height: int, width: int, m
 
 
 @wp.func
+def enqueue_lines(
+    faces: wp.array3d(dtype=wp.vec3),
+    b: int,
+    f: int,
+    height: int,
+    width: int,
+    queue: wp.array2d(dtype=wp.int64),
+    total: wp.array1d(dtype=wp.int64),
+    lanes: int,
+    most: int,
+):
+    """Put a face into the queue of `launch_lines`: ``lanes`` threads each have ``most`` of its scan lines at most."""
+    parts = line_parts(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], height, width, most)
+    enqueue(queue, total, b * faces.shape[1] + f, parts * lanes)
+
+
+@wp.func
 def line_task(
     faces: wp.array3d(dtype=wp.vec3),
     height: int,
@@ -111,27 +143,21 @@ def line_task(
     queue: wp.array2d(dtype=wp.int64),
     total: wp.array1d(dtype=wp.int64),
     lanes: int,
-    threads: int,
     thread: wp.int64,
     most: int,
 ):
-    """Find the work of a thread of `launch_lines`, which has ``most`` scan lines of a face at most.
+    """Find the work of a thread of `launch_lines`, which has ``most`` scan lines of a face at most, or all of it.
 
     Returns:
-        The number of the face, counted over all images; or -1 if it was put into the queue. The lane, of ``lanes``: the
-        pixels of a line that the thread has. The part, and the number of parts: the lines that it has.
+        The number of the face, counted over all images. The lane, of ``lanes``: the pixels of a line that the thread
+        has. The part, and the number of parts: the lines that it has.
     """
-    face = int(thread) // lanes
-    own = int(thread) % lanes
-    if threads > 0:
-        face, own = queued_face(queue, total, thread)
+    face = int(thread)
+    own = int(0)
     parts = int(1)
     if queue.shape[0] > 0:
+        face, own = queued_face(queue, total, thread)
         b = face // faces.shape[1]
         f = face % faces.shape[1]
         parts = line_parts(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], height, width, most)
-        if threads == 0 and parts > 1:
-            if own == 0:
-                enqueue(queue, total, face, parts * lanes)
-            face = -1
     return face, own % lanes, own // lanes, parts

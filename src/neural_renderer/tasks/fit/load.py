@@ -54,7 +54,7 @@ def load_views(
     the outline of ``box``. A box limits all masks to its outline.
 
     The folders ``normals`` and ``depth`` beside the images may have a map for each image, with its name, .png or .npy,
-    as the command `neural-renderer render --save` writes them. A .png holds (n + 1) / 2 of normals, and 16 bits of
+    as the command ``neural-renderer render --save`` writes them. A .png holds (n + 1) / 2 of normals, and 16 bits of
     depth; 0 is no depth. A .npy holds normals, or depth along the viewing axis in world units.
 
     Args:
