@@ -50,6 +50,8 @@ def run(options: FitOptions) -> int:
         load_xatlas()  # before time is spent
     if options.refine_cameras and options.recover != "shape":
         raise ValueError(f"--refine-cameras: expected --recover shape, got --recover {options.recover}")
+    if options.exposure and (options.recover == "camera" or not options.photos):
+        raise ValueError("--exposure: expected photos of a mesh, got --recover camera or --no-photos")
     if options.detail_steps is not None:
         check_counts(options, detail_steps=0)
     if options.up is not None and not any(options.up):
@@ -125,6 +127,7 @@ def _run_mesh_fit(
         color_from=options.color_from,
         refine_cameras=options.refine_cameras,
         camera_steps=options.camera_steps,
+        exposure=options.exposure,
         weights=options.weights,
         detail_weights=options.detail_weights,
         batch=options.batch,
@@ -139,7 +142,7 @@ def _run_mesh_fit(
     write_mesh(options, fit, fitted)
     if options.refine_cameras:
         write_cameras(options, fit, names)
-    report_mesh(options, runner, fit, held_out, finished)
+    report_mesh(options, runner, fit, held_out, finished, names)
     stay(viewer, finished or runner.stopped)
     return _exit_code(finished or runner.stopped, fit.views.quality(fit.shape[:2])["iou"])
 

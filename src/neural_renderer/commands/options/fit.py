@@ -99,6 +99,9 @@ class FitOptions:
     The result has a file cameras.json."""
     camera_steps: int = 150
     """Steps for the cameras before those for the shape (at least 1), for up to 24 views; more views take more."""
+    exposure: bool = False
+    """Fit the exposure and white balance of each photo, too, for photos that a camera exposed automatically. The report
+    has the factors of red, green and blue."""
     color_from: Annotated[float | None, tyro.conf.arg(aliases=["--colour-from"])] = None
     """After this fraction of the steps (0 to 1), colours move the shape, too. Silhouettes do not show hollows; 0.3
     recovers some of them, in twice the time. By default 1, which is never, and 0.4 with --refine-cameras."""

@@ -20,6 +20,7 @@ from ..settings import DetailWeights, FitWeights
 from .cameras.camera_refinement import CameraRefinement
 from .cameras.coarse_fit import coarse_fit, coarse_hull, coarse_misses
 from .detail.detail_fit import DetailFit
+from .exposure import estimate_gains
 from .fit_views import Views
 from .hull import carve, object_bounds
 from .shape import ShapeFit
@@ -50,6 +51,8 @@ class MeshFit:
         refine_cameras: Whether to fit the poses of the cameras and their focal length, too: before the shape, and
             together with it. Not with ``recover="texture"``.
         camera_steps: Steps of the cameras' phase, ≥ 1, for up to 24 views; more views take more.
+        exposure: Whether to fit exposure and white balance of each photo, too: ``views.gains``, whose geometric mean is
+            1. They are estimated before each phase in which colours count.
         weights: Weights of the losses of the shape phase.
         detail_weights: Weights of the losses of the detail phase.
         batch: Views per step, ≥ 1.
@@ -96,6 +99,7 @@ class MeshFit:
         color_from: float | None = None,
         refine_cameras: bool = False,
         camera_steps: int = 150,
+        exposure: bool = False,
         weights: FitWeights = FitWeights(),  # noqa: B008 (immutable)
         detail_weights: DetailWeights = DetailWeights(),  # noqa: B008 (immutable)
         batch: int = 6,
@@ -106,6 +110,8 @@ class MeshFit:
             raise ValueError('start: expected a Mesh with recover="texture", got none')
         if recover == "texture" and refine_cameras:
             raise ValueError('refine_cameras: expected False with recover="texture", got True')
+        if exposure and views.photos is None:
+            raise ValueError("exposure: expected False for views without photos, got True")
         misses = coarse_misses(views) if refine_cameras else 0
         center, scale = object_bounds(views, misses)
         self._center, self._scale = center, scale * _REFINED_SCALE if refine_cameras else scale
@@ -113,6 +119,8 @@ class MeshFit:
         self._cameras = CameraRefinement(self._given.camera) if refine_cameras else None
         if color_from is None:
             color_from = _REFINED_COLOR_FROM if refine_cameras else 1.0
+        self._exposure = validate.flag("exposure", exposure)
+        self._gains: Tensor | None = views.gains
         self._texture_options = {
             "size": validate.whole("texture_size", texture_size, 3),
             "steps": validate.whole("texture_steps", texture_steps, 1),
@@ -132,12 +140,13 @@ class MeshFit:
         self._camera_options |= {"batch": batch, "gradient": gradient, "seed": seed}
         self._start, self._cells = start, validate.whole("cells", cells, 8)
         self.phase: str = "cameras" if refine_cameras else recover
-        self._fit: ShapeFit | DetailFit | TextureFit = self._start_phase(*self._initial_shape())
+        self._fit: ShapeFit | DetailFit | TextureFit = self._expose(*self._initial_shape())
 
     @property
     def views(self) -> Views:
-        """The views, in a world where the object lies in about [-1, 1]³, with refined cameras if they are."""
-        return self._given if self._cameras is None else replace(self._given, camera=self._cameras.camera)
+        """The views, in a world where the object lies in about [-1, 1]³, with refined cameras and gains if they are."""
+        camera = self._given.camera if self._cameras is None else self._cameras.camera
+        return replace(self._given, camera=camera, gains=self._gains)
 
     @property
     def step(self) -> int:
@@ -230,7 +239,7 @@ class MeshFit:
             Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
         """
         cameras = None if self._cameras is None else self._cameras.state_dict()
-        return {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras}
+        return {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras, "gains": self._gains}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from the state of a fit of the same views.
@@ -241,7 +250,7 @@ class MeshFit:
         Raises:
             KeyError: A name is missing.
         """
-        self.phase, cameras = state["phase"], state["cameras"]
+        self.phase, cameras, self._gains = state["phase"], state["cameras"], state["gains"]
         if self._cameras is not None:
             self._cameras.load_state_dict(cameras)
         self._fit = self._start_phase(state["fit"]["vertices"], state["fit"]["faces"])
@@ -262,14 +271,22 @@ class MeshFit:
             vertices = self._cameras.settle(vertices)
         is_new = self.phase == "cameras" and isinstance(self._start, str)
         self.phase = phase
-        self._fit = self._start_phase(*(self._initial_shape() if is_new else (vertices, faces)))
+        self._fit = self._expose(*(self._initial_shape() if is_new else (vertices, faces)))
+
+    def _expose(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
+        """Estimate the gains of photos, if colours count in the current phase, and make its fit."""
+        counts = self.phase == "texture" or (self.phase == "shape" and self._shape_options["color_from"] < 1)  # type: ignore[operator]
+        if self._exposure and counts:
+            self._gains = estimate_gains(self.views, vertices, faces)
+        return self._start_phase(vertices, faces)
 
     def _start_phase(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
         """Make the fit of the current phase."""
         if self.phase == "cameras":
             return coarse_fit(self._given, vertices, faces, self._cameras, **self._camera_options)  # type: ignore[arg-type]
         if self.phase == "shape":
-            return ShapeFit(self._given, vertices, faces, cameras=self._cameras, **self._shape_options)  # type: ignore[arg-type]
+            views = replace(self._given, gains=self._gains)
+            return ShapeFit(views, vertices, faces, cameras=self._cameras, **self._shape_options)  # type: ignore[arg-type]
         if self.phase == "detail":
             return DetailFit(self.views, vertices, faces, **self._detail_options)  # type: ignore[arg-type]
         return TextureFit(self.views, vertices, faces, **self._texture_options)
