@@ -10,8 +10,8 @@ from torch import Tensor
 
 from .... import validate
 from ....meshes.normals import face_normals, vertex_normals
-from ...observer import LEAST_RATE, Knob, turn_weight, weight_knobs
 from ...settings import DetailWeights
+from ..adjustable import Adjustable
 from ..fit_views import Views, mask_iou, views_of_step
 from .adaptive_descent import AdaptiveDescent
 from .pyramid import Pyramid, shortest_edge
@@ -24,7 +24,7 @@ _FLAT_FROM = 0.4
 _SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
 
 
-class DetailFit:
+class DetailFit(Adjustable):
     """Fit the details of a shape to silhouettes with normals, depth or both. Call `advance` until ``done``.
 
     Each step draws some views, from coarse to fine. The loss is the mean absolute difference of each map. Vertices
@@ -140,29 +140,6 @@ class DetailFit:
         images = dict(zip(layers, drawn.split(sizes, 1), strict=True))
         losses = {name: (image - targets[name].to(image)).abs().sum(1).mean() for name, image in images.items()}
         return losses, mask_iou(images["silhouette"][:, 0], views.masks).mean()
-
-    def knobs(self) -> list[Knob]:
-        """List the settings that may change between two steps.
-
-        Returns:
-            "rate", the length of a steady step, and the weights of the losses.
-        """
-        return [Knob("rate", self._rate, LEAST_RATE), *weight_knobs(self._weights)]
-
-    def turn(self, name: str, value: float | str) -> None:
-        """Change a setting. `state_dict` does not contain it.
-
-        Args:
-            name: Its name, as in `knobs`.
-            value: Its new value.
-
-        Raises:
-            TypeError, ValueError: There is no such setting, or the value does not fit.
-        """
-        if name == "rate":
-            self._rate = validate.positive(name, value)
-        else:
-            self._weights = turn_weight(self._weights, name, value)
 
     def state_dict(self) -> dict[str, Any]:
         """Collect everything that changes from step to step.
