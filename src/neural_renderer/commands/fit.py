@@ -52,6 +52,8 @@ def run(options: FitOptions) -> int:
         raise ValueError(f"--refine-cameras: expected --recover shape, got --recover {options.recover}")
     if options.exposure and (options.recover == "camera" or not options.photos):
         raise ValueError("--exposure: expected photos of a mesh, got --recover camera or --no-photos")
+    if options.light is not None and (options.recover == "camera" or not options.photos):
+        raise ValueError("--light: expected photos of a mesh, got --recover camera or --no-photos")
     if options.detail_steps is not None:
         check_counts(options, detail_steps=0)
     if options.up is not None and not any(options.up):
@@ -121,6 +123,7 @@ def _run_mesh_fit(
         recover="texture" if options.recover == "texture" else "shape",
         steps=options.steps,
         detail_steps=options.detail_steps,
+        light=options.light,
         texture_steps=options.texture_steps,
         cells=options.cells,
         texture_size=options.texture_size,

@@ -80,8 +80,11 @@ class FitOptions:
     steps: int = 150
     """Steps of gradient descent for the shape or the camera (at least 1)."""
     detail_steps: int | None = None
-    """Steps for normals and depth, after those for the shape, which remesh it (at least 0); by default 200 if there
-    are such maps."""
+    """Steps for normals, depth and, with --light, colours, after those for the shape, which remesh it (at least 0); by
+    default 200 if there are such maps or --light."""
+    light: Literal["fitted", "none"] | None = None
+    """Let details follow the colours of the photos, too. fitted: with a light that was the same in all photos, which is
+    fitted along; none: without one, for photos whose light moved, and for objects with a pattern."""
     texture_steps: int = 20
     """Steps of conjugate gradients for the texture (at least 1)."""
     texture_size: int = 4

@@ -42,8 +42,9 @@ class MeshFit:
             of the cameras.
         recover: "shape" fits shape and texture; "texture" keeps the shape of the given mesh.
         steps: Steps of the shape phase, ≥ 1.
-        detail_steps: Steps of the detail phase (`DetailFit`), ≥ 0; None is 200 for views with normals or depth, which
-            it needs, and 0 for others.
+        detail_steps: Steps of the detail phase (`DetailFit`), ≥ 0; None is 200 for views with normals or depth and with
+            ``light``, one of which it needs, and 0 for others.
+        light: "fitted" or "none": details follow the colours of the photos, too; see `DetailFit`. None: they do not.
         texture_steps: Steps of the texture phase, ≥ 1.
         cells: Grid cells along each axis for the visual hull, ≥ 8.
         texture_size: T, texels along the edge of a face's texture cube, ≥ 3.
@@ -93,6 +94,7 @@ class MeshFit:
         recover: Literal["shape", "texture"] = "shape",
         steps: int = 150,
         detail_steps: int | None = None,
+        light: Literal["fitted", "none"] | None = None,
         texture_steps: int = 20,
         cells: int = 64,
         texture_size: int = 4,
@@ -128,11 +130,13 @@ class MeshFit:
         }
         self._shape_options = {"steps": steps, "weights": weights, "gradient": gradient, "color_from": color_from}
         self._shape_options |= {"batch": batch, "seed": seed}
-        has_maps = views.normals is not None or views.depth is not None
-        detail_steps = _DETAIL_STEPS * has_maps if detail_steps is None else detail_steps
+        has_detail = views.normals is not None or views.depth is not None or light is not None
+        detail_steps = _DETAIL_STEPS * has_detail if detail_steps is None else detail_steps
         self._detail_options = {"steps": validate.whole("detail_steps", detail_steps, 0), "weights": detail_weights}
-        self._detail_options |= {"seed": seed}
-        if detail_steps and not has_maps:
+        self._detail_options |= {"seed": seed, "light": light}
+        if light is not None and views.photos is None:
+            raise ValueError(f"light: expected None for views without photos, got {light!r}")
+        if detail_steps and not has_detail:
             raise ValueError("detail_steps: expected 0 for views without normals and depth, got more")
         if start == "sphere":
             self._shape_options |= _SPHERE_OPTIONS
@@ -275,8 +279,12 @@ class MeshFit:
 
     def _expose(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
         """Estimate the gains of photos, if colours count in the current phase, and make its fit."""
-        counts = self.phase == "texture" or (self.phase == "shape" and self._shape_options["color_from"] < 1)  # type: ignore[operator]
-        if self._exposure and counts:
+        counts = {
+            "shape": self._shape_options["color_from"] < 1,  # type: ignore[operator]
+            "detail": self._detail_options["light"] is not None,
+            "texture": True,
+        }
+        if self._exposure and counts.get(self.phase):
             self._gains = estimate_gains(self.views, vertices, faces)
         return self._start_phase(vertices, faces)
 
