@@ -11,8 +11,8 @@ length that is 1 % too long: exact cameras, these, and these refined. Held-out v
 all three cases; the surface is brought to the truth by the similarity of the cameras.
 
 With ``--lit``: 24 lit views without maps; outlines alone, and details from colours with a fitted light and without one.
-Prints the distances and angles of ``--maps``, the quality on held-out views, seconds, and the largest resident memory of
-the process so far in MB, so fit one mesh at a time to measure that.
+Prints the distances and angles of ``--maps``, the quality on held-out views, processor seconds, and the largest
+resident memory of the process so far in MB, so fit one mesh at a time to measure that.
 
 With ``--maps``: `DetailFit` with maps of normals, from a sphere and from the fit of outlines, on 16 views. Prints the
 RMS, the mean and the 95th percentile of the distances between the surfaces, in units of the longest side, and the

@@ -96,7 +96,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
     if options.check:
         _check(views, cameras, options)
     kept, left = _split(len(views), options.held_out)
-    fitted, held_out = views[kept], views[left] if left else None
+    fitted, held_out = (views[kept], views[left]) if left else (views, None)
     names = [cameras.images[row].name for row in kept]
     start: Any = options.start
     if options.mesh is not None:
@@ -236,14 +236,23 @@ def _runner(
         mesh: Makes the mesh to show.
     """
     settings = {name: setting_value(value) for name, value in asdict(options).items() if name not in _MAY_DIFFER}
-    contents = b"".join(part.cpu().numpy().tobytes() for part in images if isinstance(part, Tensor))
-    settings["images"] = f"#{zlib.crc32(contents):08x}"
+    settings["images"] = f"#{_checksum(images):08x}"
 
     def preview(path: Any) -> None:
         save_image(path, comparison(*state(), columns=_PREVIEW_COLUMNS))
 
     device = choose_device(options.device)
     return TaskRunner(options.output, fit, settings, preview, device=device, observer=viewer, mesh=mesh)
+
+
+def _checksum(images: tuple[Any, ...]) -> int:
+    """Compute the CRC-32 of tensors; other values are ignored."""
+    value = 0
+    for part in images:
+        if isinstance(part, Tensor):
+            for row in part if part.ndim else part[None]:  # one after the other, without a copy of all
+                value = zlib.crc32(row.detach().cpu().contiguous().numpy(), value)
+    return value
 
 
 def _split(count: int, every: int) -> tuple[list[int], list[int]]:

@@ -10,6 +10,8 @@ from torch import Tensor
 from ....meshes.remeshing.edges import Edges, lengths
 from ....meshes.remeshing.remesh import remesh_once
 from ....meshes.remeshing.surface import Surface
+from ....meshes.topology import Topology
+from ..descent import SmoothDescent
 
 _MEAN_DECAY, _SQUARE_DECAY = 0.8, 0.9  # Adam's β₁ and β₂
 _OWN = 8  # columns of position, target length, mean gradient and mean squared gradient
@@ -81,21 +83,23 @@ class AdaptiveDescent:
         """
         others, colors, mean, square = self.surface.values.split((_OWN, 3, 3, 1), 1)
         self._color_count += 1
-        step, mean, square = self._adam(gradient, mean, square, self._color_count)
+        step, mean, square, _ = self._adam(gradient, mean, square, self._color_count)
         self.surface = Surface(torch.cat((others, colors - rate * step, mean, square), 1), self.faces)
 
     def _adam(
         self, gradient: Tensor, mean: Tensor, square: Tensor, count: int, floor: float = 0.0
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Compute steps of at most about 1, and the running means."""
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Compute steps of at most about 1, and the running means; and the lengths of the steps without a floor."""
         mean = _MEAN_DECAY * mean + (1 - _MEAN_DECAY) * gradient
         square = _SQUARE_DECAY * square + (1 - _SQUARE_DECAY) * gradient.square().sum(1, keepdim=True)
-        size = (square / (1 - _SQUARE_DECAY**count)).sqrt()
-        size = torch.maximum(size, floor * size.mean()).clamp(min=_LEAST_SIZE)
-        return mean / (1 - _MEAN_DECAY**count) / size, mean, square
+        size = (square / (1 - _SQUARE_DECAY**count)).sqrt().clamp(min=_LEAST_SIZE)
+        average = mean / (1 - _MEAN_DECAY**count)
+        speed = (average / size).norm(dim=1, keepdim=True)
+        return average / torch.maximum(size, floor * size.mean()), mean, square, speed
 
     def step(
-        self, gradient: Tensor, *, rate: float, smooth: float, least: float, most: float, floor: float = 0.0
+        self, gradient: Tensor, *, rate: float, smooth: float, least: float, most: float, floor: float = 0.0,
+        reach: float = 0.0,
     ) -> None:
         """Take one step of descent, and at every second step remesh.
 
@@ -109,8 +113,10 @@ class AdaptiveDescent:
         rest = self.surface.values[:, _OWN:]
         vertices, target, mean, square = self.surface.values[:, :_OWN].split((3, 1, 3, 1), 1)
         self._count += 1
-        step, mean, square = self._adam(gradient, mean, square, self._count, floor)
-        speed = step.norm(dim=1, keepdim=True)
+        if reach:
+            smoother = SmoothDescent(Topology.of(self.faces), reach)
+            gradient = smoother.blur(smoother.blur(gradient))
+        step, mean, square, speed = self._adam(gradient, mean, square, self._count, floor)
         edges = Edges.of(self.faces, len(vertices))
         steady = speed + _offset(speed, edges) / 2
         vertices = vertices - rate * target * step

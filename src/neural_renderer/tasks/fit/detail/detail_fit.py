@@ -25,6 +25,8 @@ _DECAY_FROM, _LAST_RATE = 0.7, 0.05  # the rate decreases from this fraction of 
 _FLAT_FROM = 0.4
 _COLOR_RATE = 0.02  # of albedo
 _SETTLE = 10  # steps of light and albedo before vertices move by colours
+_PX=1.0
+_REACH=0.0
 _FLOOR = 1.0  # see `AdaptiveDescent.step`: where colours say little, vertices move little
 _INSIDE = 0.999  # mask of pixels that tell the light
 _SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
@@ -130,10 +132,11 @@ class DetailFit(Adjustable):
         if self._has_colors:
             self._descent.step_colors(gradients[1], _COLOR_RATE * decay)
         least = shortest_edge(views) if self._least is None else self._least
+        if self._has_colors: least=least*_PX
         if not self._has_colors or self.step >= min(_SETTLE, self.steps // 4):
             rate, smooth = self._rate * decay, self._weights.smooth * decay
             floor = _FLOOR if self._has_colors else 0.0
-            self._descent.step(gradients[0], rate=rate, smooth=smooth, least=least, most=_LONGEST, floor=floor)
+            self._descent.step(gradients[0], rate=rate, smooth=smooth, least=least, most=_LONGEST, floor=floor, reach=_REACH if self._has_colors else 0.0)
         self.step += 1
         return {"loss": loss.item(), "iou": iou.item(), **{name: part.item() for name, part in parts.items()}}
 
