@@ -19,6 +19,7 @@ from ..observer import Knob
 from ..settings import DetailWeights, FitWeights
 from .cameras.camera_refinement import CameraRefinement
 from .cameras.coarse_fit import coarse_fit, coarse_hull, coarse_misses
+from .detail.color_model import photos_for
 from .detail.detail_fit import DetailFit
 from .exposure import estimate_gains
 from .fit_views import Views
@@ -134,8 +135,8 @@ class MeshFit:
         detail_steps = _DETAIL_STEPS * has_detail if detail_steps is None else detail_steps
         self._detail_options = {"steps": validate.whole("detail_steps", detail_steps, 0), "weights": detail_weights}
         self._detail_options |= {"seed": seed, "light": light}
-        if light is not None and views.photos is None:
-            raise ValueError(f"light: expected None for views without photos, got {light!r}")
+        if light is not None:
+            photos_for(light, views)
         if detail_steps and not has_detail:
             raise ValueError("detail_steps: expected 0 for views without normals and depth, got more")
         if start == "sphere":

@@ -98,7 +98,14 @@ class AdaptiveDescent:
         return average / torch.maximum(size, floor * size.mean()), mean, square, speed
 
     def step(
-        self, gradient: Tensor, *, rate: float, smooth: float, least: float, most: float, floor: float = 0.0,
+        self,
+        gradient: Tensor,
+        *,
+        rate: float,
+        smooth: float,
+        least: float,
+        most: float,
+        floor: float = 0.0,
         reach: float = 0.0,
     ) -> None:
         """Take one step of descent, and at every second step remesh.
@@ -109,6 +116,7 @@ class AdaptiveDescent:
             smooth: Share of the way to the mean of its neighbours that each vertex moves, too.
             least, most: Limits of the target length, in world units.
             floor: Size of a gradient, relative to the mean of all vertices, below which steps become shorter.
+            reach: λ of `SmoothDescent.blur`, which is applied to the gradient twice; 0 leaves the gradient as it is.
         """
         rest = self.surface.values[:, _OWN:]
         vertices, target, mean, square = self.surface.values[:, :_OWN].split((3, 1, 3, 1), 1)

@@ -9,13 +9,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .... import validate
-from ....deferred import Fragments
 from ....meshes.normals import face_normals, vertex_normals
 from ...settings import DetailWeights
 from ..adjustable import Adjustable
 from ..fit_views import Views, mask_iou, views_of_step
 from .adaptive_descent import AdaptiveDescent
-from .light_fit import LightFit
+from .color_model import ColorModel, roughness
 from .pyramid import Pyramid, shortest_edge
 
 _LONGEST = 0.15  # target length of edges, where the object is about 2 long
@@ -25,10 +24,9 @@ _DECAY_FROM, _LAST_RATE = 0.7, 0.05  # the rate decreases from this fraction of 
 _FLAT_FROM = 0.4
 _COLOR_RATE = 0.02  # of albedo
 _SETTLE = 10  # steps of light and albedo before vertices move by colours
-_PX=1.0
-_REACH=0.0
-_FLOOR = 1.0  # see `AdaptiveDescent.step`: where colours say little, vertices move little
-_INSIDE = 0.999  # mask of pixels that tell the light
+# See `AdaptiveDescent.step`. Colours say less than normals, and where they say little, vertices move little.
+_FLOOR, _REACH = 0.5, 1.0
+_FINER = 2 / 3  # least target length of edges for colours, relative to that for normals
 _SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
 
 
@@ -85,10 +83,6 @@ class DetailFit(Adjustable):
         seed: int = 0,
         light: Literal["fitted", "none"] | None = None,
     ) -> None:
-        if light not in (None, "fitted", "none"):
-            raise ValueError(f'light: expected "fitted", "none" or None, got {light!r}')
-        if light is not None and views.photos is None:
-            raise ValueError(f"light: expected None for views without photos, got {light!r}")
         if views.normals is None and views.depth is None and light is None:
             raise ValueError("views: expected normals or depth, got neither")
         self.steps, self.step = validate.whole("steps", steps, 1), 0
@@ -96,11 +90,9 @@ class DetailFit(Adjustable):
         self._least = None if edge_length is None else validate.positive("edge_length", edge_length)
         self._weights, self._rate = weights, validate.positive("rate", rate)
         self._batch, self._seed = min(validate.whole("batch", batch, 1), len(views)), seed
-        colors = None
-        if light is not None:
-            colors = (views.photos.sum((0, 2, 3)) / views.masks.sum()).expand(len(vertices), -1)  # type: ignore[union-attr]
-        self._descent, self._has_colors = AdaptiveDescent(vertices.float(), faces, colors), colors is not None
-        self._light = LightFit(views.masks) if light == "fitted" else None
+        self._color = None if light is None else ColorModel(views, light)
+        colors = None if self._color is None else self._color.mean.expand(len(vertices), -1)
+        self._descent = AdaptiveDescent(vertices.float(), faces, colors)
         self._pyramid = Pyramid(views, float(self._descent.surface.target.mean()))
 
     @property
@@ -123,20 +115,21 @@ class DetailFit(Adjustable):
         progress = self.step / self.steps
         views = self._pyramid.at(progress)[views_of_step(self._count, self._batch, self._seed, self.step)]
         parameters = [self._descent.vertices.clone().requires_grad_()]
-        if self._has_colors:
+        if self._color is not None:
             parameters.append(self._descent.colors.clone().requires_grad_())
         parts, iou = self._losses(views, parameters, progress >= _FLAT_FROM, progress >= _SMOOTH_FROM)
         loss = torch.stack([getattr(self._weights, name) * part for name, part in parts.items()]).sum()
         gradients = torch.autograd.grad(loss, parameters)
         decay = min(1.0, max(_LAST_RATE, (1 - progress) / (1 - _DECAY_FROM)))
-        if self._has_colors:
+        if self._color is not None:
             self._descent.step_colors(gradients[1], _COLOR_RATE * decay)
-        least = shortest_edge(views) if self._least is None else self._least
-        if self._has_colors: least=least*_PX
-        if not self._has_colors or self.step >= min(_SETTLE, self.steps // 4):
-            rate, smooth = self._rate * decay, self._weights.smooth * decay
-            floor = _FLOOR if self._has_colors else 0.0
-            self._descent.step(gradients[0], rate=rate, smooth=smooth, least=least, most=_LONGEST, floor=floor, reach=_REACH if self._has_colors else 0.0)
+        if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
+            least = shortest_edge(views) if self._least is None else self._least
+            options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
+            if self._color is not None:
+                options |= {"floor": _FLOOR, "reach": _REACH}
+                least *= _FINER if self._least is None else 1.0
+            self._descent.step(gradients[0], least=least, **options)
         self.step += 1
         return {"loss": loss.item(), "iou": iou.item(), **{name: part.item() for name, part in parts.items()}}
 
@@ -161,25 +154,16 @@ class DetailFit(Adjustable):
             if views.depth is not None:
                 # Composited as a difference: a part that appears or vanishes has no error at all.
                 layers["depth"], targets["depth"] = _depth_error(surface[..., 3:], views.depth), torch.zeros(())
-        if self._has_colors:
-            layers["photometric"] = self._colors(views, seen, parameters[1][faces], normals, anti_aliasing)
+        if self._color is not None:
+            layers["photometric"] = self._color.draw(views, seen, parameters[1][faces], normals, not anti_aliasing)
             targets["photometric"] = views.photos  # type: ignore[assignment]
         sizes = [part.shape[3] for part in layers.values()]
         drawn = seen.composite(torch.cat(list(layers.values()), 3), seams=flat)  # normals of faces jump at edges
         images = dict(zip(layers, drawn.split(sizes, 1), strict=True))
         losses = {name: (image - targets[name].to(image)).abs().sum(1).mean() for name, image in images.items()}
-        if self._has_colors:
-            losses["albedo"] = _roughness(parameters[1], faces)
+        if self._color is not None:
+            losses["albedo"] = roughness(parameters[1], faces)
         return losses, mask_iou(images["silhouette"][:, 0], views.masks).mean()
-
-    def _colors(self, views: Views, seen: Fragments, albedo: Tensor, normals: Tensor, anti_aliasing: bool) -> Tensor:
-        """Compute the colours of pixels [N, h, w, 3] from albedo and normals of corners, both [F, 3, 3]."""
-        if self._light is not None:
-            if not anti_aliasing:
-                self._light.add(*_pixels(views, seen, albedo.detach(), normals.detach()))
-            albedo = albedo * self._light.on(normals)
-        colors = seen.interpolate(albedo[None])
-        return colors if views.gains is None else colors * views.gains[:, None, None]
 
     def state_dict(self) -> dict[str, Any]:
         """Collect everything that changes from step to step.
@@ -189,8 +173,8 @@ class DetailFit(Adjustable):
         """
         vertices, faces = self.shape
         state = {"step": self.step, "vertices": vertices, "faces": faces}
-        light = None if self._light is None else self._light.state_dict()
-        return state | {"descent": self._descent.state_dict(), "light": light}
+        color = None if self._color is None else self._color.state_dict()
+        return state | {"descent": self._descent.state_dict(), "color": color}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from the state of a fit of the same views.
@@ -203,8 +187,8 @@ class DetailFit(Adjustable):
         """
         self.step = state["step"]
         self._descent.load_state_dict(state["descent"])
-        if self._light is not None:
-            self._light.load_state_dict(state["light"])
+        if self._color is not None:
+            self._color.load_state_dict(state["color"])
 
 
 def _depth_error(depth: Tensor, target: Tensor) -> Tensor:
@@ -212,16 +196,3 @@ def _depth_error(depth: Tensor, target: Tensor) -> Tensor:
     scale = depth.shape[1] // target.shape[1]
     target = target.repeat_interleave(scale, 1).repeat_interleave(scale, 2)[..., None]
     return torch.where(target > 0, depth - target, 0.0)
-
-
-def _pixels(views: Views, seen: Fragments, albedo: Tensor, normals: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Collect normals, albedo and colours [P, 3] of the pixels inside of masks, from those of corners [F, 3, 3]."""
-    photos = views.photos if views.gains is None else views.photos / views.gains[:, :, None, None]  # type: ignore
-    inside = (seen.face_index >= 0) & (views.masks > _INSIDE)
-    shown = seen.face_index[inside].long()
-    return F.normalize(normals.mean(1), dim=1)[shown], albedo.mean(1)[shown], photos.movedim(1, 3)[inside]  # type: ignore[union-attr]
-
-
-def _roughness(colors: Tensor, faces: Tensor) -> Tensor:
-    """Average the absolute differences of colours [V, C], summed over the channels, along the edges of faces."""
-    return (colors[faces] - colors[faces.roll(1, 1)]).abs().sum(2).mean()
