@@ -14,7 +14,7 @@ from ... import losses, validate
 from ...camera import Camera
 from ...meshes.bounds import bounding_box
 from ...rendering import render
-from .adjustable import Adjustable
+from ..adjustable import Adjustable
 from .descent import VectorAdam
 from .fit_views import downscale, mask_iou
 

@@ -12,8 +12,8 @@ from ...deprecated import old_argument
 from ...io.cubes import bake_corners
 from ...meshes.subdivision import split_faces
 from ...meshes.topology import Topology
+from ..adjustable import Adjustable
 from ..settings import FitWeights
-from .adjustable import Adjustable
 from .cameras.camera_refinement import CameraRefinement
 from .descent import SmoothDescent
 from .fit_views import Views, mask_iou, views_of_step

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from .... import validate
 from ....meshes.normals import face_normals, vertex_normals
+from ...adjustable import Adjustable
 from ...settings import DetailWeights
-from ..adjustable import Adjustable
 from ..fit_views import Views, mask_iou, views_of_step
 from .adaptive_descent import AdaptiveDescent
 from .color_model import ColorModel, roughness

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from ... import validate
-from ..observer import LEAST_RATE, Knob, turn_weight, weight_knobs
+from .. import validate
+from .observer import LEAST_RATE, Knob, turn_weight, weight_knobs
 
 
 class Adjustable:
