@@ -199,6 +199,15 @@ def test_gains_are_in_the_report(folder: Path, tmp_path: Path, capsys: pytest.Ca
     assert "--exposure: expected photos of a mesh" in capsys.readouterr().err
 
 
+def test_details_from_colors(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["fit", str(folder), "-o", str(tmp_path / "out"), *SMALL, "--light", "fitted", "--detail-steps", "2"]
+    assert cli.main(arguments) in (0, 3)  # after so few steps
+    history = json.loads((tmp_path / "out" / "report.json").read_text())["history"]
+    assert [row["phase"] for row in history] == ["shape"] * 4 + ["detail"] * 2 + ["texture"] * 4
+    assert cli.main([*arguments, "--no-photos"]) == 1
+    assert "--light: expected photos of a mesh, got --recover camera or --no-photos" in capsys.readouterr().err
+
+
 def test_texture_and_camera_of_a_known_mesh(folder: Path, tmp_path: Path) -> None:
     thing().save(tmp_path / "thing.obj")
     known = ["--mesh", str(tmp_path / "thing.obj"), *SMALL]

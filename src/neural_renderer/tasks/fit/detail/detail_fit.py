@@ -126,7 +126,7 @@ class DetailFit(Adjustable):
         if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
             least = shortest_edge(views) if self._least is None else self._least
             options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
-            if self._color is not None:
+            if views.normals is None and views.depth is None:  # colours alone
                 options |= {"floor": _FLOOR, "reach": _REACH}
                 least *= _FINER if self._least is None else 1.0
             self._descent.step(gradients[0], least=least, **options)
