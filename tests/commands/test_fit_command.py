@@ -184,6 +184,30 @@ def test_maps_of_normals_are_followed_and_resumed(
     assert "--detail-steps: expected 0 for views without normals and depth" in capsys.readouterr().err
 
 
+def test_gains_are_in_the_report(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with Image.open(folder / "r_1.png") as picture:
+        red, green, blue, alpha = picture.split()
+    Image.merge("RGBA", (red.point(lambda value: value // 2), green, blue, alpha)).save(folder / "r_1.png")
+    out = tmp_path / "out"
+    assert cli.main(["fit", str(folder / "cameras.json"), "-o", str(out), "--exposure", "--held-out", "3", *SMALL]) == 0
+    assert "with exposure matched to the result" in capsys.readouterr().out.replace("\n", " ")
+    report = json.loads((out / "report.json").read_text())
+    assert set(report["gains"]) == {"r_0.png", "r_1.png", "r_3.png", "r_4.png"}
+    assert min(report["gains"], key=lambda name: report["gains"][name][0] / report["gains"][name][1]) == "r_1.png"
+    assert report["held_out_exposed"]["psnr"]["mean"] >= report["held_out"]["psnr"]["mean"]
+    assert cli.main(["fit", str(folder), "-o", str(out), "--exposure", "--no-photos"]) == 1
+    assert "--exposure: expected photos of a mesh" in capsys.readouterr().err
+
+
+def test_details_from_colors(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["fit", str(folder), "-o", str(tmp_path / "out"), *SMALL, "--light", "fitted", "--detail-steps", "2"]
+    assert cli.main(arguments) in (0, 3)  # after so few steps
+    history = json.loads((tmp_path / "out" / "report.json").read_text())["history"]
+    assert [row["phase"] for row in history] == ["shape"] * 4 + ["detail"] * 2 + ["texture"] * 4
+    assert cli.main([*arguments, "--no-photos"]) == 1
+    assert "--light: expected photos of a mesh, got --recover camera or --no-photos" in capsys.readouterr().err
+
+
 def test_texture_and_camera_of_a_known_mesh(folder: Path, tmp_path: Path) -> None:
     thing().save(tmp_path / "thing.obj")
     known = ["--mesh", str(tmp_path / "thing.obj"), *SMALL]

@@ -87,6 +87,17 @@ def test_save_without_textures(tmp_path, suffix):
     assert textures is None or (textures == 1).all()
 
 
+def test_glb_of_one_colour_shares_vertices(tmp_path):
+    vertices, faces = icosphere(2)
+    color = torch.tensor([0.72, 0.5, 0.3])
+    save_mesh(tmp_path / "m.glb", vertices, faces, color.expand(len(faces), 2, 2, 2, 3))
+    again, triangles, textures = load_mesh(tmp_path / "m.glb", 2)
+    assert len(again) == len(vertices) and torch.equal(again[triangles.long()], vertices[faces.long()])
+    assert textures is not None and (textures - color).abs().max() < 1e-3
+    material = next(iter(trimesh.load(tmp_path / "m.glb").geometry.values())).visual.material
+    assert (material.metallicFactor, material.roughnessFactor, material.doubleSided) == (0, 1, True)
+
+
 def test_glb_material_is_matt_and_two_sided(tmp_path):
     save_mesh(tmp_path / "m.glb", *coloured_sphere())
     material = next(iter(trimesh.load(tmp_path / "m.glb").geometry.values())).visual.material

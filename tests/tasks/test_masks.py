@@ -7,6 +7,7 @@ import torch
 
 from neural_renderer.tasks.masks.morphology import dilate, erode, opened
 from neural_renderer.tasks.masks.rule import MaskRule
+from neural_renderer.tasks.masks.specks import fill_holes
 
 
 @pytest.mark.parametrize("radius", [0, 1, 3, 7])
@@ -40,6 +41,18 @@ def test_threshold_with_closing_and_specks() -> None:
     filled = MaskRule(below=0.19, fill=0.02).find(image)  # the shadow has 9 / 891 of the object
     assert filled.sum() == 900 and MaskRule(below=0.19, fill=0.005).find(image).sum() == 891
     assert MaskRule(below=0.19, closing=(5, 3)).find(image).sum() > 1000
+
+
+def test_holes_of_large_masks_are_filled() -> None:
+    mask = torch.zeros(1500, 2600, dtype=torch.bool)
+    mask[200:1300, 300:2200] = True
+    whole = mask.clone()
+    mask[700:741, 903:950] = False
+    mask[200:500, 1000:1600] = False  # a bay
+    bay = mask[200:500, 1000:1600].clone()
+    filled = fill_holes(mask, 0.01)
+    assert filled[700:741, 903:950].all() and not (filled & ~whole).any()
+    assert torch.equal(filled[200:500, 1000:1600], bay)
 
 
 def test_rules_that_do_not_fit() -> None:

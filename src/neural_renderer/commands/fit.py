@@ -50,6 +50,10 @@ def run(options: FitOptions) -> int:
         load_xatlas()  # before time is spent
     if options.refine_cameras and options.recover != "shape":
         raise ValueError(f"--refine-cameras: expected --recover shape, got --recover {options.recover}")
+    if options.exposure and (options.recover == "camera" or not options.photos):
+        raise ValueError("--exposure: expected photos of a mesh, got --recover camera or --no-photos")
+    if options.light is not None and (options.recover == "camera" or not options.photos):
+        raise ValueError("--light: expected photos of a mesh, got --recover camera or --no-photos")
     if options.detail_steps is not None:
         check_counts(options, detail_steps=0)
     if options.up is not None and not any(options.up):
@@ -92,7 +96,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
     if options.check:
         _check(views, cameras, options)
     kept, left = _split(len(views), options.held_out)
-    fitted, held_out = views[kept], views[left] if left else None
+    fitted, held_out = (views[kept], views[left]) if left else (views, None)
     names = [cameras.images[row].name for row in kept]
     start: Any = options.start
     if options.mesh is not None:
@@ -119,12 +123,14 @@ def _run_mesh_fit(
         recover="texture" if options.recover == "texture" else "shape",
         steps=options.steps,
         detail_steps=options.detail_steps,
+        light=options.light,
         texture_steps=options.texture_steps,
         cells=options.cells,
         texture_size=options.texture_size,
         color_from=options.color_from,
         refine_cameras=options.refine_cameras,
         camera_steps=options.camera_steps,
+        exposure=options.exposure,
         weights=options.weights,
         detail_weights=options.detail_weights,
         batch=options.batch,
@@ -139,7 +145,7 @@ def _run_mesh_fit(
     write_mesh(options, fit, fitted)
     if options.refine_cameras:
         write_cameras(options, fit, names)
-    report_mesh(options, runner, fit, held_out, finished)
+    report_mesh(options, runner, fit, held_out, finished, names)
     stay(viewer, finished or runner.stopped)
     return _exit_code(finished or runner.stopped, fit.views.quality(fit.shape[:2])["iou"])
 
@@ -230,14 +236,23 @@ def _runner(
         mesh: Makes the mesh to show.
     """
     settings = {name: setting_value(value) for name, value in asdict(options).items() if name not in _MAY_DIFFER}
-    contents = b"".join(part.cpu().numpy().tobytes() for part in images if isinstance(part, Tensor))
-    settings["images"] = f"#{zlib.crc32(contents):08x}"
+    settings["images"] = f"#{_checksum(images):08x}"
 
     def preview(path: Any) -> None:
         save_image(path, comparison(*state(), columns=_PREVIEW_COLUMNS))
 
     device = choose_device(options.device)
     return TaskRunner(options.output, fit, settings, preview, device=device, observer=viewer, mesh=mesh)
+
+
+def _checksum(images: tuple[Any, ...]) -> int:
+    """Compute the CRC-32 of tensors; other values are ignored."""
+    value = 0
+    for part in images:
+        if isinstance(part, Tensor):
+            for row in part if part.ndim else part[None]:  # one after the other, without a copy of all
+                value = zlib.crc32(row.detach().cpu().contiguous().numpy(), value)
+    return value
 
 
 def _split(count: int, every: int) -> tuple[list[int], list[int]]:

@@ -32,7 +32,8 @@ def save_mesh(
     - OBJ: materials and image are files beside it, ``spot.mtl`` and ``spot_texture.png`` for ``spot.obj``.
     - PLY (binary): one colour per vertex, the mean of the textures of the faces around it, at that corner.
     - GLB: the textures as one image, matt and two-sided. Each face has three vertices of its own, because a glTF vertex
-      has one texture coordinate.
+      has one texture coordinate, and each face a tile of the image. A mesh of one colour has no image, and shares
+      vertices; so does a mesh with charts (`unwrap`).
 
     Args:
         path: Name that ends in ``.obj``, ``.ply`` or ``.glb``. A file of this name is replaced.
@@ -58,6 +59,11 @@ def save_mesh(
     import trimesh  # imported here because it is slow
 
     points, corners, cubes = mesh_to_write(vertices, faces, textures)
+    if path.suffix.lower() == ".glb" and cubes is not None and cubes.size and (cubes == cubes[0, 0, 0, 0]).all():
+        surface = SurfaceColors.plain(len(corners), 1.0)
+        surface.colors[:] = cubes[0, 0, 0, 0]
+        write_file(path, glb_bytes(points, corners, surface))
+        return
     if cubes is None:
         mesh = trimesh.Trimesh(points, corners, process=False)
     elif path.suffix.lower() == ".ply":

@@ -63,6 +63,8 @@ class DetailWeights:
         silhouette: Weight of silhouettes.
         normals: Weight of normals, summed over three channels.
         depth: Weight of depth, with half the longest side of the object as unit.
+        photometric: Weight of colours, summed over three channels, if they count.
+        albedo: Weight of the differences of albedo along edges, summed over three channels: their mean over the mesh.
         smooth: Share of the way to the mean of its neighbours that each vertex moves in a step, at first.
 
     Raises:
@@ -77,6 +79,8 @@ class DetailWeights:
     silhouette: float = 1.0
     normals: float = 1.0
     depth: float = 1.0
+    photometric: float = 2.0
+    albedo: float = 0.1
     smooth: float = 0.02
 
     def __post_init__(self) -> None:

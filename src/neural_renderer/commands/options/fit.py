@@ -80,8 +80,11 @@ class FitOptions:
     steps: int = 150
     """Steps of gradient descent for the shape or the camera (at least 1)."""
     detail_steps: int | None = None
-    """Steps for normals and depth, after those for the shape, which remesh it (at least 0); by default 200 if there
-    are such maps."""
+    """Steps for normals, depth and, with --light, colours, after those for the shape, which remesh it (at least 0); by
+    default 200 if there are such maps or --light."""
+    light: Literal["fitted", "none"] | None = None
+    """Let details follow the colours of the photos, too. fitted: with a light that was the same in all photos, which is
+    fitted along; none: without one, for photos whose light moved, and for objects with a pattern."""
     texture_steps: int = 20
     """Steps of conjugate gradients for the texture (at least 1)."""
     texture_size: int = 4
@@ -99,6 +102,9 @@ class FitOptions:
     The result has a file cameras.json."""
     camera_steps: int = 150
     """Steps for the cameras before those for the shape (at least 1), for up to 24 views; more views take more."""
+    exposure: bool = False
+    """Fit the exposure and white balance of each photo, too, for photos that a camera exposed automatically. The report
+    has the factors of red, green and blue."""
     color_from: Annotated[float | None, tyro.conf.arg(aliases=["--colour-from"])] = None
     """After this fraction of the steps (0 to 1), colours move the shape, too. Silhouettes do not show hollows; 0.3
     recovers some of them, in twice the time. By default 1, which is never, and 0.4 with --refine-cameras."""

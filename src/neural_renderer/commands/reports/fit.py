@@ -15,6 +15,7 @@ from ...pictures.curve import curve
 from ...pictures.turntable import turntable
 from ...tasks.fit import CameraFit, MeshFit, Views
 from ...tasks.fit.cameras.locate import locate_cameras
+from ...tasks.fit.exposure import match_gains
 from ...tasks.fit.fit_pictures import comparison, upright
 from ...version import __version__
 from ..common import say, say_finished
@@ -26,6 +27,7 @@ _NAMES = {
     "fitted": "fitted",
     "held_out": "held-out",
     "held_out_located": "held-out (with cameras located on the result)",
+    "held_out_exposed": "held-out (with exposure matched to the result)",
 }
 CAMERAS = "cameras.json"
 """File that a fit with refined cameras writes, too."""
@@ -67,13 +69,21 @@ def write_cameras(options: FitOptions, fit: MeshFit, names: list[str]) -> None:
         save_cameras(options.output / CAMERAS, camera, names, fit.views.size)
 
 
-def report_mesh(options: FitOptions, runner: TaskRunner, fit: MeshFit, held_out: Views | None, finished: bool) -> None:
+def report_mesh(
+    options: FitOptions, runner: TaskRunner, fit: MeshFit, held_out: Views | None, finished: bool, names: list[str]
+) -> None:
     """Measure a fitted mesh on fitted and held-out views; write ``report.json`` and print a summary."""
     vertices, faces, *_ = fit.shape
     results: dict[str, Any] = {"views": len(fit.views), "vertices": len(vertices), "faces": len(faces)}
     measured = {"fitted": fit.views, "held_out": held_out and fit.normalize(held_out)}
     if held_out is not None and options.refine_cameras:
         measured["held_out_located"] = locate_cameras(fit.normalize(held_out), fit.shape)
+    if held_out is not None and options.exposure and len(fit.shape) == 3:
+        known = measured.get("held_out_located") or fit.normalize(held_out)
+        measured["held_out_exposed"] = match_gains(known, fit.shape)
+    if fit.views.gains is not None:
+        gains = [[round(gain, 4) for gain in row] for row in fit.views.gains.tolist()]
+        results["gains"] = dict(zip(names, gains, strict=True))
     for name, views in measured.items():
         if views is not None:
             results[name] = {
@@ -138,7 +148,7 @@ def _report(options: FitOptions, runner: TaskRunner, results: dict[str, Any], fi
     write_file(options.output / "report.json", json.dumps(report, indent=1) + "\n")
     if runner.history:
         save_image(options.output / "loss.png", curve(runner.history, "loss", "iou"))
-    for name in ("fitted", "held_out", "held_out_located"):
+    for name in _NAMES:
         if name in results:
             numbers = ", ".join(f"{measure} {value['mean']:.4f}" for measure, value in results[name].items())
             say(f"{_NAMES[name]} views: [bold]{numbers}[/bold]", markup=True)

@@ -36,6 +36,7 @@ class Views:
         region: Where the object is, if that is known: centre [3] and half the side of a cube, in the world; or None.
         normals: [N, 3, H, W] float32, unit normals in world space, multiplied by the mask; or None.
         depth: [N, H, W] float32, depth along the viewing axis in world units, 0 where it is not known; or None.
+        gains: [N, 3] float32, factors of red, green and blue of each photo, which `draw` applies; or None.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit, there are no views, or a mask is empty.
@@ -64,6 +65,7 @@ class Views:
     region: tuple[Tensor, float] | None = None
     normals: Tensor | None = None
     depth: Tensor | None = None
+    gains: Tensor | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
@@ -77,6 +79,8 @@ class Views:
             validate.floating("normals", self.normals, (len(self.camera), 3, *self.size))
         if self.depth is not None:
             validate.floating("depth", self.depth, (len(self.camera), *self.size))
+        if self.gains is not None:
+            validate.floating("gains", self.gains, (len(self.camera), 3))
         empty = torch.nonzero(self.masks.amax((1, 2)) <= 0.5).flatten().tolist()
         if empty:
             raise ValueError(f"masks: expected an object in every view, got an empty mask in view {empty[0]}")
@@ -128,14 +132,15 @@ class Views:
         return replace(views, normals=maps.normal if normals else None, depth=known if depth else None)
 
     def __getitem__(self, index: Sequence[int] | slice) -> Views:
-        """Select views by a slice or a list of numbers."""
-        rows = torch.arange(len(self))[index].to(self.masks.device)
-        photos, normals, depth = (None if part is None else part[rows] for part in self._maps())
-        return Views(self.camera[rows], self.masks[rows], photos, self.region, normals, depth)
+        """Select views by a slice or a list of numbers. Those of a slice share memory with these."""
+        is_slice = isinstance(index, slice) and (index.step is None or index.step > 0)
+        rows: Any = index if is_slice else torch.arange(len(self))[index].to(self.masks.device)
+        photos, *maps = (None if part is None else part[rows] for part in self._optional())
+        return Views(self.camera[rows], self.masks[rows], photos, self.region, *maps)
 
-    def _maps(self) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
-        """Return photos, normals and depth."""
-        return self.photos, self.normals, self.depth
+    def _optional(self) -> tuple[Tensor | None, ...]:
+        """Return photos, normals, depth and gains."""
+        return self.photos, self.normals, self.depth, self.gains
 
     def to(self, device: torch.device | str) -> Views:
         """Copy the views to another device.
@@ -146,9 +151,9 @@ class Views:
         Returns:
             The copy.
         """
-        photos, normals, depth = (None if part is None else part.to(device) for part in self._maps())
+        photos, *maps = (None if part is None else part.to(device) for part in self._optional())
         region = self.region and (self.region[0].to(device), self.region[1])
-        return Views(self.camera.to(device), self.masks.to(device), photos, region, normals, depth)
+        return Views(self.camera.to(device), self.masks.to(device), photos, region, *maps)
 
     moved = old_method("moved", "normalized")
 
@@ -190,6 +195,8 @@ class Views:
     def draw(self, shape: tuple[Tensor, ...], outputs: str | Sequence[str] = "alpha", gradient: str = "edge") -> Images:
         """Render a mesh from all cameras without light, because fitted colours include the light of the photos.
 
+        Colours are multiplied by ``gains``, if there are any.
+
         Args:
             shape: (vertices, faces) or (vertices, faces, textures).
             outputs: As in `render`.
@@ -202,7 +209,12 @@ class Views:
             TypeError, ValueError: As `render`.
         """
         options: dict[str, Any] = {"gradient": gradient, **self._limits()}
-        return render(shape, self.camera, self.size, light=None, outputs=outputs, **options)
+        images = render(shape, self.camera, self.size, light=None, outputs=outputs, **options)
+        if self.gains is None or images[0] is None:
+            return images
+        exposed = images._replace(rgb=images.rgb * self.gains[:, :, None, None])
+        vars(exposed).update(vars(images))  # outputs that are no fields
+        return exposed
 
     def fragments(self, shape: tuple[Tensor, ...], anti_aliasing: bool = True) -> Fragments:
         """Rasterise a mesh from all cameras.

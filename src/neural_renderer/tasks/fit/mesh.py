@@ -19,7 +19,9 @@ from ..observer import Knob
 from ..settings import DetailWeights, FitWeights
 from .cameras.camera_refinement import CameraRefinement
 from .cameras.coarse_fit import coarse_fit, coarse_hull, coarse_misses
+from .detail.color_model import photos_for
 from .detail.detail_fit import DetailFit
+from .exposure import estimate_gains
 from .fit_views import Views
 from .hull import carve, object_bounds
 from .shape import ShapeFit
@@ -41,8 +43,9 @@ class MeshFit:
             of the cameras.
         recover: "shape" fits shape and texture; "texture" keeps the shape of the given mesh.
         steps: Steps of the shape phase, ≥ 1.
-        detail_steps: Steps of the detail phase (`DetailFit`), ≥ 0; None is 200 for views with normals or depth, which
-            it needs, and 0 for others.
+        detail_steps: Steps of the detail phase (`DetailFit`), ≥ 0; None is 200 for views with normals or depth and with
+            ``light``, one of which it needs, and 0 for others.
+        light: "fitted" or "none": details follow the colours of the photos, too; see `DetailFit`. None: they do not.
         texture_steps: Steps of the texture phase, ≥ 1.
         cells: Grid cells along each axis for the visual hull, ≥ 8.
         texture_size: T, texels along the edge of a face's texture cube, ≥ 3.
@@ -50,6 +53,8 @@ class MeshFit:
         refine_cameras: Whether to fit the poses of the cameras and their focal length, too: before the shape, and
             together with it. Not with ``recover="texture"``.
         camera_steps: Steps of the cameras' phase, ≥ 1, for up to 24 views; more views take more.
+        exposure: Whether to fit exposure and white balance of each photo, too: ``views.gains``, whose geometric mean is
+            1. They are estimated before each phase in which colours count.
         weights: Weights of the losses of the shape phase.
         detail_weights: Weights of the losses of the detail phase.
         batch: Views per step, ≥ 1.
@@ -90,12 +95,14 @@ class MeshFit:
         recover: Literal["shape", "texture"] = "shape",
         steps: int = 150,
         detail_steps: int | None = None,
+        light: Literal["fitted", "none"] | None = None,
         texture_steps: int = 20,
         cells: int = 64,
         texture_size: int = 4,
         color_from: float | None = None,
         refine_cameras: bool = False,
         camera_steps: int = 150,
+        exposure: bool = False,
         weights: FitWeights = FitWeights(),  # noqa: B008 (immutable)
         detail_weights: DetailWeights = DetailWeights(),  # noqa: B008 (immutable)
         batch: int = 6,
@@ -106,6 +113,8 @@ class MeshFit:
             raise ValueError('start: expected a Mesh with recover="texture", got none')
         if recover == "texture" and refine_cameras:
             raise ValueError('refine_cameras: expected False with recover="texture", got True')
+        if exposure and views.photos is None:
+            raise ValueError("exposure: expected False for views without photos, got True")
         misses = coarse_misses(views) if refine_cameras else 0
         center, scale = object_bounds(views, misses)
         self._center, self._scale = center, scale * _REFINED_SCALE if refine_cameras else scale
@@ -113,6 +122,8 @@ class MeshFit:
         self._cameras = CameraRefinement(self._given.camera) if refine_cameras else None
         if color_from is None:
             color_from = _REFINED_COLOR_FROM if refine_cameras else 1.0
+        self._exposure = validate.flag("exposure", exposure)
+        self._gains: Tensor | None = views.gains
         self._texture_options = {
             "size": validate.whole("texture_size", texture_size, 3),
             "steps": validate.whole("texture_steps", texture_steps, 1),
@@ -120,11 +131,13 @@ class MeshFit:
         }
         self._shape_options = {"steps": steps, "weights": weights, "gradient": gradient, "color_from": color_from}
         self._shape_options |= {"batch": batch, "seed": seed}
-        has_maps = views.normals is not None or views.depth is not None
-        detail_steps = _DETAIL_STEPS * has_maps if detail_steps is None else detail_steps
+        has_detail = views.normals is not None or views.depth is not None or light is not None
+        detail_steps = _DETAIL_STEPS * has_detail if detail_steps is None else detail_steps
         self._detail_options = {"steps": validate.whole("detail_steps", detail_steps, 0), "weights": detail_weights}
-        self._detail_options |= {"seed": seed}
-        if detail_steps and not has_maps:
+        self._detail_options |= {"seed": seed, "light": light}
+        if light is not None:
+            photos_for(light, views)
+        if detail_steps and not has_detail:
             raise ValueError("detail_steps: expected 0 for views without normals and depth, got more")
         if start == "sphere":
             self._shape_options |= _SPHERE_OPTIONS
@@ -132,12 +145,13 @@ class MeshFit:
         self._camera_options |= {"batch": batch, "gradient": gradient, "seed": seed}
         self._start, self._cells = start, validate.whole("cells", cells, 8)
         self.phase: str = "cameras" if refine_cameras else recover
-        self._fit: ShapeFit | DetailFit | TextureFit = self._start_phase(*self._initial_shape())
+        self._fit: ShapeFit | DetailFit | TextureFit = self._expose(*self._initial_shape())
 
     @property
     def views(self) -> Views:
-        """The views, in a world where the object lies in about [-1, 1]³, with refined cameras if they are."""
-        return self._given if self._cameras is None else replace(self._given, camera=self._cameras.camera)
+        """The views, in a world where the object lies in about [-1, 1]³, with refined cameras and gains if they are."""
+        camera = self._given.camera if self._cameras is None else self._cameras.camera
+        return replace(self._given, camera=camera, gains=self._gains)
 
     @property
     def step(self) -> int:
@@ -230,7 +244,7 @@ class MeshFit:
             Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
         """
         cameras = None if self._cameras is None else self._cameras.state_dict()
-        return {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras}
+        return {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras, "gains": self._gains}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from the state of a fit of the same views.
@@ -241,7 +255,7 @@ class MeshFit:
         Raises:
             KeyError: A name is missing.
         """
-        self.phase, cameras = state["phase"], state["cameras"]
+        self.phase, cameras, self._gains = state["phase"], state["cameras"], state["gains"]
         if self._cameras is not None:
             self._cameras.load_state_dict(cameras)
         self._fit = self._start_phase(state["fit"]["vertices"], state["fit"]["faces"])
@@ -262,14 +276,26 @@ class MeshFit:
             vertices = self._cameras.settle(vertices)
         is_new = self.phase == "cameras" and isinstance(self._start, str)
         self.phase = phase
-        self._fit = self._start_phase(*(self._initial_shape() if is_new else (vertices, faces)))
+        self._fit = self._expose(*(self._initial_shape() if is_new else (vertices, faces)))
+
+    def _expose(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
+        """Estimate the gains of photos, if colours count in the current phase, and make its fit."""
+        counts = {
+            "shape": self._shape_options["color_from"] < 1,  # type: ignore[operator]
+            "detail": self._detail_options["light"] is not None,
+            "texture": True,
+        }
+        if self._exposure and counts.get(self.phase):
+            self._gains = estimate_gains(self.views, vertices, faces)
+        return self._start_phase(vertices, faces)
 
     def _start_phase(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
         """Make the fit of the current phase."""
         if self.phase == "cameras":
             return coarse_fit(self._given, vertices, faces, self._cameras, **self._camera_options)  # type: ignore[arg-type]
         if self.phase == "shape":
-            return ShapeFit(self._given, vertices, faces, cameras=self._cameras, **self._shape_options)  # type: ignore[arg-type]
+            views = replace(self._given, gains=self._gains)
+            return ShapeFit(views, vertices, faces, cameras=self._cameras, **self._shape_options)  # type: ignore[arg-type]
         if self.phase == "detail":
             return DetailFit(self.views, vertices, faces, **self._detail_options)  # type: ignore[arg-type]
         return TextureFit(self.views, vertices, faces, **self._texture_options)

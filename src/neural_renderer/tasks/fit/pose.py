@@ -14,7 +14,7 @@ from ... import losses, validate
 from ...camera import Camera
 from ...meshes.bounds import bounding_box
 from ...rendering import render
-from ..observer import LEAST_RATE, Knob
+from ..adjustable import Adjustable
 from .descent import VectorAdam
 from .fit_views import downscale, mask_iou
 
@@ -26,7 +26,7 @@ _LAST_RATE = 0.03  # step size at the end, relative to the first
 _NEAR, _FAR = 1e-2, 1e3  # clipping planes, in radii of the object
 
 
-class CameraFit:
+class CameraFit(Adjustable):
     """Fit the camera of an image by gradient descent from several initial cameras. Call `advance` until ``done``.
 
     Initial cameras stand upright in random directions. Their distance and aim make their silhouettes as large as that
@@ -157,28 +157,6 @@ class CameraFit:
         self._axes = self._descents[0].step(axes.detach(), gradients[0], rate)
         self._offset = self._descents[1].step(offset.detach(), gradients[1], rate)
         return {"loss": each.min().item()}
-
-    def knobs(self) -> list[Knob]:
-        """List the settings that may change between two steps.
-
-        Returns:
-            "rate", the step size.
-        """
-        return [Knob("rate", self._rate, LEAST_RATE)]
-
-    def turn(self, name: str, value: float | str) -> None:
-        """Change a setting. `state_dict` does not contain it.
-
-        Args:
-            name: Its name, as in `knobs`.
-            value: Its new value.
-
-        Raises:
-            TypeError, ValueError: There is no such setting, or the value does not fit.
-        """
-        if name != "rate":
-            raise ValueError(f"name: expected rate, got {name!r}")
-        self._rate = validate.positive(name, value)
 
     def state_dict(self) -> dict[str, Any]:
         """Collect everything that changes from step to step.

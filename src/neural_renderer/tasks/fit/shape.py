@@ -12,7 +12,7 @@ from ...deprecated import old_argument
 from ...io.cubes import bake_corners
 from ...meshes.subdivision import split_faces
 from ...meshes.topology import Topology
-from ..observer import LEAST_RATE, Knob, turn_weight, weight_knobs
+from ..adjustable import Adjustable
 from ..settings import FitWeights
 from .cameras.camera_refinement import CameraRefinement
 from .descent import SmoothDescent
@@ -29,7 +29,7 @@ _COLOR_RATE, _COLOR_SMOOTH = 0.1, 1.0  # step and λ of the descent on colours
 _LAST_RATE = 0.05  # step size at the end, relative to the first
 
 
-class ShapeFit:
+class ShapeFit(Adjustable):
     """Fit the vertices of a mesh to posed images by gradient descent. Call `advance` until ``done``.
 
     Args:
@@ -179,29 +179,6 @@ class ShapeFit:
         colors = None if self._colors is None else torch.cat((self._colors, self._colors[edges].mean(1)))
         self._set_shape(vertices, faces, colors)
         self._subdivided += 1
-
-    def knobs(self) -> list[Knob]:
-        """List the settings that may change between two steps.
-
-        Returns:
-            "rate", the distance that the fastest vertex moves, and the weights of the losses.
-        """
-        return [Knob("rate", self._rate, LEAST_RATE), *weight_knobs(self._weights)]
-
-    def turn(self, name: str, value: float | str) -> None:
-        """Change a setting. `state_dict` does not contain it.
-
-        Args:
-            name: Its name, as in `knobs`.
-            value: Its new value.
-
-        Raises:
-            TypeError, ValueError: There is no such setting, or the value does not fit.
-        """
-        if name == "rate":
-            self._rate = validate.positive(name, value)
-        else:
-            self._weights = turn_weight(self._weights, name, value)
 
     def state_dict(self) -> dict[str, Any]:
         """Collect everything that changes from step to step.

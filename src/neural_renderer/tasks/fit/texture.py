@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -19,7 +20,7 @@ _OUTLINE = 0.05  # weight of pixels beside an outline
 class TextureFit:
     """Fit the texture of a known mesh to posed images by linear least squares. Call `advance` until ``done``.
 
-    With a fixed shape, images are linear in the texels: A x. The texture minimises ::
+    With a fixed shape, images are linear in the texels: A x, with the gains of the views. The texture minimises ::
 
         Σ over pixels w (A x − photo)² + smooth · Σ over neighbouring texels (x_i − x_j)²
 
@@ -178,7 +179,7 @@ def _pixel_weights(part: Views, vertices: Tensor, faces: Tensor) -> Tensor:
     rays = F.normalize(rays, dim=2)
     cosines = (rays * normals).sum(2).abs()[..., None, None, None, None].expand(-1, -1, 2, 2, 2, 3)
     with torch.no_grad():
-        images = part.draw((vertices, faces, cosines.contiguous()), ("rgb", "alpha"))
+        images = replace(part, gains=None).draw((vertices, faces, cosines.contiguous()), ("rgb", "alpha"))
     covered = torch.minimum(part.masks, images.alpha)
     inside = -F.max_pool2d(-covered, 3, 1, 1) > 0.999
     return images.rgb[:, 0].square() * torch.where(inside, 1.0, _OUTLINE * part.masks)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -10,6 +12,7 @@ from ..components import connected_components
 from .resize import limit_size
 
 _MOST_SEARCHED = 640  # larger masks are scaled down to this larger side in pixels
+_MOST_FILLED = 1280  # holes of larger masks are found in one of this larger side in pixels, or less
 _SPECK = 0.02  # components smaller than this, relative to the largest one, are dropped
 
 
@@ -24,14 +27,29 @@ def remove_specks(alpha: Tensor) -> Tensor:
 
 
 def fill_holes(mask: Tensor, share: float) -> Tensor:
-    """Fill the holes of a mask [H, W] bool that are smaller than this share of it, such as shadows and highlights."""
+    """Fill the holes of a mask [H, W] bool that are smaller than this share of it, such as shadows and highlights.
+
+    In a mask of more than 1280 pixels, holes are found in one of lower resolution, and those narrower than its pixels
+    stay.
+    """
+    block = math.ceil(max(mask.shape) / _MOST_FILLED)
+    if block == 1:
+        return mask | _small_holes(mask, share)
+    coarse = F.max_pool2d(mask[None, None].float(), block, ceil_mode=True)[0, 0] > 0.5
+    # The blocks around a hole belong to it in part.
+    holes = F.max_pool2d(_small_holes(coarse, share)[None, None].float(), 3, 1, 1)[0, 0] > 0.5
+    return mask | holes.repeat_interleave(block, 0).repeat_interleave(block, 1)[: mask.shape[0], : mask.shape[1]]
+
+
+def _small_holes(mask: Tensor, share: float) -> Tensor:
+    """Find the holes of a mask [H, W] bool that are smaller than this share of it, [H, W] bool."""
     label = label_components(~mask)
     if not bool((label >= 0).any()):
-        return mask
+        return torch.zeros_like(mask)
     small = torch.bincount(label[label >= 0]) < share * mask.sum()
     border = torch.cat((label[0], label[-1], label[:, 0], label[:, -1]))
     small[border[border >= 0]] = False
-    return mask | (small[label.clamp(min=0)] & (label >= 0))
+    return small[label.clamp(min=0)] & (label >= 0)
 
 
 def label_components(mask: Tensor) -> Tensor:

@@ -10,8 +10,11 @@ from torch import Tensor
 from ....meshes.remeshing.edges import Edges, lengths
 from ....meshes.remeshing.remesh import remesh_once
 from ....meshes.remeshing.surface import Surface
+from ....meshes.topology import Topology
+from ..descent import SmoothDescent
 
 _MEAN_DECAY, _SQUARE_DECAY = 0.8, 0.9  # Adam's β₁ and β₂
+_OWN = 8  # columns of position, target length, mean gradient and mean squared gradient
 _LEAST_SIZE = 1e-12  # of a gradient; smaller ones move nothing
 _STEADY = 0.3  # length of a mean step, of at most 1, from which faces become coarser
 _GAIN = 0.2  # relative change of the target length in a step, for a difference of 1 from `_STEADY`
@@ -30,9 +33,11 @@ class AdaptiveDescent:
     Args:
         vertices: [V, 3] float32, initial positions.
         faces: [F, 3] int64.
+        colors: [V, 3] float32, initial colours, which descend, too, and are carried along; or None.
 
     Attributes:
-        surface: The mesh; its values are positions, target lengths, and the running means of gradients.
+        surface: The mesh; its values are positions, target lengths, the running means of gradients, and the same of
+            colours, if there are any.
 
     Example:
         >>> from neural_renderer.tasks.fit.detail.adaptive_descent import AdaptiveDescent
@@ -45,13 +50,14 @@ class AdaptiveDescent:
 
     surface: Surface
 
-    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
+    def __init__(self, vertices: Tensor, faces: Tensor, colors: Tensor | None = None) -> None:
         vertices, faces = vertices.detach(), faces.long()
         size = lengths(vertices, Edges.of(faces, len(vertices)).ends).mean()
         target = size.expand(len(vertices), 1)
         state = vertices.new_zeros(len(vertices), 4)  # mean gradient and mean squared gradient
-        self.surface = Surface(torch.cat((vertices, target, state), 1), faces).compact()
-        self._count = 0
+        own = [] if colors is None else [colors.detach(), state]
+        self.surface = Surface(torch.cat((vertices, target, state, *own), 1), faces).compact()
+        self._count, self._color_count = 0, 0
 
     @property
     def vertices(self) -> Tensor:
@@ -63,7 +69,45 @@ class AdaptiveDescent:
         """Current faces, [F, 3] int64."""
         return self.surface.faces
 
-    def step(self, gradient: Tensor, *, rate: float, smooth: float, least: float, most: float) -> None:
+    @property
+    def colors(self) -> Tensor:
+        """Current colours, [V, 3]; only if there are any."""
+        return self.surface.values[:, _OWN : _OWN + 3]
+
+    def step_colors(self, gradient: Tensor, rate: float) -> None:
+        """Take one step of descent on colours, before `step`.
+
+        Args:
+            gradient: [V, 3], gradient of the loss.
+            rate: Length of a steady step.
+        """
+        others, colors, mean, square = self.surface.values.split((_OWN, 3, 3, 1), 1)
+        self._color_count += 1
+        step, mean, square, _ = self._adam(gradient, mean, square, self._color_count)
+        self.surface = Surface(torch.cat((others, colors - rate * step, mean, square), 1), self.faces)
+
+    def _adam(
+        self, gradient: Tensor, mean: Tensor, square: Tensor, count: int, floor: float = 0.0
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Compute steps of at most about 1, and the running means; and the lengths of the steps without a floor."""
+        mean = _MEAN_DECAY * mean + (1 - _MEAN_DECAY) * gradient
+        square = _SQUARE_DECAY * square + (1 - _SQUARE_DECAY) * gradient.square().sum(1, keepdim=True)
+        size = (square / (1 - _SQUARE_DECAY**count)).sqrt().clamp(min=_LEAST_SIZE)
+        average = mean / (1 - _MEAN_DECAY**count)
+        speed = (average / size).norm(dim=1, keepdim=True)
+        return average / torch.maximum(size, floor * size.mean()), mean, square, speed
+
+    def step(
+        self,
+        gradient: Tensor,
+        *,
+        rate: float,
+        smooth: float,
+        least: float,
+        most: float,
+        floor: float = 0.0,
+        reach: float = 0.0,
+    ) -> None:
         """Take one step of descent, and at every second step remesh.
 
         Args:
@@ -71,30 +115,34 @@ class AdaptiveDescent:
             rate: Length of a steady step, relative to the target length.
             smooth: Share of the way to the mean of its neighbours that each vertex moves, too.
             least, most: Limits of the target length, in world units.
+            floor: Size of a gradient, relative to the mean of all vertices, below which steps become shorter.
+            reach: λ of `SmoothDescent.blur`, which is applied to the gradient twice; 0 leaves the gradient as it is.
         """
-        vertices, target, mean, square = self.surface.values.split((3, 1, 3, 1), 1)
+        rest = self.surface.values[:, _OWN:]
+        vertices, target, mean, square = self.surface.values[:, :_OWN].split((3, 1, 3, 1), 1)
         self._count += 1
-        mean = _MEAN_DECAY * mean + (1 - _MEAN_DECAY) * gradient
-        square = _SQUARE_DECAY * square + (1 - _SQUARE_DECAY) * gradient.square().sum(1, keepdim=True)
-        size = (square / (1 - _SQUARE_DECAY**self._count)).sqrt().clamp(min=_LEAST_SIZE)
-        step = mean / (1 - _MEAN_DECAY**self._count) / size
-        speed = step.norm(dim=1, keepdim=True)
+        if reach:
+            smoother = SmoothDescent(Topology.of(self.faces), reach)
+            gradient = smoother.blur(smoother.blur(gradient))
+        step, mean, square, speed = self._adam(gradient, mean, square, self._count, floor)
         edges = Edges.of(self.faces, len(vertices))
         steady = speed + _offset(speed, edges) / 2
         vertices = vertices - rate * target * step
         vertices = vertices + smooth * _offset(vertices, edges)
         target = (target * (1 + _GAIN * (steady - _STEADY))).clamp(least, max(least, most))
-        self.surface = Surface(torch.cat((vertices, target, mean, square), 1), self.faces)
+        self.surface = Surface(torch.cat((vertices, target, mean, square, rest), 1), self.faces)
         if self._count % _EVERY == 0:
             self.surface = remesh_once(self.surface, rounds=1, strength=_RELAX)
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that changes from step to step."""
-        return {"count": self._count, "values": self.surface.values, "faces": self.faces}
+        counts = {"count": self._count, "color_count": self._color_count}
+        return {**counts, "values": self.surface.values, "faces": self.faces}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from a `state_dict`."""
-        self._count, self.surface = state["count"], Surface(state["values"], state["faces"])
+        self._count, self._color_count = state["count"], state["color_count"]
+        self.surface = Surface(state["values"], state["faces"])
 
 
 def _offset(values: Tensor, edges: Edges) -> Tensor:

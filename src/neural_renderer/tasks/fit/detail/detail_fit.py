@@ -1,8 +1,8 @@
-"""`DetailFit`: details of a shape from normals and depth, with remeshing on the way."""
+"""`DetailFit`: details of a shape from normals, depth and colours, with remeshing on the way."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import torch
 import torch.nn.functional as F
@@ -10,10 +10,11 @@ from torch import Tensor
 
 from .... import validate
 from ....meshes.normals import face_normals, vertex_normals
-from ...observer import LEAST_RATE, Knob, turn_weight, weight_knobs
+from ...adjustable import Adjustable
 from ...settings import DetailWeights
 from ..fit_views import Views, mask_iou, views_of_step
 from .adaptive_descent import AdaptiveDescent
+from .color_model import ColorModel, roughness
 from .pyramid import Pyramid, shortest_edge
 
 _LONGEST = 0.15  # target length of edges, where the object is about 2 long
@@ -21,11 +22,16 @@ _DECAY_FROM, _LAST_RATE = 0.7, 0.05  # the rate decreases from this fraction of 
 # Smooth normals move the surface far, but do not notice neighbouring faces that are bent to and fro. So from this
 # fraction of the steps on, normals are those of faces.
 _FLAT_FROM = 0.4
+_COLOR_RATE = 0.02  # of albedo
+_SETTLE = 10  # steps of light and albedo before vertices move by colours
+# See `AdaptiveDescent.step`. Colours say less than normals, and where they say little, vertices move little.
+_FLOOR, _REACH = 0.5, 1.0
+_FINER = 2 / 3  # least target length of edges for colours, relative to that for normals
 _SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
 
 
-class DetailFit:
-    """Fit the details of a shape to silhouettes with normals, depth or both. Call `advance` until ``done``.
+class DetailFit(Adjustable):
+    """Fit the details of a shape to silhouettes with normals, depth or colours. Call `advance` until ``done``.
 
     Each step draws some views, from coarse to fine. The loss is the mean absolute difference of each map. Vertices
     move, and the mesh is remeshed, after Palfinger's "Continuous remeshing for inverse rendering" (2022): faces are
@@ -41,6 +47,8 @@ class DetailFit:
         rate: Length of a steady step of a vertex, relative to the length of the edges around it, > 0.
         batch: Views per step, ≥ 1.
         seed: Seed of the order of the views.
+        light: None: colours do not count. "fitted": colours are albedo times a light that is the same in all photos,
+            and both are fitted along. "none": colours of the surface are the same in all photos, or differ too much.
 
     Raises:
         TypeError, ValueError: An argument does not fit.
@@ -73,15 +81,18 @@ class DetailFit:
         rate: float = 0.3,
         batch: int = 4,
         seed: int = 0,
+        light: Literal["fitted", "none"] | None = None,
     ) -> None:
-        if views.normals is None and views.depth is None:
+        if views.normals is None and views.depth is None and light is None:
             raise ValueError("views: expected normals or depth, got neither")
         self.steps, self.step = validate.whole("steps", steps, 1), 0
         self._count = len(views)
         self._least = None if edge_length is None else validate.positive("edge_length", edge_length)
         self._weights, self._rate = weights, validate.positive("rate", rate)
         self._batch, self._seed = min(validate.whole("batch", batch, 1), len(views)), seed
-        self._descent = AdaptiveDescent(vertices.float(), faces)
+        self._color = None if light is None else ColorModel(views, light)
+        colors = None if self._color is None else self._color.mean.expand(len(vertices), -1)
+        self._descent = AdaptiveDescent(vertices.float(), faces, colors)
         self._pyramid = Pyramid(views, float(self._descent.surface.target.mean()))
 
     @property
@@ -103,66 +114,56 @@ class DetailFit:
         """
         progress = self.step / self.steps
         views = self._pyramid.at(progress)[views_of_step(self._count, self._batch, self._seed, self.step)]
-        vertices = self._descent.vertices.clone().requires_grad_()
-        parts, iou = self._losses(views, vertices, progress >= _FLAT_FROM, progress >= _SMOOTH_FROM)
+        parameters = [self._descent.vertices.clone().requires_grad_()]
+        if self._color is not None:
+            parameters.append(self._descent.colors.clone().requires_grad_())
+        parts, iou = self._losses(views, parameters, progress >= _FLAT_FROM, progress >= _SMOOTH_FROM)
         loss = torch.stack([getattr(self._weights, name) * part for name, part in parts.items()]).sum()
-        (gradient,) = torch.autograd.grad(loss, vertices)
+        gradients = torch.autograd.grad(loss, parameters)
         decay = min(1.0, max(_LAST_RATE, (1 - progress) / (1 - _DECAY_FROM)))
-        least = shortest_edge(views) if self._least is None else self._least
-        rate, smooth = self._rate * decay, self._weights.smooth * decay
-        self._descent.step(gradient, rate=rate, smooth=smooth, least=least, most=_LONGEST)
+        if self._color is not None:
+            self._descent.step_colors(gradients[1], _COLOR_RATE * decay)
+        if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
+            least = shortest_edge(views) if self._least is None else self._least
+            options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
+            if views.normals is None and views.depth is None:  # colours alone
+                options |= {"floor": _FLOOR, "reach": _REACH}
+                least *= _FINER if self._least is None else 1.0
+            self._descent.step(gradients[0], least=least, **options)
         self.step += 1
         return {"loss": loss.item(), "iou": iou.item(), **{name: part.item() for name, part in parts.items()}}
 
     def _losses(
-        self, views: Views, vertices: Tensor, flat: bool, anti_aliasing: bool
+        self, views: Views, parameters: list[Tensor], flat: bool, anti_aliasing: bool
     ) -> tuple[dict[str, Tensor], Tensor]:
         """Compute the parts of the loss, and the mean silhouette IoU."""
-        seen = views.fragments((vertices, self._descent.faces), anti_aliasing)
-        eyes, forward = views.eyes()
-        depth = ((vertices - eyes[:, None]) * forward[:, None]).sum(2, keepdim=True)
-        faces = self._descent.faces
+        vertices, faces = parameters[0], self._descent.faces
+        seen = views.fragments((vertices, faces), anti_aliasing)
         if flat:
             normals = -face_normals(vertices[faces])[:, None].expand(-1, 3, -1)
         else:
             normals = vertex_normals(vertices, faces)[0][faces]
-        surface = seen.interpolate(torch.cat((normals.expand(len(views), -1, -1, -1), depth[:, faces]), 3))
-        normal = F.normalize(surface[..., :3], dim=3)
-        layers = {"silhouette": torch.ones_like(normal[..., :1])}
+        layers = {"silhouette": (seen.face_index >= 0).to(vertices)[..., None]}
         targets = {"silhouette": views.masks[:, None]}
-        if views.normals is not None:
-            layers["normals"], targets["normals"] = normal, views.normals
-        if views.depth is not None:
-            # Composited as a difference: a part that appears or vanishes has no error at all.
-            layers["depth"], targets["depth"] = _depth_error(surface[..., 3:], views.depth), torch.zeros(())
+        if views.normals is not None or views.depth is not None:
+            eyes, forward = views.eyes()
+            depth = ((vertices - eyes[:, None]) * forward[:, None]).sum(2, keepdim=True)
+            surface = seen.interpolate(torch.cat((normals.expand(len(views), -1, -1, -1), depth[:, faces]), 3))
+            if views.normals is not None:
+                layers["normals"], targets["normals"] = F.normalize(surface[..., :3], dim=3), views.normals
+            if views.depth is not None:
+                # Composited as a difference: a part that appears or vanishes has no error at all.
+                layers["depth"], targets["depth"] = _depth_error(surface[..., 3:], views.depth), torch.zeros(())
+        if self._color is not None:
+            layers["photometric"] = self._color.draw(views, seen, parameters[1][faces], normals, not anti_aliasing)
+            targets["photometric"] = views.photos  # type: ignore[assignment]
         sizes = [part.shape[3] for part in layers.values()]
         drawn = seen.composite(torch.cat(list(layers.values()), 3), seams=flat)  # normals of faces jump at edges
         images = dict(zip(layers, drawn.split(sizes, 1), strict=True))
         losses = {name: (image - targets[name].to(image)).abs().sum(1).mean() for name, image in images.items()}
+        if self._color is not None:
+            losses["albedo"] = roughness(parameters[1], faces)
         return losses, mask_iou(images["silhouette"][:, 0], views.masks).mean()
-
-    def knobs(self) -> list[Knob]:
-        """List the settings that may change between two steps.
-
-        Returns:
-            "rate", the length of a steady step, and the weights of the losses.
-        """
-        return [Knob("rate", self._rate, LEAST_RATE), *weight_knobs(self._weights)]
-
-    def turn(self, name: str, value: float | str) -> None:
-        """Change a setting. `state_dict` does not contain it.
-
-        Args:
-            name: Its name, as in `knobs`.
-            value: Its new value.
-
-        Raises:
-            TypeError, ValueError: There is no such setting, or the value does not fit.
-        """
-        if name == "rate":
-            self._rate = validate.positive(name, value)
-        else:
-            self._weights = turn_weight(self._weights, name, value)
 
     def state_dict(self) -> dict[str, Any]:
         """Collect everything that changes from step to step.
@@ -172,7 +173,8 @@ class DetailFit:
         """
         vertices, faces = self.shape
         state = {"step": self.step, "vertices": vertices, "faces": faces}
-        return state | {"descent": self._descent.state_dict()}
+        color = None if self._color is None else self._color.state_dict()
+        return state | {"descent": self._descent.state_dict(), "color": color}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from the state of a fit of the same views.
@@ -185,6 +187,8 @@ class DetailFit:
         """
         self.step = state["step"]
         self._descent.load_state_dict(state["descent"])
+        if self._color is not None:
+            self._color.load_state_dict(state["color"])
 
 
 def _depth_error(depth: Tensor, target: Tensor) -> Tensor:

@@ -1,0 +1,41 @@
+"""`Adjustable`: fits whose rate and weights may change between two steps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .. import validate
+from .observer import LEAST_RATE, Knob, turn_weight, weight_knobs
+
+
+class Adjustable:
+    """A fit with a rate, and perhaps with weights of losses, that a viewer may change.
+
+    Subclasses set ``_rate``, a number > 0, and ``_weights``, a dataclass of numbers ≥ 0, or None.
+    """
+
+    _rate: float
+    _weights: Any = None
+
+    def knobs(self) -> list[Knob]:
+        """List the settings that may change between two steps.
+
+        Returns:
+            "rate", the length of a step, and the weights of the losses, if there are any.
+        """
+        return [Knob("rate", self._rate, LEAST_RATE), *weight_knobs(self._weights)]
+
+    def turn(self, name: str, value: float | str) -> None:
+        """Change a setting. `state_dict` does not contain it.
+
+        Args:
+            name: Its name, as in `knobs`.
+            value: Its new value.
+
+        Raises:
+            TypeError, ValueError: There is no such setting, or the value does not fit.
+        """
+        if name == "rate":
+            self._rate = validate.positive(name, value)
+        else:
+            self._weights = turn_weight(self._weights, name, value)

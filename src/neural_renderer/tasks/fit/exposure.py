@@ -1,0 +1,122 @@
+"""Exposure and white balance of photographs: one gain for each view and colour channel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ...meshes.normals import face_normals
+from .fit_views import Views
+
+_CELLS = 32  # patches along the longest side of the surface
+_DARK, _BRIGHT = 0.02, 0.98  # colours outside are noise, or were cut off
+_ITERATIONS = 12  # of reweighted least squares
+_EXACT = 0.01  # residual, in log units, below which weights do not grow
+_PRIOR = 1e-3  # weight of gains of 1, relative to the patches of a view: for views that share no patch with others
+_VIEWS_AT_ONCE = 8
+
+
+@torch.no_grad()
+def estimate_gains(views: Views, vertices: Tensor, faces: Tensor) -> Tensor:
+    """Estimate the gains of photographs of one object from what they show of its surface.
+
+    The surface is divided into patches. The logarithm of the mean colour of a patch in a view is the sum of the
+    patch's and of the view's. The sum of the absolute residuals over all patches and views is minimised by reweighted
+    least squares, so that highlights and errors of the shape count little. The gains of all views have the geometric
+    mean 1 in each channel, as only ratios of gains can be seen.
+
+    Args:
+        views: N views with photos.
+        vertices: [V, 3] float32, in the world of the views.
+        faces: [F, 3] int32 or int64.
+
+    Returns:
+        Gains [N, 3] of red, green and blue, > 0.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import Views
+        >>> from neural_renderer.tasks.fit.exposure import estimate_gains
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
+        >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
+        >>> estimate_gains(views, *nr.icosphere(2)).shape
+        torch.Size([6, 3])
+    """
+    faces = faces.long()
+    patches = _patches(vertices, faces)
+    found = [
+        _patch_colors(views[start : start + _VIEWS_AT_ONCE], vertices, faces, patches)
+        for start in range(0, len(views), _VIEWS_AT_ONCE)
+    ]
+    colors, weights = (torch.cat(parts).double() for parts in zip(*found, strict=True))
+    usable = (colors.amin(2) > _DARK) & (colors.amax(2) < _BRIGHT)
+    weights = torch.where(usable, weights, 0.0)
+    shared = (weights > 0).sum(0) > 1
+    if not bool(shared.any()):
+        return views.masks.new_ones(len(views), 3)
+    values, weights = colors[:, shared].clamp(min=_DARK).log(), weights[:, shared]
+    gains, robust = _solve(values, weights), weights
+    for _ in range(_ITERATIONS):
+        residual = values - gains[:, None]
+        residual = residual - (robust[..., None] * residual).sum(0) / robust.sum(0)[:, None]
+        robust = weights / residual.norm(dim=2).clamp(min=_EXACT)
+        gains = _solve(values, robust)
+    return gains.exp().to(views.masks)
+
+
+@torch.no_grad()
+def match_gains(views: Views, shape: tuple[Tensor, ...]) -> Views:
+    """Find the gains with which a known mesh looks most like photographs, such as held-out ones.
+
+    Args:
+        views: Views with photos.
+        shape: (vertices, faces, textures), in the world of the views.
+
+    Returns:
+        The views, with gains: those of least squares over the pixels.
+    """
+    gains = []
+    for start in range(0, len(views), _VIEWS_AT_ONCE):
+        part = replace(views[start : start + _VIEWS_AT_ONCE], gains=None)
+        rgb = part.draw(shape, "rgb").rgb
+        both = (rgb * part.photos).sum((2, 3))  # type: ignore[operator]
+        gains.append(torch.where(both > 0, both / rgb.square().sum((2, 3)).clamp(min=1e-6), 1.0))
+    return replace(views, gains=torch.cat(gains))
+
+
+def _patches(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Divide a surface into patches by place and direction: the patch of each face, [F] from 0 on."""
+    centers, normals = vertices[faces].mean(1), face_normals(vertices[faces])
+    low, high = vertices.amin(0), vertices.amax(0)
+    cells = ((centers - low) / (high - low).amax() * _CELLS).long()
+    side = (normals > 0).long()  # so that the two sides of a sheet are apart
+    key = ((cells[:, 0] * 2 * _CELLS + cells[:, 1]) * 2 * _CELLS + cells[:, 2]) * 8 + side @ side.new_tensor([4, 2, 1])
+    return torch.unique(key, return_inverse=True)[1]
+
+
+def _patch_colors(views: Views, vertices: Tensor, faces: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
+    """Average the colours of each patch in each view: colours [N, P, 3] and weights [N, P]."""
+    index = views.fragments((vertices, faces), anti_aliasing=False).face_index.long()
+    eyes, forward = views.eyes()
+    corners = vertices[faces]
+    rays = eyes[:, None] - corners.mean(1) if views.camera.perspective else -forward[:, None].expand(-1, len(faces), -1)
+    cosines = (F.normalize(rays, dim=2) * face_normals(corners)).sum(2).square()
+    inside = (-F.max_pool2d(-views.masks, 3, 1, 1) > 0.999) & (index >= 0)
+    rows, count = torch.arange(len(views), device=index.device)[:, None, None], int(patches.max()) + 1
+    shown = index.clamp(min=0)
+    place = (patches[shown] + count * rows)[inside]
+    weight = cosines[rows.expand_as(shown), shown][inside][:, None]
+    values = torch.cat((views.photos.movedim(1, 3)[inside] * weight, weight), 1)  # type: ignore[union-attr]
+    total = values.new_zeros(len(views) * count, 4).index_add_(0, place, values).view(len(views), count, 4)
+    return total[..., :3] / total[..., 3:].clamp(min=1e-6), total[..., 3]
+
+
+def _solve(values: Tensor, weights: Tensor) -> Tensor:
+    """Solve for gains [N, 3], of mean 0, in values [N, P, 3] = gains + patches with weights [N, P]."""
+    share = weights / weights.sum(0)
+    count, own = len(weights), weights.sum(1)
+    matrix = torch.diag(own * (1 + _PRIOR) + 1e-9) - weights @ share.t() + own.mean() / count
+    gains = torch.linalg.solve(matrix, (weights[..., None] * (values - (share[..., None] * values).sum(0))).sum(1))
+    return gains - gains.mean(0)
