@@ -17,9 +17,9 @@ from .warp.registration import differentiable, operator
 
 def checked_dtype(dtype: Any) -> torch.dtype:
     """Return float32 or float64, or raise TypeError."""
-    if dtype not in (torch.float32, torch.float64):
-        raise TypeError(f"dtype: expected torch.float32 or torch.float64, got {dtype!r}")
-    return dtype  # type: ignore[no-any-return]
+    if dtype is torch.float32 or dtype is torch.float64:
+        return dtype
+    raise TypeError(f"dtype: expected torch.float32 or torch.float64, got {dtype!r}")
 
 
 @operator
