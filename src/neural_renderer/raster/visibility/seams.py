@@ -6,8 +6,10 @@ a narrow face. Then the pixel at the middle of the face is used.
 If a face is small, no pixel may show it, so the two sides are estimated independently (Horvitz and Thompson, 1952): a
 side counts only if its pixel shows its face, with the inverse of the probability of that, its chord. A colour that is
 subtracted from both sides leaves their difference as it is, so the mean colour of other faces nearby is subtracted
-first. This removes most of the noise. (To search the next scan lines, too, for pixels that show the face was tried: the
-noise of triangles of two pixels falls from 0.8 to 0.45 of the gradient, but the estimate takes 1.4 to 1.6 times as long.)
+first. This removes most of the noise.
+
+To search the next scan lines, too, for pixels that show the face was tried: the noise at triangles of two pixels falls
+from 0.8 to 0.45 of the gradient, but the estimate takes 1.4 to 1.6 times as long.
 
 ``SEAMS`` declares a C++ struct for native functions, after `CROSSINGS` and `GAINS`.
 """
