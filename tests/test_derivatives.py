@@ -80,8 +80,17 @@ def test_jacobian_of_an_image(device):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_second_derivatives_and_forward_mode_are_refused(device, name):
+def test_forward_mode_is_refused(device, name):
     """An error with a sentence, never a zero."""
+    loss, value = losses(device)[name]
+    with pytest.raises(RuntimeError, match="the rasteriser has gradients in reverse mode only"):
+        jvp(loss, (value,), (value,))
+    with pytest.raises(RuntimeError, match="the rasteriser has gradients in reverse mode only"):
+        hessian(loss)(value)
+
+
+@pytest.mark.parametrize("name", ["vertices", "camera"])
+def test_second_derivatives_through_visibility_are_refused(device, name):
     loss, value = losses(device)[name]
     leaf = value.clone().requires_grad_()
     (first,) = torch.autograd.grad(loss(leaf), leaf, create_graph=True)
@@ -89,10 +98,93 @@ def test_second_derivatives_and_forward_mode_are_refused(device, name):
         torch.autograd.grad(first.square().sum(), leaf)
     with pytest.raises(RuntimeError, match="the rasteriser has first derivatives only"):
         grad(lambda x: grad(loss)(x).square().sum())(value)
-    with pytest.raises(RuntimeError, match="the rasteriser has gradients in reverse mode only"):
-        jvp(loss, (value,), (value,))
-    with pytest.raises(RuntimeError, match="the rasteriser has gradients in reverse mode only"):
-        hessian(loss)(value)
+
+
+def lit_scene(device):
+    """A loss of everything smooth at once, as one vector: textures, light, background."""
+    vertices, faces, cubes, eye = scene(device)
+    camera, weight = nr.Camera.look_at(eye, viewing_angle=25), torch.linspace(-1, 1, SIZE, device=device)
+    image = torch.rand(5, 5, 3, generator=torch.Generator().manual_seed(3)).to(device)
+    uv = vertices[:, :2] / 2 + 0.5
+
+    def loss(several):
+        own, glow, beam, towards, behind = several.split([cubes.numel(), 3, 3, 3, 3])
+        light = nr.Light(ambient_color=glow, directional_color=beam, direction=towards)
+        options = {"light": light, "background": behind, "outputs": ("rgb",)}
+        flat = nr.render((vertices, faces, own.view_as(cubes)), camera, SIZE, **options).rgb
+        mapped = nr.UVMesh(vertices, faces, uv, image * behind)
+        sharp = nr.render(mapped, camera, SIZE, anti_aliasing=False, **options).rgb
+        smooth = nr.render(mapped, camera, SIZE, shading="smooth", **options).rgb
+        return ((flat.square() + sharp.square() + smooth.square()) * weight).sum()
+
+    light = torch.tensor([0.4, 0.5, 0.6, 0.7, 0.6, 0.5, 0.23, 0.81, -0.37, 0.3, 0.2, 0.6], device=device)
+    return loss, torch.cat((cubes.flatten(), light))
+
+
+@pytest.mark.parametrize("name", ["textures", "light", "attributes", "images", "all"])
+def test_second_derivatives_of_what_is_smooth(device, name):
+    """Times a vector, they are the change of the gradient along it: colours are products of few numbers."""
+    loss, value = lit_scene(device) if name == "all" else losses(device)[name]
+    along = torch.randn(value.shape, generator=torch.Generator().manual_seed(2)).to(device)
+    leaf = value.clone().requires_grad_()
+    (first,) = torch.autograd.grad(loss(leaf), leaf, create_graph=True)
+    (second,) = torch.autograd.grad((first * along).sum(), leaf)
+    step = 0.005  # the light on no face begins or ends within it
+    expected = (grad(loss)(value + step * along) - grad(loss)(value - step * along)) / (2 * step)
+    # Differences lose two digits to rounding; their own error is of the square of the step.
+    torch.testing.assert_close(second, expected, rtol=2e-3, atol=2e-3 * float(expected.abs().max()))
+    torch.testing.assert_close(
+        grad(lambda x: (grad(loss)(x) * along).sum())(value), second, rtol=1e-4, atol=1e-4 * float(second.abs().max())
+    )
+
+
+@pytest.mark.parametrize("perspective", [False, True])
+@pytest.mark.parametrize("anti_aliasing", [False, True])
+def test_drawing_in_float64(device, perspective, anti_aliasing):
+    """The images are those of float32, and have all derivatives but those through visibility."""
+    vertices, faces, cubes, eye = scene(device)
+    vertices = vertices.double()
+    screen = nr.Camera.look_at(eye.double(), viewing_angle=25)(vertices)[:, faces.long()]
+    options = {"anti_aliasing": anti_aliasing, "perspective": perspective}
+
+    def draw(cubes, direction, background, screen=screen, dtype=torch.float64):
+        light = nr.Light(direction=direction).two_sided(vertices[faces.long()][None])
+        own = {"textures": cubes, "light": light, "background": background, "dtype": dtype}
+        return nr.rasterize_images(screen, 4, **own, **options)
+
+    smooth = (
+        cubes[None].double().requires_grad_(),
+        torch.tensor([0.1, 0.9, -0.4], device=device, dtype=torch.float64, requires_grad=True),
+        torch.rand(3, 4, 4, device=device, dtype=torch.float64, requires_grad=True),
+    )
+    images = draw(*smooth)
+    for own, other in zip(images, draw(*smooth, dtype=torch.float32), strict=True):
+        assert own.dtype == torch.float64 and other.dtype == torch.float32
+        torch.testing.assert_close(own.float(), other, rtol=1e-5, atol=1e-5)
+    assert torch.autograd.gradcheck(lambda *x: draw(*x).rgb, smooth, check_forward_ad=True, fast_mode=True)
+    assert torch.autograd.gradgradcheck(lambda *x: draw(*x).rgb, smooth, fast_mode=True)
+    moving = screen.clone().requires_grad_()
+    for image in (draw(*smooth, screen=moving).rgb, draw(*smooth, screen=moving).depth):
+        with pytest.raises(RuntimeError, match="expected vertices and cameras that need no gradient"):
+            image.sum().backward()
+    with pytest.raises(TypeError, match=r"dtype: expected torch\.float32 or torch\.float64"):
+        draw(*smooth, dtype=torch.float16)
+
+
+@pytest.mark.parametrize("of_corners", [False, True])
+def test_attributes_in_float64(device, of_corners):
+    vertices, faces, _, eye = scene(device)
+    seen = nr.fragments((vertices, faces), nr.Camera.look_at(eye, viewing_angle=25), 4)
+    shape = (len(faces), 3, 2) if of_corners else (len(vertices), 2)
+    values = torch.rand(shape, device=device, dtype=torch.float64, requires_grad=True)
+
+    def mix(values):
+        return seen.interpolate(values, dtype=torch.float64)
+
+    assert mix(values).dtype == torch.float64
+    torch.testing.assert_close(mix(values).float(), seen.interpolate(values), rtol=1e-5, atol=1e-5)
+    assert torch.autograd.gradcheck(mix, values, check_forward_ad=True, fast_mode=True)
+    assert torch.autograd.gradgradcheck(mix, values, fast_mode=True)
 
 
 def test_cameras_and_regularisers_have_all_derivatives(device):

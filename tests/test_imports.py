@@ -56,6 +56,7 @@ RASTER = [
     "faces",
     "background",
     "visible",
+    "exact",
     "cubes",
     "rasterize",
     "soft_silhouettes",

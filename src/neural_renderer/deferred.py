@@ -19,6 +19,7 @@ from .raster.ahead import ATTRIBUTES, PROJECTION, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.interpolate import interpolate
+from .raster.exact import checked_dtype, exact_interpolate
 from .raster.faces import checked_faces
 from .raster.ops.corners import gather_corners
 from .raster.ops.peel import peel
@@ -54,7 +55,9 @@ class Fragments(VisibleFaces):
     num_vertices: int | None = None
 
     @validate.checked_together
-    def interpolate(self, attributes: Tensor, triangles: Tensor | None = None) -> Tensor:
+    def interpolate(
+        self, attributes: Tensor, triangles: Tensor | None = None, *, dtype: torch.dtype = torch.float32
+    ) -> Tensor:
         """Interpolate attributes of vertices, or of the corners of faces, at every pixel, perspective-correct.
 
         The result has the fragments' size: twice the size asked for under anti-aliasing. Gradients reach the attributes
@@ -65,9 +68,11 @@ class Fragments(VisibleFaces):
                 corners. If F is 1 or B, three dimensions mean [B, V, C]; [1, F, 3, C] means corners.
             triangles: Per-face indices into ``attributes``, [F, 3] or [B, F, 3] integer, if they are indexed separately
                 from vertices (e.g. texture coordinates). Default: the faces of the mesh.
+            dtype: Of the result. float64 computes in plain torch: all derivatives with respect to the attributes, as
+                `torch.autograd.gradcheck` needs them, but slower, and none with respect to vertices and camera.
 
         Returns:
-            [B, H, W, C] float32; 0 where no face is visible.
+            [B, H, W, C] of ``dtype``; 0 where no face is visible.
 
         Raises:
             TypeError: A tensor of another dtype.
@@ -78,10 +83,10 @@ class Fragments(VisibleFaces):
             >>> fragments.interpolate(torch.rand(len(mesh.vertices), 8)).shape  # 8 channels, at twice the size
             torch.Size([1, 128, 128, 8])
         """
-        dims = getattr(attributes, "ndim", 2)
+        dims, dtype = getattr(attributes, "ndim", 2), checked_dtype(dtype)
         batch, count = self.corners.shape[:2]
         if dims == 4 or (dims == 3 and triangles is None and self._has_corners(attributes)):
-            return self._interpolate_corners(attributes, triangles)
+            return self._interpolate_corners(attributes, triangles, dtype)
         validate.floating("attributes", attributes, ("V", "C") if dims == 2 else ("B", "V", "C"))
         if triangles is None and self.num_vertices not in (None, attributes.shape[-2]):
             got = validate.shape_of(attributes)
@@ -100,7 +105,11 @@ class Fragments(VisibleFaces):
         if triangles.shape[1] != count:
             raise ValueError(f"triangles: expected {count} like the mesh's faces, got {triangles.shape[1]}")
         validate.in_range("triangles", triangles, attributes.shape[1], padded=True)
-        own = gather_corners(attributes.float().expand(max(len(attributes), len(triangles)), -1, -1), triangles.int())
+        several = attributes.expand(max(len(attributes), len(triangles)), -1, -1)
+        if dtype == torch.float64:
+            image = torch.arange(len(several), device=several.device)[:, None, None]
+            return exact_interpolate(self, several[image, triangles])  # padded faces, of −1, are never visible
+        own = gather_corners(several.float(), triangles.int())
         return interpolate(own, self.corners, self.face_index, self.settings.perspective)
 
     def visible_faces(self) -> Tensor:
@@ -152,7 +161,7 @@ class Fragments(VisibleFaces):
         batch, count = self.corners.shape[:2]
         return attributes.shape[:2] == (count, 3) and count not in (1, batch)
 
-    def _interpolate_corners(self, attributes: Tensor, triangles: Tensor | None) -> Tensor:
+    def _interpolate_corners(self, attributes: Tensor, triangles: Tensor | None, dtype: torch.dtype) -> Tensor:
         """Interpolate attributes [F, 3, C] or [1 or B, F, 3, C]."""
         batch, count = self.corners.shape[:2]
         if triangles is not None:
@@ -163,6 +172,8 @@ class Fragments(VisibleFaces):
             raise ValueError(f"attributes: expected a batch of 1 or {batch}, got {len(attributes)}")
         validate.same_device(attributes=attributes, faces=self.corners)
         validate.finite("attributes", attributes)
+        if dtype == torch.float64:
+            return exact_interpolate(self, attributes)
         return interpolate(attributes.float().contiguous(), self.corners, self.face_index, self.settings.perspective)
 
     @validate.checked_together

@@ -13,7 +13,14 @@ from ..constants import constant
 from .settings import Settings
 
 
-def background_image(background: Any, batch: int, channels: int, settings: Settings, device: torch.device) -> Tensor:
+def background_image(
+    background: Any,
+    batch: int,
+    channels: int,
+    settings: Settings,
+    device: torch.device,
+    dtype: torch.dtype = torch.float32,
+) -> Tensor:
     """Check a background and bring it to a shape that broadcasts to the images before anti-aliasing.
 
     Args:
@@ -24,9 +31,10 @@ def background_image(background: Any, batch: int, channels: int, settings: Setti
         channels: Number of channels C.
         settings: Size and anti-aliasing of the images.
         device: Device of the images.
+        dtype: Of the result.
 
     Returns:
-        [1 or B, C, 1 or H, 1 or W] float32, with H and W twice the returned size under anti-aliasing.
+        [1 or B, C, 1 or H, 1 or W] of ``dtype``, with H and W twice the returned size under anti-aliasing.
 
     Raises:
         TypeError: It has no numbers, or numbers of a wrong type.
@@ -37,8 +45,8 @@ def background_image(background: Any, batch: int, channels: int, settings: Setti
         raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")
     if not isinstance(background, Tensor):
         try:
-            known = constant(background, torch.float32, device)
-            background = torch.as_tensor(background, dtype=torch.float32, device=device) if known is None else known
+            known = constant(background, dtype, device)
+            background = torch.as_tensor(background, dtype=dtype, device=device) if known is None else known
         except (TypeError, ValueError, RuntimeError, OverflowError):
             raise TypeError(
                 f"background: expected a number, a colour [{channels}] or [B, {channels}], or an image, "
@@ -47,7 +55,7 @@ def background_image(background: Any, batch: int, channels: int, settings: Setti
     validate.dense("background", background)
     if device.type != "meta":
         validate.has_numbers("background", background)
-    color = background.to(device=device, dtype=torch.float32)
+    color = background.to(device=device, dtype=dtype)
     validate.finite("background", color)
     color = color.expand(channels) if color.dim() == 0 else color
     shape = tuple(color.shape)

@@ -34,15 +34,27 @@ def cube_colors(
         ValueError: A tensor of another shape or device, or with NaN or infinite values.
     """
     corners, settings = visible.corners, visible.settings
-    batch, count = corners.shape[:2]
-    cubes = _checked_textures(textures, batch, count, corners.device)
-    factors = _checked_light(light, batch, count, corners.device)
-    behind = background_image(background, batch, 3, settings, corners.device)
-    behind = behind.expand(batch, 3, *visible.face_index.shape[1:])
+    cubes, factors, behind = checked_colors(visible, textures, light, background, torch.float32)
     # Only "edge" differentiates shading inside faces.
     inside = corners if settings.gradient == "edge" else corners.detach()
     rgb = sample_textures(cubes, factors, behind, inside, visible.face_index, settings.eps, settings.perspective)
     return rgb, lambda: texture_edge_hashes(cubes, factors)
+
+
+def checked_colors(
+    visible: VisibleFaces, textures: Any, light: Tensor | None, background: Any, dtype: torch.dtype
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Check what `cube_colors` takes, and convert it to what `sample_textures` takes, in a dtype.
+
+    Returns:
+        Textures [B or 1, F, T, T, T, 3], light [B or 1, 2, F, 3], background [B, 3, H, W].
+    """
+    batch, count = visible.corners.shape[:2]
+    device = visible.corners.device
+    cubes = _checked_textures(textures, batch, count, device).to(dtype)
+    factors = _checked_light(light, batch, count, device).to(dtype)
+    behind = background_image(background, batch, 3, visible.settings, device, dtype)
+    return cubes, factors, behind.expand(batch, 3, *visible.face_index.shape[1:])
 
 
 def _checked_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:
@@ -55,7 +67,7 @@ def _checked_textures(textures: Any, batch: int, count: int, device: torch.devic
             f"textures: expected [{batch} or 1, {count}, T, T, T, 3] like faces, got {validate.shape_of(textures)}"
         )
     validate.finite("textures", textures)
-    return textures.float()
+    return textures
 
 
 def _checked_light(light: Tensor | None, batch: int, count: int, device: torch.device) -> Tensor:
@@ -66,4 +78,4 @@ def _checked_light(light: Tensor | None, batch: int, count: int, device: torch.d
     if light.shape[0] not in (1, batch):
         raise ValueError(f"light: expected parameters for {batch} images or for all, got {light.shape[0]}")
     validate.finite("light", light)
-    return light.float()
+    return light

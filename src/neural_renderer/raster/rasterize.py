@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from .. import validate
 from .ahead import CUBES, load_kernels
-from .cubes import cube_colors
+from .cubes import checked_colors, cube_colors
+from .exact import checked_dtype, exact_images
 from .faces import checked_triangles
 from .images import OUTPUTS, Images, checked_outputs
 from .settings import Settings
@@ -33,12 +35,13 @@ def rasterize_images(
     perspective: bool = True,
     gradient: str = "edge",
     triangles: Tensor | None = None,
+    dtype: torch.dtype = torch.float32,
 ) -> Images:
     """Draw faces given by their corners in screen space.
 
     Args:
         faces: Corners (x, y, z), [B, F, 3, 3] floating: x right and y up in [-1, 1] over the image, z the depth along
-            the viewing axis in world units, positive in front of the camera. Other types are computed in float32.
+            the viewing axis in world units, positive in front of the camera. Computed in ``dtype``.
         size: Side of the images, or (height, width), in pixels.
         outputs: Some of "rgb", "alpha", "depth". Other outputs are not computed.
         textures: Cubes [B or 1, F, T, T, T, 3] floating (T = 1: one colour per face). Needed for "rgb".
@@ -56,6 +59,9 @@ def rasterize_images(
         triangles: Vertex indices of ``faces``, [F, 3] or [B or 1, F, 3] integer, as given to `vertices_to_faces`. With
             them ``"edge"`` finds adjacent faces once per mesh. Without them, it searches for adjacent faces by the
             positions of corners in every backward pass.
+        dtype: Of the images. float64 computes in plain torch: all derivatives with respect to textures, light and
+            background, of any order and in any mode, as `torch.autograd.gradcheck` needs them, but many times slower,
+            and none with respect to ``faces``. The visible faces are those of float32.
 
     Returns:
         Images. An empty batch or mesh gives the background.
@@ -63,6 +69,7 @@ def rasterize_images(
     Raises:
         TypeError: An argument of another type.
         ValueError: An argument of another shape, device or range.
+        RuntimeError: In backward, a gradient to ``faces`` in float64, or a second derivative that needs one.
 
     Example:
         >>> corners = nr.vertices_to_faces(*[part[None] for part in nr.icosphere(1)])
@@ -70,12 +77,15 @@ def rasterize_images(
         torch.Size([1, 32, 32])
     """
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, perspective, gradient)
-    outputs = checked_outputs(outputs)
+    outputs, dtype = checked_outputs(outputs), checked_dtype(dtype)
     corners = settings.corners(faces, 1 + 3 * ("rgb" in outputs))
     load_kernels(settings, outputs, CUBES, corners)
     face_index = settings.face_index(corners)
     rings = None if triangles is None else settings.rings(corners, checked_triangles(triangles, corners))
     visible = VisibleFaces(corners, face_index, settings, rings)
+    if dtype == torch.float64:
+        colors = checked_colors(visible, textures, light, background, dtype) if "rgb" in outputs else ()
+        return exact_images(visible, faces, outputs, *colors)
     if "rgb" not in outputs:
         return visible.images(outputs)
     return visible.images(outputs, *cube_colors(visible, textures, light, background))

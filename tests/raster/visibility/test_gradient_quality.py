@@ -40,9 +40,9 @@ def test_scenes(title, name, shifts):
 @pytest.mark.slow
 @pytest.mark.parametrize("side", [1, 2])
 def test_seams_of_small_faces(side):
-    """Faces of one or two pixels in random colours: the size within 3 % and what 144 noisy samples leave open."""
+    """Faces of one or two pixels in random colours: the size within 4 % or 2 %, and what noisy samples leave open."""
     found = quality(f"faces of {side} px, random colours", "places", 144, 16)
-    assert abs(found.size - 1) <= 0.03 + 2 * found.interval, found
+    assert abs(found.size - 1) <= (0.04 if side == 1 else 0.02) + 2 * found.interval, found
     assert found.interval <= 0.08, found
     assert found.cosine >= 0.95, found
 

@@ -9,7 +9,7 @@ from ..warp.launch import array, launch
 from ..warp.layout import PIXELS_OF_TASK, pixel_tasks, worth_a_thread
 from ..warp.memory import empty
 from ..warp.point import VECTORS, fill
-from ..warp.registration import differentiable, differentiable_once, operator
+from ..warp.registration import differentiable, operator
 
 wp.set_module_options({"enable_backward": False})
 
@@ -41,7 +41,7 @@ def _(colors, background, face_index):
     return colors.new_empty((batch, colors.shape[3], height, width))
 
 
-@differentiable_once
+@operator
 def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
     """Compute the gradient of `composite` to the colours, [B, H, W, C] float32."""
     batch, channels, height, width = grad.shape
@@ -74,6 +74,17 @@ def _to_inputs(ctx, grad):
 
 
 differentiable(composite, _to_inputs, _save)
+
+
+def _save_again(ctx, inputs, output):
+    ctx.save_for_backward(inputs[1])
+
+
+def _to_gradient(ctx, colors):
+    return composite(colors, colors.new_zeros((1, colors.shape[3], 1, 1)), ctx.saved_tensors[0]), None
+
+
+differentiable(composite_backward, _to_gradient, _save_again)
 
 
 # Three channels, the usual number, have a separate loop, because compilers turn it into vector instructions.

@@ -72,6 +72,7 @@ def _(grad):
 
 
 differentiable(halve, lambda ctx, grad: halve_backward(grad))
+differentiable(halve_backward, lambda ctx, image: halve(image))
 
 
 _BLOCKS = f"""

@@ -10,7 +10,7 @@ from ..warp.launch import array, launch, module_for_cuda
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.point import over_face, over_rows
-from ..warp.registration import differentiable, differentiable_once, operator
+from ..warp.registration import differentiable, operator, refuse_second
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -44,7 +44,7 @@ def _(attributes, faces, face_index, perspective):
     return faces.new_empty((*face_index.shape, attributes.shape[3]))
 
 
-@differentiable_once
+@operator
 def interpolate_backward(
     grad: Tensor, attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, faces_too: bool
 ) -> tuple[Tensor, Tensor]:
@@ -83,6 +83,21 @@ def _to_inputs(ctx, grad):
 
 
 differentiable(interpolate, _to_inputs, _save)
+
+
+def _save_again(ctx, inputs, output):
+    _, _, faces, face_index, ctx.perspective, _ = inputs
+    ctx.save_for_backward(faces, face_index)
+
+
+def _to_gradient(ctx, attributes, _):
+    # The gradient to attributes is the transpose of the interpolation, so that its own gradient interpolates.
+    if ctx.needs_input_grad[2]:
+        refuse_second("interpolate_backward")
+    return interpolate(attributes, *ctx.saved_tensors, ctx.perspective), *[None] * 5
+
+
+differentiable(interpolate_backward, _to_gradient, _save_again)
 
 
 _BEGIN = "const int channels = attributes.shape[3];"

@@ -10,7 +10,7 @@ from ..warp.launch import array, launch
 from ..warp.layout import PIXELS_OF_TASK, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.point import fill
-from ..warp.registration import differentiable, differentiable_once, operator
+from ..warp.registration import differentiable, operator
 
 wp.set_module_options({"enable_backward": False})
 
@@ -43,7 +43,7 @@ def _(image, light, faces, face_index, perspective):
     return torch.empty_like(image, memory_format=torch.contiguous_format)
 
 
-@differentiable_once
+@operator
 def light_pixels_backward(
     grad: Tensor, image: Tensor, light: Tensor, faces: Tensor, face_index: Tensor, perspective: bool
 ) -> tuple[Tensor, Tensor]:
@@ -76,6 +76,20 @@ def _to_inputs(ctx, grad):
 
 
 differentiable(light_pixels, _to_inputs, _save)
+
+
+def _to_first(ctx, image, light):
+    """Differentiate <image, gradient to it> + <light, gradient to it>, of colours linear in each of both."""
+    grad, own_image, own_light, *maps = ctx.saved_tensors
+    covered = (maps[1] >= 0)[:, None]  # the background is not lit, so it does not depend on the light
+    to_grad = light_pixels(image, own_light, *maps, ctx.perspective)
+    to_grad = to_grad + light_pixels(own_image, light, *maps, ctx.perspective) * covered
+    to_image, _ = light_pixels_backward(grad, own_image, light, *maps, ctx.perspective)
+    _, to_light = light_pixels_backward(grad, image, own_light, *maps, ctx.perspective)
+    return to_grad, to_image * covered, to_light, None, None, None
+
+
+differentiable(light_pixels_backward, _to_first, _save)
 
 
 # Over the pixels [left, right) of the rows [first, last), with the factor on the pixel's face; the background has 1.

@@ -10,7 +10,7 @@ from ..warp.launch import array, launch
 from ..warp.layout import PIXELS_OF_TASK, in_any_order, pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.point import fill
-from ..warp.registration import differentiable, differentiable_once, operator
+from ..warp.registration import differentiable, operator, refuse_second
 
 wp.set_module_options({"enable_backward": False})
 
@@ -78,7 +78,7 @@ def _(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v):
     return uv.new_empty((*face_index.shape, texels.shape[2]))
 
 
-@differentiable_once
+@operator
 def sample_mipmaps_backward(
     grad: Tensor,
     texels: Tensor,
@@ -134,6 +134,23 @@ def _to_inputs(ctx, grad):
 
 
 differentiable(sample_mipmaps, _to_inputs, _save)
+
+
+def _save_again(ctx, inputs, output):
+    _, _, *ctx.size, uv, face_index, mipmaps, repeat_u, repeat_v, ctx.texels_too = inputs
+    ctx.options = (mipmaps, repeat_u, repeat_v)
+    ctx.save_for_backward(uv, face_index)
+
+
+def _to_gradient(ctx, texels, _):
+    # The gradient to texels is the transpose of the sampling, so that its own gradient samples.
+    if ctx.needs_input_grad[4]:
+        refuse_second("sample_mipmaps_backward")
+    to_grad = sample_mipmaps(texels, *ctx.size, *ctx.saved_tensors, *ctx.options) if ctx.texels_too else None
+    return to_grad, *[None] * 9
+
+
+differentiable(sample_mipmaps_backward, _to_gradient, _save_again)
 
 
 # C++ structs: a texture with mipmaps; the texels of one level around a point, and their weights.

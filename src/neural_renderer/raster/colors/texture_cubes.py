@@ -10,7 +10,7 @@ from ..warp.launch import array, launch, module_for_cuda
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.point import over_face, over_rows
-from ..warp.registration import differentiable, differentiable_once, operator
+from ..warp.registration import differentiable, operator, refuse_second
 from .cube import CUBE
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
@@ -60,7 +60,7 @@ def _(textures, light, background, faces, face_index, eps, perspective):
     return faces.new_empty((batch, 3, height, width))
 
 
-@differentiable_once
+@operator
 def sample_textures_backward(
     grad: Tensor,
     textures: Tensor,
@@ -132,6 +132,30 @@ def _to_inputs(ctx, grad):
 
 
 differentiable(sample_textures, _to_inputs, _save)
+
+
+def _save_again(ctx, inputs, output):
+    grad, textures, light, faces, face_index, ctx.eps, ctx.perspective, ctx.light_too, _ = inputs
+    ctx.save_for_backward(grad, textures, light, faces, face_index)
+
+
+def _to_first(ctx, textures, light, _):
+    """Differentiate <textures, gradient to them> + <light, gradient to it>, of colours linear in each of both."""
+    if ctx.needs_input_grad[3]:
+        refuse_second("sample_textures_backward")
+    grad, own_textures, own_light, faces, face_index = ctx.saved_tensors
+    options = (faces, face_index, ctx.eps, ctx.perspective)
+    black = grad.new_zeros(()).expand(grad.shape)
+    to_grad = sample_textures(textures, own_light, black, *options)
+    to_textures = to_light = None
+    if ctx.light_too:
+        to_grad = to_grad + sample_textures(own_textures, light, black, *options)
+        to_textures, _, _ = sample_textures_backward(grad, own_textures, light, *options, False, False)
+        _, to_light, _ = sample_textures_backward(grad, textures, own_light, *options, True, False)
+    return to_grad, to_textures, to_light, *[None] * 6
+
+
+differentiable(sample_textures_backward, _to_first, _save_again)
 
 
 _BEGIN = """

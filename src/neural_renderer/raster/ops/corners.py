@@ -8,7 +8,7 @@ from torch import Tensor
 from ..warp.launch import array, launch
 from ..warp.layout import concurrent, group_tasks
 from ..warp.memory import empty, zeros
-from ..warp.registration import differentiable, differentiable_once, operator
+from ..warp.registration import differentiable, operator
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,7 +39,7 @@ def _(vertices, faces):
     return vertices.new_empty((vertices.shape[0], *faces.shape[1:], vertices.shape[2]))
 
 
-@differentiable_once
+@operator
 def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
     """Sum the gradient over the corners at each of ``count`` vertices, [B, V, C] float32."""
     batch = grad.shape[0]
@@ -74,6 +74,18 @@ def _to_vertices(ctx, grad):
 
 
 differentiable(gather_corners, _to_vertices, _save)
+
+
+def _save_again(ctx, inputs, output):
+    ctx.save_for_backward(inputs[1])
+
+
+def _to_corners(ctx, vertices):
+    corners = gather_corners(vertices, ctx.saved_tensors[0])  # the transpose's transpose; NaN for invalid indices
+    return corners.nan_to_num(nan=0.0), None, None
+
+
+differentiable(gather_corners_backward, _to_corners, _save_again)
 
 
 # The vertex indices of face f in image b. Then the vertex i of its corner k, and whether it is one of `count` vertices.

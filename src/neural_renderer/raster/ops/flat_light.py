@@ -8,7 +8,7 @@ from torch import Tensor
 from ..warp.launch import array, launch
 from ..warp.layout import concurrent, group_tasks, images_of, in_any_order
 from ..warp.memory import empty, zeros
-from ..warp.registration import differentiable, differentiable_once, operator
+from ..warp.registration import differentiable, operator, refuse_second
 from .corners import CORNER, FACE, gather_corners_backward
 
 # Without fused multiply-adds, the light on both sides is that of opposite normals, exactly.
@@ -52,7 +52,7 @@ def _(vertices, faces, ambient, directional, direction, mirrored):
     return vertices.new_empty((images, 2, faces.shape[1], 3))
 
 
-@differentiable_once
+@operator
 def flat_light_backward(
     grad: Tensor,
     vertices: Tensor,
@@ -116,6 +116,36 @@ def _to_inputs(ctx, grad):
 
 
 differentiable(flat_light, _to_inputs, _save)
+
+
+def _save_again(ctx, inputs, output):
+    grad, vertices, faces, _, directional, direction, ctx.mirrored, ctx.light_too = inputs
+    ctx.save_for_backward(grad, vertices, faces, directional, direction)
+
+
+def _to_first(ctx, _, light):
+    """Differentiate <light, gradient to it>, the change of the factors with the light."""
+    if ctx.needs_input_grad[1]:
+        refuse_second("flat_light_backward")
+    if not ctx.light_too:
+        return (None,) * 8
+    grad, vertices, faces, directional, direction = ctx.saved_tensors
+    glow, beam, towards = (part[:, None, None] for part in light.split(3, 1))
+    # Normals of both sides: the light from each axis on the front, less that on the back.
+    black, axes = light.new_zeros(1, 3), torch.eye(3, device=light.device)
+    with torch.no_grad():
+        sides = [flat_light(vertices, faces, black, black + 1, axis[None], ctx.mirrored)[..., 0] for axis in axes]
+        normals = torch.stack([side[:, 0] - side[:, 1] for side in sides], -1).nan_to_num(nan=0.0)
+        normals = torch.stack((normals, -normals), 1)
+    facing = (normals * direction[:, None, None]).sum(-1, keepdim=True)
+    change = (normals * towards).sum(-1, keepdim=True) * (facing > 0)
+    to_grad = glow + beam * facing.relu() + directional[:, None, None] * change
+    to_directional = (grad * change).sum((1, 2)).sum_to_size(directional.shape)
+    to_direction = ((grad * beam).sum(-1, keepdim=True) * (facing > 0) * normals).sum((1, 2))
+    return to_grad, None, None, None, to_directional, to_direction.sum_to_size(direction.shape), None, None
+
+
+differentiable(flat_light_backward, _to_first, _save_again)
 
 
 _BEGIN = """

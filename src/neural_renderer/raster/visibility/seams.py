@@ -8,6 +8,9 @@ side counts only if its pixel shows its face, with the inverse of the probabilit
 subtracted from both sides leaves their difference as it is, so the mean colour of other faces nearby is subtracted
 first. This removes most of the noise.
 
+To search the next scan lines, too, for pixels that show the face was tried: the noise at triangles of two pixels falls
+from 0.8 to 0.45 of the gradient, but the estimate takes 1.4 to 1.6 times as long.
+
 ``SEAMS`` declares a C++ struct for native functions, after `CROSSINGS` and `GAINS`.
 """
 

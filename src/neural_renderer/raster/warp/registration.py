@@ -83,14 +83,16 @@ def differentiable(call: Any, backward: Callable[..., Any], setup_context: Calla
 def differentiable_once(function: Callable[P, R]) -> Callable[P, R]:
     """Register the operator that computes a gradient; its own gradient is an error (RuntimeError)."""
     backward = operator(function)
-
-    def refuse(ctx: Any, *grads: Any) -> Any:
-        raise RuntimeError(
-            f"{function.__name__}: the rasteriser has first derivatives only, got a second one to compute"
-        )
-
-    differentiable(backward, refuse)
+    differentiable(backward, lambda ctx, *grads: refuse_second(function.__name__))
     return backward
+
+
+def refuse_second(name: str) -> NoReturn:
+    """Raise RuntimeError: operator ``name`` cannot compute a second derivative."""
+    raise RuntimeError(
+        f"{name}: the rasteriser has first derivatives only where faces move, got a second one to compute; textures, "
+        "attributes and lights have more if vertices and cameras need no gradient (detach them)"
+    )
 
 
 def _one_by_one(call: Any, info: Any, in_dims: tuple[int | None, ...], *inputs: Any) -> Any:

@@ -1,0 +1,89 @@
+"""Drawing in float64, in plain torch: slow, with all derivatives of what is smooth (textures, light, attributes)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any, NoReturn
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from .images import Images
+from .reference.operators import barycentrics_reference, sample_textures_reference
+from .visible import VisibleFaces
+from .warp.registration import differentiable, operator
+
+
+def checked_dtype(dtype: Any) -> torch.dtype:
+    """Return float32 or float64, or raise TypeError."""
+    if dtype is torch.float32 or dtype is torch.float64:
+        return dtype
+    raise TypeError(f"dtype: expected torch.float32 or torch.float64, got {dtype!r}")
+
+
+@operator
+def fixed_corners(corners: Tensor) -> Tensor:
+    """Copy corners to float64; their gradient is an error (RuntimeError), for there is none through visibility."""
+    return corners.to(torch.float64, copy=True)
+
+
+@torch.library.register_fake("neural_renderer::fixed_corners")
+def _(corners):  # type: ignore[no-untyped-def]
+    return corners.new_empty(corners.shape, dtype=torch.float64)
+
+
+def _refuse(ctx: Any, grad: Tensor) -> NoReturn:
+    raise RuntimeError(
+        "dtype=torch.float64: expected vertices and cameras that need no gradient, got one to compute; drawing in "
+        "float64 has none through visibility (use float32 for them, or detach them)"
+    )
+
+
+differentiable(fixed_corners, _refuse)
+
+
+def exact_images(
+    visible: VisibleFaces,
+    faces: Tensor,
+    outputs: Collection[str],
+    textures: Tensor | None = None,
+    light: Tensor | None = None,
+    background: Tensor | None = None,
+) -> Images:
+    """Make images in float64.
+
+    Args:
+        visible: Visible faces of B images.
+        faces: Their corners, [B, F, 3, 3] floating.
+        outputs: Some of "rgb", "alpha", "depth".
+        textures, light, background: As in `sample_textures`, floating, if "rgb" is among the outputs.
+
+    Returns:
+        Images, float64.
+    """
+    settings, index = visible.settings, visible.face_index
+    corners = fixed_corners(faces)
+    limits = (settings.near, settings.far, settings.perspective)
+    weights, depth = barycentrics_reference(corners, index, *limits)
+    layers = {}
+    if textures is not None and light is not None and background is not None:
+        options = (settings.eps, settings.perspective)
+        layers["rgb"] = sample_textures_reference(
+            textures, light, background, corners.detach(), index, weights, *options
+        )
+    layers |= {"alpha": visible.mask[:, None].double(), "depth": depth[:, None]}
+    if settings.anti_aliasing:
+        layers = {name: functional.avg_pool2d(layer, 2) for name, layer in layers.items()}
+    flat = {name: layers[name].squeeze(1) for name in ("alpha", "depth") if name in outputs}
+    return Images(rgb=layers.get("rgb"), **flat)
+
+
+def exact_interpolate(visible: VisibleFaces, attributes: Tensor) -> Tensor:
+    """Interpolate attributes of corners, [1 or B, F, 3, C] floating, at every pixel: [B, H, W, C] float64."""
+    settings, index = visible.settings, visible.face_index
+    limits = (settings.near, settings.far, settings.perspective)
+    weights, _ = barycentrics_reference(fixed_corners(visible.corners), index, *limits)
+    batch = torch.arange(len(index), device=index.device)[:, None, None]
+    own = attributes.double().expand(len(index), *attributes.shape[1:])[batch, index.clamp(min=0).long()]
+    return (weights[..., None] * own).sum(-2)
