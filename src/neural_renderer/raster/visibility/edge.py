@@ -38,8 +38,9 @@ from ..colors.downsample import averaged, halve_backward, like_averaged
 from ..ops.visible_faces import visible_faces
 from ..warp.geometry import facing
 from ..warp.launch import array, launch, module_for_cuda, no_array
-from ..warp.layout import face_tasks, in_any_order
+from ..warp.layout import concurrent, face_tasks, in_any_order
 from ..warp.memory import empty, zeros
+from ..warp.point import fill
 from ..warp.queue import enqueue_lines, launch_lines, line_queue, line_task, queue_arrays, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
 from .continuity import colors_continue
@@ -48,9 +49,10 @@ from .gains import GAINS
 from .intersections import add_intersections
 from .nearness import NEARNESS
 from .neighbors import neighbors, search_rings
-from .outlines import OUTLINES
+from .outlines import LONGEST, OUTLINES
 from .rings import edges_alone
 from .seams import SEAMS
+from .stand_ins import steps_to_visible
 
 wp.set_module_options({"enable_backward": False})
 
@@ -168,7 +170,9 @@ def add_edges(
         folds = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
     options = [array(folds), int(perspective), int(seams)]
     corners, count, device = array(faces, wp.vec3), faces.shape[1], faces.device
-    beside = [array(visible_faces(face_index, count)), array(adjacent)]
+    visible = visible_faces(face_index, count)
+    steps = no_array(2, device) if concurrent(device) else array(steps_to_visible(visible, adjacent))
+    beside = [array(visible), steps, array(adjacent)]
     queue = line_queue(batch * count, device)
     if queue is not None:
         rings, two_sided = search or (None, False)
@@ -285,30 +289,23 @@ _HAS_MOVING_EDGE = """
     for (int k = 0; k < 3; ++k)
         if (next[k] >= 0 && shown[next[k]]) return true;
     if (shown[f] || !ends) return shown[f];
-    // A face that all pixel centres miss still has a visible outline if another one stands in for it. Few are searched:
-    // it may be any of a large surface.
-    if (!searched) return (next[0] >= 0) | (next[1] >= 0) | (next[2] >= 0);
-    int near[FEW], count = 1;
-    near[0] = f;
-    for (int n = 0; n < count; ++n) {
-        for (int k = 0; k < 3; ++k) {
-            const int other = next[3 * (near[n] - f) + k];
-            bool known = other < 0;
-            for (int m = 0; m < count; ++m) known |= near[m] == other;
-            if (known) continue;
-            if (count == FEW || shown[other]) return true;
-            near[count++] = other;
-        }
-    }
-    return false;
-""".replace("FEW", "12")
+    // A face that all pixel centres miss still has a visible outline if another one stands in for it. Where the steps
+    // to that one are not known, the face may pass without need.
+    if (steps.shape[0] == 0) return (next[0] >= 0) | (next[1] >= 0) | (next[2] >= 0);
+    return steps.data[(wp::int64)b * steps.shape[1] + f] <= LONGEST;
+"""
 
 
-@wp.func_native(_HAS_MOVING_EDGE)
+@wp.func_native(fill(_HAS_MOVING_EDGE, LONGEST=str(LONGEST)))
 def has_moving_edge(
-    visible: wp.array2d(dtype=int), adjacent: wp.array3d(dtype=int), b: int, f: int, seams: int, searched: int
+    visible: wp.array2d(dtype=int),
+    steps: wp.array2d(dtype=int),
+    adjacent: wp.array3d(dtype=int),
+    b: int,
+    f: int,
+    seams: int,
 ) -> bool:
-    """Test whether an edge of the face may be a visible boundary; ``searched``: ``adjacent`` is known of all faces."""
+    """Test whether an edge of the face may be a visible boundary."""
     ...
 
 
@@ -390,6 +387,7 @@ def _queue_faces(
     two_sided: int,
     perspective: int,
     visible: wp.array2d(dtype=int),
+    steps: wp.array2d(dtype=int),
     adjacent: wp.array3d(dtype=int),
     seams: int,
     height: int,
@@ -403,7 +401,7 @@ def _queue_faces(
     f = task % int(faces.shape[1])
     if rings.shape[0] > 0:
         search_rings(faces, rings, two_sided, perspective, -1, b, f, adjacent)
-    if has_moving_edge(visible, adjacent, b, f, seams, int(rings.shape[0] == 0)):
+    if has_moving_edge(visible, steps, adjacent, b, f, seams):
         enqueue_lines(faces, b, f, height, width, queue, total, 1, int(_MOST))
 
 
@@ -415,6 +413,7 @@ def _move(
     grad: wp.array4d(dtype=float),
     face_index: wp.array3d(dtype=int),
     visible: wp.array2d(dtype=int),
+    steps: wp.array2d(dtype=int),
     adjacent: wp.array3d(dtype=int),
     folds: wp.array3d(dtype=int),
     perspective: int,
@@ -432,7 +431,9 @@ def _move(
     alone = int(threads == 0)
     if threads > 0:
         end = queued_threads(total)
-    elif not has_moving_edge(visible, adjacent, int(thread) // faces.shape[1], int(thread) % faces.shape[1], seams, 1):
+    elif not has_moving_edge(
+        visible, steps, adjacent, int(thread) // faces.shape[1], int(thread) % faces.shape[1], seams
+    ):
         return
     while thread < end:
         face, _lane, part, parts = line_task(
