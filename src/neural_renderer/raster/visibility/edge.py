@@ -41,7 +41,7 @@ from ..warp.launch import array, launch, module_for_cuda, no_array
 from ..warp.layout import concurrent, face_tasks, in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.point import fill
-from ..warp.queue import enqueue_lines, launch_lines, line_queue, line_task, queue_arrays, queued_threads
+from ..warp.queue import MOST_THREADS, enqueue_lines, launch_lines, line_queue, line_task, queue_arrays, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
 from .continuity import colors_continue
 from .crossings import CROSSINGS
@@ -57,6 +57,7 @@ from .stand_ins import steps_to_visible
 wp.set_module_options({"enable_backward": False})
 
 _MOST = wp.constant(1)  # scan lines of a CUDA thread
+_OUTLINES_OF_LINE = 8  # CUDA threads for the outlines that a scan line crosses; more outlines take turns
 
 
 @operator
@@ -180,7 +181,9 @@ def add_edges(
         filled = [int(seams), height, width, *queue_arrays(queue, device)]
         launch(_queue_faces, batch * count, [corners, *known, *beside, *filled], device)
     arguments = [corners, *maps, *beside, *options, array(edge_hashes), array(result, wp.vec3)]
-    launch_lines(_move, arguments, batch * count, queue, 1, device, face_tasks(faces, height * width))
+    # A scan line crosses a few outlines, and any number of seams.
+    most = MOST_THREADS if seams else _OUTLINES_OF_LINE * batch * (height + width)
+    launch_lines(_move, arguments, batch * count, queue, 1, device, face_tasks(faces, height * width), most)
 
 
 @torch.library.register_fake("neural_renderer::edge_gradient_backward")
