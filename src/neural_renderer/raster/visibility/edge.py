@@ -164,23 +164,27 @@ def add_edges(
         search: On CUDA, rings without edges that are alone, and ``two_sided``, to find ``adjacent``, which is written.
     """
     batch, height, width = face_index.shape
-    maps = [no_array(4, grad.device) if image is None else array(image), array(grad), array(face_index)]
-    if edge_hashes is None:
-        edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=faces.device)  # 0 matches nothing
-    if folds is None:
-        folds = torch.empty((0, 0, 0), dtype=torch.int32, device=faces.device)
-    options = [array(folds), int(perspective), int(seams)]
-    corners, count, device = array(faces, wp.vec3), faces.shape[1], faces.device
+    count, device = faces.shape[1], faces.device
+    if edge_hashes is None and seams:
+        edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=device)  # 0 matches nothing
     visible = visible_faces(face_index, count)
     steps = no_array(2, device) if concurrent(device) else array(steps_to_visible(visible, adjacent))
-    beside = [array(visible), steps, array(adjacent)]
+    corners, beside = array(faces, wp.vec3), [array(visible), steps, array(adjacent)]
     queue = line_queue(batch * count, device)
     if queue is not None:
         rings, two_sided = search or (None, False)
         known = [no_array(3, device) if rings is None else array(rings), int(two_sided), int(perspective)]
         filled = [int(seams), height, width, *queue_arrays(queue, device)]
         launch(_queue_faces, batch * count, [corners, *known, *beside, *filled], device)
-    arguments = [corners, *maps, *beside, *options, array(edge_hashes), array(result, wp.vec3)]
+    arguments = [
+        corners,
+        no_array(4, device) if image is None else array(image),
+        array(grad),
+        array(face_index),
+        *beside,
+    ]
+    arguments += [no_array(3, device) if folds is None else array(folds), int(perspective), int(seams)]
+    arguments += [no_array(4, device) if edge_hashes is None else array(edge_hashes), array(result, wp.vec3)]
     # A scan line crosses a few outlines, and any number of seams.
     most = MOST_THREADS if seams else _OUTLINES_OF_LINE * batch * (height + width)
     launch_lines(_move, arguments, batch * count, queue, 1, device, face_tasks(faces, height * width), most)
