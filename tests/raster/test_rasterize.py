@@ -64,6 +64,7 @@ def test_operators_are_well_formed(device, name):
             (edges.nmr_gradient, (image.clone().requires_grad_(), leaf, index, 1e-3, True)),
             (edges.nmr_gradient, (None, leaf, index, 1e-3, True, True)),
             (edges.nmr_gradient_backward, (image, image, faces, index, 1e-3, True)),
+            (edges.nmr_gradient_backward, (image[..., ::2, ::2], image, faces, index, 1e-3, True)),
         ],
         "corners": [
             (corners.gather_corners, (noise(2, 5, 3).requires_grad_(), triangles)),

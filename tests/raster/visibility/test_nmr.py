@@ -229,3 +229,18 @@ def test_averaged_silhouettes_have_the_gradient_of_their_pixels(device):
     assert torch.equal(output, halve(image))
     output.backward(grad)
     assert torch.equal(leaf.grad.cpu(), alone) and alone.any()
+
+
+@pytest.mark.usefixtures("deterministic")
+def test_averaged_images_have_the_gradients_of_their_pixels(device):
+    scene = Scene(7, 2, 9, 24, 36, True, True, ("plain", "tiny"))
+    faces = scene.faces.to(device)
+    index = coverage(faces, 24, 36, NEAR, FAR, True, True)
+    image, grad = scene.noise(2, 3, 24, 36).to(device), scene.noise(2, 3, 12, 18).to(device)
+    alone = gradient(image, faces, index, 1e-3, True, False, halve_backward(grad))
+    leaves = image.clone().requires_grad_(), faces.clone().requires_grad_()
+    output = nmr_gradient(*leaves, index, 1e-3, True, True)
+    assert torch.equal(output, halve(image))
+    output.backward(grad)
+    assert torch.equal(leaves[0].grad, halve_backward(grad))
+    assert torch.equal(leaves[1].grad.cpu(), alone) and alone.any()

@@ -25,7 +25,7 @@ def stored(
     maps = [array(image), array(grad), array(index), array(rows), array(columns), array(spans, wp.vec2i)]
     if concurrent(device):
         tasks, each = pixel_tasks(batch * HEIGHT, WIDTH, device)
-        no_queue = [no_array(3, device), no_array(2, device), *queue_arrays(None, device), 8, 4]
+        no_queue = [no_array(4, device), no_array(3, device), no_array(2, device), *queue_arrays(None, device), 8, 4]
         launch(copy_pixels, tasks, [*maps, *no_queue, each], device)
     else:
         tasks = batch * (-(-HEIGHT // WIDE) - (-WIDTH // WIDE))

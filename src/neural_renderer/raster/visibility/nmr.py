@@ -20,7 +20,7 @@ from ..ops.visible_faces import visible_faces
 from ..warp.geometry import SHORTEST, facing
 from ..warp.launch import array, launch, no_array
 from ..warp.layout import concurrent, face_tasks, pixel_tasks, worth_a_thread
-from ..warp.memory import zeros
+from ..warp.memory import empty, zeros
 from ..warp.queue import launch_lines, line_queue, line_task, queue_arrays, queued_threads
 from ..warp.registration import differentiable, differentiable_once, operator
 from .line_sums import SCAN_LINE
@@ -79,20 +79,28 @@ def nmr_gradient_backward(
     face_index: Tensor,
     eps: float,
     two_sided: bool,
-) -> Tensor:
-    """Compute the gradient of `nmr_gradient` to faces, [B, F, 3, 3]; the gradient to z is 0.
+) -> tuple[Tensor, Tensor]:
+    """Compute the gradients of `nmr_gradient` to faces and to the image.
 
     Args:
-        grad: Gradient to the image, [B, C, H, W] float32. For the silhouette also that to the means of its blocks of
-            2 x 2 pixels, [B, 1, H / 2, W / 2].
+        grad: Gradient to the image, [B, C, H, W] float32; or to the means of its blocks of 2 x 2 pixels,
+            [B, C, H / 2, W / 2].
         image, faces, face_index, eps, two_sided: As in `nmr_gradient`.
+
+    Returns:
+        To faces, [B, F, 3, 3]; 0 to z. To the image, [B, C, H, W]; empty if ``grad`` is that, and for the silhouette.
     """
     grad, faces = grad.contiguous(), faces.contiguous()
     batch, height, width = face_index.shape
-    result = zeros(faces.shape, faces.device)
-    if result.numel() == 0 or grad.numel() == 0:
-        return result
     device = faces.device
+    result, to_image = zeros(faces.shape, device), grad.new_empty((0, 0, 0, 0))
+    blocks = image is not None and grad.shape[2] < height
+    if blocks and concurrent(device) and grad.numel() and result.numel():
+        to_image = empty(image.shape, device)  # written by `copy_pixels`
+    elif blocks:
+        to_image = grad = halve_backward(grad)
+    if result.numel() == 0 or grad.numel() == 0:
+        return result, to_image
 
     planes = 1
     if image is not None:
@@ -126,20 +134,23 @@ def nmr_gradient_backward(
             queue = queue and (queue[0], total.view(torch.int64))
             lines[2] = maps[5] = array(spans.view(images, height + width, 2), wp.vec2i)
             filled = [array(queued.view(images if queue else 0, count)), *queue_arrays(queue, device)]
+            spread = array(to_image[here]) if blocks else no_array(4, device)
             tasks, each = pixel_tasks(images * height, width, device)
-            launch(copy_pixels, tasks, [*maps, corners, *filled, _LANES, int(_MOST), each], device)
+            launch(copy_pixels, tasks, [*maps, spread, corners, *filled, _LANES, int(_MOST), each], device)
         else:
             tasks = images * (-(-height // WIDE) - (-width // WIDE))
             launch(copy_lines, tasks, [*maps, WIDE], device, worth_a_thread(WIDE * width))
         mask = no_array(2, device) if visible is None else array(visible[here])
         arguments = [corners, colors, shown, *lines, mask, eps, array(result[here], wp.vec3)]
         launch_lines(_pull, arguments, images * count, queue, _LANES, device, face_tasks(faces, height * width))
-    return result
+    return result, to_image
 
 
 @torch.library.register_fake("neural_renderer::nmr_gradient_backward")
 def _(grad, image, faces, face_index, eps, two_sided):
-    return torch.empty_like(faces, memory_format=torch.contiguous_format)
+    blocks = image is not None and grad.shape[2] < face_index.shape[1]
+    to_image = grad.new_empty(image.shape if blocks else (0, 0, 0, 0))
+    return torch.empty_like(faces, memory_format=torch.contiguous_format), to_image
 
 
 def _save(ctx, inputs, output):
@@ -149,11 +160,16 @@ def _save(ctx, inputs, output):
 
 def _backward(ctx, grad):
     image, faces, face_index = ctx.saved_tensors
+    grad = grad.contiguous()  # once; earlier operators need it, too
     to_image = to_faces = None
-    if image is not None:  # make it contiguous once; earlier operators need it, too
-        to_image = grad = halve_backward(grad) if ctx.halved else grad.contiguous()
     if ctx.needs_input_grad[1]:
-        to_faces = nmr_gradient_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided)
+        to_faces, to_image = nmr_gradient_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided)
+    elif ctx.halved and image is not None:
+        to_image = halve_backward(grad)
+    if image is None:
+        to_image = None
+    elif not ctx.halved:
+        to_image = grad
     return to_image, to_faces, *[None] * 4
 
 

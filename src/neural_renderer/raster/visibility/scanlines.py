@@ -195,7 +195,7 @@ def copy_lines(
 # On CUDA. Nothing is stored beside the lines: there, pixels are read one by one.
 _COPY_PIXELS = f"""
 #if defined(__CUDA_ARCH__)
-    const int channels = image.shape[1], height = face_index.shape[1], width = face_index.shape[2];
+    const int channels = grad.shape[1], height = face_index.shape[1], width = face_index.shape[2];
     const int planes = rows.shape[2], all = rows.shape[0] * height, half = grad.shape[3] < width ? 2 : 1;
     const wp::int64 area = (wp::int64)height * width, row_plane = rows.shape[3], column_plane = columns.shape[3];
     {PIXELS_OF_TASK}
@@ -205,20 +205,23 @@ _COPY_PIXELS = f"""
         wp::vec_t<2, int>* span = spans.data + b * (height + width);
         for (int i = left; i < right; ++i) {{
             const wp::int64 pixel = b * channels * area + (row % height) * (wp::int64)width + i;
-            const float *value = image.data + pixel, *pull = grad.data + pixel;
+            const wp::int64 block = ((wp::int64)row / height * channels * (height / half) + row % height / half)
+                * (width / half) + i / half;
+            const float *value = image.data + pixel, *pull = grad.data + block;
+            const float share = 1.0f / (float)(half * half);
             float* in_row = rows.data + (b * height + j) * planes * row_plane + {WIDE} + i;
             float* in_column = columns.data + (b * width + i) * planes * column_plane + {WIDE} + j;
             float sum = 0.0f;
             bool pulls = false;
             if (planes == 1) {{
-                const wp::int64 block = ((wp::int64)row / half) * (width / half) + i / half;
-                const float gain = -grad.data[block] / (float)(half * half);
+                const float gain = -share * pull[0];
                 const float covered = face_index.data[(wp::int64)row * width + i] >= 0 ? 1.0f : 0.0f;
                 sum = gain > 0.0f ? gain * (1.0f - covered) : gain * covered;
                 pulls = sum > 0.0f;
             }}
-            for (int c = 0; c < planes - 1; ++c, value += area, pull += area) {{
-                const float by = pull[0];
+            for (int c = 0; c < planes - 1; ++c, value += area, pull += area / (half * half)) {{
+                const float by = share * pull[0];
+                if (half == 2) spread.data[pixel + c * area] = by;
                 sum += value[0] * by;  // as in `_COPY`
                 in_row[(c + 1) * row_plane] = in_column[(c + 1) * column_plane] = by;
                 pulls |= by != 0.0f;
@@ -243,10 +246,14 @@ def store_pixels(
     rows: wp.array4d(dtype=float),
     columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
+    spread: wp.array4d(dtype=float),
     task: int,
     each: int,
 ):
-    """Store the pixels of a task in their rows and columns, and extend the spans of these."""
+    """Store the pixels of a task in their rows and columns, and extend the spans of these.
+
+    If ``grad`` is that to blocks of 2 x 2 pixels, each pixel of an image has a quarter of it, which ``spread`` gets.
+    """
     ...
 
 
@@ -259,6 +266,7 @@ def copy_pixels(
     rows: wp.array4d(dtype=float),
     columns: wp.array4d(dtype=float),
     spans: wp.array2d(dtype=wp.vec2i),
+    spread: wp.array4d(dtype=float),
     faces: wp.array3d(dtype=wp.vec3),
     queued: wp.array2d(dtype=int),
     queue: wp.array2d(dtype=wp.int64),
@@ -272,7 +280,7 @@ def copy_pixels(
     See `enqueue_lines`. The first thread that finds a face puts it there, and sets its entry of ``queued``, 0 before.
     """
     task = first + wp.tid()
-    store_pixels(image, grad, face_index, rows, columns, spans, task, each)
+    store_pixels(image, grad, face_index, rows, columns, spans, spread, task, each)
     if queued.shape[0] == 0:
         return
     height = int(face_index.shape[1])

@@ -58,6 +58,7 @@ def launch_lines(
     lanes: int,
     device: torch.device,
     least: int = 1,
+    most: int = MOST_THREADS,
 ) -> None:
     """Run a kernel for each face, or on CUDA for each one in a queue, with more threads if many scan lines cross it.
 
@@ -70,11 +71,12 @@ def launch_lines(
         lanes: Threads on CUDA that share each line.
         device: As of `launch`.
         least: As of `launch`.
+        most: Number of threads that share the queue at most.
     """
     if queue is None:
         launch(kernel, faces, [*arguments, *_no_queue(device), 1, 0], device, least)
     else:
-        threads = min(MOST_THREADS, 64 * faces * lanes)
+        threads = min(MOST_THREADS, most, 64 * faces * lanes)
         launch(kernel, threads, [*arguments, *map(array, queue), lanes, threads], device)
 
 
