@@ -1,6 +1,6 @@
 """Memory of a fit to large photographs: ``python -m benchmarks.fit_memory MESH FOLDER``.
 
-Writes photographs of a mesh as JPEG, on a plain wall, with their cameras, into a folder, unless it has them: drawn at a
+Writes photographs of a mesh as JPEG, on a blue wall, with their cameras, into a folder, unless it has them: drawn at a
 tenth of their size and enlarged, because only the memory matters. Then fits in another process, with few steps, and
 prints its largest resident memory and its seconds. Further options go to ``fit``, such as ``--size 1024``.
 """
@@ -56,7 +56,7 @@ def write_photos(options: argparse.Namespace) -> None:
     K = [[focal, 0, options.width / 2], [0, focal, options.height / 2], [0, 0, 1]]
     rows = []
     for index in range(options.photos):
-        drawn = nr.render(mesh, camera[index], size, light=light, background=(0.85, 0.87, 0.9)).rgb[0]
+        drawn = nr.render(mesh, camera[index], size, light=light, background=(0.2, 0.35, 0.7)).rgb[0]
         pixels = (drawn.clamp(0, 1) * 255).byte().permute(1, 2, 0).numpy()
         picture = Image.fromarray(pixels).resize((options.width, options.height), Image.Resampling.BICUBIC)
         picture.save(options.folder / f"{index:03d}.jpg", quality=90)

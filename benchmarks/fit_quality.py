@@ -10,7 +10,7 @@ With ``--cameras``: cameras that are turned by 1° around themselves, moved by 1
 length that is 1 % too long: exact cameras, these, and these refined. Held-out views are located on the result first, in
 all three cases; the surface is brought to the truth by the similarity of the cameras.
 
-With ``--lit``: 24 lit views without maps; outlines alone, and details from colours with a fitted light and without one.
+With ``--lit fitted none``: 24 lit views without maps; outlines alone, and details from colours, with each of these.
 Prints the distances and angles of ``--maps``, the quality on held-out views, processor seconds, and the largest
 resident memory of the process so far in MB, so fit one mesh at a time to measure that.
 
@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=0, help="recover cameras from so many starts instead")
     parser.add_argument("--cameras", action="store_true", help="perturb the cameras, and refine them")
     parser.add_argument("--maps", action="store_true", help="follow maps of normals instead")
-    parser.add_argument("--lit", action="store_true", help="details from colours instead")
+    parser.add_argument("--lit", nargs="+", choices=("fitted", "none"), help="details from colours instead")
     parser.add_argument("--json", type=Path, help="also write the JSON here")
     parser.add_argument("--save", type=Path, help="folder for the fitted meshes")
     options = parser.parse_args()
@@ -245,7 +245,7 @@ def lit(name: str, mesh: nr.Mesh, gradient: str, options: argparse.Namespace) ->
     held_out = Views.of(mesh, around(12, 61.0), options.size, light=light)
     truth = mesh.vertices.detach(), mesh.faces
     rows = []
-    for what in (None, "fitted", "none"):
+    for what in (None, *options.lit):
         begun = time.process_time()
         fit = MeshFit(views, gradient=gradient, steps=options.steps, light=what)  # type: ignore[arg-type]
         while not fit.done:
