@@ -7,6 +7,7 @@ import torch
 
 from neural_renderer.raster.ops.coverage import coverage
 from neural_renderer.raster.visibility.edge import edge_gradient_backward
+from neural_renderer.raster.visibility.outlines import LONGEST, steps_to_visible
 from neural_renderer.raster.visibility.rings import edge_rings
 from tests.raster.scenes import FAR, NEAR, Scene
 
@@ -65,3 +66,36 @@ def test_t_junctions(device):
     # Without the seam, a ninth would be missing. The mean is over 64 shifts of outlines of some 60 pixels.
     assert abs(float(found[0]) - expected) < 0.01 * expected
     assert abs(float(found[1])) < 0.01 * expected
+
+
+def steps_one_by_one(visible: list[int], adjacent: list[list[int]]) -> list[int]:
+    """Reach one step further at a time."""
+    result = []
+    for f in range(len(adjacent)):
+        reached, steps = {f}, 0
+        while steps <= LONGEST and not any(visible[g] for g in reached):
+            reached, steps = {h for g in reached for h in adjacent[g] if h >= 0}, steps + 1
+        result.append(min(steps, LONGEST + 1))
+    return result
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3])
+def test_steps_of_random_surfaces(device, share):
+    """Adjacent faces need not name each other, as where three faces share an edge."""
+    random = torch.Generator().manual_seed(0)
+    visible = (torch.rand(2, 101, generator=random) < share).int()
+    adjacent = torch.randint(0, 100, (2, 100, 3), generator=random, dtype=torch.int32)
+    adjacent[torch.rand(2, 100, 3, generator=random) < 0.6] = -1
+    found = steps_to_visible(visible.to(device), adjacent.to(device)).cpu()
+    assert found.tolist() == [steps_one_by_one(*one) for one in zip(visible.tolist(), adjacent.tolist(), strict=True)]
+    assert share == 0 or len(found.unique()) > 4
+
+
+def test_a_strip_of_faces(device):
+    count = LONGEST + 3
+    adjacent = torch.full((1, count, 3), -1, dtype=torch.int32)
+    adjacent[0, 1:, 0], adjacent[0, :-1, 2] = torch.arange(count - 1).int(), torch.arange(1, count).int()
+    visible = torch.zeros(1, count + 1, dtype=torch.int32)
+    visible[0, [0, count]] = 1  # the last entry stands for pixels without a face
+    found = steps_to_visible(visible.to(device), adjacent.to(device))
+    assert found.tolist() == [[*range(LONGEST + 1), LONGEST + 1, LONGEST + 1]]

@@ -49,10 +49,9 @@ from .gains import GAINS
 from .intersections import add_intersections
 from .nearness import NEARNESS
 from .neighbors import neighbors, search_rings
-from .outlines import LONGEST, OUTLINES
+from .outlines import LONGEST, OUTLINES, steps_to_visible
 from .rings import edges_alone
 from .seams import SEAMS
-from .stand_ins import steps_to_visible
 
 wp.set_module_options({"enable_backward": False})
 
