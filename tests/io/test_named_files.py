@@ -41,7 +41,7 @@ def obj(folder: Path, image: str, library: str = "m.mtl") -> Path:
 
 def gltf(folder: Path, image: str) -> Path:
     """The same triangle as glTF with a buffer beside it."""
-    nr.save_mesh(folder / "m.glb", *nr.icosphere(0), torch.ones(20, 2, 2, 2, 3))
+    nr.save_mesh(folder / "m.glb", *nr.icosphere(0), torch.rand(20, 2, 2, 2, 3))
     files = trimesh.exchange.gltf.export_gltf(trimesh.load(folder / "m.glb"))
     tree = json.loads(files.pop("model.gltf"))
     tree["images"] = [{"uri": image}]

@@ -121,9 +121,9 @@ class Settings:
     def face_index(self, corners: Tensor) -> Tensor:
         """Find the visible face of each drawn pixel, [B, H, W] int32; see `coverage`."""
         height, width = self.height * self.scale, self.width * self.scale
-        # What will ask for the mask in backward; without an order, "nmr" does not.
-        marked = self.gradient == "edge" or (self.gradient == "nmr" and not in_any_order(corners.device))
-        marked = marked and needs_gradient(corners)
+        marked = needs_gradient(corners) and self.gradient != "opendr"
+        if marked and self.gradient == "nmr":  # its backward pass asks for the mask if faces have an order
+            marked = not in_any_order(corners.device)
         options = (self.near, self.far, self.two_sided, self.perspective)
         return coverage(corners.detach(), height, width, *options, marked)
 

@@ -5,7 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch
+from ..warp.launch import array, launch, no_array
 from ..warp.layout import concurrent, group_tasks, images_of, in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.registration import differentiable, operator, refuse_second
@@ -73,15 +73,17 @@ def flat_light_backward(
     groups, each = group_tasks(count, grad.device, 512, 32 if light_too else 1)
     # On the CPU, one task sums the gradient to faces that images share, image by image.
     own = batch if concurrent(grad.device) else images_of(vertices, faces)
-    # On CUDA, tasks add to the vertices at once.
-    concurrently = in_any_order(grad.device)
-    to_vertices = zeros(vertices.shape if concurrently else (0, 0, 3), grad.device)
-    to_corners = empty((own, count, 3, 3) if not concurrently else (0, 0, 3, 3), grad.device)
+    device, to_vertices, to_corners = grad.device, None, None
+    if in_any_order(device):  # tasks add to the vertices at once
+        to_vertices = zeros(vertices.shape, device)
+    else:
+        to_corners = empty((own, count, 3, 3), device)
     sums = torch.empty((batch, groups, _SUMS) if light_too else (0, 0, _SUMS), device=grad.device)
     arguments = [*_arguments(vertices, faces, ambient, directional, direction, mirrored), groups, each, array(grad)]
-    arguments += [int(light_too), own, array(to_corners), array(to_vertices), array(sums)]
-    launch(_backward, own * groups, arguments, grad.device, max(1, _LEAST * own // max(batch, 1)))
-    if concurrently:
+    arguments += [int(light_too), own, no_array(4, device) if to_corners is None else array(to_corners)]
+    arguments += [no_array(3, device) if to_vertices is None else array(to_vertices), array(sums)]
+    launch(_backward, own * groups, arguments, device, max(1, _LEAST * own // max(batch, 1)))
+    if to_vertices is not None:
         return to_vertices, sums.sum(1)
     to_vertices = gather_corners_backward(to_corners, faces, vertices.shape[1])
     if own > len(vertices):
