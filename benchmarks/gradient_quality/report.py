@@ -80,9 +80,10 @@ def plot(report: dict[str, Any], path: Path) -> None:
     names = [name for name in ORDER if any(row["renderer"] == name for row in rows)]
     colors = COLORS
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(13, 4))
-    for name in names:
+    for n, name in enumerate(names):
         own = [r for r in rows if r["renderer"] == name and r["scene"].startswith("triangle") and r["of"] == "shrink"]
-        sides = [float(row["scene"].split()[2]) for row in own]
+        # Side by side, for several are right.
+        sides = [float(row["scene"].split()[2]) * 1.06 ** (n - len(names) / 2) for row in own]
         sizes = [row["size"] for row in own]
         left.errorbar(sides, sizes, [row["interval"] for row in own], marker="o", color=colors[name], label=name)
         scenes = [
@@ -97,8 +98,9 @@ def plot(report: dict[str, Any], path: Path) -> None:
         middle.annotate(
             name,
             (time, _mean([row["noise"] for row in scenes])),
-            (6, -14 if name == "DEODR" else 6),
+            (-4, 9) if time > 100 else (8, -14 if name == "DEODR" else 6),
             textcoords="offset points",
+            ha="right" if time > 100 else "left",
         )
         places = [names.index(name)] * len(scenes)
         right.plot(places, [row["cosine"] for row in scenes], "o", color=colors[name], alpha=0.5)
@@ -110,7 +112,7 @@ def plot(report: dict[str, Any], path: Path) -> None:
     left.legend(frameon=False, ncols=2, loc="upper right")
     middle.set(xscale="log", yscale="log", xlabel="milliseconds, forward and backward", ylabel="noise of one sample")
     middle.margins(0.25)
-    right.set_xticks(range(len(names)), names, rotation=20)
+    right.set_xticks(range(len(names)), names, rotation=30, ha="right")
     right.set_ylabel("cosine with the truth, one dot for each scene")
     right.axhline(1, color="black", linewidth=0.8, zorder=0)
     for axes in (left, middle, right):
