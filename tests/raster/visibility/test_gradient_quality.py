@@ -38,11 +38,11 @@ def test_scenes(title, name, shifts):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("side", [1, 2])
-def test_seams_of_small_faces(side):
+@pytest.mark.parametrize(("side", "error", "shifts"), [(1, 0.04, 400), (2, 0.02, 144)])
+def test_seams_of_small_faces(side, error, shifts):
     """Faces of one or two pixels in random colours: the size within 4 % or 2 %, and what noisy samples leave open."""
-    found = quality(f"faces of {side} px, random colours", "places", 144, 16)
-    assert abs(found.size - 1) <= (0.04 if side == 1 else 0.02) + 2 * found.interval, found
+    found = quality(f"faces of {side} px, random colours", "places", shifts, 16)
+    assert abs(found.size - 1) <= error + 2 * found.interval, found
     assert found.interval <= 0.08, found
     assert found.cosine >= 0.95, found
 
