@@ -105,7 +105,7 @@ def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tenso
         >>> vertices.abs().max() < 1.2
         tensor(True)
     """
-    pixels = max(1, round(min(views.size) / cells / 2))
+    pixels = blur_radius(views, cells)
     soft = F.avg_pool2d(F.pad(views.masks[:, None], [pixels] * 4, mode="replicate"), 2 * pixels + 1, 1)[:, 0]
 
     def field(points: np.ndarray) -> np.ndarray:
@@ -117,9 +117,14 @@ def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tenso
     vertices, faces = isosurface(field, cells, _HALF)
     if not len(faces):
         raise ValueError("views: expected silhouettes that meet in [-1, 1]³, got some that do not")
-    vertices, faces = large_components(vertices.to(soft.device), faces.to(soft.device))
+    vertices, faces = large_components(*_without_cavities(vertices.to(soft.device), faces.to(soft.device)))
     # The grid leaves stairs on thin parts. Descent would keep them, because it moves neighbouring vertices together.
     return SmoothDescent(Topology.of(faces), 1.0).blur(vertices), faces
+
+
+def blur_radius(views: Views, cells: int) -> int:
+    """Return the radius in pixels by which `carve` blurs masks: about half a cell."""
+    return max(1, round(min(views.size) / cells / 2))
 
 
 def large_components(vertices: Tensor, faces: Tensor, least: float = _LEAST_COMPONENT) -> tuple[Tensor, Tensor]:
@@ -129,6 +134,15 @@ def large_components(vertices: Tensor, faces: Tensor, least: float = _LEAST_COMP
     faces = faces[count[component] >= least * count.max()]
     used, corners = torch.unique(faces, return_inverse=True)
     return vertices[used], corners
+
+
+def _without_cavities(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
+    """Drop cavities, which silhouettes cannot show: the grid makes them in holes that are narrower than its cells."""
+    component = connected_components(faces, len(vertices))[faces[:, 0]]
+    corners = vertices[faces].double()
+    volume = (corners[:, 0] * torch.linalg.cross(corners[:, 1], corners[:, 2])).sum(1)
+    total = volume.new_zeros(len(vertices)).index_add_(0, component, volume)
+    return vertices, faces[total[component] > 0]
 
 
 def _occupancy(views: Views, masks: Tensor, points: Tensor, misses: int) -> Tensor:
