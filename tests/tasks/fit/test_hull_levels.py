@@ -31,7 +31,7 @@ def views_of(vertices: Tensor, faces: Tensor, elevation: float = 75.0) -> Views:
 @pytest.fixture(scope="module")
 def ring() -> Views:
     """Views of a torus with a hole as wide as a cell of the coarse grid."""
-    vertices, faces = nr.torus(0.5, 0.42, 48, 24)
+    vertices, faces = nr.torus(0.5, 0.41, 48, 24)
     return views_of(vertices + torch.tensor([0.05, 0.0, 0.05]), faces)  # between the points of the coarse grid
 
 
@@ -61,6 +61,7 @@ def test_a_single_view_opens_nothing(ring: Views) -> None:
 
 
 def test_cells_of_a_fit(ring: Views) -> None:
+    ring = ring[[0, 2, 5, 8, 9]]
     fit = MeshFit(ring, cells=LEVELS[0], steps=1)
     assert torch.equal(fit.shape[1], carve(fit.views, LEVELS[0])[1])
     assert torch.equal(MeshFit(ring, steps=1).shape[1], carve(fit.views, 64)[1])  # which opens the hole

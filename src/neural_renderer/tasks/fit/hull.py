@@ -151,11 +151,17 @@ def _occupancy(views: Views, masks: Tensor, points: Tensor, misses: int) -> Tens
     Returns:
         The least value [P] in all masks but those ``misses`` where it is least.
     """
-    least = torch.ones(misses + 1, len(points), device=points.device)  # in ascending order
-    for value in mask_values(views, masks, points):
-        for place in range(misses + 1):
-            least[place], value = torch.minimum(least[place], value), torch.maximum(least[place], value)
-    return least[misses]
+    found = points.new_zeros(len(points))
+    rows = torch.arange(len(points), device=points.device)  # of points that are not outside yet; most soon are
+    least = points.new_ones(misses + 1, len(points))  # in ascending order
+    for index in range(len(views)):
+        for value in mask_values(views[index : index + 1], masks[index : index + 1], points[rows]):
+            for place in range(misses + 1):
+                least[place], value = torch.minimum(least[place], value), torch.maximum(least[place], value)
+        inside = least[misses] > 0
+        rows, least = rows[inside], least[:, inside]
+    found[rows] = least[misses]
+    return found
 
 
 def _grid(cells: int) -> Tensor:

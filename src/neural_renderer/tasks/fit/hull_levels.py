@@ -11,9 +11,9 @@ from .hull import blur_radius, carve
 
 LEVELS = (64, 96, 128)  # cells along each axis; the finest has 2 million points
 _VIEWS_AT_ONCE = 8  # drawn together: limits memory
-_LEAST = 2.0  # covered pixels that count in a view, in units of the squared radius of the coarsest blur
+_LEAST = 4.0  # covered pixels that count in a view, in units of the squared radius of the coarsest blur
 _LEAST_VIEWS = 2
-_BETTER = 0.75  # a finer level must leave at most this part of the pixels that the one before covered
+_BETTER = 0.5  # a finer level must leave at most this part of the pixels that the one before covered
 
 
 def carve_levels(views: Views, levels: tuple[int, ...] = LEVELS) -> tuple[Tensor, Tensor]:
