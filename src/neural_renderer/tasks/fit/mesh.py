@@ -24,7 +24,7 @@ from .detail.detail_fit import DetailFit
 from .exposure import estimate_gains
 from .fit_views import Views
 from .hull import carve, object_bounds
-from .hull_levels import carve_levels
+from .hull.levels import carve_levels
 from .shape import ShapeFit
 from .texture import TextureFit
 

@@ -6,8 +6,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .fit_views import Views
-from .hull import blur_radius, carve
+from ..fit_views import Views
+from .space_carving import blur_radius, carve
 
 LEVELS = (64, 96, 128)  # cells along each axis; the finest has 2 million points
 _VIEWS_AT_ONCE = 8  # drawn together: limits memory
@@ -20,7 +20,8 @@ def carve_levels(views: Views, levels: tuple[int, ...] = LEVELS) -> tuple[Tensor
     """Carve the visual hull on the coarsest grid that opens the holes and gaps of the masks.
 
     A hull lies inside all silhouettes. Where it covers background deeper than its blurred border is wide, its grid is
-    too coarse. If several views show that, the hull is carved again at the next level, which is kept if it covers less.
+    too coarse. If several views show that, the hull is carved again at the next level, which is kept if it covers at
+    most half as much.
 
     Args:
         views: Views that are `Views.normalized` to the object's bounds.

@@ -1,4 +1,4 @@
-"""Visual hull of silhouettes: the initial shape of a fit, with the right holes and handles."""
+"""Space carving: the object's bounds, and its visual hull on a grid."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...meshes.bounds import bounding_box
-from ...meshes.isosurface import isosurface
-from ...meshes.topology import Topology
-from ..components import connected_components
-from .descent import SmoothDescent
-from .fit_views import Views
-from .lookup import mask_values
+from ....meshes.bounds import bounding_box
+from ....meshes.isosurface import isosurface
+from ....meshes.topology import Topology
+from ...components import connected_components
+from ..descent import SmoothDescent
+from ..fit_views import Views
+from ..lookup import mask_values
 
 _HALF = 1.08  # half the side of the carved cube; the object lies in [-1, 1]³
 _COARSE, _FINE = 48, 64  # grid points along each axis, in the two passes that find the object
