@@ -40,8 +40,9 @@ class FitOptions:
     """Initial mesh, or the known mesh for --recover texture or camera, in the world of the cameras."""
     start: Literal["hull", "sphere"] = "hull"
     """Initial shape without --mesh: the visual hull of the silhouettes, with its holes and handles, or a sphere."""
-    cells: int = 64
-    """Grid cells along each axis for the visual hull (at least 8). Thin parts need more."""
+    cells: int | None = None
+    """Grid cells along each axis for the visual hull (at least 8). More cells open narrower holes and gaps, and make
+    more faces; by default 64, and 96 or 128 where that opens holes or gaps that several masks show."""
     photos: bool = True
     """Use the colours of the images. Without photos, images are silhouettes."""
     masks: Path | None = None

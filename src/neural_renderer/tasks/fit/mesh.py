@@ -24,6 +24,7 @@ from .detail.detail_fit import DetailFit
 from .exposure import estimate_gains
 from .fit_views import Views
 from .hull import carve, object_bounds
+from .hull.levels import carve_levels
 from .shape import ShapeFit
 from .texture import TextureFit
 
@@ -47,7 +48,8 @@ class MeshFit:
             ``light``, one of which it needs, and 0 for others.
         light: "fitted" or "none": details follow the colours of the photos, too; see `DetailFit`. None: they do not.
         texture_steps: Steps of the texture phase, ≥ 1.
-        cells: Grid cells along each axis for the visual hull, ≥ 8.
+        cells: Grid cells along each axis for the visual hull, ≥ 8. None is 64, and 96 or 128 if a hull of 64 covers
+            holes or gaps that several silhouettes show.
         texture_size: T, texels along the edge of a face's texture cube, ≥ 3.
         color_from: See `ShapeFit`. None is 1, and 0.4 if cameras are refined.
         refine_cameras: Whether to fit the poses of the cameras and their focal length, too: before the shape, and
@@ -97,7 +99,7 @@ class MeshFit:
         detail_steps: int | None = None,
         light: Literal["fitted", "none"] | None = None,
         texture_steps: int = 20,
-        cells: int = 64,
+        cells: int | None = None,
         texture_size: int = 4,
         color_from: float | None = None,
         refine_cameras: bool = False,
@@ -143,7 +145,7 @@ class MeshFit:
             self._shape_options |= _SPHERE_OPTIONS
         self._camera_options: dict[str, Any] = {"steps": validate.whole("camera_steps", camera_steps, 1)}
         self._camera_options |= {"batch": batch, "gradient": gradient, "seed": seed}
-        self._start, self._cells = start, validate.whole("cells", cells, 8)
+        self._start, self._cells = start, None if cells is None else validate.whole("cells", cells, 8)
         self.phase: str = "cameras" if refine_cameras else recover
         self._fit: ShapeFit | DetailFit | TextureFit = self._expose(*self._initial_shape())
 
@@ -309,7 +311,7 @@ class MeshFit:
         if self.phase == "cameras":
             return coarse_hull(self._given)
         if self._start == "hull":
-            return carve(self.views, self._cells)
+            return carve_levels(self.views) if self._cells is None else carve(self.views, self._cells)
         vertices, faces = icosphere(3, _SPHERE_RADIUS)
         return vertices.to(self._given.masks), faces.to(self._given.masks.device)
 

@@ -1,4 +1,4 @@
-"""Visual hull of silhouettes: the initial shape of a fit, with the right holes and handles."""
+"""Space carving: the object's bounds, and its visual hull on a grid."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...meshes.bounds import bounding_box
-from ...meshes.isosurface import isosurface
-from ...meshes.topology import Topology
-from ..components import connected_components
-from .descent import SmoothDescent
-from .fit_views import Views
-from .lookup import mask_values
+from ....meshes.bounds import bounding_box
+from ....meshes.isosurface import isosurface
+from ....meshes.topology import Topology
+from ...components import connected_components
+from ..descent import SmoothDescent
+from ..fit_views import Views
+from ..lookup import mask_values
 
 _HALF = 1.08  # half the side of the carved cube; the object lies in [-1, 1]³
 _COARSE, _FINE = 48, 64  # grid points along each axis, in the two passes that find the object
@@ -105,7 +105,7 @@ def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tenso
         >>> vertices.abs().max() < 1.2
         tensor(True)
     """
-    pixels = max(1, round(min(views.size) / cells / 2))
+    pixels = blur_radius(views, cells)
     soft = F.avg_pool2d(F.pad(views.masks[:, None], [pixels] * 4, mode="replicate"), 2 * pixels + 1, 1)[:, 0]
 
     def field(points: np.ndarray) -> np.ndarray:
@@ -117,9 +117,14 @@ def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tenso
     vertices, faces = isosurface(field, cells, _HALF)
     if not len(faces):
         raise ValueError("views: expected silhouettes that meet in [-1, 1]³, got some that do not")
-    vertices, faces = large_components(vertices.to(soft.device), faces.to(soft.device))
+    vertices, faces = large_components(*_without_cavities(vertices.to(soft.device), faces.to(soft.device)))
     # The grid leaves stairs on thin parts. Descent would keep them, because it moves neighbouring vertices together.
     return SmoothDescent(Topology.of(faces), 1.0).blur(vertices), faces
+
+
+def blur_radius(views: Views, cells: int) -> int:
+    """Return the radius in pixels by which `carve` blurs masks: about half a cell."""
+    return max(1, round(min(views.size) / cells / 2))
 
 
 def large_components(vertices: Tensor, faces: Tensor, least: float = _LEAST_COMPONENT) -> tuple[Tensor, Tensor]:
@@ -131,17 +136,32 @@ def large_components(vertices: Tensor, faces: Tensor, least: float = _LEAST_COMP
     return vertices[used], corners
 
 
+def _without_cavities(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
+    """Drop cavities, which silhouettes cannot show: the grid makes them in holes that are narrower than its cells."""
+    component = connected_components(faces, len(vertices))[faces[:, 0]]
+    corners = vertices[faces].double()
+    volume = (corners[:, 0] * torch.linalg.cross(corners[:, 1], corners[:, 2])).sum(1)
+    total = volume.new_zeros(len(vertices)).index_add_(0, component, volume)
+    return vertices, faces[total[component] > 0]
+
+
 def _occupancy(views: Views, masks: Tensor, points: Tensor, misses: int) -> Tensor:
     """Look up points [P, 3] in all masks [N, H, W]; masks are clamped at the border.
 
     Returns:
         The least value [P] in all masks but those ``misses`` where it is least.
     """
-    least = torch.ones(misses + 1, len(points), device=points.device)  # in ascending order
-    for value in mask_values(views, masks, points):
-        for place in range(misses + 1):
-            least[place], value = torch.minimum(least[place], value), torch.maximum(least[place], value)
-    return least[misses]
+    found = points.new_zeros(len(points))
+    rows = torch.arange(len(points), device=points.device)  # of points that are not outside yet; most soon are
+    least = points.new_ones(misses + 1, len(points))  # in ascending order
+    for index in range(len(views)):
+        for value in mask_values(views[index : index + 1], masks[index : index + 1], points[rows]):
+            for place in range(misses + 1):
+                least[place], value = torch.minimum(least[place], value), torch.maximum(least[place], value)
+        inside = least[misses] > 0
+        rows, least = rows[inside], least[:, inside]
+    found[rows] = least[misses]
+    return found
 
 
 def _grid(cells: int) -> Tensor:
