@@ -206,6 +206,21 @@ def test_empty_batch_and_empty_mesh_show_the_background(device, batch, count):
         assert bool(vertices.grad.any()) == bool(batch and count)
 
 
+@pytest.mark.parametrize("gradient", ["nmr", "edge", "opendr"])
+@pytest.mark.parametrize("cameras", [0, 1])
+def test_no_cameras_or_no_meshes_give_no_images(device, cameras, gradient):
+    """One of both has a batch of 1, which tasks of the backward pass must not count for an image."""
+    camera = nr.Camera.look_at(torch.zeros(0, 3) if cameras == 0 else torch.tensor([[0.0, 1.0, 2.7]]))
+    vertices = VERTICES.to(device)[None][: 1 - cameras].clone().requires_grad_()
+    textures = torch.rand(20, 2, 2, 2, 3, device=device, requires_grad=True)
+    images = nr.render((vertices, FACES.to(device), textures), camera, 8, gradient=gradient)
+    assert [len(image) for image in images] == [0, 0, 0]
+    sum(image.sum() for image in images).backward()
+    assert not vertices.grad.any() and not textures.grad.any()
+    fragments = nr.fragments((vertices, FACES.to(device)), camera, 8)
+    assert len(fragments.interpolate(torch.rand(1 - cameras, len(VERTICES), 3, device=device))) == 0
+
+
 def test_images_without_faces(device):
     """However many images a mesh without faces has, it shows the background."""
     camera, none = nr.Camera.look_at((0, 0, 3)), torch.zeros(0, 3, dtype=torch.int32, device=device)

@@ -105,7 +105,7 @@ class Fragments(VisibleFaces):
         if triangles.shape[1] != count:
             raise ValueError(f"triangles: expected {count} like the mesh's faces, got {triangles.shape[1]}")
         validate.in_range("triangles", triangles, attributes.shape[1], padded=True)
-        several = attributes.expand(max(len(attributes), len(triangles)), -1, -1)
+        several = attributes if len(triangles) == 1 else attributes.expand(len(triangles), -1, -1)
         if dtype == torch.float64:
             image = torch.arange(len(several), device=several.device)[:, None, None]
             return exact_interpolate(self, several[image, triangles])  # padded faces, of −1, are never visible

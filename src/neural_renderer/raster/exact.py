@@ -33,6 +33,17 @@ def _(corners):  # type: ignore[no-untyped-def]
     return corners.new_empty(corners.shape, dtype=torch.float64)
 
 
+@operator
+def fixed_alpha(mask: Tensor, corners: Tensor) -> Tensor:
+    """Copy a mask to float64; its gradient to corners is an error, as that of `fixed_corners`."""
+    return mask.to(torch.float64, copy=True)
+
+
+@torch.library.register_fake("neural_renderer::fixed_alpha")
+def _(mask, corners):  # type: ignore[no-untyped-def]
+    return mask.new_empty(mask.shape, dtype=torch.float64)
+
+
 def _refuse(ctx: Any, grad: Tensor) -> NoReturn:
     raise RuntimeError(
         "dtype=torch.float64: expected vertices and cameras that need no gradient, got one to compute; drawing in "
@@ -41,6 +52,7 @@ def _refuse(ctx: Any, grad: Tensor) -> NoReturn:
 
 
 differentiable(fixed_corners, _refuse)
+differentiable(fixed_alpha, _refuse)
 
 
 def exact_images(
@@ -72,7 +84,7 @@ def exact_images(
         layers["rgb"] = sample_textures_reference(
             textures, light, background, corners.detach(), index, weights, *options
         )
-    layers |= {"alpha": visible.mask[:, None].double(), "depth": depth[:, None]}
+    layers |= {"alpha": fixed_alpha(visible.mask[:, None], corners), "depth": depth[:, None]}
     if settings.anti_aliasing:
         layers = {name: functional.avg_pool2d(layer, 2) for name, layer in layers.items()}
     flat = {name: layers[name].squeeze(1) for name in ("alpha", "depth") if name in outputs}

@@ -185,12 +185,13 @@ def image_size(name: str, size: Any) -> tuple[int, int]:
         ValueError: Another count or range of sides.
     """
     pair = size if isinstance(size, (tuple, list)) else (size, size)
-    if len(pair) != 2 or any(isinstance(side, (tuple, list)) for side in pair):
-        several = "; images of different sizes are drawn by a call each" if isinstance(pair[0], (tuple, list)) else ""
+    several_sizes = any(isinstance(side, (tuple, list)) for side in pair)
+    if len(pair) != 2 or several_sizes:
+        several = "; images of different sizes are drawn by a call each" if several_sizes else ""
         raise ValueError(f"{name}: expected a side or (height, width), got {size!r}{several}")
     sides = []
     for side in pair:
-        if isinstance(side, bool) or int(validate.number(name, side)) != side:
+        if isinstance(side, bool) or not float(validate.number(name, side)).is_integer():
             raise TypeError(f"{name}: expected whole numbers of pixels, got {size!r}")
         if not 1 <= side <= 32768:
             raise ValueError(f"{name}: expected between 1 and 32768 pixels, got {size!r}")

@@ -73,6 +73,13 @@ def test_faces_changed_in_place_get_new_rings(device):
     assert torch.equal(edge_rings(faces), first)
 
 
+def test_rings_found_in_inference_mode_serve_gradients_later(device):
+    faces = nr.icosphere(0)[1].to(device)
+    with torch.inference_mode():
+        edge_rings(faces.clone())
+    assert not edge_rings(faces.clone()).is_inference()
+
+
 def gradient(vertices, faces, change=None):
     leaf = vertices.clone().requires_grad_()
     camera = nr.Camera.look_at((0.3, 0.8, -2.2))

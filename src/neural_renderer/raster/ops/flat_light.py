@@ -70,6 +70,8 @@ def flat_light_backward(
         ``light_too``.
     """
     batch, _, count, _ = grad.shape
+    if batch == 0:
+        return zeros(vertices.shape, grad.device), grad.new_zeros((0, _SUMS))
     groups, each = group_tasks(count, grad.device, 512, 32 if light_too else 1)
     # On the CPU, one task sums the gradient to faces that images share, image by image.
     own = batch if concurrent(grad.device) else images_of(vertices, faces)

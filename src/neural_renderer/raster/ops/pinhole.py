@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..warp.launch import array, launch
 from ..warp.layout import concurrent, group_tasks, images_of
-from ..warp.memory import empty
+from ..warp.memory import empty, zeros
 from ..warp.registration import differentiable_once, operator
 
 # Without fused multiply-adds, positions are bitwise those of torch.
@@ -64,6 +64,8 @@ def pinhole_backward(
         To the vertices, [1 or B, V, 3]; to the cameras, [B, 13]: rotation, origin, width; empty if not ``camera_too``.
     """
     batch, count = grad.shape[:2]
+    if batch == 0:
+        return zeros(vertices.shape, grad.device), grad.new_zeros((0, _SUMS))
     groups, each = group_tasks(count, grad.device, 1024, 32)
     # On the CPU, one task sums the gradient to vertices that images share, image by image.
     own = batch if concurrent(grad.device) else len(vertices)

@@ -30,19 +30,24 @@ def visible_faces(face_index: Tensor, count: int) -> Tensor:
     if face_index.is_inference():
         return _visible_faces(face_index, count)
     stream = stream_of(face_index.device)
-    version, made, mask = face_index.__dict__.get("_mask", (None, None, None))
-    if mask is not None and version == face_index._version and mask.shape[1] == count + 1:
+    state, made, mask = face_index.__dict__.get("_mask", (None, None, None))
+    if mask is not None and state == _state(face_index) and mask.shape[1] == count + 1:
         if made == _ALONG or (made == stream and stream is not None):
             return cast("Tensor", mask)
     mask = _visible_faces(face_index, count)
     if stream is not None:
-        face_index.__dict__["_mask"] = (face_index._version, stream, mask)
+        face_index.__dict__["_mask"] = (_state(face_index), stream, mask)
     return mask
 
 
 def keep_mask(face_index: Tensor, mask: Tensor) -> None:
     """Keep a mask that is written together with ``face_index``: where this one can be read, so can the mask."""
-    face_index.__dict__["_mask"] = (face_index._version, _ALONG, mask)
+    face_index.__dict__["_mask"] = (_state(face_index), _ALONG, mask)
+
+
+def _state(face_index: Tensor) -> tuple[int, int]:
+    """Return what differs if a tensor has been changed in place, or is a copy, which takes the mask along."""
+    return face_index.data_ptr(), face_index._version
 
 
 def _visible_faces(face_index: Tensor, count: int) -> Tensor:

@@ -12,6 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from ..warp.launch import array, launch
+from ..warp.layout import images_of
 from ..warp.registration import operator
 
 wp.set_module_options({"enable_backward": False})
@@ -34,7 +35,7 @@ def texture_edge_hashes(textures: Tensor, light: Tensor) -> Tensor:
     Returns:
         [B, F, 3, 2] int64: for edge k, from corner k to the next, the hash in this direction and in the other.
     """
-    batch, count, size = max(len(textures), len(light)), textures.shape[1], textures.shape[2]
+    batch, count, size = images_of(textures, light), textures.shape[1], textures.shape[2]
     hashes = torch.empty((batch, count, 3, 2), dtype=torch.int64, device=textures.device)
     cubes = array(textures.reshape(len(textures), count, size**3, 3), wp.vec3)
     launch(_hash_edges, batch * count, [cubes, array(light, wp.vec3), size, array(hashes)], textures.device)
@@ -43,7 +44,7 @@ def texture_edge_hashes(textures: Tensor, light: Tensor) -> Tensor:
 
 @torch.library.register_fake("neural_renderer::texture_edge_hashes")
 def _(textures, light):
-    batch = max(textures.shape[0], light.shape[0])
+    batch = images_of(textures, light)
     return textures.new_empty((batch, textures.shape[1], 3, 2), dtype=torch.int64)
 
 

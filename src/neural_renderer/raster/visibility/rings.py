@@ -91,6 +91,7 @@ def _known_rings(faces: Tensor) -> Tensor:
     return rings
 
 
+@torch.inference_mode(False)  # what is kept may be needed with gradients later
 @torch.no_grad()
 def _find_rings(faces: Tensor) -> Tensor:
     """Sort the edges of faces [B, F, 3] by their vertices, and link equal ones to rings."""
