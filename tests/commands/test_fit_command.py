@@ -196,7 +196,7 @@ def test_gains_are_in_the_report(folder: Path, tmp_path: Path, capsys: pytest.Ca
     assert min(report["gains"], key=lambda name: report["gains"][name][0] / report["gains"][name][1]) == "r_1.png"
     assert report["held_out_exposed"]["psnr"]["mean"] >= report["held_out"]["psnr"]["mean"]
     assert cli.main(["fit", str(folder), "-o", str(out), "--exposure", "--no-photos"]) == 1
-    assert "--exposure: expected photos of a mesh" in capsys.readouterr().err
+    assert "--exposure: expected the colours of photos, got --no-photos" in capsys.readouterr().err
 
 
 def test_details_from_colors(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -205,7 +205,7 @@ def test_details_from_colors(folder: Path, tmp_path: Path, capsys: pytest.Captur
     history = json.loads((tmp_path / "out" / "report.json").read_text())["history"]
     assert [row["phase"] for row in history] == ["shape"] * 4 + ["detail"] * 2 + ["texture"] * 4
     assert cli.main([*arguments, "--no-photos"]) == 1
-    assert "--light: expected photos of a mesh, got --recover camera or --no-photos" in capsys.readouterr().err
+    assert "--light: expected the colours of photos, got --no-photos" in capsys.readouterr().err
 
 
 def test_texture_and_camera_of_a_known_mesh(folder: Path, tmp_path: Path) -> None:
@@ -350,7 +350,10 @@ def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     for arguments, sentence in (
         ([str(tmp_path / "nothing")], "expected a folder of images or a camera file"),
         ([str(folder), "--recover", "texture"], "--mesh: expected a mesh for --recover texture, got none"),
-        ([str(folder), "--up", "0", "0", "0"], "--up: expected a direction, got 0 0 0"),
+        ([str(folder), "--up", "0", "0", "0"], "--up: expected a direction, got 0.0 0.0 0.0"),
+        ([str(folder), "--up", "nan", "0", "1"], "--up: expected a direction, got nan 0.0 1.0"),
+        ([str(folder), "--cells", "5000"], "--cells: expected at most 512, got 5000"),
+        ([str(folder), "--recover", "texture", "--light", "none"], "--light: expected --recover shape, got --recover"),
         ([str(folder), "--background", "0", "0", "0", "--tolerance", "3"], "--tolerance: expected a number in [0, 1]"),
         ([str(folder), "--steps", "0"], "--steps: expected at least 1"),
         ([str(folder), "--held-out", "9"], "--held-out: expected at most 6, the number of views"),

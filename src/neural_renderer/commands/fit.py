@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, fields
@@ -34,6 +35,7 @@ _MAY_DIFFER = (
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _PREVIEW_COLUMNS = 4
+_MOST_CELLS = 512
 _LEAST_IOU = 0.8  # mean of all views; fits of photographs reach 0.95, and wrong cameras rarely more than 0.6
 _REFINED_MARGIN = 4  # see `check_agreement`: cameras to refine may be a little wrong
 _NO_MATCH = 3  # exit code of a fit that ends below
@@ -50,14 +52,20 @@ def run(options: FitOptions) -> int:
         load_xatlas()  # before time is spent
     if options.refine_cameras and options.recover != "shape":
         raise ValueError(f"--refine-cameras: expected --recover shape, got --recover {options.recover}")
-    if options.exposure and (options.recover == "camera" or not options.photos):
-        raise ValueError("--exposure: expected photos of a mesh, got --recover camera or --no-photos")
-    if options.light is not None and (options.recover == "camera" or not options.photos):
-        raise ValueError("--light: expected photos of a mesh, got --recover camera or --no-photos")
+    for name, is_given, phases in (
+        ("--exposure", options.exposure, ("shape", "texture")),
+        ("--light", options.light is not None, ("shape",)),
+    ):
+        if is_given and options.recover not in phases:
+            raise ValueError(f"{name}: expected --recover {' or '.join(phases)}, got --recover {options.recover}")
+        if is_given and not options.photos:
+            raise ValueError(f"{name}: expected the colours of photos, got --no-photos")
+    if options.cells is not None and options.cells > _MOST_CELLS:
+        raise ValueError(f"--cells: expected at most {_MOST_CELLS}, got {options.cells}")
     if options.detail_steps is not None:
         check_counts(options, detail_steps=0)
-    if options.up is not None and not any(options.up):
-        raise ValueError("--up: expected a direction, got 0 0 0")
+    if options.up is not None and not 0 < math.hypot(*options.up) < math.inf:
+        raise ValueError(f"--up: expected a direction, got {' '.join(map(str, options.up))}")
     if options.recover != "shape" and options.mesh is None:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
     if options.recover != "camera" and not options.force:

@@ -65,10 +65,10 @@ class DetailWeights:
         depth: Weight of depth, with half the longest side of the object as unit.
         photometric: Weight of colours, summed over three channels, if they count.
         albedo: Weight of the differences of albedo along edges, summed over three channels: their mean over the mesh.
-        smooth: Share of the way to the mean of its neighbours that each vertex moves in a step, at first.
+        smooth: Share of the way to the mean of its neighbours that each vertex moves in a step, at first; at most 1.
 
     Raises:
-        TypeError, ValueError: A weight is not a finite number ≥ 0.
+        TypeError, ValueError: A weight is not a finite number ≥ 0, or ``smooth`` is above 1.
 
     Example:
         >>> from neural_renderer.tasks.fit import DetailWeights
@@ -85,6 +85,8 @@ class DetailWeights:
 
     def __post_init__(self) -> None:
         _check_weights(vars(self))
+        if self.smooth > 1:
+            raise ValueError(f"smooth: expected at most 1, got {self.smooth}")
 
 
 def _check_weights(weights: dict[str, float]) -> None:

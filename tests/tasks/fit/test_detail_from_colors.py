@@ -82,6 +82,25 @@ def test_gains_scale_what_is_drawn(views: Views) -> None:
     assert halved.advance()["photometric"] == pytest.approx(plain.advance()["photometric"] / 2, rel=1e-5)
 
 
+def test_details_that_spoil_outlines_are_dropped(views: Views, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("neural_renderer.tasks.fit.mesh._WORSE", -1.0)  # all are worse
+    fit = MeshFit(views, cells=16, steps=1, detail_steps=3, texture_steps=1, light="none")
+    fit.advance()
+    outlines = fit.shape
+    for _ in range(2):
+        fit.advance()
+    again = MeshFit(views, cells=16, steps=1, detail_steps=3, texture_steps=1, light="none")
+    again.load_state_dict(fit.state_dict())
+    for each in (fit, again):
+        each.advance()
+        assert each.phase == "detail" and each.shape[1].shape != outlines[1].shape
+        with pytest.warns(
+            UserWarning, match="expected outlines as good as before, got a mean IoU"
+        ):
+            each.advance()
+        assert torch.equal(each.shape[0], outlines[0]) and torch.equal(each.shape[1], outlines[1])
+
+
 def test_phases_and_arguments(views: Views) -> None:
     fit = MeshFit(views, cells=16, steps=1, detail_steps=2, texture_steps=1, light="fitted", exposure=True)
     phases = []

@@ -11,6 +11,7 @@ from torch import Tensor
 from ... import validate
 from ...camera import Camera
 from ...deprecated import old_argument, old_method
+from ...io.files import warn
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
 from ...meshes.uv_mesh import UVMesh
@@ -32,6 +33,7 @@ _DETAIL_STEPS = 200
 _REFINED_SCALE = 1.05  # of the world: the hull of cameras that are not exact is too small
 _REFINED_COLOR_FROM = 0.4  # colours show more of the cameras than outlines
 _SPHERE_RADIUS = 0.6
+_WORSE = 0.01  # IoU that details from colours may cost
 _SPHERE_OPTIONS = {"subdivisions": 2, "rate": 0.03}  # a sphere is coarse and far from the object
 
 
@@ -140,12 +142,15 @@ class MeshFit:
         if light is not None:
             photos_for(light, views)
         if detail_steps and not has_detail:
-            raise ValueError("detail_steps: expected 0 for views without normals and depth, got more")
+            raise ValueError(
+                f"detail_steps: expected 0 for views without normals and depth, and without light, got {detail_steps}"
+            )
         if start == "sphere":
             self._shape_options |= _SPHERE_OPTIONS
         self._camera_options: dict[str, Any] = {"steps": validate.whole("camera_steps", camera_steps, 1)}
         self._camera_options |= {"batch": batch, "gradient": gradient, "seed": seed}
         self._start, self._cells = start, None if cells is None else validate.whole("cells", cells, 8)
+        self._outlines: tuple[Tensor, Tensor] | None = None  # the shape before details from colours
         self.phase: str = "cameras" if refine_cameras else recover
         self._fit: ShapeFit | DetailFit | TextureFit = self._expose(*self._initial_shape())
 
@@ -246,7 +251,8 @@ class MeshFit:
             Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
         """
         cameras = None if self._cameras is None else self._cameras.state_dict()
-        return {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras, "gains": self._gains}
+        state = {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras, "gains": self._gains}
+        return state | {"outlines": self._outlines}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from the state of a fit of the same views.
@@ -258,6 +264,7 @@ class MeshFit:
             KeyError: A name is missing.
         """
         self.phase, cameras, self._gains = state["phase"], state["cameras"], state["gains"]
+        self._outlines = state["outlines"]
         if self._cameras is not None:
             self._cameras.load_state_dict(cameras)
         self._fit = self._start_phase(state["fit"]["vertices"], state["fit"]["faces"])
@@ -276,9 +283,24 @@ class MeshFit:
         vertices, faces, *_ = self.shape
         if self._cameras is not None and self.phase in ("cameras", "shape"):
             vertices = self._cameras.settle(vertices)
+        if phase == "detail" and self._detail_options["light"] is not None:
+            self._outlines = vertices, faces
+        elif self.phase == "detail" and self._outlines is not None:
+            vertices, faces = self._better(self._outlines, (vertices, faces))
         is_new = self.phase == "cameras" and isinstance(self._start, str)
         self.phase = phase
         self._fit = self._expose(*(self._initial_shape() if is_new else (vertices, faces)))
+
+    def _better(self, outlines: tuple[Tensor, Tensor], details: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        """Choose the shape with details, unless its outlines are worse than those of the shape before."""
+        before, after = (float(self.views.quality(shape)["iou"].mean()) for shape in (outlines, details))
+        if after >= before - _WORSE:
+            return details
+        warn(
+            f"details from colours: expected outlines as good as before, got a mean IoU of {after:.3f} after "
+            f"{before:.3f}; the shape before them is kept (more steps for details, and larger images, help)"
+        )
+        return outlines
 
     def _expose(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
         """Estimate the gains of photos, if colours count in the current phase, and make its fit."""
