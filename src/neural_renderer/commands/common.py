@@ -33,6 +33,14 @@ def check_counts(options: Any, **least: int) -> None:
             raise ValueError(f"--{name.replace('_', '-')}: expected at least {limit}, got {value}")
 
 
+def check_most(options: Any, **most: int) -> None:
+    """Raise ValueError if an option is above its greatest value, given by keyword; None is skipped."""
+    for name, limit in most.items():
+        value = getattr(options, name)
+        if value is not None and value > limit:
+            raise ValueError(f"--{name.replace('_', '-')}: expected at most {limit}, got {value}")
+
+
 def make_folder(option: str, folder: Path) -> None:
     """Make the folder of an option if it is missing. Raises OSError if that fails, or if it is not writable."""
     try:

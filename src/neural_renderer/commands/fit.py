@@ -20,7 +20,7 @@ from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
 from ..tasks.fit.agreement import check_agreement
 from ..tasks.fit.fit_pictures import comparison, up_axis
 from ..tasks.fit.load import list_images
-from .common import check_counts, check_outputs, choose_device, make_folder, say
+from .common import check_counts, check_most, check_outputs, choose_device, make_folder, say
 from .options.fit import FitOptions
 from .reports.fit import CAMERAS, RESULTS, report_camera, report_mesh, write_cameras, write_mesh
 from .task_runner import TaskRunner, setting_value
@@ -45,10 +45,10 @@ def run(options: FitOptions) -> int:
     """Fit and write the results; return the exit code: 0, 3 if outlines do not match the masks, 130 after Ctrl-C."""
     check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, starts=1)
     check_counts(options, camera_steps=1, turntable=0, seed=0)
+    check_most(options, cells=_MOST_CELLS)
     if options.unwrap:
         check_counts(options, unwrap=LEAST_SIZE)
-        if options.unwrap > MOST_SIZE:
-            raise ValueError(f"--unwrap: expected at most {MOST_SIZE}, got {options.unwrap}")
+        check_most(options, unwrap=MOST_SIZE)
         load_xatlas()  # before time is spent
     if options.refine_cameras and options.recover != "shape":
         raise ValueError(f"--refine-cameras: expected --recover shape, got --recover {options.recover}")
@@ -60,8 +60,6 @@ def run(options: FitOptions) -> int:
             raise ValueError(f"{name}: expected --recover {' or '.join(phases)}, got --recover {options.recover}")
         if is_given and not options.photos:
             raise ValueError(f"{name}: expected the colours of photos, got --no-photos")
-    if options.cells is not None and options.cells > _MOST_CELLS:
-        raise ValueError(f"--cells: expected at most {_MOST_CELLS}, got {options.cells}")
     if options.detail_steps is not None:
         check_counts(options, detail_steps=0)
     if options.up is not None and not 0 < math.hypot(*options.up) < math.inf:

@@ -23,25 +23,17 @@ def checked_dtype(dtype: Any) -> torch.dtype:
 
 
 @operator
-def fixed_corners(corners: Tensor) -> Tensor:
-    """Copy corners to float64; their gradient is an error (RuntimeError), for there is none through visibility."""
-    return corners.to(torch.float64, copy=True)
+def fixed(values: Tensor, corners: Tensor) -> Tensor:
+    """Copy what depends on corners, such as themselves, to float64.
+
+    Its gradient to the corners is an error (RuntimeError), for there is none through visibility.
+    """
+    return values.to(torch.float64, copy=True)
 
 
-@torch.library.register_fake("neural_renderer::fixed_corners")
-def _(corners):  # type: ignore[no-untyped-def]
-    return corners.new_empty(corners.shape, dtype=torch.float64)
-
-
-@operator
-def fixed_alpha(mask: Tensor, corners: Tensor) -> Tensor:
-    """Copy a mask to float64; its gradient to corners is an error, as that of `fixed_corners`."""
-    return mask.to(torch.float64, copy=True)
-
-
-@torch.library.register_fake("neural_renderer::fixed_alpha")
-def _(mask, corners):  # type: ignore[no-untyped-def]
-    return mask.new_empty(mask.shape, dtype=torch.float64)
+@torch.library.register_fake("neural_renderer::fixed")
+def _(values, corners):  # type: ignore[no-untyped-def]
+    return values.new_empty(values.shape, dtype=torch.float64)
 
 
 def _refuse(ctx: Any, grad: Tensor) -> NoReturn:
@@ -51,8 +43,7 @@ def _refuse(ctx: Any, grad: Tensor) -> NoReturn:
     )
 
 
-differentiable(fixed_corners, _refuse)
-differentiable(fixed_alpha, _refuse)
+differentiable(fixed, _refuse)
 
 
 def exact_images(
@@ -75,7 +66,7 @@ def exact_images(
         Images, float64.
     """
     settings, index = visible.settings, visible.face_index
-    corners = fixed_corners(faces)
+    corners = fixed(faces, faces)
     limits = (settings.near, settings.far, settings.perspective)
     weights, depth = barycentrics_reference(corners, index, *limits)
     layers = {}
@@ -84,7 +75,7 @@ def exact_images(
         layers["rgb"] = sample_textures_reference(
             textures, light, background, corners.detach(), index, weights, *options
         )
-    layers |= {"alpha": fixed_alpha(visible.mask[:, None], corners), "depth": depth[:, None]}
+    layers |= {"alpha": fixed(visible.mask[:, None], corners), "depth": depth[:, None]}
     if settings.anti_aliasing:
         layers = {name: functional.avg_pool2d(layer, 2) for name, layer in layers.items()}
     flat = {name: layers[name].squeeze(1) for name in ("alpha", "depth") if name in outputs}
@@ -95,7 +86,7 @@ def exact_interpolate(visible: VisibleFaces, attributes: Tensor) -> Tensor:
     """Interpolate attributes of corners, [1 or B, F, 3, C] floating, at every pixel: [B, H, W, C] float64."""
     settings, index = visible.settings, visible.face_index
     limits = (settings.near, settings.far, settings.perspective)
-    weights, _ = barycentrics_reference(fixed_corners(visible.corners), index, *limits)
+    weights, _ = barycentrics_reference(fixed(visible.corners, visible.corners), index, *limits)
     batch = torch.arange(len(index), device=index.device)[:, None, None]
     own = attributes.double().expand(len(index), *attributes.shape[1:])[batch, index.clamp(min=0).long()]
     return (weights[..., None] * own).sum(-2)

@@ -34,7 +34,7 @@ def test_light_of_known_normals() -> None:
     light = LightFit(normals)
     for _ in range(20):
         light.add(normals, albedo, colors)
-    # What is left is the pull of the outliers, a tenth of the pixels, and of the ridge.
+    # The outliers, a tenth of the pixels, and the ridge pull the light a little.
     assert (light.on(normals) - truth.on(normals)).abs().max() < 0.03
     again = LightFit(normals)
     again.load_state_dict(light.state_dict())

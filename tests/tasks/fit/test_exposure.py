@@ -46,8 +46,7 @@ def uneven(even: Views, gains: Tensor) -> Views:
 
 def test_gains_of_a_known_shape(even: Views, uneven: Views, gains: Tensor) -> None:
     vertices, faces, _ = shape_of(painted())
-    # What is left is the change of colour within a patch, of which views show different parts: a patch has a fiftieth
-    # of the range of colours.
+    # Views show different parts of a patch, whose colours differ by a fiftieth of their range.
     assert (estimate_gains(uneven, vertices, faces) / gains).log().abs().max() < 0.02
     assert estimate_gains(even, vertices, faces).log().abs().max() < 0.02
     # Highlights in single views are outliers.
@@ -76,7 +75,7 @@ def test_views_with_gains_draw_with_them(even: Views, uneven: Views, gains: Tens
     torch.testing.assert_close(drawn.rgb, plain.rgb[2:4] * gains[2:4, :, None, None])
     assert torch.equal(drawn.normal, plain.normal[2:4])
     assert exposed.normalized(torch.zeros(3), 2.0).gains is gains
-    # What was cut off at 1 is darker than it should be.
+    # Photos that are cut off at 1 are darker than their gains say.
     unclipped = replace(even, photos=even.photos * gains[:, :, None, None])  # type: ignore[operator]
     torch.testing.assert_close(match_gains(unclipped, shape).gains, gains, rtol=1e-4, atol=0)
     with pytest.raises(ValueError, match=r"gains: expected shape \[12, 3\]"):

@@ -5,7 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch, no_array
+from ..warp.launch import array, launch, optional_array
 from ..warp.layout import concurrent, group_tasks, images_of, in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.registration import differentiable, operator, refuse_second
@@ -82,8 +82,8 @@ def flat_light_backward(
         to_corners = empty((own, count, 3, 3), device)
     sums = torch.empty((batch, groups, _SUMS) if light_too else (0, 0, _SUMS), device=grad.device)
     arguments = [*_arguments(vertices, faces, ambient, directional, direction, mirrored), groups, each, array(grad)]
-    arguments += [int(light_too), own, no_array(4, device) if to_corners is None else array(to_corners)]
-    arguments += [no_array(3, device) if to_vertices is None else array(to_vertices), array(sums)]
+    arguments += [int(light_too), own, optional_array(to_corners, 4, device)]
+    arguments += [optional_array(to_vertices, 3, device), array(sums)]
     launch(_backward, own * groups, arguments, device, max(1, _LEAST * own // max(batch, 1)))
     if to_vertices is not None:
         return to_vertices, sums.sum(1)

@@ -35,8 +35,8 @@ _MAY_MEET = """
     };
 """
 
-# Whether face f, shown at pixel i of a row, and another one, shown at the next pixel to the right (k is 0) or below (k
-# is 1), may intersect between them. ``v`` and ``u`` are their corners, and ``next`` the faces that are adjacent to f.
+# Test of two faces: f, shown at pixel i of a row, and another one, shown at the next pixel to the right (k is 0) or
+# below (k is 1). ``v`` and ``u`` are their corners, and ``next`` the faces that are adjacent to f.
 _PAIR = """
     struct Pair {
         typedef wp::vec_t<3, float> vec3;
@@ -96,7 +96,7 @@ _FIND = """
                     #else
                     if ((pairs & 1) == 0) continue;
                     #endif
-                    PAIR
+                    MARK
                 }
             }
         }
@@ -114,7 +114,7 @@ _MARK = """
 """
 
 
-@wp.func_native(VECTORS + NEARNESS + _MAY_MEET + _PAIR + fill(_FIND, PIXELS_OF_TASK=PIXELS_OF_TASK, PAIR=_MARK))
+@wp.func_native(VECTORS + NEARNESS + _MAY_MEET + _PAIR + fill(_FIND, PIXELS_OF_TASK=PIXELS_OF_TASK, MARK=_MARK))
 def find_candidates(
     faces: wp.array3d(dtype=wp.vec3),
     face_index: wp.array3d(dtype=int),

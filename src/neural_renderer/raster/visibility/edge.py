@@ -37,7 +37,7 @@ from torch import Tensor
 from ..colors.downsample import averaged, halve_backward, like_averaged
 from ..ops.visible_faces import visible_faces
 from ..warp.geometry import facing
-from ..warp.launch import array, launch, module_for_cuda, no_array
+from ..warp.launch import array, launch, module_for_cuda, optional_array
 from ..warp.layout import face_tasks, in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.point import fill
@@ -170,18 +170,12 @@ def add_edges(
     queue = line_queue(batch * count, device)
     if queue is not None:
         rings, two_sided = search or (None, False)
-        known = [no_array(3, device) if rings is None else array(rings), int(two_sided), int(perspective)]
+        known = [optional_array(rings, 3, device), int(two_sided), int(perspective)]
         filled = [int(seams), height, width, *queue_arrays(queue, device)]
         launch(_queue_faces, batch * count, [corners, *known, *beside, *filled], device)
-    arguments = [
-        corners,
-        no_array(4, device) if image is None else array(image),
-        array(grad),
-        array(face_index),
-        *beside,
-    ]
-    arguments += [no_array(3, device) if folds is None else array(folds), int(perspective), int(seams)]
-    arguments += [no_array(4, device) if edge_hashes is None else array(edge_hashes), array(result, wp.vec3)]
+    arguments = [corners, optional_array(image, 4, device), array(grad), array(face_index), *beside]
+    arguments += [optional_array(folds, 3, device), int(perspective), int(seams)]
+    arguments += [optional_array(edge_hashes, 4, device), array(result, wp.vec3)]
     # A scan line crosses a few outlines, and any number of seams.
     most = MOST_THREADS if seams else _OUTLINES_OF_LINE * batch * (height + width)
     launch_lines(_move, arguments, batch * count, queue, 1, device, face_tasks(faces, height * width), most)

@@ -212,6 +212,11 @@ def no_array(dims: int, device: torch.device) -> Any:
     return array(torch.empty((0,) * dims, device=device))
 
 
+def optional_array(tensor: Tensor | None, dims: int, device: torch.device) -> Any:
+    """Make the argument of a kernel from a tensor, or from None that of `no_array`."""
+    return no_array(dims, device) if tensor is None else array(tensor)
+
+
 @cache
 def _inner_dims(dtype: Any) -> int:
     return len(dtype._shape_)
