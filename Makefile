@@ -31,11 +31,13 @@ test-cuda-emulated: $(VENV)/installed
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/clang-format --dry-run --Werror src/neural_renderer/raster/kernels/*.h
 	$(BIN)/mypy
 
 format: $(VENV)/installed
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+	$(BIN)/clang-format -i src/neural_renderer/raster/kernels/*.h
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m benchmarks

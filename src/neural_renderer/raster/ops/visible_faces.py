@@ -11,10 +11,28 @@ from ..warp.geometry import Int4, in_front, pixel_box
 from ..warp.launch import array, launch, stream_of
 from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, pixel_tasks
 from ..warp.memory import zeros
+from ..warp.native import Call, struct
 
 wp.set_module_options({"enable_backward": False})
 
 _ALONG = "along"  # instead of the stream on which a mask was written
+
+
+_Scene = struct("geometry.h", "Scene")
+
+
+def scene_of(faces: Tensor, face_index: Tensor, perspective: bool = False) -> Call:
+    """Make the `Scene` of kernels: corners [B, F, 3, 3] float32, and the visible face of each pixel [B, H, W] int32."""
+    images, height, width = face_index.shape
+    return _Scene(
+        faces=faces.contiguous(),
+        face_index=face_index.contiguous(),
+        images=images,
+        count=faces.shape[1],
+        height=height,
+        width=width,
+        perspective=int(perspective),
+    )
 
 
 def visible_faces(face_index: Tensor, count: int) -> Tensor:

@@ -26,6 +26,7 @@ from torch import Tensor
 from .kernel_cache import load_module
 from .layout import PIECES
 from .memory import empty
+from .native import FOR_CUDA, Call
 
 # Number of compiling threads (each spends two seconds on Warp's headers), and a flag that saves a third of this time.
 _COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
@@ -36,8 +37,6 @@ emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
 
 # Warp keeps strides in 32 bits.
 MOST_BYTES = 2**31 - 1
-
-_FOR_CUDA = "_for_cuda"  # ends the names of Warp modules that the CPU does not need
 
 _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
@@ -101,7 +100,7 @@ def module_for_cuda(name: str) -> wp.Module:
 
     So the CPU, where they are not needed, does not compile them.
     """
-    module = wp.get_module(name + _FOR_CUDA)
+    module = wp.get_module(name + FOR_CUDA)
     wp.set_module_options(wp.get_module(name).options.copy(), module)
     return module
 
@@ -115,7 +114,7 @@ def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device) 
         return
     modules = [wp.get_module(name) for name in {function.__module__: None for function in functions}]
     if device.type == "cuda":
-        modules += [wp.get_module(one.name + _FOR_CUDA) for one in modules]
+        modules += [wp.get_module(one.name + FOR_CUDA) for one in modules]
     kernels = [next(iter(module.kernels.values())) for module in modules if module.kernels]
     _load([kernel for kernel in kernels if (kernel, str(device)) not in _ready], str(device))
     _asked.add((functions, device))
@@ -254,16 +253,22 @@ def _enter(kernel: wp.Kernel) -> Callable[..., None]:
     def run(tasks: int, *arguments: Any) -> None:
         wp.launch(kernel, tasks, arguments, device="cpu", record_tape=False)
 
-    plain = all(arg.type in _NUMBERS or isinstance(arg.type, wp.array) for arg in kernel.adj.args)
+    plain = all(arg.type in _NUMBERS or isinstance(arg.type, wp.array) or _is_call(arg.type) for arg in kernel.adj.args)
     _entries[kernel] = _direct(kernel) if plain and _IS_KNOWN else run
     return _entries[kernel]
+
+
+def _is_call(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, Call)
 
 
 def _direct(kernel: wp.Kernel) -> Callable[..., None]:
     """Do the same by calling the compiled code. Warp's launch checks arguments for longer than a small scene takes."""
     from warp._src.types import launch_bounds_t
 
-    fields = [(arg.label, _NUMBERS.get(arg.type, _Array)) for arg in kernel.adj.args]
+    fields = [
+        (arg.label, arg.type if _is_call(arg.type) else _NUMBERS.get(arg.type, _Array)) for arg in kernel.adj.args
+    ]
     packed = type("Arguments", (ctypes.Structure,), {"_fields_": fields})
     module: Any = kernel.module.load(wp.get_device("cpu"), 1)
     call = module.get_kernel_hooks(kernel).forward

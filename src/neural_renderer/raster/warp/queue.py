@@ -16,6 +16,7 @@ from .geometry import pixel_box
 from .launch import array, launch
 from .layout import in_any_order
 from .memory import zeros
+from .native import Call, struct
 
 # Threads of a launch whose work is known on the device only: about as many as a large GPU runs at once.
 MOST_THREADS = 1 << 18
@@ -78,6 +79,26 @@ def launch_lines(
     else:
         threads = min(MOST_THREADS, most, 64 * faces * lanes)
         launch(kernel, threads, [*arguments, *map(array, queue), lanes, threads], device)
+
+
+_Queue = struct("queue.h", "Queue")
+
+
+def queue_of(queue: tuple[Tensor, Tensor] | None, threads: int = 0) -> Call:
+    """Make the `Queue` of kernels; ``threads`` of a launch take work from it. Of null pointers if there is none."""
+    return _Queue(entries=queue[0], total=queue[1], threads=threads) if queue else _Queue()
+
+
+def line_threads(faces: int, queue: tuple[Tensor, Tensor] | None, lanes: int, most: int = MOST_THREADS) -> int:
+    """Compute the number of tasks of a launch by `for_each_line_task`: faces, or the threads that share the queue.
+
+    Args:
+        faces: Number of faces of all images.
+        queue: As from `line_queue`.
+        lanes: Threads on CUDA that share each scan line.
+        most: Number of threads that share the queue at most.
+    """
+    return faces if queue is None else min(MOST_THREADS, most, 64 * faces * lanes)
 
 
 @wp.func

@@ -1,0 +1,112 @@
+// Barycentric weights and depth of the visible point of each pixel, and their gradient.
+#pragma once
+
+#include "face.h"
+
+namespace nr {
+
+struct Weigh {
+    Scene scene;
+    float near, far;  // limits of depth; far is the depth of the background
+    int each;         // rows of a task
+    vec3* weights;    // [images, height, width], 0 where no face is visible
+    float* depth;     // [images, height, width]
+};
+
+struct WeighRows {
+    const Weigh& call;
+
+    struct Nothing {};
+    NR_FUNC void fresh(const Face&, const Place&, Nothing&) const {}
+    NR_FUNC void empty(int count, const Place& place) const {
+        for (int n = 0; n < count; ++n) call.depth[place.pixel + n] = call.far;
+        memset(call.weights + place.pixel, 0, count * sizeof(vec3));
+    }
+    // Only rounding leaves the range.
+    template <class F>
+    NR_FUNC F limited(F z) const {
+        return select(z < call.near, all<F>(call.near), select(z > call.far, all<F>(call.far), z));
+    }
+    NR_FUNC void one(const Face&, const Point<float>& point, const Place& place, Nothing&) const {
+        call.weights[place.pixel] = {point.weights[0], point.weights[1], point.weights[2]};
+        call.depth[place.pixel] = limited(point.z);
+    }
+#if !NR_ON_CUDA
+    void run(const Face&, const Point<floats8>& points, int count, const Place& place, Nothing&) const {
+        const floats8 *w = points.weights, z = limited(points.z);
+        if (place.i + 8 <= call.scene.width) {
+            store(call.weights + place.pixel, w[0], w[1], w[2]);
+            store(call.depth + place.pixel, z);
+        } else
+            for (int n = 0; n < count; ++n) {
+                call.weights[place.pixel + n] = {w[0][n], w[1][n], w[2][n]};
+                call.depth[place.pixel + n] = z[n];
+            }
+    }
+#endif
+};
+
+// The pixels of a task.
+NR_FUNC void weigh_pixels(const Weigh& call, int task) {
+    over_rows<WeighRows::Nothing>(call.scene, task, call.each, WeighRows{call});
+}
+
+struct PullWeights {
+    Scene scene;
+    const vec3* grad_weights;  // [images, height, width]
+    const float* grad_depth;   // [images, height, width]
+    const int* visible;        // mask of visible faces, [images, count + 1]; on the CPU
+    int run;                   // pixels of a task on CUDA
+    vec3* to_faces;            // [images, count, 3], 0 before
+};
+
+struct PullFace {
+    const PullWeights& call;
+    const Slopes slopes;
+    CornerSums<float> sums;
+#if !NR_ON_CUDA
+    CornerSums<floats8> sums_of_eights;
+    bool by_eights = false;
+
+    void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {
+        floats8 to_weights[3], to_depth = load<floats8>(call.grad_depth + place.pixel);
+        load(call.grad_weights + place.pixel, to_weights);
+        for (int k = 0; k < 3; ++k) to_weights[k] = select(here, to_weights[k], floats8{});
+        sums_of_eights.pull(face, slopes, points, to_weights, select(here, to_depth, floats8{}), here);
+    }
+    void finish_eights() { by_eights = true; }
+    void restart() {}
+#endif
+    NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
+        sums.pull(face, slopes, point, call.grad_weights[place.pixel].c, call.grad_depth[place.pixel], true);
+    }
+};
+
+NR_FUNC void pull_face(const PullWeights& call, int image, int f, const Box& box, bool alone) {
+    Face face;
+    face.set(call.scene.corners(image, f), call.scene);
+    PullFace visitor = {call, Slopes(face)};
+    over_face(call.scene, face, image, f, box, true, visitor);
+    vec3* to = call.to_faces + ((int64)image * call.scene.count + f) * 3;
+#if !NR_ON_CUDA
+    if (visitor.by_eights) return visitor.sums_of_eights.give(to, alone);
+#endif
+    visitor.sums.give(to, alone);
+}
+
+// The pixels that show one face of one image.
+NR_FUNC void pull_weights_of_face(const PullWeights& call, int task) {
+    const int image = task / call.scene.count, f = task % call.scene.count;
+    if (call.visible[(int64)image * (call.scene.count + 1) + f] == 0) return;
+    const Box box = box_of_face(call.scene, image, f);
+    if (box.left <= box.right) pull_face(call, image, f, box, true);
+}
+
+// A few neighbouring pixels, face by face, on CUDA.
+NR_FUNC void pull_weights_of_run(const PullWeights& call, int task) {
+    for_each_run(call.scene, task, call.run, [&](int image, int f, int j, int first, int last) {
+        pull_face(call, image, f, Box{first, last, j, j}, false);
+    });
+}
+
+}  // namespace nr

@@ -1,0 +1,299 @@
+// The visible point of a face at a pixel, its gradient to the corners, and loops over pixels that show faces.
+//
+// With screen-space weights w_k, the depth is z = 1 / sum(w_k / z_k) and the weights in space are w_k z / z_k; in
+// orthographic projection they are sum(w_k z_k) and w_k. Weights are exact to the bit on both devices: modules with
+// these functions are compiled without fused multiply-adds.
+#pragma once
+
+#include "lanes.h"
+#include "tasks.h"
+
+namespace nr {
+
+// Least area, relative to c^2, of a face with reliable weights from the inverse matrix; c is its largest coordinate in
+// pixels. The weights are sums of products up to 2 c^2, whose rounding errors add up to about 82 * 2^-24 c^2.
+constexpr float LEAST_AREA = 7.62939453125e-06f;  // 2^-17
+
+// The weights by the edge functions of `coverage`. At the pixels it drew, they have one sign and are not all 0.
+NR_RARE vec3 weights_by_edges(const vec3* v, float x, float y) {
+    const vec3 w = {
+        (v[1][0] - x) * (v[2][1] - y) - (v[1][1] - y) * (v[2][0] - x),
+        (v[2][0] - x) * (v[0][1] - y) - (v[2][1] - y) * (v[0][0] - x),
+        (v[0][0] - x) * (v[1][1] - y) - (v[0][1] - y) * (v[1][0] - x)};
+    const float whole = w[0] + w[1] + w[2], third = 1.0f / 3.0f;
+    if (whole == 0.0f) return {third, third, third};
+    // Divided at once, because their products with 1 / z could overflow or underflow.
+    return {w[0] / whole, w[1] / whole, w[2] / whole};
+}
+
+// A face, ready for weights at pixels.
+//
+// The matrix maps a pixel (column, row from the bottom, 1) to its weights. It is 0 if edge functions are needed. The
+// first packages computed weights by this inverse, and existing results contain its rounding errors: about 1e-4 of a
+// weight for faces far smaller than a pixel.
+struct Face {
+    vec3 v[3];
+    float matrix[9];
+    float inverse[3];  // 1 / z of each corner in perspective, else 1
+    bool front;        // in front of the camera; a visible face that is not crosses the camera's plane
+    bool known;        // weights by the matrix
+    int perspective, height, width;
+
+    NR_FUNC void set(const vec3* corners, const Scene& scene) {
+        perspective = scene.perspective, height = scene.height, width = scene.width;
+        float x[3], y[3], far = 0.0f;
+        for (int k = 0; k < 3; ++k) {
+            v[k] = corners[k];
+            x[k] = to_pixels(v[k][0], width), y[k] = to_pixels(v[k][1], height);
+            far = larger(far, larger(fabsf(x[k]), fabsf(y[k])));
+            inverse[k] = perspective ? 1.0f / v[k][2] : 1.0f;
+        }
+        front = !perspective | ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f));
+        const float area = x[2] * (y[0] - y[1]) + x[0] * (y[1] - y[2]) + x[1] * (y[2] - y[0]);
+        known = fabsf(area) > LEAST_AREA * far * far;
+        const float part = known ? 1.0f / area : 0.0f;
+        for (int k = 0; k < 3; ++k) {
+            const int m = (k + 1) % 3, n = (k + 2) % 3;
+            matrix[3 * k] = (y[m] - y[n]) * part;
+            matrix[3 * k + 1] = (x[n] - x[m]) * part;
+            matrix[3 * k + 2] = (x[m] * y[n] - x[n] * y[m]) * part;
+        }
+    }
+    // Whether `Point::by_matrix` serves for it, several pixels at once.
+    NR_FUNC bool is_usual() const { return front & known; }
+};
+
+// The visible point of a face at a pixel, or at neighbouring pixels of a row.
+template <class F>
+struct Point {
+    typedef typename Lanes<F>::Mask Mask;
+    F weights[3];   // in space; their sum is 1
+    F w[3], whole;  // on the screen, where the weights are w / whole
+    F z;            // depth
+
+    // The point by the face's matrix, for pixels x of row y. Where the result is true, the matrix gives no weights.
+    NR_FUNC Mask by_matrix(const Face& face, F x, float y) {
+        for (int k = 0; k < 3; ++k) {
+            const F share = x * face.matrix[3 * k] + face.matrix[3 * k + 1] * y + face.matrix[3 * k + 2];
+            w[k] = select(share < 0.0f, all<F>(0.0f), select(share > 1.0f, all<F>(1.0f), share));
+        }
+        whole = w[0] + w[1] + w[2];
+        const Mask lost = whole == 0.0f;
+        // Avoid 0 / 0 there, too: NaN times 0 is NaN.
+        w[0] = select(lost, all<F>(1.0f), w[0]), whole = select(lost, all<F>(1.0f), whole);
+        into_space(face);
+        return lost;
+    }
+    // Weights in space and depth from the weights on the screen.
+    NR_FUNC void into_space(const Face& face) {
+        if (face.perspective) {
+            for (int k = 0; k < 3; ++k) weights[k] = w[k] * face.inverse[k];
+            const F near = 1.0f / (weights[0] + weights[1] + weights[2]);
+            for (int k = 0; k < 3; ++k) weights[k] *= near;
+            z = whole * near;
+        } else {
+            const F part = 1.0f / whole;
+            for (int k = 0; k < 3; ++k) weights[k] = w[k] * part;
+            z = weights[0] * face.v[0][2] + weights[1] * face.v[1][2] + weights[2] * face.v[2][2];
+        }
+    }
+};
+
+// The point at pixel i of row j from the bottom, of any face that shows it.
+NR_FUNC Point<float> point_at(const Face& face, int i, int j) {
+    Point<float> point;
+    if (!face.front) {
+        const vec3d a = homogeneous_weights(face.v, pixel_centre(i, face.width), pixel_centre(j, face.height));
+        const double sum = a[0] + a[1] + a[2];
+        for (int k = 0; k < 3; ++k) {
+            point.weights[k] = (float)(a[k] / sum), point.w[k] = (float)(a[k] * (double)face.v[k][2]);
+        }
+        point.whole = 1.0f, point.z = (float)(1.0 / sum);
+    } else if (point.by_matrix(face, (float)i, (float)j)) {
+        const vec3 w = weights_by_edges(face.v, pixel_centre(i, face.width), pixel_centre(j, face.height));
+        for (int k = 0; k < 3; ++k) point.w[k] = w[k];
+        point.whole = w[0] + w[1] + w[2];
+        point.into_space(face);
+    }
+    return point;
+}
+
+// The slopes of a face's weights on the screen. They are 0 if a weight changes by 1 over less than four roundings of a
+// coordinate near 1: then they are not known.
+struct Slopes {
+    float dx[3], dy[3];
+
+    NR_FUNC explicit Slopes(const Face& face) {
+        float longest = 0.0f;
+        for (int k = 0; k < 3; ++k) {
+            const vec3 &a = face.v[(k + 1) % 3], &b = face.v[(k + 2) % 3];
+            dx[k] = a[1] - b[1], dy[k] = b[0] - a[0];
+            longest = larger(longest, larger(fabsf(dx[k]), fabsf(dy[k])));
+        }
+        const float area = doubled_area(face.v);
+        const float part = fabsf(area) > NARROWEST * longest ? 1.0f / area : 0.0f;
+        for (int k = 0; k < 3; ++k) dx[k] *= part, dy[k] *= part;
+    }
+};
+
+// The sum of the gradients of a face's pixels to its corners.
+template <class F>
+struct CornerSums {
+    typedef typename Lanes<F>::Mask Mask;
+    F to[9];
+
+    NR_FUNC CornerSums() {
+        for (int k = 0; k < 9; ++k) to[k] = all<F>(0.0f);
+    }
+    // Add the pixels that are ``here``. The gradients of the others must be finite.
+    //
+    // At a fixed pixel, moving corner m by s on the screen changes the weight w_k by -w_m grad(w_k) . s. In
+    // perspective, depth and the weights in space are computed from w_k / z_k, whose sum is 1 / depth.
+    NR_FUNC void pull(
+        const Face& face, const Slopes& slopes, const Point<F>& point, const F* to_weights, F to_depth, Mask here) {
+        const F part = 1.0f / point.whole;
+        const F same = to_weights[0] * point.weights[0] + to_weights[1] * point.weights[1]
+            + to_weights[2] * point.weights[2] + point.z * to_depth;
+        F right = all<F>(0.0f), up = all<F>(0.0f), g[3];
+        for (int k = 0; k < 3; ++k) {
+            g[k] = face.perspective ? point.z * (to_weights[k] - same) * face.inverse[k]
+                                    : to_weights[k] + to_depth * face.v[k][2];
+            right += g[k] * slopes.dx[k], up += g[k] * slopes.dy[k];
+        }
+        for (int k = 0; k < 3; ++k) {
+            const F share = select(here, point.w[k] * part, all<F>(0.0f));
+            to[3 * k] -= right * share;
+            to[3 * k + 1] -= up * share;
+            to[3 * k + 2] += share * (face.perspective ? -g[k] * face.inverse[k] : to_depth);
+        }
+    }
+    // Add the sums to the corners; ``alone``: no other task writes them, and they are written once.
+    NR_FUNC void give(vec3* corners, bool alone) const;
+};
+
+template <>
+NR_FUNC void CornerSums<float>::give(vec3* corners, bool alone) const {
+    for (int k = 0; k < 3; ++k) {
+        const vec3 part = {to[3 * k], to[3 * k + 1], to[3 * k + 2]};
+        if (alone) corners[k] = part;
+        else atomic_add(corners + k, part);
+    }
+}
+#if !NR_ON_CUDA
+template <>
+inline void CornerSums<floats8>::give(vec3* corners, bool alone) const {
+    CornerSums<float> sums;
+    for (int k = 0; k < 9; ++k) sums.to[k] = sum(to[k]);
+    sums.give(corners, alone);
+}
+#endif
+
+// A pixel that a loop visits: column i, row j from the bottom of an image, and its place in a map [images, H, W].
+struct Place {
+    int image, face, i, j;
+    int64 pixel;
+};
+
+// Visit the pixels of a task of rows (see `pixels_of_task`), from left to right.
+//
+// ``Extra`` is what a kernel keeps for each face beside it. The visitor has these methods:
+//     fresh(face, place, extra)             a face that was not among the last ones
+//     one(face, point, place, extra)        a pixel that shows a face
+//     run(face, points, count, place, extra)   count <= 8 neighbours that show one face, on the CPU. Results for the
+//                                           pixels after them in the row may be written: they are computed later
+//     empty(count, place)                   neighbours without a face
+template <class Extra, class Visitor>
+NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) {
+    constexpr int KEPT = ON_CUDA ? 1 : 128;  // neighbouring rows show the same faces
+    Face kept[KEPT];
+    Extra extras[KEPT];
+    int64 held[KEPT];
+    for (int k = 0; k < KEPT; ++k) held[k] = -1;
+    const int width = scene.width;
+    const Pixels pixels = pixels_of_task(task, each, scene.images * scene.height, width);
+    const int left = pixels.left, right = pixels.right;
+    for (int row = pixels.first; row < pixels.last; ++row) {
+        Place place = {row / scene.height, -1, 0, scene.height - 1 - row % scene.height, 0};
+        const int* shown = scene.face_index + (int64)row * width;
+        for (int i = left; i < right; ++i) {
+            const int f = shown[i];
+            place.face = f, place.i = i, place.pixel = (int64)row * width + i;
+            if (f < 0) {  // most pixels of most images, so several are skipped at once
+                int empty = 1;
+#if !NR_ON_CUDA
+                for (int four[4]; i + empty + 4 <= right; empty += 4) {
+                    memcpy(four, shown + i + empty, sizeof(four));
+                    if ((four[0] & four[1] & four[2] & four[3]) >= 0) break;
+                }
+#endif
+                while (i + empty < right && shown[i + empty] < 0) ++empty;
+                visitor.empty(empty, place);
+                i += empty - 1;
+                continue;
+            }
+            const int64 own = (int64)place.image * scene.count + f;
+            const int slot = f % KEPT;
+            Face& face = kept[slot];
+            if (held[slot] != own) {
+                face.set(scene.faces + own * 3, scene);
+                held[slot] = own;
+                visitor.fresh(face, place, extras[slot]);
+            }
+#if !NR_ON_CUDA
+            if (face.is_usual()) {  // the pixels up to the next face, at most eight
+                int run = 1;
+                while (run < 8 && i + run < right && shown[i + run] == f) ++run;
+                Point<floats8> points;
+                const ints8 lost = points.by_matrix(face, to_floats(lane_numbers<ints8>() + i), (float)place.j);
+                if (!any(lost & (lane_numbers<ints8>() < run))) {
+                    visitor.run(face, points, run, place, extras[slot]);
+                    i += run - 1;
+                    continue;
+                }
+            }
+#endif
+            visitor.one(face, point_at(face, i, place.j), place, extras[slot]);
+        }
+    }
+}
+
+// Visit the pixels of a box that show face f of an image, by eights on the CPU where ``in_eights``.
+//
+// The visitor has these methods; each returns nothing:
+//     one(face, point, place)          a pixel
+//     eight(face, points, place, here)    eight neighbours from the place on; ``here`` marks those that show the face
+//     finish_eights()                  after all pixels were visited by eights
+//     restart()                        before all pixels are visited one by one after all
+template <class Visitor>
+NR_FUNC void over_face(
+    const Scene& scene, const Face& face, int image, int f, const Box& box, bool in_eights, Visitor& visitor) {
+    bool done = false;
+    const int width = scene.width;
+#if !NR_ON_CUDA
+    if (face.is_usual() && width >= 8 && in_eights) {
+        done = true;
+        for (int j = box.bottom; j <= box.top && done; ++j) {
+            const int64 row = scene.row_start(image, j);
+            for (int i = box.left; i <= box.right && done; i += 8) {
+                const int at = i < width - 8 ? i : width - 8;
+                const ints8 here = (load<ints8>(scene.face_index + row + at) == f) & (lane_numbers<ints8>() >= i - at);
+                if (!any(here)) continue;
+                Point<floats8> points;
+                done = !any(points.by_matrix(face, to_floats(lane_numbers<ints8>() + at), (float)j) & here);
+                if (done) visitor.eight(face, points, Place{image, f, at, j, row + at}, here);
+            }
+        }
+        if (done) visitor.finish_eights();
+        else visitor.restart();
+    }
+#endif
+    for (int j = box.bottom; j <= box.top && !done; ++j) {
+        const int64 row = scene.row_start(image, j);
+        for (int i = box.left; i <= box.right; ++i) {
+            if (scene.face_index[row + i] != f) continue;
+            visitor.one(face, point_at(face, i, j), Place{image, f, i, j, row + i});
+        }
+    }
+}
+
+}  // namespace nr

@@ -1,0 +1,128 @@
+// Faces on the pixel grid: formulas that all operators share.
+//
+// Screen space: a corner is (x, y, z), x to the right and y up in [-1, 1] over the image, z the depth along the viewing
+// axis. Pixel units: u = (size x + size - 1) / 2, so that pixel centres are the integers; rows count from the bottom.
+// Maps in memory have row 0 at the top.
+//
+// A face with some corners behind the camera (z <= 0) still has a visible part. With a_k = w_k / z_k for the
+// (extrapolated) screen-space weights w_k, a pixel shows the face where all a_k >= 0, at depth 1 / sum(a_k). This
+// homogeneous form of the test needs no clipping (Olano and Greer, "Triangle scan conversion using 2D homogeneous
+// coordinates", 1997).
+#pragma once
+
+#include "platform.h"
+
+namespace nr {
+
+// Screen units: four roundings of a coordinate near 1, the resolution of float32.
+constexpr float NARROWEST = 2.384185791015625e-07f;  // 2^-22
+// Pixels: an edge with a smaller extent across the scan lines has no slope. Float32 resolves such extents only near
+// pixel 0.
+constexpr float SHORTEST = 1.0e-9f;
+
+// The faces that an operator looks at.
+struct Scene {
+    const vec3* faces;      // corners on the screen, [images, count, 3]
+    const int* face_index;  // visible face of each pixel, -1 for none, [images, height, width]; row 0 at the top
+    int images;
+    int count;        // faces of an image
+    int height;       // pixels
+    int width;        // pixels
+    int perspective;  // whether the projection is perspective, else orthographic
+
+    NR_FUNC const vec3* corners(int image, int face) const { return faces + ((int64)image * count + face) * 3; }
+    // The place in memory of the first pixel of a row that counts from the bottom.
+    NR_FUNC int64 row_start(int image, int j) const { return ((int64)image * height + height - 1 - j) * width; }
+    NR_FUNC int64 area() const { return (int64)height * width; }
+};
+
+// Pixels [left, right] x [bottom, top]; rows count from the bottom.
+struct Box {
+    int left, right, bottom, top;
+
+    NR_FUNC bool is_empty() const { return left > right || bottom > top; }
+};
+
+// The screen coordinate of the centre of pixel i.
+NR_FUNC float pixel_centre(int i, int size) { return (float)(2 * i + 1 - size) / (float)size; }
+
+// A screen coordinate in pixels, whose centres are the integers.
+NR_FUNC float to_pixels(float x, int size) { return 0.5f * ((float)size * x + (float)(size - 1)); }
+
+NR_FUNC int corners_behind(const vec3* v) { return (v[0][2] <= 0.0f) + (v[1][2] <= 0.0f) + (v[2][2] <= 0.0f); }
+
+// The orientation on the screen: 1 counter-clockwise, -1 clockwise, 0 if the corners are collinear.
+NR_FUNC int facing(const vec3* v, int perspective) {
+    const float left = (v[2][1] - v[0][1]) * (v[1][0] - v[0][0]), right = (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
+    const int side = (left > right) - (left < right);
+    // Each corner behind the camera reverses the orientation of the projected triangle.
+    return perspective && (corners_behind(v) & 1) ? -side : side;
+}
+
+// Twice the signed area on the screen, in screen units.
+NR_FUNC float doubled_area(const vec3* v) {
+    return (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
+}
+
+// Whether a weight changes by 1 over less than NARROWEST, along x or along y.
+NR_FUNC bool degenerate(const vec3* v) {
+    float longest = 0.0f;
+    for (int k = 0; k < 3; ++k) {
+        const vec3 &a = v[(k + 1) % 3], &b = v[(k + 2) % 3];
+        longest = larger(longest, larger(fabsf(b[0] - a[0]), fabsf(b[1] - a[1])));
+    }
+    return fabsf(doubled_area(v)) <= NARROWEST * longest;
+}
+
+// Classify a face: 1 in front of the camera, 0 across the camera's plane, -1 if it cannot be drawn.
+// In orthographic projection every face is in front. Corners beyond 1e12 cannot be drawn, because their products
+// overflow float32.
+NR_FUNC int in_front(const vec3* v, int perspective) {
+    bool fits = true;
+    for (int n = 0; n < 3; ++n)
+        for (int k = 0; k < 3; ++k) fits &= fabsf(v[n][k]) <= 1.0e12f;  // false for NaN, too
+    if (!fits) return -1;
+    const int behind = corners_behind(v);
+    if (!perspective || behind == 0) return 1;
+    // A corner on the camera's plane has no projection.
+    return behind == 3 || v[0][2] == 0.0f || v[1][2] == 0.0f || v[2][2] == 0.0f ? -1 : 0;
+}
+
+// The pixels of [first, last] whose centres may lie between two screen coordinates, despite rounding.
+NR_FUNC vec2i pixel_span(float low, float high, int size, int first, int last) {
+    const float a = to_pixels(low, size) - 0.01f, b = to_pixels(high, size) + 0.01f;
+    return {
+        (int)ceilf(smaller(larger(a, (float)first), (float)(last + 1))),
+        (int)floorf(smaller(larger(b, (float)(first - 1)), (float)last))};
+}
+
+// The pixels that a face may cover; ``front`` as from `in_front`.
+NR_FUNC Box pixel_box(const vec3* v, int front, int height, int width) {
+    if (front != 1) return {0, width - 1, 0, height - 1};
+    const auto low = [v](int k) { return smaller(v[0][k], smaller(v[1][k], v[2][k])); };
+    const auto high = [v](int k) { return larger(v[0][k], larger(v[1][k], v[2][k])); };
+    const vec2i x = pixel_span(low(0), high(0), width, 0, width - 1);
+    const vec2i y = pixel_span(low(1), high(1), height, 0, height - 1);
+    return {x[0], x[1], y[0], y[1]};
+}
+
+// The pixels that a face of a scene may cover; none if it cannot be drawn.
+NR_FUNC Box box_of_face(const Scene& scene, int image, int face) {
+    const vec3* v = scene.corners(image, face);
+    const int front = in_front(v, scene.perspective);
+    return front < 0 ? Box{0, -1, 0, -1} : pixel_box(v, front, scene.height, scene.width);
+}
+
+// a_k = w_k / z_k at a screen position; in double, for corners near the camera's plane.
+NR_RARE vec3d homogeneous_weights(const vec3* v, float x, float y) {
+    double e[3];
+    for (int k = 0; k < 3; ++k) {
+        const vec3 &a = v[(k + 1) % 3], &b = v[(k + 2) % 3];
+        e[k] = ((double)a[0] - x) * ((double)b[1] - y) - ((double)a[1] - y) * ((double)b[0] - x);
+    }
+    const double area = e[0] + e[1] + e[2];
+    if (area == 0.0) return {-1.0, -1.0, -1.0};
+    return {e[0] / (area * v[0][2]), e[1] / (area * v[1][2]), e[2] / (area * v[2][2])};
+}
+
+}  // namespace nr

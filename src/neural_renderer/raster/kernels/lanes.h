@@ -1,0 +1,135 @@
+// Vectors of 8 and 16 numbers, "lanes", with the operators of a single float, so that a formula stands once for both.
+//
+// A formula is a template of the type F of its numbers: float, floats8 or floats16. Comparisons give a mask (bool or a
+// vector of integers, -1 where true), `select` chooses by it. CUDA has single floats only: its threads are the lanes.
+#pragma once
+
+#include "platform.h"
+
+namespace nr {
+
+NR_FUNC float select(bool mask, float yes, float no) { return mask ? yes : no; }
+
+// The same number in all lanes.
+template <class F>
+NR_FUNC F all(float value) {
+    return F{} + value;
+}
+
+// The types that belong to F: Mask, of comparisons, and Ints, of whole numbers; WIDTH counts its lanes.
+template <class F>
+struct Lanes;
+
+template <>
+struct Lanes<float> {
+    typedef bool Mask;
+    typedef int Ints;
+    static constexpr int WIDTH = 1;
+};
+
+NR_FUNC float to_floats(int value) { return (float)value; }
+NR_FUNC bool any(bool mask) { return mask; }
+
+#if !NR_ON_CUDA
+#if defined(__clang__)
+#define NR_VECTOR(type, n) __attribute__((ext_vector_type(n))) type
+#else
+#define NR_VECTOR(type, n) __attribute__((vector_size(4 * n))) type
+#endif
+typedef NR_VECTOR(float, 8) floats8;
+typedef NR_VECTOR(int, 8) ints8;
+typedef NR_VECTOR(float, 16) floats16;
+typedef NR_VECTOR(int, 16) ints16;
+#undef NR_VECTOR
+
+template <>
+struct Lanes<floats8> {
+    typedef ints8 Mask;
+    typedef ints8 Ints;
+    static constexpr int WIDTH = 8;
+};
+template <>
+struct Lanes<floats16> {
+    typedef ints16 Mask;
+    typedef ints16 Ints;
+    static constexpr int WIDTH = 16;
+};
+
+inline floats8 select(ints8 mask, floats8 yes, floats8 no) { return mask ? yes : no; }
+inline floats16 select(ints16 mask, floats16 yes, floats16 no) { return mask ? yes : no; }
+inline ints8 select(ints8 mask, ints8 yes, ints8 no) { return mask ? yes : no; }
+inline floats8 to_floats(ints8 values) { return __builtin_convertvector(values, floats8); }
+inline floats16 to_floats(ints16 values) { return __builtin_convertvector(values, floats16); }
+
+// The number of each lane.
+template <class Ints>
+inline Ints lane_numbers() {
+    Ints result;
+    for (int n = 0; n < (int)(sizeof(Ints) / sizeof(int)); ++n) result[n] = n;
+    return result;
+}
+
+inline bool any(ints8 mask) {
+#if defined(__clang__)
+    return __builtin_reduce_or(mask) != 0;
+#else
+    int result = 0;
+    for (int n = 0; n < 8; ++n) result |= mask[n];
+    return result != 0;
+#endif
+}
+
+// The bits of a mask: bit n is lane n.
+inline unsigned bits(ints8 mask) {
+#if defined(__clang__)
+    typedef bool bools8 __attribute__((ext_vector_type(8)));
+    const bools8 each = __builtin_convertvector(mask, bools8);
+    unsigned char result;
+    memcpy(&result, &each, sizeof(result));
+    return result;
+#else
+    unsigned result = 0;
+    for (int n = 0; n < 8; ++n) result |= mask[n] ? 1u << n : 0u;
+    return result;
+#endif
+}
+
+inline ints8 least(ints8 a, ints8 b) { return a < b ? a : b; }
+
+inline float sum(floats8 v) { return v[0] + v[1] + v[2] + v[3] + (v[4] + v[5] + v[6] + v[7]); }
+
+// Numbers that lie side by side in memory.
+template <class V, class T>
+inline V load(const T* from) {
+    V result;
+    memcpy(&result, from, sizeof(result));
+    return result;
+}
+template <class V, class T>
+inline void store(T* to, const V& values) {
+    memcpy(to, &values, sizeof(values));
+}
+
+// Three channels of eight pixels that lie side by side, as in an array of vec3.
+inline void load(const vec3* from, floats8* to) {
+    const float* at = from->c;
+    const floats8 u = load<floats8>(at), v = load<floats8>(at + 8), w = load<floats8>(at + 16);
+    const floats8 a = __builtin_shufflevector(u, v, 0, 3, 6, 9, 12, 15, -1, -1);
+    const floats8 b = __builtin_shufflevector(u, v, 1, 4, 7, 10, 13, -1, -1, -1);
+    const floats8 c = __builtin_shufflevector(u, v, 2, 5, 8, 11, 14, -1, -1, -1);
+    to[0] = __builtin_shufflevector(a, w, 0, 1, 2, 3, 4, 5, 10, 13);
+    to[1] = __builtin_shufflevector(b, w, 0, 1, 2, 3, 4, 8, 11, 14);
+    to[2] = __builtin_shufflevector(c, w, 0, 1, 2, 3, 4, 9, 12, 15);
+}
+inline void store(vec3* to, floats8 a, floats8 b, floats8 c) {
+    floats8 u = __builtin_shufflevector(a, b, 0, 8, -1, 1, 9, -1, 2, 10);
+    floats8 v = __builtin_shufflevector(a, b, -1, 3, 11, -1, 4, 12, -1, 5);
+    floats8 w = __builtin_shufflevector(a, b, 13, -1, 6, 14, -1, 7, 15, -1);
+    u = __builtin_shufflevector(u, c, 0, 1, 8, 3, 4, 9, 6, 7);
+    v = __builtin_shufflevector(v, c, 10, 1, 2, 11, 4, 5, 12, 7);
+    w = __builtin_shufflevector(w, c, 0, 13, 2, 3, 14, 5, 6, 15);
+    store(to->c, u), store(to->c + 8, v), store(to->c + 16, w);
+}
+#endif  // !NR_ON_CUDA
+
+}  // namespace nr

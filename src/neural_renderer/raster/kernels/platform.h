@@ -1,0 +1,110 @@
+// What the kernels need of the compiler: Warp's (its CPU compiler is clang, its CUDA compiler NVRTC), g++ or clang
+// alone.
+#pragma once
+
+#if !defined(WP_NO_CRT) && !defined(__CUDACC_RTC__)  // Warp declares these functions itself
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+#endif
+
+#if defined(__CUDA_ARCH__)
+#define NR_ON_CUDA 1
+#define NR_FUNC __device__ inline
+#define NR_RARE __device__ inline
+#else
+#define NR_ON_CUDA 0
+#define NR_FUNC inline
+// A function for rare cases. Inlined into a loop, it would take registers from the usual case.
+#define NR_RARE inline __attribute__((noinline))
+#endif
+
+namespace nr {
+
+typedef long long int64;
+
+constexpr bool ON_CUDA = NR_ON_CUDA;
+
+template <class T>
+struct Vec3 {
+    T c[3];
+
+    NR_FUNC T& operator[](int k) { return c[k]; }
+    NR_FUNC const T& operator[](int k) const { return c[k]; }
+    NR_FUNC Vec3& operator+=(const Vec3& other) {
+        for (int k = 0; k < 3; ++k) c[k] += other.c[k];
+        return *this;
+    }
+};
+
+template <class T>
+NR_FUNC Vec3<T> operator+(const Vec3<T>& a, const Vec3<T>& b) {
+    return {a[0] + b[0], a[1] + b[1], a[2] + b[2]};
+}
+
+template <class T>
+NR_FUNC Vec3<T> operator-(const Vec3<T>& a, const Vec3<T>& b) {
+    return {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+}
+
+template <class T>
+NR_FUNC Vec3<T> operator*(T scale, const Vec3<T>& a) {
+    return {scale * a[0], scale * a[1], scale * a[2]};
+}
+
+// The product of each component.
+template <class T>
+NR_FUNC Vec3<T> times(const Vec3<T>& a, const Vec3<T>& b) {
+    return {a[0] * b[0], a[1] * b[1], a[2] * b[2]};
+}
+
+template <class T>
+NR_FUNC T dot(const Vec3<T>& a, const Vec3<T>& b) {
+    T sum = a[0] * b[0];
+    for (int k = 1; k < 3; ++k) sum += a[k] * b[k];
+    return sum;
+}
+
+typedef Vec3<float> vec3;
+typedef Vec3<double> vec3d;
+
+// Memory that a kernel gets for two or four numbers a place.
+struct vec2 {
+    float c[2];
+    NR_FUNC float& operator[](int k) { return c[k]; }
+    NR_FUNC const float& operator[](int k) const { return c[k]; }
+};
+struct vec2i {
+    int c[2];
+    NR_FUNC int& operator[](int k) { return c[k]; }
+    NR_FUNC const int& operator[](int k) const { return c[k]; }
+};
+
+NR_FUNC float larger(float a, float b) { return a > b ? a : b; }
+NR_FUNC float smaller(float a, float b) { return a < b ? a : b; }
+NR_FUNC int larger(int a, int b) { return a > b ? a : b; }
+NR_FUNC int smaller(int a, int b) { return a < b ? a : b; }
+
+// The number in [low, high] that is nearest to x; low for NaN.
+NR_FUNC float clamp(float x, float low, float high) { return x > low ? (x < high ? x : high) : low; }
+
+// Sums of concurrent CUDA threads. On the CPU no two tasks write to one place, so that these are plain additions.
+NR_FUNC void atomic_add(float* to, float value) {
+#if NR_ON_CUDA
+    atomicAdd(to, value);
+#else
+    *to += value;
+#endif
+}
+NR_FUNC void atomic_add(vec3* to, const vec3& value) {
+    for (int k = 0; k < 3; ++k) atomic_add(&to->c[k], value[k]);
+}
+
+// Add to a place that this task alone writes, if ``alone``, or to one that several tasks share.
+template <class T>
+NR_FUNC void add(T* to, const T& value, bool alone) {
+    if (alone) *to += value;
+    else atomic_add(to, value);
+}
+
+}  // namespace nr

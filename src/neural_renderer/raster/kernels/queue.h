@@ -1,0 +1,80 @@
+// A queue of faces on CUDA: one launch fills it with large faces, or those that have work; the next shares the work.
+//
+// Otherwise a few large triangles behind a fine mesh would keep the GPU waiting for the threads that have them.
+#pragma once
+
+#include "geometry.h"
+
+namespace nr {
+
+struct Queue {
+    int64* entries;  // [faces, 2]: number of a face, counted over all images, and index of its first thread
+    int64* total;    // [1]: number of threads in the lower 36 bits, of faces in the upper ones
+    int64 threads;   // of the launch that takes the work; 0 where there is no queue, and a task is a face
+
+    // A power of 2 that separates both counts of the total.
+    static constexpr int64 FACE = (int64)1 << 36;
+
+    // Put a face into the queue, with its number of threads. One addition counts both, so threads ascend by entry.
+    NR_FUNC void put(int64 face, int64 count) const {
+#if NR_ON_CUDA
+        const int64 before = (int64)atomicAdd((unsigned long long*)total, (unsigned long long)(FACE + count));
+        entries[2 * (before / FACE)] = face, entries[2 * (before / FACE) + 1] = before % FACE;
+#endif
+    }
+    NR_FUNC int64 thread_count() const { return total[0] % FACE; }
+
+    // Find the face of a thread, and the thread's number among those of the face.
+    NR_FUNC void find(int64 thread, int64& face, int64& own) const {
+        int64 low = 0, high = total[0] / FACE;
+        while (high - low > 1) {  // the last face that begins before
+            const int64 middle = (low + high) / 2;
+            if (entries[2 * middle + 1] <= thread) low = middle;
+            else high = middle;
+        }
+        face = entries[2 * low], own = thread - entries[2 * low + 1];
+    }
+};
+
+// The work of a task: every ``lanes``-th pixel, from ``lane``, of every ``parts``-th scan line, from ``part``, of a
+// face.
+struct LineTask {
+    int image, face, lane, lanes, part, parts;
+
+    // Whether no other task has work of the face, so that sums need no atomics.
+    NR_FUNC bool is_alone() const { return lanes * parts == 1; }
+};
+
+// The number of threads that share the scan lines of a face: a power of 2, ``most`` lines each at most.
+NR_FUNC int line_parts(const vec3* v, int height, int width, int most) {
+    const Box box = pixel_box(v, 1, height, width);
+    const int lines = box.right - box.left + box.top - box.bottom;
+    int parts = 1;
+    while (most * parts < lines) parts *= 2;
+    return parts;
+}
+
+// Put a face into the queue of `for_each_line_task`.
+NR_FUNC void put_lines(const Queue& queue, const Scene& scene, int image, int face, int lanes, int most) {
+    const int parts = line_parts(scene.corners(image, face), scene.height, scene.width, most);
+    queue.put((int64)image * scene.count + face, (int64)parts * lanes);
+}
+
+// Call visit(task) for the work of a task of `launch_lines`: a whole face, or on CUDA what the queue holds.
+template <class Visit>
+NR_FUNC void for_each_line_task(const Queue& queue, const Scene& scene, int task, int lanes, int most, Visit visit) {
+    if (queue.threads == 0) {
+        visit(LineTask{task / scene.count, task % scene.count, 0, 1, 0, 1});
+        return;
+    }
+    const int64 end = queue.thread_count();
+    for (int64 thread = task; thread < end; thread += queue.threads) {
+        int64 face, own;
+        queue.find(thread, face, own);
+        const int image = (int)(face / scene.count), f = (int)(face % scene.count);
+        const int parts = line_parts(scene.corners(image, f), scene.height, scene.width, most);
+        visit(LineTask{image, f, (int)(own % lanes), lanes, (int)(own / lanes), parts});
+    }
+}
+
+}  // namespace nr

@@ -1,0 +1,37 @@
+// Tasks: which pixels or faces a task of a launch has. On the CPU a task is long, and no two write to one place; on
+// CUDA it is a short thread of many thousands. See `raster/warp/layout.py`, which divides the work.
+#pragma once
+
+#include "geometry.h"
+
+namespace nr {
+
+// Pixels [left, right) of the rows [first, last), which count from the top over all images.
+struct Pixels {
+    int first, last, left, right;
+};
+
+// The pixels of a task of ``each`` rows, 0 for a single pixel, in maps of ``rows`` rows; see `pixel_tasks`.
+NR_FUNC Pixels pixels_of_task(int task, int each, int rows, int width) {
+    if (ON_CUDA && each == 0) return {task / width, task / width + 1, task % width, task % width + 1};
+    // On the CPU whole rows alone: compilers make better loops of them.
+    const int first = task * each;
+    return {first, first + each < rows ? first + each : rows, 0, width};
+}
+
+// Call visit(image, face, row, first, last) for each run of pixels [first, last] of one row that show one face, among
+// the neighbours of a task of ``run`` pixels; see `run_tasks`. Rows count from the bottom of their image.
+template <class Visit>
+NR_FUNC void for_each_run(const Scene& scene, int task, int run, Visit visit) {
+    const int runs = (scene.width + run - 1) / run, row = task / runs;
+    const int begin = (task % runs) * run, end = smaller(begin + run, scene.width);
+    const int* shown = scene.face_index + (int64)row * scene.width;
+    for (int i = begin; i < end;) {
+        int stop = i;
+        while (stop < end && shown[stop] == shown[i]) ++stop;
+        if (shown[i] >= 0) visit(row / scene.height, shown[i], scene.height - 1 - row % scene.height, i, stop - 1);
+        i = stop;
+    }
+}
+
+}  // namespace nr

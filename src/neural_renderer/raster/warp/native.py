@@ -1,0 +1,172 @@
+"""Kernels in C++: the structs and functions that the headers in ``raster/kernels`` declare, for `launch`.
+
+A kernel is a C++ function ``void name(const Call& call, int task)``. ``Call`` is a struct of pointers and numbers, which
+the header documents with shapes and units. Python reads its fields from the header, so that they stand once; Warp's
+compiler checks that both layouts are equal. This is the one place that uses Warp's experimental API for own C++.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+from warp import build_experimental
+
+FOR_CUDA = "_for_cuda"  # ends the names of Warp modules that the CPU does not need
+HEADERS = Path(__file__).parent.parent / "kernels"
+_INCLUDE = re.compile(r'^#include "(\w+\.h)"$', re.MULTILINE)
+_FIELD = re.compile(r"    (const )?(\w+)(\*?) (\w+(?:, \w+)*);(?: *//.*)?")
+_NUMBERS: dict[str, Any] = {"int": ctypes.c_int32, "int64": ctypes.c_int64, "float": ctypes.c_float}
+_TENSORS = {
+    "int": torch.int32,
+    "int64": torch.int64,
+    "float": torch.float32,
+    "double": torch.float64,
+    "vec2": torch.float32,
+    "vec2i": torch.int32,
+    "vec3": torch.float32,
+}
+
+
+class Call(ctypes.Structure):
+    """Base class of the arguments of a kernel; it keeps the tensors whose memory its pointers name.
+
+    Args:
+        fields: Value of each field by name: a contiguous tensor or None for a pointer, a number, or another `Call`.
+            Fields that are left out are 0.
+
+    Raises:
+        TypeError: A tensor of another dtype than the pointer's, or an unknown field.
+    """
+
+    _pointers: dict[str, torch.dtype]
+
+    def __init__(self, **fields: Any) -> None:
+        self.kept: list[Any] = []
+        for name, value in fields.items():
+            if isinstance(value, Tensor):
+                expected = self._pointers.get(name)
+                if value.dtype is not expected or not value.is_contiguous():
+                    raise TypeError(f"{name}: expected a contiguous tensor of {expected}, got {value.dtype}")
+                self.kept.append(value)
+                setattr(self, name, value.data_ptr())
+            elif value is not None:
+                if isinstance(value, Call):
+                    self.kept.append(value)
+                elif not hasattr(type(self), name):
+                    raise TypeError(f"{type(self).__name__}: expected one of its fields, got {name}")
+                setattr(self, name, value)
+
+
+@cache
+def _with_includes(header: str) -> tuple[str, ...]:
+    """Return the names of a header and of those that it includes, the deepest first."""
+    text = (HEADERS / header).read_text(encoding="utf-8")
+    found: dict[str, None] = {}
+    for included in _INCLUDE.findall(text):
+        found.update(dict.fromkeys(_with_includes(included)))
+    return (*found, header)
+
+
+def struct(header: str, name: str) -> type[Call]:
+    """Read a struct of a header, or of those it includes, as a class of the arguments of kernels.
+
+    Raises:
+        ValueError: No such struct, or a line in it that is neither a field nor a comment. Methods follow an empty line.
+    """
+    pattern = re.compile(rf"^struct {name} \{{\n(.*?)^\}};", re.MULTILINE | re.DOTALL)
+    for each in _with_includes(header):
+        if found := pattern.search((HEADERS / each).read_text(encoding="utf-8")):
+            return _struct(each, name, found[1].split("\n\n")[0])
+    raise ValueError(f"{header}: expected a struct {name}, found none")
+
+
+@cache
+def _struct(header: str, name: str, body: str) -> type[Call]:
+    fields: list[tuple[str, Any]] = []
+    pointers = {}
+    for line in body.splitlines():
+        if line.strip().startswith("//"):
+            continue
+        field = _FIELD.fullmatch(line)
+        if field is None:
+            raise ValueError(f"{header}, struct {name}: expected a field such as `const vec3* faces;`, got {line!r}")
+        _, kind, star, names = field.groups()
+        for each in names.split(", "):
+            if star:
+                fields.append((each, ctypes.c_void_p))
+                pointers[each] = _TENSORS[kind]
+            else:
+                fields.append((each, _NUMBERS[kind] if kind in _NUMBERS else struct(header, kind)))
+    made = type(name, (Call,), {"_fields_": fields, "_pointers": pointers})
+    return build_experimental.add_native_type(made, native_name=f"nr::{name}")
+
+
+class Kernels:
+    """The kernels of a header: a Warp module.
+
+    Args:
+        module: Name of the Python module that launches them, which names the compiled files.
+        header: File in ``raster/kernels``.
+        fused: Whether products and sums may be fused, which rounds once instead of twice. Not where results have to be
+            equal to the bit on all devices.
+    """
+
+    def __init__(self, module: str, header: str, fused: bool = True) -> None:
+        folder = str(HEADERS)
+        files = [str(HEADERS / each) for each in _with_includes(header)]
+        text = f'#include "{header}"\n'
+        self._header = header
+        self._module = wp.get_module(module)
+        build = wp.ModuleBuildOptions(
+            extra_cpu_include_dirs=[folder],
+            extra_cuda_include_dirs=[folder],
+            extra_cpu_preamble=text,
+            extra_cuda_preamble=text,
+            extra_build_dependencies=files,
+        )
+        self._options = {"enable_backward": False, "fuse_fp": fused, "extra_build_options": build}
+        wp.set_module_options(self._options, self._module)
+
+    def struct(self, name: str) -> type[Call]:
+        """Read a struct of the header; see `struct`."""
+        return struct(self._header, name)
+
+    def kernel(
+        self, name: str, call: type[Call], only_cuda: bool = False, launch_bounds: tuple[int, int] | None = None
+    ) -> wp.Kernel:
+        """Make the kernel that runs the header's function ``name`` for each task.
+
+        Args:
+            name: A function ``void name(const Call& call, int task)``.
+            call: Its struct.
+            only_cuda: Whether the CPU does not need it, and so does not compile it.
+            launch_bounds: Threads of a block, and least number of blocks that a multiprocessor holds, on CUDA.
+        """
+        module = self._module
+        if only_cuda:
+            module = wp.get_module(module.name + FOR_CUDA)
+            wp.set_module_options(self._options, module)
+        run = _native(name, call, module)
+
+        def kernel(first: int, call: Any) -> None:
+            run(call, first + wp.tid())
+
+        kernel.__annotations__ = {"first": int, "call": call}
+        return wp.kernel(kernel, name=name, module=module, launch_bounds=launch_bounds)
+
+
+def _native(name: str, call: type[Call], module: wp.Module) -> wp.Function:
+    """Make the Warp function that calls a function of a header."""
+
+    def stub(call: Any, task: int) -> None: ...
+
+    stub.__module__, stub.__qualname__ = module.name, f"call_{name}"
+    stub.__annotations__ = {"call": call, "task": int}
+    return wp.func_native(f"nr::{name}(call, task);")(stub)
