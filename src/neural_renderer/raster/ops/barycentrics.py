@@ -2,14 +2,15 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
-import torch
+from typing import Any
+
 from torch import Tensor
 
 from ..warp.launch import launch
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, differentiable_once, operator
+from ..warp.registration import differentiable, differentiable_once, fake, operator
 from .visible_faces import scene_of, visible_faces
 
 # Without fused multiply-adds, weights by edge functions are the values that `coverage` computes.
@@ -53,8 +54,8 @@ def barycentrics(
     return weights, depth
 
 
-@torch.library.register_fake("neural_renderer::barycentrics")
-def _(faces, face_index, near, far, perspective):
+@fake("barycentrics")
+def _(faces: Tensor, face_index: Tensor, near: float, far: float, perspective: bool) -> tuple[Tensor, Tensor]:
     shape = face_index.shape
     return faces.new_empty((*shape, 3)), faces.new_empty(shape)
 
@@ -83,18 +84,19 @@ def barycentrics_backward(
     return result
 
 
-@torch.library.register_fake("neural_renderer::barycentrics_backward")
-def _(grad_weights, grad_depth, faces, face_index, perspective):
+@fake("barycentrics_backward")
+def _(grad_weights: Tensor, grad_depth: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
     return faces.new_empty(faces.shape)
 
 
-def _save(ctx, inputs, output):
+def _save(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
     faces, face_index, _, _, ctx.perspective = inputs
     ctx.save_for_backward(faces, face_index)
 
 
-def _to_corners(ctx, grad_weights, grad_depth):
-    grad = barycentrics_backward(grad_weights, grad_depth, *ctx.saved_tensors, ctx.perspective)
+def _to_corners(ctx: Any, grad_weights: Tensor, grad_depth: Tensor) -> tuple[Any, ...]:
+    faces, face_index = ctx.saved_tensors
+    grad = barycentrics_backward(grad_weights, grad_depth, faces, face_index, ctx.perspective)
     return grad, None, None, None, None
 
 

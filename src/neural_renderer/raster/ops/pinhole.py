@@ -1,19 +1,26 @@
 """Projection by cameras without distortion, fused; replaces about 30 torch operations of `Camera`."""
 
-# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+# torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
+from collections.abc import Sequence
+from typing import Any
+
 import torch
-import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch
+from ..warp.launch import launch
 from ..warp.layout import concurrent, group_tasks, images_of
 from ..warp.memory import empty, zeros
-from ..warp.registration import differentiable_once, operator
+from ..warp.native import Call, Kernels
+from ..warp.registration import differentiable_once, fake, operator
+from .corners import Groups
 
 # Without fused multiply-adds, positions are bitwise those of torch.
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+_KERNELS = Kernels(__name__, "pinhole.h", fused=False)
+_View, _Project, _ProjectBackward = map(_KERNELS.struct, ("View", "Project", "ProjectBackward"))
+_project_vertices = _KERNELS.kernel("project_vertices", _Project)
+_project_vertices_backward = _KERNELS.kernel("project_vertices_backward", _ProjectBackward)
 
-NEAREST = 1e-6  # smallest |z| in the division of x and y by z, in world units
+NEAREST = 1e-6  # smallest |z| in the division of x and y by z, in world units; as in pinhole.h
 _SUMS = 13  # partial sums of each group of vertices: rotation, origin, width
 
 
@@ -37,13 +44,14 @@ def pinhole(
     batch, count = images_of(vertices, rotation, origin, width), vertices.shape[1]
     screen = empty((batch, count, 3), vertices.device)
     groups, each = group_tasks(count, vertices.device, 1024)
-    arguments = [*_arguments(vertices, rotation, origin, width, aspect, perspective), groups, each, array(screen)]
-    launch(_forward, batch * groups, arguments, vertices.device, _LEAST)
+    view = view_of(vertices, rotation, origin, width, aspect, perspective)
+    call = _Project(view=view, tasks=Groups(groups=groups, each=each), screen=screen)
+    launch(_project_vertices, batch * groups, [call], vertices.device, _LEAST)
     return screen
 
 
-@torch.library.register_fake("neural_renderer::pinhole")
-def _(vertices, rotation, origin, width, aspect, perspective):
+@fake("pinhole")
+def _(vertices: Tensor, rotation: Tensor, origin: Tensor, width: Tensor, aspect: float, perspective: bool) -> Tensor:
     return vertices.new_empty((images_of(vertices, rotation, origin, width), vertices.shape[1], 3))
 
 
@@ -71,16 +79,32 @@ def pinhole_backward(
     own = batch if concurrent(grad.device) else len(vertices)
     to_vertices = empty((own, count, 3), grad.device)
     sums = torch.empty((batch, groups, _SUMS) if camera_too else (0, 0, _SUMS), device=grad.device)
-    arguments = [*_arguments(vertices, rotation, origin, width, aspect, perspective), groups, each, array(grad)]
-    arguments += [int(camera_too), array(to_vertices), array(sums)]
-    launch(_backward, own * groups, arguments, grad.device, max(1, _LEAST * own // max(batch, 1)))
+    call = _ProjectBackward(
+        view=view_of(vertices, rotation, origin, width, aspect, perspective),
+        tasks=Groups(groups=groups, each=each),
+        grad=grad.contiguous(),
+        images=batch,
+        targets=own,
+        to_vertices=to_vertices,
+        sums=sums if camera_too else None,
+    )
+    launch(_project_vertices_backward, own * groups, [call], grad.device, max(1, _LEAST * own // max(batch, 1)))
     if own > len(vertices):
         to_vertices = to_vertices.sum(0, keepdim=True)
     return to_vertices, sums.sum(1)
 
 
-@torch.library.register_fake("neural_renderer::pinhole_backward")
-def _(grad, vertices, rotation, origin, width, aspect, perspective, camera_too):
+@fake("pinhole_backward")
+def _(
+    grad: Tensor,
+    vertices: Tensor,
+    rotation: Tensor,
+    origin: Tensor,
+    width: Tensor,
+    aspect: float,
+    perspective: bool,
+    camera_too: bool,
+) -> tuple[Tensor, Tensor]:
     return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if camera_too else 0, _SUMS))
 
 
@@ -88,167 +112,34 @@ def _(grad, vertices, rotation, origin, width, aspect, perspective, camera_too):
 _LEAST = 8
 
 
-def _arguments(vertices, rotation, origin, width, aspect, perspective):
-    return [array(vertices), array(rotation), array(origin), array(width), aspect, int(perspective)]
+def view_of(
+    vertices: Tensor, rotation: Tensor, origin: Tensor, width: Tensor, aspect: float, perspective: bool
+) -> Call:
+    """Make the `View` of kernels, from the arguments of `pinhole`."""
+    return _View(
+        vertices=vertices.contiguous(),
+        rotation=rotation.contiguous(),
+        origin=origin.contiguous(),
+        width=width.contiguous(),
+        meshes=len(vertices),
+        rotations=len(rotation),
+        origins=len(origin),
+        widths=len(width),
+        count=vertices.shape[1],
+        aspect=aspect,
+        perspective=int(perspective),
+    )
 
 
-def save_projection(ctx, inputs, output):
+def save_projection(ctx: Any, inputs: Sequence[Any], output: Tensor) -> None:
     """Keep the inputs of a projection for its gradient: tensors, then aspect and perspective."""
     *tensors, ctx.aspect, ctx.perspective = inputs
     ctx.save_for_backward(*tensors)
 
 
-def parts_of_camera(gradient, camera, needed):
+def parts_of_camera(gradient: Tensor, camera: Sequence[Tensor], needed: Sequence[bool]) -> list[Tensor | None]:
     """Split a gradient [B, 13] from `pinhole_backward` into those of the rotation, origin and width that are needed."""
     return [
         (own if len(tensor) == len(own) else own.sum(0)).reshape(tensor.shape) if needs else None
         for tensor, own, needs in zip(camera, gradient.split((9, 3, 1), 1), needed, strict=True)
     ]
-
-
-CAMERA = """
-    const int count = vertices.shape[1];
-    const float* r = rotation.data + (b < rotation.shape[0] ? b : rotation.shape[0] - 1) * (wp::int64)9;
-    const float* o = origin.data + (b < origin.shape[0] ? b : origin.shape[0] - 1) * (wp::int64)3;
-    const float* v = vertices.data + (b < vertices.shape[0] ? b : vertices.shape[0] - 1) * (wp::int64)count * 3;
-    const float across = width.data[b < width.shape[0] ? b : width.shape[0] - 1];
-"""
-POINT = f"""
-        const float dx = v[3 * i] - o[0], dy = v[3 * i + 1] - o[1], dz = v[3 * i + 2] - o[2];
-        const float x = dx * r[0] + dy * r[1] + dz * r[2];
-        const float y = dx * r[3] + dy * r[4] + dz * r[5];
-        const float z = dx * r[6] + dy * r[7] + dz * r[8];
-        const bool beside = fabsf(z) < {NEAREST!r}f;  // of the camera's plane
-        const float near = beside ? (z < 0.0f ? -{NEAREST!r}f : {NEAREST!r}f) : z;
-        const float sx = (perspective ? x / near / across : x * across) / aspect;
-        const float sy = perspective ? y / near / across : y * across;
-"""
-# The gradient to the point, from the gradient g to its position on the screen.
-TO_POINT = """
-        const float gx = g[0], gy = g[1], along = gx * sx + gy * sy;
-        const float to_x = (perspective ? gx / near / across : gx * across) / aspect;
-        const float to_y = perspective ? gy / near / across : gy * across;
-        const float to_z = g[2] - (perspective && !beside ? along / near : 0.0f);
-        const float to_dx = to_x * r[0] + to_y * r[3] + to_z * r[6];
-        const float to_dy = to_x * r[1] + to_y * r[4] + to_z * r[7];
-        const float to_dz = to_x * r[2] + to_y * r[5] + to_z * r[8];
-"""
-
-
-@wp.func_native(f"""
-    {CAMERA}
-    float* to = screen.data + b * (wp::int64)count * 3;
-    for (int i = begin; i < end; ++i) {{
-        {POINT}
-        to[3 * i] = sx, to[3 * i + 1] = sy, to[3 * i + 2] = z;
-    }}
-""")
-def project_points(
-    vertices: wp.array3d(dtype=float),
-    rotation: wp.array3d(dtype=float),
-    origin: wp.array2d(dtype=float),
-    width: wp.array1d(dtype=float),
-    aspect: float,
-    perspective: int,
-    b: int,
-    begin: int,
-    end: int,
-    screen: wp.array3d(dtype=float),
-):
-    """Project the vertices [begin, end) in image b."""
-
-
-@wp.func_native(f"""
-    {CAMERA}
-    const float* all = grad.data + b * (wp::int64)count * 3;
-    float* to = to_vertices.data + own * (wp::int64)count * 3;
-    double sum[13];
-    for (int k = 0; k < 13; ++k) sum[k] = 0.0;
-    for (int i = begin; i < end; ++i) {{
-        {POINT}
-        const float* g = all + 3 * i;
-        {TO_POINT}
-        if (add) to[3 * i] += to_dx, to[3 * i + 1] += to_dy, to[3 * i + 2] += to_dz;
-        else to[3 * i] = to_dx, to[3 * i + 1] = to_dy, to[3 * i + 2] = to_dz;
-        if (!camera_too) continue;
-        sum[0] += to_x * dx, sum[1] += to_x * dy, sum[2] += to_x * dz;
-        sum[3] += to_y * dx, sum[4] += to_y * dy, sum[5] += to_y * dz;
-        sum[6] += to_z * dx, sum[7] += to_z * dy, sum[8] += to_z * dz;
-        sum[9] -= to_dx, sum[10] -= to_dy, sum[11] -= to_dz;
-        sum[12] += perspective ? -along / across : gx * x / aspect + gy * y;
-    }}
-    float* whole = sums.data + (b * (wp::int64)sums.shape[1] + group) * 13;
-    for (int k = 0; k < 13 && camera_too; ++k) whole[k] = (float)sum[k];
-""")
-def unproject_points(
-    vertices: wp.array3d(dtype=float),
-    rotation: wp.array3d(dtype=float),
-    origin: wp.array2d(dtype=float),
-    width: wp.array1d(dtype=float),
-    aspect: float,
-    perspective: int,
-    b: int,
-    own: int,
-    add: int,
-    group: int,
-    begin: int,
-    end: int,
-    grad: wp.array3d(dtype=float),
-    camera_too: int,
-    to_vertices: wp.array3d(dtype=float),
-    sums: wp.array3d(dtype=float),
-):
-    """Compute the gradients of the vertices [begin, end) in image b, accumulated into mesh ``own`` if ``add``."""
-
-
-@wp.kernel
-def _forward(
-    first: int,
-    vertices: wp.array3d(dtype=float),
-    rotation: wp.array3d(dtype=float),
-    origin: wp.array2d(dtype=float),
-    width: wp.array1d(dtype=float),
-    aspect: float,
-    perspective: int,
-    groups: int,
-    each: int,
-    screen: wp.array3d(dtype=float),
-):
-    task = first + wp.tid()
-    begin = (task % groups) * each
-    end = wp.min(begin + each, vertices.shape[1])
-    project_points(vertices, rotation, origin, width, aspect, perspective, task // groups, begin, end, screen)
-
-
-@wp.kernel
-def _backward(
-    first: int,
-    vertices: wp.array3d(dtype=float),
-    rotation: wp.array3d(dtype=float),
-    origin: wp.array2d(dtype=float),
-    width: wp.array1d(dtype=float),
-    aspect: float,
-    perspective: int,
-    groups: int,
-    each: int,
-    grad: wp.array3d(dtype=float),
-    camera_too: int,
-    to_vertices: wp.array3d(dtype=float),
-    sums: wp.array3d(dtype=float),
-):
-    task = first + wp.tid()
-    group = task % groups
-    own = task // groups
-    begin = group * each
-    end = wp.min(begin + each, vertices.shape[1])
-    from_image = own
-    to_image = own + 1
-    if to_vertices.shape[0] < grad.shape[0]:
-        from_image = 0
-        to_image = grad.shape[0]
-    for b in range(from_image, to_image):
-        add = int(b > from_image)
-        unproject_points(
-            vertices, rotation, origin, width, aspect, perspective, b, own, add, group, begin, end, grad, camera_too,
-            to_vertices, sums,
-        )  # fmt: skip

@@ -1,7 +1,7 @@
 """Kernels in C++: the structs and functions that the headers in ``raster/kernels`` declare, for `launch`.
 
-A kernel is a C++ function ``void name(const Call& call, int task)``. ``Call`` is a struct of pointers and numbers, which
-the header documents with shapes and units. Python reads its fields from the header, so that they stand once; Warp's
+A kernel is a C++ function ``void name(const Call& call, int task)``. ``Call`` is a struct of pointers and numbers that
+the header documents with shapes and units. Python reads its fields from there, so that they stand once; Warp's
 compiler checks that both layouts are equal. This is the one place that uses Warp's experimental API for own C++.
 """
 
@@ -105,7 +105,8 @@ def _struct(header: str, name: str, body: str) -> type[Call]:
             else:
                 fields.append((each, _NUMBERS[kind] if kind in _NUMBERS else struct(header, kind)))
     made = type(name, (Call,), {"_fields_": fields, "_pointers": pointers})
-    return build_experimental.add_native_type(made, native_name=f"nr::{name}")
+    build_experimental.add_native_type(made, native_name=f"nr::{name}")
+    return made
 
 
 class Kernels:
@@ -156,7 +157,7 @@ class Kernels:
         run = _native(name, call, module)
 
         def kernel(first: int, call: Any) -> None:
-            run(call, first + wp.tid())
+            run(call, first + wp.tid())  # type: ignore[operator]  # Warp's language, not Python
 
         kernel.__annotations__ = {"first": int, "call": call}
         return wp.kernel(kernel, name=name, module=module, launch_bounds=launch_bounds)

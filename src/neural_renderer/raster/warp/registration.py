@@ -57,6 +57,12 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
     return cast("Callable[P, R]", call)
 
 
+def fake(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Register the function that tells torch.compile the shapes of an `operator`'s results."""
+    register: Callable[[Callable[P, R]], Callable[P, R]] = torch.library.register_fake(f"neural_renderer::{name}")
+    return register
+
+
 def differentiable(call: Any, backward: Callable[..., Any], setup_context: Callable[..., Any] | None = None) -> None:
     """Give an `operator` its gradient, with functions as `torch.library.register_autograd` takes them."""
     name = call.__name__
