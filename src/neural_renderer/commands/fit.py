@@ -16,10 +16,11 @@ from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.unwrapping.charts import load_xatlas
 from ..meshes.unwrapping.unwrap import LEAST_SIZE, MOST_SIZE
-from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
-from ..tasks.fit.agreement import check_agreement
+from ..tasks.fit import CameraFit, MeshFit, Views, check_agreement, load_photo, load_views
+from ..tasks.fit.agreement import REFINED_MARGIN
 from ..tasks.fit.fit_pictures import comparison, up_axis
 from ..tasks.fit.load import list_images
+from ..tasks.fit.result import Verdict, judge
 from .common import check_counts, check_most, check_outputs, choose_device, make_folder, say
 from .options.fit import FitOptions
 from .reports.fit import CAMERAS, RESULTS, report_camera, report_mesh, write_cameras, write_mesh
@@ -36,9 +37,7 @@ _MAY_DIFFER = (
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _PREVIEW_COLUMNS = 4
 _MOST_CELLS = 512
-_LEAST_IOU = 0.8  # mean of all views; fits of photographs reach 0.95, and wrong cameras rarely more than 0.6
-_REFINED_MARGIN = 4  # see `check_agreement`: cameras to refine may be a little wrong
-_NO_MATCH = 3  # exit code of a fit that ends below
+_EXIT_CODES: dict[Verdict, int] = {"match": 0, "mismatch": 3}
 
 
 def run(options: FitOptions) -> int:
@@ -151,9 +150,10 @@ def _run_mesh_fit(
     write_mesh(options, fit, fitted)
     if options.refine_cameras:
         write_cameras(options, fit, names)
-    report_mesh(options, runner, fit, held_out, finished, names)
+    result = fit.result(held_out)
+    report_mesh(options, runner, fit, result, finished, names)
     stay(viewer, finished or runner.stopped)
-    return _exit_code(finished or runner.stopped, fit.views.quality(fit.shape[:2])["iou"])
+    return _exit_code(finished or runner.stopped, result.verdict, result.advice)
 
 
 def _fit_camera(options: FitOptions) -> int:
@@ -196,31 +196,27 @@ def _fit_camera(options: FitOptions) -> int:
             viewer.show_cameras(views.camera, views.photos, views.masks)
         report_camera(options, runner, fit, views, known, finished)
         stay(viewer, finished or runner.stopped)
-    return _exit_code(finished or runner.stopped, views.quality(shape[:2])["iou"])
+    _, verdict, advice = judge(views.quality(shape[:2])["iou"])
+    return _exit_code(finished or runner.stopped, verdict, advice)
 
 
 def _check(views: Views, cameras: CameraFile, options: FitOptions) -> None:
     """Raise ValueError, which names the path that was given, if masks and cameras do not agree."""
     try:
-        margin = _REFINED_MARGIN if options.refine_cameras else 1
+        margin = REFINED_MARGIN if options.refine_cameras else 1
         check_agreement(views, [entry.name for entry in cameras.images], margin)
     except ValueError as error:
         raise ValueError(f"{options.images}: {str(error).removeprefix('views: ')}. --no-check fits anyway") from None
 
 
-def _exit_code(finished: bool, iou: Tensor) -> int:
-    """Choose the exit code of a fit, and say if its outlines do not match the masks."""
+def _exit_code(finished: bool, verdict: Verdict, advice: tuple[str, ...]) -> int:
+    """Choose the exit code of a fit, and print what to do about a mismatch."""
     if not finished:
         return 130
-    mean = float(iou.mean())
-    if mean >= _LEAST_IOU:
-        return 0
-    say(
-        f"the outlines of the result do not match the masks: expected an IoU of at least {_LEAST_IOU}, got {mean:.2f}; "
-        "the cameras or masks may be wrong, or the fit needs more steps",
-        "red",
-    )
-    return _NO_MATCH
+    if verdict == "mismatch":
+        for sentence in advice:
+            say(sentence, "red")
+    return _EXIT_CODES[verdict]
 
 
 def _runner(

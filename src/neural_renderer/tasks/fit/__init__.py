@@ -2,12 +2,14 @@
 
 from ...deprecated import old_names
 from ..settings import DetailWeights, FitWeights
+from .agreement import check_agreement
 from .detail.detail_fit import DetailFit
 from .fit_views import Views
 from .hull import carve, object_bounds
 from .load import load_photo, load_views
 from .mesh import MeshFit
 from .pose import CameraFit
+from .result import FitResult
 from .shape import ShapeFit
 from .texture import TextureFit
 
@@ -15,12 +17,14 @@ __all__ = [
     "CameraFit",
     "DetailFit",
     "DetailWeights",
+    "FitResult",
     "FitWeights",
     "MeshFit",
     "ShapeFit",
     "TextureFit",
     "Views",
     "carve",
+    "check_agreement",
     "load_photo",
     "load_views",
     "object_bounds",

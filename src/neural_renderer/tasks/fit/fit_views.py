@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -285,3 +285,23 @@ def downscale(image: Tensor, size: int) -> Tensor:
         return image
     scale = size / max(height, width)
     return F.interpolate(image[None], (max(round(height * scale), 1), max(round(width * scale), 1)), mode="area")[0]
+
+
+def mask_values(views: Views, masks: Tensor, points: Tensor) -> Iterator[Tensor]:
+    """Look up points in the masks of all views, one view after the other.
+
+    Args:
+        views: N views.
+        masks: [N, H, W], any masks of their images.
+        points: [P, 3] in the world.
+
+    Yields:
+        [P], interpolated; beside the image the value at its border, because the object may go on there; behind the
+        camera 0.
+    """
+    aspect = views.size[1] / views.size[0]
+    for index in range(len(views)):
+        screen = views[index : index + 1].camera(points, aspect=aspect)[0]
+        place = torch.stack((screen[:, 0], -screen[:, 1]), -1)[None, None]
+        value = F.grid_sample(masks[index][None, None], place, padding_mode="border", align_corners=False)[0, 0, 0]
+        yield torch.where(screen[:, 2] > 0, value, 0.0)

@@ -18,14 +18,17 @@ from ...meshes.uv_mesh import UVMesh
 from ...pictures.clay import plain_texture
 from ..observer import Knob
 from ..settings import DetailWeights, FitWeights
+from .agreement import REFINED_MARGIN, check_agreement
 from .cameras.camera_refinement import CameraRefinement
 from .cameras.coarse_fit import coarse_fit, coarse_hull, coarse_misses
+from .cameras.locate import locate_cameras
 from .detail.color_model import photos_for
 from .detail.detail_fit import DetailFit
-from .exposure import estimate_gains
+from .exposure import estimate_gains, match_gains
 from .fit_views import Views
 from .hull import carve, object_bounds
 from .hull.levels import carve_levels
+from .result import FitResult, judge
 from .shape import ShapeFit
 from .texture import TextureFit
 
@@ -38,7 +41,9 @@ _SPHERE_OPTIONS = {"subdivisions": 2, "rate": 0.03}  # a sphere is coarse and fa
 
 
 class MeshFit:
-    """Fit a mesh to posed images: its shape, its details, then its texture. Call `advance` until ``done``.
+    """Fit a mesh to posed images: its shape, its details, then its texture. Call `run`, or `advance` until ``done``.
+
+    `result` says whether the mesh matches the images.
 
     Args:
         views: Views with or without photos, normals and depth. Without photos there is no texture phase.
@@ -82,12 +87,16 @@ class MeshFit:
         ...     if fit.phase == "shape":
         ...         fit.turn("laplacian", 50.0)
         >>> fit.mesh().save("object.glb")
+        >>> fit.result()
+        FitResult(agreement=0.9..., verdict='match', advice=())
         >>> fit.knobs()  # in the texture phase
         []
         >>> len(fit.cameras())
         6
         >>> iou = fit.normalize(views).quality(fit.shape)["iou"]
         >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
+        >>> fit.run().verdict
+        'match'
     """
 
     @old_argument("colour_from", "color_from")
@@ -151,6 +160,7 @@ class MeshFit:
         self._camera_options |= {"batch": batch, "gradient": gradient, "seed": seed}
         self._start, self._cells = start, None if cells is None else validate.whole("cells", cells, 8)
         self._outlines: tuple[Tensor, Tensor] | None = None  # the shape before details from colours
+        self._advice: tuple[str, ...] = ()
         self.phase: str = "cameras" if refine_cameras else recover
         self._fit: ShapeFit | DetailFit | TextureFit = self._expose(*self._initial_shape())
 
@@ -222,6 +232,52 @@ class MeshFit:
             self._follow(following)
         return self._fit.advance()
 
+    def run(self, held_out: Views | None = None) -> FitResult:
+        """Take all remaining steps.
+
+        Args:
+            held_out: As in `result`.
+
+        Returns:
+            The result.
+
+        Raises:
+            ValueError: Cameras are refined and their silhouettes have no point in common any more.
+        """
+        while not self.done:
+            self.advance()
+        return self.result(held_out)
+
+    def result(self, held_out: Views | None = None) -> FitResult:
+        """Measure the current mesh, and judge it. If the fit is done and has failed, look for the cause.
+
+        Args:
+            held_out: Views in the world of the cameras that were not fitted, to measure the mesh on them, too; or None.
+
+        Returns:
+            The result.
+
+        Raises:
+            TypeError, ValueError: As `render`.
+        """
+        views, shape = self.views, self.shape
+        figures = {"fitted": views.quality(shape)}
+        if held_out is not None:
+            known = self.normalize(held_out)
+            figures["held_out"] = known.quality(shape)
+            if self._cameras is not None:
+                known = locate_cameras(known, shape)
+                figures["held_out_located"] = known.quality(shape)
+            if self._exposure and len(shape) == 3:
+                figures["held_out_exposed"] = match_gains(known, shape).quality(shape)
+        agreement, verdict, advice = judge(figures["fitted"]["iou"])
+        if self.done and verdict == "mismatch":
+            try:
+                check_agreement(self._given, margin=1 if self._cameras is None else REFINED_MARGIN)
+            except ValueError as error:
+                advice = (*advice, str(error))
+        return FitResult(self.mesh(), agreement, verdict, (*advice, *self._advice), **figures)
+
     def knobs(self) -> list[Knob]:
         """List the settings that may change between two steps.
 
@@ -252,7 +308,7 @@ class MeshFit:
         """
         cameras = None if self._cameras is None else self._cameras.state_dict()
         state = {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras, "gains": self._gains}
-        return state | {"outlines": self._outlines}
+        return state | {"outlines": self._outlines, "advice": self._advice}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from the state of a fit of the same views.
@@ -264,7 +320,7 @@ class MeshFit:
             KeyError: A name is missing.
         """
         self.phase, cameras, self._gains = state["phase"], state["cameras"], state["gains"]
-        self._outlines = state["outlines"]
+        self._outlines, self._advice = state["outlines"], state["advice"]
         if self._cameras is not None:
             self._cameras.load_state_dict(cameras)
         self._fit = self._start_phase(state["fit"]["vertices"], state["fit"]["faces"])
@@ -296,10 +352,12 @@ class MeshFit:
         before, after = (float(self.views.quality(shape)["iou"].mean()) for shape in (outlines, details))
         if after >= before - _WORSE:
             return details
-        warn(
+        sentence = (
             f"details from colours: expected outlines as good as before, got a mean IoU of {after:.3f} after "
             f"{before:.3f}; the shape before them is kept (more steps for details, and larger images, help)"
         )
+        warn(sentence)
+        self._advice = (sentence,)
         return outlines
 
     def _expose(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:

@@ -8,8 +8,7 @@ from torch import Tensor
 from ... import validate
 from ...camera import Camera
 from ...meshes.primitives import cube
-from .fit_views import Views
-from .lookup import mask_values
+from .fit_views import Views, mask_values
 
 _SHARE = 0.9  # of the views in whose masks a point must lie to belong to the object
 _LEAST_POINTS = 8

@@ -12,8 +12,7 @@ from ....meshes.isosurface import isosurface
 from ....meshes.topology import Topology
 from ...components import connected_components
 from ..descent import SmoothDescent
-from ..fit_views import Views
-from ..lookup import mask_values
+from ..fit_views import Views, mask_values
 
 _HALF = 1.08  # half the side of the carved cube; the object lies in [-1, 1]³
 _COARSE, _FINE = 48, 64  # grid points along each axis, in the two passes that find the object

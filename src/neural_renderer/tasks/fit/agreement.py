@@ -1,37 +1,47 @@
-"""Agreement of masks and cameras: does the visual hull of all masks fill each mask?"""
+"""Agreement of masks and cameras: does the visual hull of all masks fill each mask, and what would mend it if not?"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..fit_views import Views, downscale
-from ..hull import view_center
-from ..lookup import mask_values
-from .remedies import remedies
+from .fit_views import Views, downscale, mask_values
+from .hull import view_center
+
+REFINED_MARGIN = 4
+"""Argument ``margin`` of `check_agreement` for cameras to refine, which may be a little wrong."""
 
 _SIZE = 96  # longer side of the masks that are compared, in pixels
 _RAYS, _SAMPLES = 48, 48  # pixels of each mask, and points along the ray of each
 _PARTNERS = 12  # views that are compared with all others, at most
 _COMMON = 0.7  # share of the views in whose masks a point must lie to belong to the region of the object
-_WIDER = 1.2  # than the points in it
-_LEAST = 0.85  # of a mask that the hull fills, where masks and cameras agree; wrong ones reached 0.83 on average
-_FULL = 0.92  # of a mask: fewer views must go to reach this, if any must go
-_BETTER = 0.02  # share by which a remedy must surpass those before it, which are more usual
-_NAMED = 5  # views in a message
+_WIDER = 1.2  # size of the search cube, relative to the extent of the points found
+_LEAST = 0.85  # coverage of each mask by the hull where masks and cameras agree; wrong ones reached 0.83 on average
+_FULL = 0.92  # coverage of each mask at which no further view is dropped
+_BETTER = 0.02  # coverage gain required to prefer a rarer remedy over a commoner one
+_NAMED = 5  # most views named in a message
+_SCALES = (0.125, 0.25, 0.5, 2.0, 4.0, 8.0)  # usual errors of the intrinsics
 
 
-def check_agreement(views: Views, names: Sequence[str], margin: int = 1) -> None:
-    """Raise ValueError if masks and cameras of some views do not fit together.
+def check_agreement(views: Views, names: Sequence[str] | None = None, margin: int = 1) -> None:
+    """Check that masks and cameras fit together: the visual hull of all masks fills each mask.
 
     Args:
-        views: N views, in the world of the cameras.
-        names: Names of the N images, for the message. It also says what would mend them, if that is one of the usual
-            things.
+        views: N views, in the world of the cameras. Two views always agree.
+        names: Names of the N images, for the message; None numbers them.
         margin: Pixels by which the hull's masks of 96 pixels grow first, which tolerates small errors of cameras.
+
+    Raises:
+        ValueError: Some views do not agree. The message also says what would mend them, if that is a usual mistake.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import Views, check_agreement
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
+        >>> check_agreement(Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32))
     """
     if len(views) < 3:  # two silhouettes cannot tell which of them is wrong
         return
@@ -41,13 +51,14 @@ def check_agreement(views: Views, names: Sequence[str], margin: int = 1) -> None
     covered = torch.zeros(len(views)) if inside is None else _covered(inside)
     if float(covered.min()) >= _LEAST:
         return
-    advice = _remedy(small[partners], None)  # of all views: some of them may agree by chance
+    advice = _remedy(small[partners], None)  # all views first: some of them may agree by chance
     kept = [] if inside is None or advice else _consistent(inside, partners)
     if kept and inside is not None:
         covered = _covered(inside[kept])
         dropped = {partner for row, partner in enumerate(partners) if row not in kept}
         wrong = [row for row in range(len(views)) if row in dropped or float(covered[row]) < _LEAST]
         if 2 * len(wrong) < len(views):
+            names = names or [f"view {row}" for row in range(len(views))]
             shown = ", ".join(names[row] for row in wrong[:_NAMED]) + (", …" if len(wrong) > _NAMED else "")
             which = f"{len(wrong)} of {len(views)} views ({shown})"
             advice = _remedy(small[wrong], small[[partners[row] for row in kept]])
@@ -67,7 +78,7 @@ def _disagreement(which: str, covered: Tensor, advice: str | None) -> ValueError
 def _remedy(wrong: Views, right: Views | None) -> str | None:
     """Find what makes views agree with the views ``right``, or with one another; None if nothing does."""
     best, advice = 0.0, None
-    for text, changed in remedies(wrong):
+    for text, changed in _remedies(wrong):
         inside = _follow_rays(changed if right is None else right, changed)
         covered = torch.zeros(1) if inside is None else _covered(inside)
         if float(covered.min()) >= _LEAST and float(covered.mean()) > best + _BETTER:
@@ -147,3 +158,74 @@ def _inside(views: Views, points: Tensor) -> Tensor:
     """Tell for points [V, R, S, 3] in which masks they lie, [N, V, R, S]."""
     values = mask_values(views, views.masks, points.reshape(-1, 3))
     return torch.stack([(value > 0.5).reshape(points.shape[:-1]) for value in values])
+
+
+def _remedies(views: Views) -> Iterator[tuple[str, Views]]:
+    """Undo one usual mistake after the other: yield what was done, as the subject of a sentence, and the views."""
+    yield from _turned_images(views)
+    if views.camera.K is not None:
+        yield from _exchanged_axes(views)
+        yield from _changed_intrinsics(views, views.camera.K)
+
+
+def _turned_images(views: Views) -> Iterator[tuple[str, Views]]:
+    """Turn and mirror the images."""
+    camera, masks = views.camera, views.masks
+    yield "turning the images by 180°", Views(camera, masks.rot90(2, (1, 2)))
+    yield "mirroring the images left to right", Views(camera, masks.flip(2))
+    yield "mirroring the images top to bottom", Views(camera, masks.flip(1))
+    for quarters, way in ((1, "counter-clockwise"), (3, "clockwise")):
+        text, turned = f"turning the images by 90° {way}", masks.rot90(quarters, (1, 2))
+        yield text, Views(camera, turned)
+        if camera.orig_size is not None and camera.orig_size[0] != camera.orig_size[1]:
+            # A file without sizes takes those of the images, which are exchanged, too.
+            yield text, Views(replace(camera, orig_size=camera.orig_size[::-1]), turned)
+
+
+def _exchanged_axes(views: Views) -> Iterator[tuple[str, Views]]:
+    """Exchange directions and axes of the matrices."""
+    R, t = views.camera.rotation, views.camera.translation
+    signs = R.new_tensor([1.0, -1.0, -1.0])
+    axes = "OpenCV's camera axes (y down, z forward) and OpenGL's (y up, z backward)"
+    direction = "camera-to-world and world-to-camera matrices"
+    back, place = R.transpose(1, 2), views.eyes()[0]  # the inverse; its translation is the position of the camera
+    yield f"exchanging {axes}", _posed(views, R * signs[:, None], t * signs)
+    yield f"exchanging {direction}", _posed(views, back, place)
+    text = f"exchanging {direction}, and {axes},"
+    yield text, _posed(views, back * signs, place)
+    yield text, _posed(views, back * signs[:, None], place * signs)
+    yield text, _posed(views, back * signs[:, None] * signs, place * signs)
+
+
+def _changed_intrinsics(views: Views, K: Tensor) -> Iterator[tuple[str, Views]]:
+    """Exchange width and height in the intrinsics, and scale them."""
+    size = views.camera.orig_size or (1.0, 1.0)
+    exchange = "exchanging width and height"
+    aspect = size[1] / size[0]
+    if aspect != 1:
+        for factor in (aspect, 1 / aspect):
+            yield f"{exchange} in the intrinsics", _with_K(views, _scaled(K, factor, 1 / factor))
+        yield f"{exchange} of the field of view", _with_K(views, _scaled(K, aspect, aspect, 1.0))
+        yield f"{exchange} of the field of view", _with_K(views, _scaled(K, 1 / aspect, 1 / aspect, 1.0))
+    swapped = K.clone()
+    swapped[:, 0, 2], swapped[:, 1, 2] = K[:, 1, 2], K[:, 0, 2]
+    yield f"{exchange} in the principal point", _with_K(views, swapped)
+    centered = size[1] / 2 / float(K[:, 0, 2].mean().clamp(min=1e-3 * size[1]))
+    for scale in (*_SCALES, centered):
+        yield f"scaling the intrinsics by {scale:.3g}", _with_K(views, _scaled(K, scale, scale))
+        yield f"scaling the principal point by {scale:.3g}", _with_K(views, _scaled(K, 1.0, 1.0, scale))
+
+
+def _scaled(K: Tensor, across: float, down: float, center: float | None = None) -> Tensor:
+    """Scale the rows of K [N, 3, 3]; ``center`` is the factor of the principal point if it differs."""
+    centers = (across, down) if center is None else (center, center)
+    factors = [[across, across, centers[0]], [down, down, centers[1]], [1.0, 1.0, 1.0]]
+    return K * K.new_tensor(factors)
+
+
+def _with_K(views: Views, K: Tensor) -> Views:
+    return Views(replace(views.camera, K=K), views.masks, None, views.region)
+
+
+def _posed(views: Views, R: Tensor, t: Tensor) -> Views:
+    return Views(replace(views.camera, rotation=R.contiguous(), translation=t), views.masks)
