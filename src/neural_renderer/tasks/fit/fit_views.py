@@ -261,6 +261,13 @@ class Views:
         return {name: torch.cat(values) for name, values in found.items()}
 
 
+def photos_of(views: Views) -> Tensor:
+    """Return the photos of views; raise ValueError if there are none."""
+    if views.photos is None:
+        raise ValueError("views: expected photos, got silhouettes only")
+    return views.photos
+
+
 def mask_iou(alpha: Tensor, masks: Tensor) -> Tensor:
     """Compute the IoU [B] of rendered silhouettes and masks [B, H, W], which may have been rounded to eight bits."""
     return metrics.silhouette_iou(alpha.detach(), masks, threshold=_INSIDE)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import torch
 from torch import Tensor
@@ -17,41 +16,43 @@ from ...camera.files.read import find_image
 from ...io import load_image
 from ...io.files import existing
 from ..masks.rule import MaskRule, mask_in_file, transparency
-from .detail.maps import load_maps
+from .detail.maps import MapFormat, load_maps
 from .fit_views import Views, downscale
 from .region import outline_of_box, region_of_points
+from .settings import short_names
 
-_LEAST_SIZE = 16  # pixels
+_LEAST_SIZE = 16  # least longer side of images in pixels
 _MASK_FOLDERS = ("masks", "mask")
 _MASK_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 
-Color = tuple[float, float, float]
+_RULE = ("rule.background", "rule.tolerance")
+_RULE_PLACES = {
+    "mask_below": "rule.below",
+    "mask_open": "rule.opening",
+    "mask_close": "rule.closing",
+    "mask_fill": "rule.fill",
+}
 Box = tuple[float, float, float, float, float, float]
 
 
+@short_names(*_RULE, "map_format.normals_in", "map_format.depth_scale", **_RULE_PLACES)
 def load_views(
     path: str | os.PathLike[str] | CameraFile,
     *,
     size: int = 256,
     photos: bool = True,
-    background: Color | None = None,
-    tolerance: float = 0.05,
-    mask_below: float | None = None,
-    mask_open: int = 0,
-    mask_close: tuple[int, int] = (0, 0),
-    mask_fill: float = 0.0,
+    rule: MaskRule = MaskRule(),  # noqa: B008 (immutable)
     masks: str | os.PathLike[str] | None = None,
     box: Box | None = None,
     maps: bool = True,
-    normals_in: Literal["world", "camera"] = "world",
-    depth_scale: float = 1000.0,
+    map_format: MapFormat = MapFormat(),  # noqa: B008 (immutable)
     allow_outside: bool = False,
 ) -> Views:
     """Load posed images from a folder.
 
     The mask of an image is, in this order: the mask file that the camera file names; a file of its name in the folder
-    ``masks``; its alpha channel; what ``mask_below`` or ``background`` leaves; what differs from a plain background;
-    the outline of ``box``. A box limits all masks to its outline.
+    ``masks``; its alpha channel; what ``rule`` leaves; what differs from a plain background; the
+    outline of ``box``. A box limits all masks to its outline.
 
     The folders ``normals`` and ``depth`` beside the images may have a map for each image, with its name, .png or .npy,
     as the command ``neural-renderer render --save`` writes them. A .png holds (n + 1) / 2 of normals, and 16 bits of
@@ -63,18 +64,14 @@ def load_views(
             ``neural_renderer.camera.files`` describe the formats. Or what `read_camera_file` of that package returned.
         size: Longer side in pixels, ≥ 16; larger images are scaled down.
         photos: Whether to use colours. Without colours, an image without a mask is a mask itself, white on black.
-        background: RGB in [0, 1] of the background, for images without mask and alpha channel.
-        tolerance: Largest difference from ``background``, in any channel, of a background pixel.
-        mask_below: Pixels whose brightest channel is below this, in (0, 1], are background.
-        mask_open: Radius in pixels of an erosion and dilation of masks that were found by colour: removes thin parts.
-        mask_close: Radii in pixels of a dilation and the erosion after it, likewise: fills gaps.
-        mask_fill: Holes smaller than this share of the object, in [0, 1], are filled, likewise.
+        rule: How to separate the object from the background in images without mask and alpha channel. Keywords set
+            single fields, too: ``background``, ``tolerance``, ``mask_below``, ``mask_open``, ``mask_close``,
+            ``mask_fill``.
         masks: Folder of mask files, named like the images, with any suffix or one more; None searches the folders
             ``masks`` and ``mask`` beside the images.
         box: Corners (x, y, z, x, y, z) of a box around the object, in the world of the cameras.
         maps: Whether to read maps of normals and depth.
-        normals_in: Space of the normals: "world", or "camera" for x right, y up, z towards the viewer.
-        depth_scale: Steps of a depth .png for one unit of the world.
+        map_format: Conventions of the maps; short: ``normals_in``, ``depth_scale``.
         allow_outside: Whether the camera file may name images outside of its folder.
 
     Returns:
@@ -96,7 +93,6 @@ def load_views(
         (1, (32, 32))
     """
     size = validate.whole("size", size, _LEAST_SIZE)
-    rule = MaskRule(background, tolerance, mask_below, mask_open, mask_close, mask_fill)
     source = path if isinstance(path, CameraFile) else read_camera_file(find_camera_file(Path(path)))
     folder = None if masks is None else Path(masks)
     if folder is not None and not folder.is_dir():
@@ -126,7 +122,7 @@ def load_views(
     if not maps:
         return views
     named = [(entry, file) for entry, file, _ in listed]
-    return load_maps(views, named, source.folders, full, normals_in, depth_scale)
+    return load_maps(views, named, source.folders, full, map_format)
 
 
 def list_images(
@@ -170,17 +166,13 @@ def _mask_beside(folder: Path, name: str) -> Path | None:
     return folder / base if (folder / base).is_file() else None
 
 
+@short_names(*_RULE, **_RULE_PLACES)
 def load_photo(
     path: str | os.PathLike[str],
     *,
     size: int = 256,
     photos: bool = True,
-    background: Color | None = None,
-    tolerance: float = 0.05,
-    mask_below: float | None = None,
-    mask_open: int = 0,
-    mask_close: tuple[int, int] = (0, 0),
-    mask_fill: float = 0.0,
+    rule: MaskRule = MaskRule(),  # noqa: B008 (immutable)
 ) -> tuple[Tensor, Tensor | None]:
     """Load one image without a camera.
 
@@ -188,9 +180,7 @@ def load_photo(
         path: Image file.
         size: Longer side in pixels, ≥ 16; larger images are scaled down.
         photos: Whether to use colours; see `load_views`.
-        background: RGB in [0, 1] of the background, for an image without alpha channel.
-        tolerance: Largest difference from ``background``, in any channel, of a background pixel.
-        mask_below, mask_open, mask_close, mask_fill: As in `load_views`.
+        rule: As in `load_views`.
 
     Returns:
         The mask [H, W], and RGB multiplied by the mask [3, H, W], or None without ``photos``.
@@ -205,7 +195,6 @@ def load_photo(
         torch.Size([32, 32])
     """
     size = validate.whole("size", size, _LEAST_SIZE)
-    rule = MaskRule(background, tolerance, mask_below, mask_open, mask_close, mask_fill)
     image = load_image(existing(path))
     mask = _mask(Path(path), None, image, photos, rule, False)
     small = downscale(_premultiplied(Path(path), None, image, mask), size)

@@ -16,7 +16,8 @@ from ..adjustable import Adjustable
 from ..settings import FitWeights
 from .cameras.camera_refinement import CameraRefinement
 from .descent import SmoothDescent
-from .fit_views import Views, mask_iou, views_of_step
+from .fit_views import Views, mask_iou, photos_of, views_of_step
+from .settings import DescentSettings, short_names
 
 _REGULARIZERS = {"laplacian": 2, "edge_length": 1, "normal_consistency": 1, "smoothness": 1}
 """Loss on the mesh → power of the number of vertices that makes its value independent of the resolution.
@@ -44,9 +45,7 @@ class ShapeFit(Adjustable):
         weights: Weights of the losses.
         rate: Distance that the fastest vertex moves in a step.
         smooth: λ of `SmoothDescent`.
-        batch: Views per step.
-        gradient: Gradient estimator of the renderer, "edge" or "nmr".
-        seed: Seed of the order of the views.
+        descent: Settings of gradient descent; short: ``batch``, ``gradient``, ``seed``.
         cameras: The cameras of the views, which then move together with the vertices; None keeps them.
         camera_rate: Length of a step of a camera, in radians and relative to its distance.
 
@@ -76,6 +75,7 @@ class ShapeFit(Adjustable):
     _color_descent: SmoothDescent
 
     @old_argument("colour_from", "color_from")
+    @short_names("descent.batch", "descent.gradient", "descent.seed")
     def __init__(
         self,
         views: Views,
@@ -88,17 +88,15 @@ class ShapeFit(Adjustable):
         weights: FitWeights = FitWeights(),  # noqa: B008 (immutable)
         rate: float = 0.01,
         smooth: float = 8.0,
-        batch: int = 6,
-        gradient: str = "edge",
-        seed: int = 0,
+        descent: DescentSettings = DescentSettings(),  # noqa: B008 (immutable)
         cameras: CameraRefinement | None = None,
         camera_rate: float = 0.005,
     ) -> None:
         self.steps = validate.whole("steps", steps, 1)
         self.step = 0
-        self._views, self._weights, self._gradient = views, weights, gradient
+        self._views, self._weights, self._gradient = views, weights, descent.gradient
         self._rate, self._smooth = validate.positive("rate", rate), smooth
-        self._batch, self._seed = min(validate.whole("batch", batch, 1), len(views)), seed
+        self._batch, self._seed = min(descent.batch, len(views)), descent.seed
         self._subdivisions, self._subdivided = validate.whole("subdivisions", subdivisions, 0), 0
         if not 0 <= validate.number("color_from", color_from) <= 1:
             raise ValueError(f"color_from: expected a fraction in [0, 1], got {color_from}")
@@ -158,7 +156,7 @@ class ShapeFit(Adjustable):
         weights = self._weights
         loss = weights.silhouette * losses.silhouette_iou_loss(images.alpha, views.masks)
         if colors is not None:
-            loss = loss + weights.photometric * losses.photometric(images.rgb, views.photos, views.masks)  # type: ignore[arg-type]
+            loss = loss + weights.photometric * losses.photometric(images.rgb, photos_of(views), views.masks)
         for name, exponent in _REGULARIZERS.items():
             if getattr(weights, name):
                 scale = (len(vertices) / _TYPICAL_VERTICES) ** exponent

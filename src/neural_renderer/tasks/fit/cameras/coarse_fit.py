@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from torch import Tensor
 
@@ -10,13 +11,14 @@ from ...settings import FitWeights
 from ..detail.pyramid import reduced
 from ..fit_views import Views
 from ..hull import carve
+from ..settings import DescentSettings
 from ..shape import ShapeFit
 from .camera_refinement import CameraRefinement
 
 _SIZE = 128  # pixels of the longer side of the images: the errors to mend are some pixels
-_CELLS = 40  # of the grid of the hull, along each axis
-_SMALLER = 4  # images have at most this part of the pixels, so that so many more views fit into a step
-_MISSED = 1 / 8  # of the masks, in which a point of the hull need not lie
+_CELLS = 40  # cells of the hull's grid along each axis
+_SMALLER = 4  # times as many views fit into a step, because images have at most this part of the pixels
+_MISSED = 1 / 8  # fraction of masks that a hull point may fall outside of
 _LAPLACIAN = 30.0  # weight: the shape has to follow the cameras
 _RATE, _CAMERA_RATE = 0.02, 0.01  # steps of vertices and cameras
 
@@ -36,11 +38,8 @@ def coarse_fit(
     vertices: Tensor,
     faces: Tensor,
     cameras: CameraRefinement,
-    *,
     steps: int,
-    batch: int,
-    gradient: str,
-    seed: int,
+    descent: DescentSettings,
 ) -> ShapeFit:
     """Make the fit of a coarse shape and of the cameras to small silhouettes.
 
@@ -49,21 +48,17 @@ def coarse_fit(
         vertices, faces: The initial shape, [V, 3] and [F, 3].
         cameras: Their cameras, which the fit changes.
         steps: Number of steps if a step shows all views; more views take more.
-        batch: Views per step of images of full size.
-        gradient: Gradient estimator of the renderer, "edge" or "nmr".
-        seed: Seed of the order of the views.
+        descent: Settings of gradient descent; the batch is that of images of full size.
     """
-    small = reduced(views, max(1, round(max(views.size) / _SIZE)))
+    small, batch = reduced(views, max(1, round(max(views.size) / _SIZE))), _SMALLER * descent.batch
     return ShapeFit(
         small,
         vertices,
         faces,
-        steps=steps * math.ceil(len(views) / (_SMALLER * batch)),
+        steps=steps * math.ceil(len(views) / batch),
         weights=FitWeights(laplacian=_LAPLACIAN),
         rate=_RATE,
-        batch=_SMALLER * batch,
-        gradient=gradient,
-        seed=seed,
+        descent=replace(descent, batch=batch),
         cameras=cameras,
         camera_rate=_CAMERA_RATE,
     )

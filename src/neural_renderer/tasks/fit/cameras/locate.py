@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ....losses import photometric, silhouette_iou_loss
 from ..detail.pyramid import reduced
-from ..fit_views import Views
+from ..fit_views import Views, photos_of
 from .camera_refinement import CameraRefinement
 
 _SIZE = 128  # pixels of the longer side of the images
@@ -48,7 +48,7 @@ def locate_cameras(views: Views, shape: tuple[Tensor, ...], steps: int = 40) -> 
             images = refinement.place(view, [0]).draw(shape, ("rgb", "alpha") if colored else "alpha")
             loss = silhouette_iou_loss(images.alpha, view.masks)
             if colored:
-                loss = loss + _PHOTOMETRIC * photometric(images.rgb, view.photos, view.masks)  # type: ignore[arg-type]
+                loss = loss + _PHOTOMETRIC * photometric(images.rgb, photos_of(view), view.masks)
             if loss.item() < best:
                 best, camera = loss.item(), refinement.camera
             gradients = torch.autograd.grad(loss, refinement.parameters)

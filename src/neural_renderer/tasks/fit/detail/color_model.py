@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....deferred import Fragments
-from ..fit_views import Views
+from ..fit_views import Views, photos_of
 from .light_fit import LightFit
 
 _INSIDE = 0.999  # mask of pixels that tell the light
@@ -79,8 +79,8 @@ def roughness(colors: Tensor, faces: Tensor) -> Tensor:
 
 def _pixels(views: Views, seen: Fragments, albedo: Tensor, normals: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Collect normals, albedo and colours [P, 3] of the pixels inside of masks, from those of corners [F, 3, 3]."""
-    photos = views.photos if views.gains is None else views.photos / views.gains[:, :, None, None]  # type: ignore
+    photos = photos_of(views) if views.gains is None else photos_of(views) / views.gains[:, :, None, None]
     inside = (seen.face_index >= 0) & (views.masks > _INSIDE)
     shown = seen.face_index[inside].long()
-    colors = photos.movedim(1, 3)[inside]  # type: ignore[union-attr]
+    colors = photos.movedim(1, 3)[inside]
     return F.normalize(normals.mean(1), dim=1)[shown], albedo.mean(1)[shown], colors

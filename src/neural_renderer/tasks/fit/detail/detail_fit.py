@@ -12,7 +12,7 @@ from .... import validate
 from ....meshes.normals import face_normals, vertex_normals
 from ...adjustable import Adjustable
 from ...settings import DetailWeights
-from ..fit_views import Views, mask_iou, views_of_step
+from ..fit_views import Views, mask_iou, photos_of, views_of_step
 from .adaptive_descent import AdaptiveDescent
 from .color_model import ColorModel, roughness
 from .pyramid import Pyramid, shortest_edge
@@ -156,7 +156,7 @@ class DetailFit(Adjustable):
                 layers["depth"], targets["depth"] = _depth_error(surface[..., 3:], views.depth), torch.zeros(())
         if self._color is not None:
             layers["photometric"] = self._color.draw(views, seen, parameters[1][faces], normals, not anti_aliasing)
-            targets["photometric"] = views.photos  # type: ignore[assignment]
+            targets["photometric"] = photos_of(views)
         sizes = [part.shape[3] for part in layers.values()]
         drawn = seen.composite(torch.cat(list(layers.values()), 3), seams=flat)  # normals of faces jump at edges
         images = dict(zip(layers, drawn.split(sizes, 1), strict=True))
