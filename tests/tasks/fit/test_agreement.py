@@ -13,7 +13,7 @@ import torch.nn.functional as F
 import neural_renderer as nr
 from neural_renderer.tasks.fit import MeshFit, Views, check_agreement, object_bounds
 from neural_renderer.tasks.fit.fit_pictures import up_of_cameras
-from neural_renderer.tasks.fit.region import outline_of_box, region_of_points
+from neural_renderer.tasks.fit.load import outline_of_box, region_of_points
 
 NAMES = [f"{row}.png" for row in range(10)]
 SIGNS = torch.tensor([1.0, -1.0, -1.0])

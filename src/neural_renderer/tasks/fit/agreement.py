@@ -67,7 +67,7 @@ def check_agreement(views: Views, names: Sequence[str] | None = None, margin: in
 
 
 def _disagreement(which: str, covered: Tensor, advice: str | None) -> ValueError:
-    """Make the error for views that disagree."""
+    """Return the error for views that disagree."""
     end = f"{advice} mends them" if advice else "their cameras or masks may be wrong, or the object moved"
     return ValueError(
         f"views: expected masks and cameras that agree, got {which} that do not: the hull of all masks fills "
@@ -76,7 +76,7 @@ def _disagreement(which: str, covered: Tensor, advice: str | None) -> ValueError
 
 
 def _remedy(wrong: Views, right: Views | None) -> str | None:
-    """Find what makes views agree with the views ``right``, or with one another; None if nothing does."""
+    """Find the remedy that makes views agree with the views ``right``, or else with each other; None if none does."""
     best, advice = 0.0, None
     for text, changed in _remedies(wrong):
         inside = _follow_rays(changed if right is None else right, changed)
@@ -155,7 +155,7 @@ def _points(views: Views, center: Tensor, half: float) -> Tensor:
 
 
 def _inside(views: Views, points: Tensor) -> Tensor:
-    """Tell for points [V, R, S, 3] in which masks they lie, [N, V, R, S]."""
+    """Return in which masks points [V, R, S, 3] lie: [N, V, R, S] bool."""
     values = mask_values(views, views.masks, points.reshape(-1, 3))
     return torch.stack([(value > 0.5).reshape(points.shape[:-1]) for value in values])
 
@@ -178,7 +178,7 @@ def _turned_images(views: Views) -> Iterator[tuple[str, Views]]:
         text, turned = f"turning the images by 90° {way}", masks.rot90(quarters, (1, 2))
         yield text, Views(camera, turned)
         if camera.orig_size is not None and camera.orig_size[0] != camera.orig_size[1]:
-            # A file without sizes takes those of the images, which are exchanged, too.
+            # A file without sizes takes the sizes of the images, which are exchanged, too.
             yield text, Views(replace(camera, orig_size=camera.orig_size[::-1]), turned)
 
 

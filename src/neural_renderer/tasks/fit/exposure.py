@@ -13,9 +13,9 @@ from .fit_views import Views, photos_of
 
 _CELLS = 32  # patches along the longest side of the surface
 _DARK, _BRIGHT = 0.02, 0.98  # colours outside are noise, or were cut off
-_ITERATIONS = 12  # of reweighted least squares
+_ITERATIONS = 12  # rounds of reweighted least squares
 _EXACT = 0.01  # residual, in log units, below which weights do not grow
-_PRIOR = 1e-3  # weight of gains of 1, relative to the patches of a view: for views that share no patch with others
+_PRIOR = 1e-3  # weight of the prior that gains are 1, relative to the patches of a view; for views that share no patch
 _VIEWS_AT_ONCE = 8
 
 
@@ -91,7 +91,7 @@ def _patches(vertices: Tensor, faces: Tensor) -> Tensor:
     centers, normals = vertices[faces].mean(1), face_normals(vertices[faces])
     low, high = vertices.amin(0), vertices.amax(0)
     cells = ((centers - low) / (high - low).amax() * _CELLS).long()
-    side = (normals > 0).long()  # so that the two sides of a sheet are apart
+    side = (normals > 0).long()  # keeps the two sides of a sheet apart
     key = ((cells[:, 0] * 2 * _CELLS + cells[:, 1]) * 2 * _CELLS + cells[:, 2]) * 8 + side @ side.new_tensor([4, 2, 1])
     return torch.unique(key, return_inverse=True)[1]
 

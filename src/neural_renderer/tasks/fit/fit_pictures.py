@@ -63,7 +63,7 @@ def up_axis(views: Views) -> str:
 
 
 def up_of_cameras(views: Views) -> Tensor:
-    """Tell what is up.
+    """Find the direction that is up for the cameras.
 
     Photographers hold cameras level, so that one axis of the image is perpendicular to the vertical in all views: the
     horizontal one, or the other one if the cameras lay on their sides. The sign comes from the images, or else from the

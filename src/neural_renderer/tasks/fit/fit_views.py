@@ -20,7 +20,7 @@ from ...raster import Images
 from ...rendering import render
 from ..seeds import generator
 
-_VIEWS_AT_ONCE = 8  # drawn together by `Views.quality`: limits memory
+_VIEWS_AT_ONCE = 8  # views that `Views.quality` draws together, which limits memory
 # A pixel covered by 2 of 4 samples has alpha 0.5, which becomes 0.502 in a file of eight bits. Both must be inside.
 _INSIDE = 0.49
 

@@ -1,4 +1,4 @@
-"""Posed images from files; see `camera.files` for the formats of cameras."""
+"""Posed images from files, and the region of the object; see `camera.files` for the formats of cameras."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ import torch
 from torch import Tensor
 
 from ... import validate
+from ...camera import Camera
 from ...camera.files import CameraFile, PosedImage, find_camera_file, read_camera_file
 from ...camera.files.distortion import undistort
 from ...camera.files.read import find_image
 from ...io import load_image
 from ...io.files import existing
+from ...meshes.primitives import cube
 from ..masks.rule import MaskRule, mask_in_file, transparency
 from .detail.maps import MapFormat, load_maps
-from .fit_views import Views, downscale
-from .region import outline_of_box, region_of_points
+from .fit_views import Views, downscale, mask_values
 from .settings import short_names
 
 _LEAST_SIZE = 16  # least longer side of images in pixels
@@ -33,6 +34,10 @@ _RULE_PLACES = {
     "mask_fill": "rule.fill",
 }
 Box = tuple[float, float, float, float, float, float]
+_SHARE = 0.9  # share of the views in whose masks a point of the object must lie
+_LEAST_POINTS = 8  # fewer points tell no region
+_TAIL = 0.02  # share of the points on each side that are left out as errors
+_LARGER = 1.5  # size of the region relative to the box around the points, which smooth parts lack
 
 
 @short_names(*_RULE, "map_format.normals_in", "map_format.depth_scale", **_RULE_PLACES)
@@ -251,3 +256,51 @@ def _mask(file: Path, mask_file: Path | None, image: Tensor, photos: bool, rule:
             f"{file}: expected an alpha channel, a mask or a plain background to separate the object, got none; give "
             "masks (--masks FOLDER), a threshold (--mask-below), a colour (--background) or a box (--box)"
         ) from None
+
+
+def outline_of_box(
+    camera: Camera, box: tuple[float, ...], size: tuple[int, int]
+) -> tuple[Tensor, tuple[Tensor, float]]:
+    """Draw a box.
+
+    Args:
+        camera: N cameras.
+        box: Opposite corners (x, y, z, x, y, z) in the world.
+        size: Height and width of the images in pixels.
+
+    Returns:
+        Its outlines [N, H, W] in [0, 1]; its centre [3], and half its longest side.
+
+    Raises:
+        ValueError: There are not six finite numbers, or a side is not above 0.
+    """
+    values = [validate.number("box", value) for value in box]
+    if len(values) != 6:
+        raise ValueError(f"box: expected six numbers x, y, z, x, y, z, got {len(values)}")
+    corners = torch.tensor(values).view(2, 3)
+    center, half = corners.mean(0), (corners[1] - corners[0]).abs() / 2
+    if not bool((half > 0).all()):
+        raise ValueError(f"box: expected opposite corners that differ in x, y and z, got {tuple(box)}")
+    vertices, faces = cube()
+    views = Views(camera, torch.ones(len(camera), *size)).normalized(center, float(half.max()))
+    return views.draw((vertices * half / half.max(), faces)).alpha, (center, float(half.max()))
+
+
+def region_of_points(views: Views, points: Tensor) -> tuple[Tensor, float] | None:
+    """Find the region of the object from points of the scene, of which some belong to its surroundings.
+
+    Args:
+        views: The views.
+        points: [P, 3] in the world.
+
+    Returns:
+        The centre [3] of the points inside the masks and half the side of a cube around them, with a margin; None if
+        there are too few.
+    """
+    points = points.to(views.masks)
+    count = torch.stack([value > 0.5 for value in mask_values(views, views.masks, points)]).sum(0)
+    found = points[count >= _SHARE * len(views)]
+    if len(found) < _LEAST_POINTS:
+        return None
+    least, most = (found.quantile(share, dim=0) for share in (_TAIL, 1 - _TAIL))
+    return (least + most) / 2, _LARGER * float((most - least).max()) / 2

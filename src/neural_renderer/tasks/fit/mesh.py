@@ -18,15 +18,12 @@ from ...meshes.uv_mesh import UVMesh
 from ...pictures.clay import plain_texture
 from ..observer import Knob
 from .agreement import REFINED_MARGIN, check_agreement
-from .cameras.camera_refinement import CameraRefinement
-from .cameras.coarse_fit import coarse_fit, coarse_hull, coarse_misses
-from .cameras.locate import locate_cameras
+from .cameras import CameraRefinement, locate_cameras
 from .detail.color_model import photos_for
 from .detail.detail_fit import DetailFit
 from .exposure import estimate_gains, match_gains
 from .fit_views import Views
-from .hull import carve, object_bounds
-from .hull.levels import carve_levels
+from .hull import carve, carve_levels, object_bounds
 from .result import FitResult, judge
 from .settings import (
     CameraSettings,
@@ -36,7 +33,7 @@ from .settings import (
     TextureSettings,
     short_names,
 )
-from .shape import ShapeFit
+from .shape import ShapeFit, coarse_fit, coarse_hull, coarse_misses
 from .texture import TextureFit
 
 _DETAIL_STEPS = 200
@@ -310,7 +307,7 @@ class MeshFit:
         self._fit.load_state_dict(state["fit"])
 
     def _next_phase(self) -> str | None:
-        """Tell which phase follows the current one; None after the last."""
+        """Name the next phase; None after the last."""
         if self.phase == "cameras":
             return "shape"
         if self.phase == "shape" and self._detail_steps:
@@ -318,7 +315,7 @@ class MeshFit:
         return "texture" if self.phase != "texture" and self.views.photos is not None else None
 
     def _follow(self, phase: str) -> None:
-        """Begin the next phase with the shape of this one; but after that of cameras with a new hull or sphere."""
+        """Begin the next phase with the current shape; after the cameras' phase with a new hull or sphere."""
         vertices, faces, *_ = self.shape
         if self._cameras is not None and self.phase in ("cameras", "shape"):
             vertices = self._cameras.settle(vertices)
@@ -331,7 +328,7 @@ class MeshFit:
         self._fit = self._expose(*(self._initial_shape() if is_new else (vertices, faces)))
 
     def _better(self, outlines: tuple[Tensor, Tensor], details: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-        """Choose the shape with details, unless its outlines are worse than those of the shape before."""
+        """Choose the shape with details, unless they made its outlines worse."""
         before, after = (float(self.views.quality(shape)["iou"].mean()) for shape in (outlines, details))
         if after >= before - _WORSE:
             return details

@@ -1,7 +1,9 @@
-"""`ShapeFit`: gradient descent on vertices for silhouettes and, optionally, colours."""
+"""`ShapeFit`: gradient descent on vertices for silhouettes and, optionally, colours; alone or with the cameras."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -14,9 +16,11 @@ from ...meshes.subdivision import split_faces
 from ...meshes.topology import Topology
 from ..adjustable import Adjustable
 from ..settings import FitWeights
-from .cameras.camera_refinement import CameraRefinement
+from .cameras import CameraRefinement
 from .descent import SmoothDescent
+from .detail.pyramid import reduced
 from .fit_views import Views, mask_iou, photos_of, views_of_step
+from .hull import carve
 from .settings import DescentSettings, short_names
 
 _REGULARIZERS = {"laplacian": 2, "edge_length": 1, "normal_consistency": 1, "smoothness": 1}
@@ -28,6 +32,12 @@ neighbours to V^(-1).
 _TYPICAL_VERTICES = 10_000  # the mesh for which the default weights are chosen
 _COLOR_RATE, _COLOR_SMOOTH = 0.1, 1.0  # step and λ of the descent on colours
 _LAST_RATE = 0.05  # step size at the end, relative to the first
+_COARSE_SIZE = 128  # longer side of the images in pixels: the errors to mend are some pixels
+_COARSE_CELLS = 40  # cells of the hull's grid along each axis
+_SMALLER = 4  # times as many views fit into a step, because images have at most this part of the pixels
+_MISSED = 1 / 8  # fraction of masks that a hull point may fall outside of
+_COARSE_LAPLACIAN = 30.0  # weight: the shape has to follow the cameras
+_COARSE_RATE, _COARSE_CAMERA_RATE = 0.02, 0.01  # steps of vertices and cameras
 
 
 class ShapeFit(Adjustable):
@@ -207,3 +217,44 @@ class ShapeFit(Adjustable):
         self._set_shape(state["vertices"], state["faces"], state["colors"])
         self._descent.load_state_dict(state["descent"])
         self._color_descent.load_state_dict(state["color_descent"])
+
+
+def coarse_misses(views: Views) -> int:
+    """Choose how many masks a point of the hull may fall outside of."""
+    return math.floor(_MISSED * len(views))
+
+
+def coarse_hull(views: Views) -> tuple[Tensor, Tensor]:
+    """Carve a coarse hull: the points inside most of the masks."""
+    return carve(views, _COARSE_CELLS, coarse_misses(views))
+
+
+def coarse_fit(
+    views: Views,
+    vertices: Tensor,
+    faces: Tensor,
+    cameras: CameraRefinement,
+    steps: int,
+    descent: DescentSettings,
+) -> ShapeFit:
+    """Make the fit of a coarse shape and of the cameras to small silhouettes.
+
+    Args:
+        views: Views that are `Views.normalized`.
+        vertices, faces: The initial shape, [V, 3] and [F, 3].
+        cameras: Their cameras, which the fit changes.
+        steps: Number of steps if a step shows all views; more views take more.
+        descent: Settings of gradient descent; the batch is that of images of full size.
+    """
+    small, batch = reduced(views, max(1, round(max(views.size) / _COARSE_SIZE))), _SMALLER * descent.batch
+    return ShapeFit(
+        small,
+        vertices,
+        faces,
+        steps=steps * math.ceil(len(views) / batch),
+        weights=FitWeights(laplacian=_COARSE_LAPLACIAN),
+        rate=_COARSE_RATE,
+        descent=replace(descent, batch=batch),
+        cameras=cameras,
+        camera_rate=_COARSE_CAMERA_RATE,
+    )

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ... import validate
 from ..texels import Texels
-from .conjugate_gradients import ConjugateGradients
+from .descent import ConjugateGradients
 from .fit_views import Views, photos_of
 
 _OUTLINE = 0.05  # weight of pixels beside an outline

@@ -92,12 +92,12 @@ def load_maps(
 
 
 def _with(maps: list[Tensor], entries: list[PosedImage], *sizes: tuple[int, int]) -> list[tuple[Tensor, Any]]:
-    """Put each map together with its entry and the sizes."""
+    """Pair each map with its entry and the sizes."""
     return [(each, (entry, *sizes)) for each, entry in zip(maps, entries, strict=True)]
 
 
 def _reduced(image: Tensor, entry: PosedImage, full: tuple[int, int], size: tuple[int, int]) -> Tensor:
-    """Remove the distortion of a map [C, H, W] as that of its image, and reduce it to a size."""
+    """Undistort a map [C, H, W] like its image, and reduce it to a size."""
     if entry.lens.needs_undistortion:
         image = undistort(image, entry.lens.model, entry.lens.values, entry.lens.intrinsics(full))
     return F.interpolate(image[None], size, mode="area")[0]
