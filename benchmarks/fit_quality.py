@@ -38,9 +38,7 @@ from torch.nn import functional
 
 import neural_renderer as nr
 from neural_renderer.tasks.fit import CameraFit, DetailFit, MeshFit, Views
-from neural_renderer.tasks.fit.cameras.locate import locate_cameras
-from neural_renderer.tasks.fit.cameras.pose_offsets import change_cameras
-from neural_renderer.tasks.fit.cameras.similarity import Similarity
+from neural_renderer.tasks.fit.cameras import Similarity, change_cameras, locate_cameras
 
 
 def main() -> None:

@@ -31,6 +31,7 @@ NEVER_RAISES = {
     "Material.to",
     "Texture.to",
     "Texture.transformed",
+    "FitResult",
     "Views.to",
     "Views.normalized",
     "MeshFit.normalize",

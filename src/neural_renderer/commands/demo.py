@@ -19,7 +19,7 @@ from ..pictures.clay import clay_mesh
 from ..pictures.photograph import lowest_point, photograph
 from ..pictures.sheet import sheet
 from ..pictures.turntable import FIRST_AZIMUTH, turntable
-from ..tasks.fit import ShapeFit, TextureFit, Views
+from ..tasks.fit import DescentSettings, ShapeFit, TextureFit, Views
 from .common import check_counts, choose_device, say
 from .options.demo import DemoOptions
 
@@ -130,7 +130,8 @@ def make_cameras(count: int, device: torch.device) -> Camera:
 def sphere_fit(views: Views, steps: int, seed: int = 0) -> ShapeFit:
     """Make the fit of a sphere with 1280 faces to silhouettes."""
     vertices, faces = (part.to(views.masks.device) for part in icosphere(3, radius=0.5))
-    return ShapeFit(views, vertices, faces, steps=steps, batch=_BATCH, rate=_RATE, smooth=_SMOOTH, seed=seed)
+    descent = DescentSettings(_BATCH, seed=seed)
+    return ShapeFit(views, vertices, faces, steps=steps, rate=_RATE, smooth=_SMOOTH, descent=descent)
 
 
 def label_stages(history: list[Mesh], fitted: Mesh, target: Mesh) -> dict[str, Mesh]:

@@ -6,7 +6,8 @@ import math
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, fields
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from torch import Tensor
 
@@ -16,10 +17,25 @@ from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.unwrapping.charts import load_xatlas
 from ..meshes.unwrapping.unwrap import LEAST_SIZE, MOST_SIZE
-from ..tasks.fit import CameraFit, MeshFit, Views, load_photo, load_views
-from ..tasks.fit.agreement import check_agreement
+from ..tasks.fit import (
+    CameraFit,
+    CameraSettings,
+    DescentSettings,
+    DetailSettings,
+    MapFormat,
+    MaskRule,
+    MeshFit,
+    ShapeSettings,
+    TextureSettings,
+    Views,
+    check_agreement,
+    load_photo,
+    load_views,
+)
+from ..tasks.fit.agreement import REFINED_MARGIN
 from ..tasks.fit.fit_pictures import comparison, up_axis
 from ..tasks.fit.load import list_images
+from ..tasks.fit.result import Verdict, judge
 from .common import check_counts, check_most, check_outputs, choose_device, make_folder, say
 from .options.fit import FitOptions
 from .reports.fit import CAMERAS, RESULTS, report_camera, report_mesh, write_cameras, write_mesh
@@ -36,9 +52,7 @@ _MAY_DIFFER = (
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _PREVIEW_COLUMNS = 4
 _MOST_CELLS = 512
-_LEAST_IOU = 0.8  # mean of all views; fits of photographs reach 0.95, and wrong cameras rarely more than 0.6
-_REFINED_MARGIN = 4  # see `check_agreement`: cameras to refine may be a little wrong
-_NO_MATCH = 3  # exit code of a fit that ends below
+_EXIT_CODES: dict[Verdict, int] = {"match": 0, "mismatch": 3}
 
 
 def run(options: FitOptions) -> int:
@@ -69,9 +83,9 @@ def run(options: FitOptions) -> int:
     if options.recover != "camera" and not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
     outputs = [options.output / name for name in (*RESULTS, *[CAMERAS] * options.refine_cameras)]
-    if options.recover == "camera":
+    if options.recover == "camera" and options.mesh is not None:
         check_outputs(outputs, [options.images, options.mesh])
-        return _fit_camera(options)
+        return _fit_camera(options, options.mesh)
     cameras = read_camera_file(find_camera_file(options.images))
     found = list_images(cameras, options.masks, options.allow_outside)
     images = [file for _, *files in found for file in files]
@@ -79,10 +93,10 @@ def run(options: FitOptions) -> int:
     return _fit_mesh(options, cameras)
 
 
-def _mask_rule(options: FitOptions) -> dict[str, Any]:
-    """Collect the arguments of `load_views` and `load_photo` that find masks by colour."""
-    names = ("background", "tolerance", "mask_below", "mask_open", "mask_close", "mask_fill")
-    return {name: getattr(options, name) for name in names}
+def _mask_rule(options: FitOptions) -> MaskRule:
+    """Collect the options that find masks by colour."""
+    radii = options.mask_open, options.mask_close
+    return MaskRule(options.background, options.tolerance, options.mask_below, *radii, options.mask_fill)
 
 
 def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
@@ -94,17 +108,16 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
         masks=options.masks,
         box=options.box,
         maps=options.maps,
-        normals_in=options.normals_in,
-        depth_scale=options.depth_scale,
+        map_format=MapFormat(options.normals_in, options.depth_scale),
         allow_outside=options.allow_outside,
-        **_mask_rule(options),
+        rule=_mask_rule(options),
     ).to(choose_device(options.device))
     if options.check:
         _check(views, cameras, options)
     kept, left = _split(len(views), options.held_out)
     fitted, held_out = (views[kept], views[left]) if left else (views, None)
     names = [cameras.images[row].name for row in kept]
-    start: Any = options.start
+    start: Literal["hull", "sphere"] | Mesh = options.start
     if options.mesh is not None:
         start = Mesh.load(options.mesh, texture_size=2, allow_outside=options.allow_outside)
     with watching(options.watch) as viewer:
@@ -119,7 +132,7 @@ def _run_mesh_fit(
     fitted: Views,
     held_out: Views | None,
     names: list[str],
-    start: Any,
+    start: Literal["hull", "sphere"] | Mesh,
     viewer: Viewer | None,
 ) -> int:
     """Fit a mesh to views with names, and write the results; return the exit code."""
@@ -127,21 +140,12 @@ def _run_mesh_fit(
         fitted,
         start,
         recover="texture" if options.recover == "texture" else "shape",
-        steps=options.steps,
-        detail_steps=options.detail_steps,
-        light=options.light,
-        texture_steps=options.texture_steps,
-        cells=options.cells,
-        texture_size=options.texture_size,
-        color_from=options.color_from,
-        refine_cameras=options.refine_cameras,
-        camera_steps=options.camera_steps,
         exposure=options.exposure,
-        weights=options.weights,
-        detail_weights=options.detail_weights,
-        batch=options.batch,
-        gradient=options.gradient,
-        seed=options.seed,
+        shape=ShapeSettings(options.steps, options.cells, options.color_from, options.weights),
+        detail=DetailSettings(options.detail_steps, options.light, options.detail_weights),
+        texture=TextureSettings(options.texture_steps, options.texture_size),
+        cameras=CameraSettings(options.refine_cameras, options.camera_steps),
+        descent=DescentSettings(options.batch, options.gradient, options.seed),
     )
     make_folder("--output", options.output)
     camera = (getattr(fitted.camera, part.name) for part in fields(fitted.camera))
@@ -151,21 +155,18 @@ def _run_mesh_fit(
     write_mesh(options, fit, fitted)
     if options.refine_cameras:
         write_cameras(options, fit, names)
-    report_mesh(options, runner, fit, held_out, finished, names)
+    result = fit.result(held_out)
+    report_mesh(options, runner, fit, result, finished, names)
     stay(viewer, finished or runner.stopped)
-    return _exit_code(finished or runner.stopped, fit.views.quality(fit.shape[:2])["iou"])
+    return _exit_code(finished or runner.stopped, result.verdict, result.advice)
 
 
-def _fit_camera(options: FitOptions) -> int:
-    """Fit the camera of one image; return the exit code."""
+def _fit_camera(options: FitOptions, file: Path) -> int:
+    """Fit the camera of one image of the mesh in a file; return the exit code."""
     device = choose_device(options.device)
-    mask, photo = load_photo(options.images, size=options.size, photos=options.photos, **_mask_rule(options))
+    mask, photo = load_photo(options.images, size=options.size, photos=options.photos, rule=_mask_rule(options))
     mask, photo = mask.to(device), None if photo is None else photo.to(device)
-    mesh = Mesh.load(
-        options.mesh,  # type: ignore[arg-type]
-        texture_size=options.texture_size,
-        allow_outside=options.allow_outside,
-    ).to(device)
+    mesh = Mesh.load(file, texture_size=options.texture_size, allow_outside=options.allow_outside).to(device)
     shape: tuple[Tensor, ...] = mesh.vertices.detach(), mesh.faces, mesh.textures.detach()
     fit = CameraFit(
         shape,
@@ -196,31 +197,27 @@ def _fit_camera(options: FitOptions) -> int:
             viewer.show_cameras(views.camera, views.photos, views.masks)
         report_camera(options, runner, fit, views, known, finished)
         stay(viewer, finished or runner.stopped)
-    return _exit_code(finished or runner.stopped, views.quality(shape[:2])["iou"])
+    _, verdict, advice = judge(views.quality(shape[:2])["iou"])
+    return _exit_code(finished or runner.stopped, verdict, advice)
 
 
 def _check(views: Views, cameras: CameraFile, options: FitOptions) -> None:
     """Raise ValueError, which names the path that was given, if masks and cameras do not agree."""
     try:
-        margin = _REFINED_MARGIN if options.refine_cameras else 1
+        margin = REFINED_MARGIN if options.refine_cameras else 1
         check_agreement(views, [entry.name for entry in cameras.images], margin)
     except ValueError as error:
         raise ValueError(f"{options.images}: {str(error).removeprefix('views: ')}. --no-check fits anyway") from None
 
 
-def _exit_code(finished: bool, iou: Tensor) -> int:
-    """Choose the exit code of a fit, and say if its outlines do not match the masks."""
+def _exit_code(finished: bool, verdict: Verdict, advice: tuple[str, ...]) -> int:
+    """Choose the exit code of a fit, and print what to do about a mismatch."""
     if not finished:
         return 130
-    mean = float(iou.mean())
-    if mean >= _LEAST_IOU:
-        return 0
-    say(
-        f"the outlines of the result do not match the masks: expected an IoU of at least {_LEAST_IOU}, got {mean:.2f}; "
-        "the cameras or masks may be wrong, or the fit needs more steps",
-        "red",
-    )
-    return _NO_MATCH
+    if verdict == "mismatch":
+        for sentence in advice:
+            say(sentence, "red")
+    return _EXIT_CODES[verdict]
 
 
 def _runner(

@@ -11,10 +11,9 @@ import torch
 import torch.nn.functional as F
 
 import neural_renderer as nr
-from neural_renderer.tasks.fit import Views, object_bounds
-from neural_renderer.tasks.fit.agreement import check_agreement
-from neural_renderer.tasks.fit.region import outline_of_box, region_of_points
-from neural_renderer.tasks.fit.up import up_of_cameras
+from neural_renderer.tasks.fit import MeshFit, Views, check_agreement, object_bounds
+from neural_renderer.tasks.fit.fit_pictures import up_of_cameras
+from neural_renderer.tasks.fit.load import outline_of_box, region_of_points
 
 NAMES = [f"{row}.png" for row in range(10)]
 SIGNS = torch.tensor([1.0, -1.0, -1.0])
@@ -49,6 +48,33 @@ def views() -> Views:
 def test_views_that_agree(views: Views) -> None:
     check_agreement(views, NAMES)
     check_agreement(Views(nr.Camera.look_at(views.eyes()[0], viewing_angle=22), views.masks), NAMES)
+
+
+@pytest.fixture(scope="module")
+def ellipsoid() -> Views:
+    vertices, faces = nr.icosphere(2)
+    eyes = nr.get_points_from_angles(3.0, torch.tensor([70.0, 10, -35, 20, 40, -5]), torch.arange(6) * 60.0)
+    mesh = nr.Mesh(vertices * torch.tensor([0.9, 0.5, 0.7]), faces)
+    return replace(Views.of(mesh, nr.Camera.look_at(eyes, viewing_angle=22), 48), photos=None)
+
+
+def test_result_of_a_good_fit(ellipsoid: Views) -> None:
+    fit = MeshFit(ellipsoid[[0, 1, 2, 3, 5]], cells=20, steps=4)
+    result = fit.run(held_out=ellipsoid[[4]])
+    assert fit.done and (result.verdict, result.advice) == ("match", ())
+    assert result.agreement == float(result.fitted["iou"].mean()) > 0.9
+    assert result.held_out is not None and result.held_out["iou"].shape == (1,)
+    assert result.held_out_located is None and result.held_out_exposed is None
+
+
+def test_result_of_a_fit_that_fails(ellipsoid: Views, views: Views) -> None:
+    short = MeshFit(ellipsoid, "sphere", steps=1).run()  # masks and cameras agree
+    assert short.verdict == "mismatch" and short.agreement < 0.8 and short.held_out is None
+    assert len(short.advice) == 1 and "expected an IoU of at least 0.8, got 0." in short.advice[0]
+    wrong = MeshFit(Views(views.camera, views.masks.rot90(2, (1, 2))), "sphere", steps=1)
+    assert len(wrong.result().advice) == 1  # the cause is sought when the fit is done
+    result = wrong.run()
+    assert result.verdict == "mismatch" and "turning the images by 180° mends them" in result.advice[1]
 
 
 def turned(views: Views) -> Views:

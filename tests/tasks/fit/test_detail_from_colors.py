@@ -12,7 +12,7 @@ from torch.nn.functional import normalize
 
 import neural_renderer as nr
 from neural_renderer.tasks.fit import DetailFit, DetailWeights, MeshFit, Views
-from neural_renderer.tasks.fit.detail.light_fit import LightFit
+from neural_renderer.tasks.fit.detail.color_model import LightFit
 from tests.tasks.fit.test_detail import cameras, dented, distance
 
 

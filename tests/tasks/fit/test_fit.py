@@ -12,7 +12,19 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.meshes.topology import Topology
-from neural_renderer.tasks.fit import CameraFit, FitWeights, MeshFit, ShapeFit, TextureFit, Views, carve, object_bounds
+from neural_renderer.tasks.fit import (
+    CameraFit,
+    DescentSettings,
+    FitWeights,
+    MeshFit,
+    ShapeFit,
+    ShapeSettings,
+    TextureFit,
+    TextureSettings,
+    Views,
+    carve,
+    object_bounds,
+)
 from neural_renderer.tasks.fit.descent import SmoothDescent, VectorAdam
 from tests.rounding import rounding
 
@@ -249,6 +261,17 @@ def test_camera_from_a_photo() -> None:
     trace = (found.rotation[0] * camera.rotation[0]).sum()
     assert torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1))) < 2
     assert (found.origin - camera.origin).norm() < 0.1
+
+
+def test_keywords_set_single_settings_of_groups(views: Views) -> None:
+    short = MeshFit(views, cells=16, steps=2, batch=3, texture_size=3, shape=ShapeSettings(color_from=0.5))
+    groups = {"shape": ShapeSettings(2, 16, 0.5), "texture": TextureSettings(size=3), "descent": DescentSettings(3)}
+    full = MeshFit(views, **groups)  # type: ignore[arg-type]
+    for _ in range(3):
+        assert short.advance() == full.advance()
+    assert all(torch.equal(mine, theirs) for mine, theirs in zip(short.shape, full.shape, strict=True))
+    with pytest.raises(TypeError, match="cell"):
+        MeshFit(views, cell=16)
 
 
 def test_options_that_do_not_fit(views: Views) -> None:

@@ -9,7 +9,7 @@ from torch import Tensor
 import neural_renderer as nr
 from neural_renderer.meshes.topology import Topology
 from neural_renderer.tasks.fit import MeshFit, Views, carve
-from neural_renderer.tasks.fit.hull.levels import carve_levels, covered_background
+from neural_renderer.tasks.fit.hull import carve_levels, covered_background
 
 LEVELS = (20, 40)  # for images of 80 pixels, which have the same cells as 64 and 128 in images of 256
 

@@ -18,10 +18,7 @@ from neural_renderer.camera.files import read_camera_file
 from neural_renderer.camera.files.opencv import save_cameras
 from neural_renderer.tasks.fit import MeshFit, ShapeFit, Views, carve, object_bounds
 from neural_renderer.tasks.fit.agreement import check_agreement
-from neural_renderer.tasks.fit.cameras.camera_refinement import CameraRefinement
-from neural_renderer.tasks.fit.cameras.locate import locate_cameras
-from neural_renderer.tasks.fit.cameras.pose_offsets import change_cameras
-from neural_renderer.tasks.fit.cameras.similarity import Similarity
+from neural_renderer.tasks.fit.cameras import CameraRefinement, Similarity, change_cameras, locate_cameras
 
 POINTS = torch.rand(40, 3, generator=torch.Generator().manual_seed(0)) - 0.5
 EYES = nr.get_points_from_angles(3.0, torch.tensor([70.0, 10, -35, 20, 40, -5, -60, 30]), torch.arange(8) * 45.0)

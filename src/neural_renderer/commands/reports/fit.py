@@ -13,9 +13,7 @@ from ...io.atomic_write import write_file
 from ...meshes.unwrapping.unwrap import unwrap
 from ...pictures.curve import curve
 from ...pictures.turntable import turntable
-from ...tasks.fit import CameraFit, MeshFit, Views
-from ...tasks.fit.cameras.locate import locate_cameras
-from ...tasks.fit.exposure import match_gains
+from ...tasks.fit import CameraFit, FitResult, MeshFit, Views
 from ...tasks.fit.fit_pictures import comparison, upright
 from ...version import __version__
 from ..common import say, say_finished
@@ -70,25 +68,19 @@ def write_cameras(options: FitOptions, fit: MeshFit, names: list[str]) -> None:
 
 
 def report_mesh(
-    options: FitOptions, runner: TaskRunner, fit: MeshFit, held_out: Views | None, finished: bool, names: list[str]
+    options: FitOptions, runner: TaskRunner, fit: MeshFit, result: FitResult, finished: bool, names: list[str]
 ) -> None:
-    """Measure a fitted mesh on fitted and held-out views; write ``report.json`` and print a summary."""
-    vertices, faces, *_ = fit.shape
-    results: dict[str, Any] = {"views": len(fit.views), "vertices": len(vertices), "faces": len(faces)}
-    measured = {"fitted": fit.views, "held_out": held_out and fit.normalize(held_out)}
-    if held_out is not None and options.refine_cameras:
-        measured["held_out_located"] = locate_cameras(fit.normalize(held_out), fit.shape)
-    if held_out is not None and options.exposure and len(fit.shape) == 3:
-        known = measured.get("held_out_located") or fit.normalize(held_out)
-        measured["held_out_exposed"] = match_gains(known, fit.shape)
-    if fit.views.gains is not None:
-        gains = [[round(gain, 4) for gain in row] for row in fit.views.gains.tolist()]
-        results["gains"] = dict(zip(names, gains, strict=True))
-    for name, views in measured.items():
-        if views is not None:
+    """Write the figures of a fit of the images with these names to ``report.json``, and print a summary."""
+    mesh, gains = result.mesh, fit.views.gains
+    results: dict[str, Any] = {"views": len(fit.views), "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    if gains is not None:
+        rows = [[round(gain, 4) for gain in row] for row in gains.tolist()]
+        results["gains"] = dict(zip(names, rows, strict=True))
+    for name in _NAMES:
+        if figures := getattr(result, name):
             results[name] = {
                 measure: {"mean": round(values.mean().item(), 4), "least": round(values.min().item(), 4)}
-                for measure, values in views.quality(fit.shape).items()
+                for measure, values in figures.items()
             }
     _report(options, runner, results, finished)
 

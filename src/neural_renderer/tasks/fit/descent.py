@@ -1,7 +1,8 @@
-"""Gradient descent with one step size for many numbers, and with gradients smoothed over a surface."""
+"""Descent: conjugate gradients, one step size for many numbers, and gradients smoothed over a surface."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -9,12 +10,67 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...meshes.topology import Topology
-from .conjugate_gradients import ConjugateGradients
 
+_LEAST_DIVISOR = 1e-30  # least divisor: a column that is solved exactly would divide 0 by 0
 _MOMENTUM = 0.9  # decay rate of the mean gradient, Adam's β₁
-_LEAST_SIZE = 1e-12  # of a gradient; smaller ones move nothing
+_LEAST_SIZE = 1e-12  # least size of a gradient; smaller ones move nothing
 _SURFACE_DECAY = 0.98  # β₂ of `SmoothDescent`
-_MOST_ITERATIONS = 100  # of conjugate gradients
+_MOST_ITERATIONS = 100  # limit of conjugate gradients
+
+
+class ConjugateGradients:
+    """Solve A x = b by conjugate gradients with Jacobi preconditioning, each column by itself.
+
+    Args:
+        multiply: Multiplies a symmetric positive definite matrix A by columns [N, C].
+        diagonal: [N, 1] or [N, C] > 0, diagonal of A or an approximation.
+        target: [N, C], b.
+        start: [N, C], the initial x.
+
+    Attributes:
+        solution: [N, C], the current x.
+        residual: [N, C], b − A x.
+
+    Example:
+        >>> from neural_renderer.tasks.fit.descent import ConjugateGradients
+        >>> matrix, target = torch.tensor([[2.0, 1.0], [1.0, 3.0]]), torch.tensor([[3.0], [4.0]])
+        >>> solver = ConjugateGradients(lambda x: matrix @ x, matrix.diag()[:, None], target, torch.zeros(2, 1))
+        >>> for _ in range(2):
+        ...     solver.advance()
+        >>> torch.allclose(solver.solution, torch.ones(2, 1))
+        True
+    """
+
+    def __init__(self, multiply: Callable[[Tensor], Tensor], diagonal: Tensor, target: Tensor, start: Tensor) -> None:
+        self._multiply, self._diagonal = multiply, diagonal
+        self.solution, self.residual = start, target - multiply(start)
+        self._direction = self.residual / diagonal
+        self._product = (self.residual * self._direction).sum(0)
+
+    def advance(self) -> None:
+        """Take one step."""
+        image = self._multiply(self._direction)
+        length = self._product / (self._direction * image).sum(0).clamp(min=_LEAST_DIVISOR)
+        self.solution = self.solution + length * self._direction
+        self.residual = self.residual - length * image
+        scaled = self.residual / self._diagonal
+        product, before = (self.residual * scaled).sum(0), self._product
+        self._direction = scaled + product / before.clamp(min=_LEAST_DIVISOR) * self._direction
+        self._product = product
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that changes from step to step."""
+        return {
+            "solution": self.solution,
+            "residual": self.residual,
+            "direction": self._direction,
+            "product": self._product,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Resume from a `state_dict`."""
+        self.solution, self.residual = state["solution"], state["residual"]
+        self._direction, self._product = state["direction"], state["product"]
 
 
 class VectorAdam:
@@ -26,7 +82,7 @@ class VectorAdam:
 
     Args:
         decay: Decay rate of the mean square, Adam's β₂.
-        each_row: Use a step size for each row; otherwise one for all, that of the row with the largest gradient.
+        each_row: Use a step size for each row; otherwise all rows have the step size of the largest gradient.
     """
 
     def __init__(self, decay: float, each_row: bool = False) -> None:

@@ -9,13 +9,13 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...meshes.normals import face_normals
-from .fit_views import Views
+from .fit_views import Views, photos_of
 
 _CELLS = 32  # patches along the longest side of the surface
 _DARK, _BRIGHT = 0.02, 0.98  # colours outside are noise, or were cut off
-_ITERATIONS = 12  # of reweighted least squares
+_ITERATIONS = 12  # rounds of reweighted least squares
 _EXACT = 0.01  # residual, in log units, below which weights do not grow
-_PRIOR = 1e-3  # weight of gains of 1, relative to the patches of a view: for views that share no patch with others
+_PRIOR = 1e-3  # weight of the prior that gains are 1, relative to the patches of a view; for views that share no patch
 _VIEWS_AT_ONCE = 8
 
 
@@ -81,7 +81,7 @@ def match_gains(views: Views, shape: tuple[Tensor, ...]) -> Views:
     for start in range(0, len(views), _VIEWS_AT_ONCE):
         part = replace(views[start : start + _VIEWS_AT_ONCE], gains=None)
         rgb = part.draw(shape, "rgb").rgb
-        both = (rgb * part.photos).sum((2, 3))  # type: ignore[operator]
+        both = (rgb * photos_of(part)).sum((2, 3))
         gains.append(torch.where(both > 0, both / rgb.square().sum((2, 3)).clamp(min=1e-6), 1.0))
     return replace(views, gains=torch.cat(gains))
 
@@ -91,7 +91,7 @@ def _patches(vertices: Tensor, faces: Tensor) -> Tensor:
     centers, normals = vertices[faces].mean(1), face_normals(vertices[faces])
     low, high = vertices.amin(0), vertices.amax(0)
     cells = ((centers - low) / (high - low).amax() * _CELLS).long()
-    side = (normals > 0).long()  # so that the two sides of a sheet are apart
+    side = (normals > 0).long()  # keeps the two sides of a sheet apart
     key = ((cells[:, 0] * 2 * _CELLS + cells[:, 1]) * 2 * _CELLS + cells[:, 2]) * 8 + side @ side.new_tensor([4, 2, 1])
     return torch.unique(key, return_inverse=True)[1]
 
@@ -108,7 +108,7 @@ def _patch_colors(views: Views, vertices: Tensor, faces: Tensor, patches: Tensor
     shown = index.clamp(min=0)
     place = (patches[shown] + count * rows)[inside]
     weight = cosines[rows.expand_as(shown), shown][inside][:, None]
-    values = torch.cat((views.photos.movedim(1, 3)[inside] * weight, weight), 1)  # type: ignore[union-attr]
+    values = torch.cat((photos_of(views).movedim(1, 3)[inside] * weight, weight), 1)
     total = values.new_zeros(len(views) * count, 4).index_add_(0, place, values).view(len(views), count, 4)
     return total[..., :3] / total[..., 3:].clamp(min=1e-6), total[..., 3]
 

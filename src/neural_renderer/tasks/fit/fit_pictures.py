@@ -1,18 +1,21 @@
-"""Pictures of a fit: comparisons with the views, and the mesh turned upright."""
+"""Pictures of a fit: comparisons with the views, and the mesh turned upright, as the cameras tell."""
 
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
-from torch.nn import functional
 
 from ...meshes.mesh import Mesh
 from ...pictures.clay import CLAY
 from .fit_views import Views
+from .hull import view_center
 from .mesh import with_texture
-from .up import up_of_cameras
 
 _SLANTED = 0.9  # cosine from which two directions are too close to span a plane
+_UPRIGHT = 0.5  # length of the mean of all upward directions from which cameras count as upright
+_SPREAD = 0.1  # least eigenvalue, relative to the middle one, above which no axis is level for all cameras
+_SNAP = 0.985  # cosine from which a coordinate axis is meant, within 10°
 
 
 @torch.no_grad()
@@ -48,7 +51,7 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
 def upright(mesh: Mesh, views: Views, up: tuple[float, float, float] | None = None) -> Mesh:
     """Scale a mesh to [-1, 1]³, and turn ``up``, or what is up for its cameras, to +y."""
     direction = up_of_cameras(views) if up is None else torch.tensor(up)
-    turn = _rotation_to_y(functional.normalize(direction.cpu().float(), dim=0))
+    turn = _rotation_to_y(F.normalize(direction.cpu().float(), dim=0))
     return Mesh(mesh.vertices @ turn.t().to(mesh.vertices), mesh.faces, mesh.textures).normalize()
 
 
@@ -59,8 +62,42 @@ def up_axis(views: Views) -> str:
     return f"{'-' if float(up[axis]) < 0 else '+'}{'xyz'[axis]}"
 
 
+def up_of_cameras(views: Views) -> Tensor:
+    """Find the direction that is up for the cameras.
+
+    Photographers hold cameras level, so that one axis of the image is perpendicular to the vertical in all views: the
+    horizontal one, or the other one if the cameras lay on their sides. The sign comes from the images, or else from the
+    cameras: more of them look down on an object than up.
+
+    Args:
+        views: The views.
+
+    Returns:
+        [3], a unit vector in the world of the cameras; a coordinate axis if one is close.
+    """
+    right = views.camera.rotation[:, 0]
+    up = views.camera.rotation[:, 1] * (-1 if views.camera.K is not None else 1)
+    if float(up.mean(0).norm()) >= min(_UPRIGHT, float(right.mean(0).norm())):
+        rough, level = up.mean(0), right
+    else:
+        rough, level = right.mean(0), up
+        above = (views.eyes()[0] - view_center(views)[0]).mean(0)
+        rough = rough * torch.sign(rough @ above)
+    values, vectors = torch.linalg.eigh(level.t() @ level / len(level))
+    if float(values[0]) < _SPREAD * float(values[1]):  # otherwise several directions are level
+        axis = vectors[:, 0] * torch.sign(vectors[:, 0] @ rough)
+        rough = axis if float(axis @ F.normalize(rough, dim=0)) > _UPRIGHT else rough
+    if not float(rough.norm()) > 0:
+        return torch.tensor([0.0, 1.0, 0.0])
+    found = F.normalize(rough, dim=0).cpu()
+    largest = int(found.abs().argmax())
+    if float(found[largest].abs()) < _SNAP:
+        return found
+    return F.one_hot(torch.tensor(largest), 3).float() * found[largest].sign()
+
+
 def _rotation_to_y(axis: Tensor) -> Tensor:
     """Make the rotation [3, 3] that takes a unit vector to +y, and is the identity for +y."""
     across = torch.tensor([0.0, 0.0, 1.0]) if abs(float(axis[2])) < _SLANTED else torch.tensor([1.0, 0.0, 0.0])
-    right = functional.normalize(torch.linalg.cross(axis, across), dim=0)
+    right = F.normalize(torch.linalg.cross(axis, across), dim=0)
     return torch.stack((right, axis, torch.linalg.cross(right, axis)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from ...raster import Images
 from ...rendering import render
 from ..seeds import generator
 
-_VIEWS_AT_ONCE = 8  # drawn together by `Views.quality`: limits memory
+_VIEWS_AT_ONCE = 8  # views that `Views.quality` draws together, which limits memory
 # A pixel covered by 2 of 4 samples has alpha 0.5, which becomes 0.502 in a file of eight bits. Both must be inside.
 _INSIDE = 0.49
 
@@ -261,6 +261,13 @@ class Views:
         return {name: torch.cat(values) for name, values in found.items()}
 
 
+def photos_of(views: Views) -> Tensor:
+    """Return the photos of views; raise ValueError if there are none."""
+    if views.photos is None:
+        raise ValueError("views: expected photos, got silhouettes only")
+    return views.photos
+
+
 def mask_iou(alpha: Tensor, masks: Tensor) -> Tensor:
     """Compute the IoU [B] of rendered silhouettes and masks [B, H, W], which may have been rounded to eight bits."""
     return metrics.silhouette_iou(alpha.detach(), masks, threshold=_INSIDE)
@@ -285,3 +292,23 @@ def downscale(image: Tensor, size: int) -> Tensor:
         return image
     scale = size / max(height, width)
     return F.interpolate(image[None], (max(round(height * scale), 1), max(round(width * scale), 1)), mode="area")[0]
+
+
+def mask_values(views: Views, masks: Tensor, points: Tensor) -> Iterator[Tensor]:
+    """Look up points in the masks of all views, one view after the other.
+
+    Args:
+        views: N views.
+        masks: [N, H, W], any masks of their images.
+        points: [P, 3] in the world.
+
+    Yields:
+        [P], interpolated; beside the image the value at its border, because the object may go on there; behind the
+        camera 0.
+    """
+    aspect = views.size[1] / views.size[0]
+    for index in range(len(views)):
+        screen = views[index : index + 1].camera(points, aspect=aspect)[0]
+        place = torch.stack((screen[:, 0], -screen[:, 1]), -1)[None, None]
+        value = F.grid_sample(masks[index][None, None], place, padding_mode="border", align_corners=False)[0, 0, 0]
+        yield torch.where(screen[:, 2] > 0, value, 0.0)

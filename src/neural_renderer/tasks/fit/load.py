@@ -1,57 +1,63 @@
-"""Posed images from files; see `camera.files` for the formats of cameras."""
+"""Posed images from files, and the region of the object; see `camera.files` for the formats of cameras."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import torch
 from torch import Tensor
 
 from ... import validate
+from ...camera import Camera
 from ...camera.files import CameraFile, PosedImage, find_camera_file, read_camera_file
 from ...camera.files.distortion import undistort
 from ...camera.files.read import find_image
 from ...io import load_image
 from ...io.files import existing
+from ...meshes.primitives import cube
 from ..masks.rule import MaskRule, mask_in_file, transparency
-from .detail.maps import load_maps
-from .fit_views import Views, downscale
-from .region import outline_of_box, region_of_points
+from .detail.maps import MapFormat, load_maps
+from .fit_views import Views, downscale, mask_values
+from .settings import short_names
 
-_LEAST_SIZE = 16  # pixels
+_LEAST_SIZE = 16  # least longer side of images in pixels
 _MASK_FOLDERS = ("masks", "mask")
 _MASK_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 
-Color = tuple[float, float, float]
+_RULE = ("rule.background", "rule.tolerance")
+_RULE_PLACES = {
+    "mask_below": "rule.below",
+    "mask_open": "rule.opening",
+    "mask_close": "rule.closing",
+    "mask_fill": "rule.fill",
+}
 Box = tuple[float, float, float, float, float, float]
+_SHARE = 0.9  # share of the views in whose masks a point of the object must lie
+_LEAST_POINTS = 8  # fewer points tell no region
+_TAIL = 0.02  # share of the points on each side that are left out as errors
+_LARGER = 1.5  # size of the region relative to the box around the points, which smooth parts lack
 
 
+@short_names(*_RULE, "map_format.normals_in", "map_format.depth_scale", **_RULE_PLACES)
 def load_views(
     path: str | os.PathLike[str] | CameraFile,
     *,
     size: int = 256,
     photos: bool = True,
-    background: Color | None = None,
-    tolerance: float = 0.05,
-    mask_below: float | None = None,
-    mask_open: int = 0,
-    mask_close: tuple[int, int] = (0, 0),
-    mask_fill: float = 0.0,
+    rule: MaskRule = MaskRule(),  # noqa: B008 (immutable)
     masks: str | os.PathLike[str] | None = None,
     box: Box | None = None,
     maps: bool = True,
-    normals_in: Literal["world", "camera"] = "world",
-    depth_scale: float = 1000.0,
+    map_format: MapFormat = MapFormat(),  # noqa: B008 (immutable)
     allow_outside: bool = False,
 ) -> Views:
     """Load posed images from a folder.
 
     The mask of an image is, in this order: the mask file that the camera file names; a file of its name in the folder
-    ``masks``; its alpha channel; what ``mask_below`` or ``background`` leaves; what differs from a plain background;
-    the outline of ``box``. A box limits all masks to its outline.
+    ``masks``; its alpha channel; what ``rule`` leaves; what differs from a plain background; the
+    outline of ``box``. A box limits all masks to its outline.
 
     The folders ``normals`` and ``depth`` beside the images may have a map for each image, with its name, .png or .npy,
     as the command ``neural-renderer render --save`` writes them. A .png holds (n + 1) / 2 of normals, and 16 bits of
@@ -63,18 +69,14 @@ def load_views(
             ``neural_renderer.camera.files`` describe the formats. Or what `read_camera_file` of that package returned.
         size: Longer side in pixels, ≥ 16; larger images are scaled down.
         photos: Whether to use colours. Without colours, an image without a mask is a mask itself, white on black.
-        background: RGB in [0, 1] of the background, for images without mask and alpha channel.
-        tolerance: Largest difference from ``background``, in any channel, of a background pixel.
-        mask_below: Pixels whose brightest channel is below this, in (0, 1], are background.
-        mask_open: Radius in pixels of an erosion and dilation of masks that were found by colour: removes thin parts.
-        mask_close: Radii in pixels of a dilation and the erosion after it, likewise: fills gaps.
-        mask_fill: Holes smaller than this share of the object, in [0, 1], are filled, likewise.
+        rule: How to separate the object from the background in images without mask and alpha channel. Keywords set
+            single fields, too: ``background``, ``tolerance``, ``mask_below``, ``mask_open``, ``mask_close``,
+            ``mask_fill``.
         masks: Folder of mask files, named like the images, with any suffix or one more; None searches the folders
             ``masks`` and ``mask`` beside the images.
         box: Corners (x, y, z, x, y, z) of a box around the object, in the world of the cameras.
         maps: Whether to read maps of normals and depth.
-        normals_in: Space of the normals: "world", or "camera" for x right, y up, z towards the viewer.
-        depth_scale: Steps of a depth .png for one unit of the world.
+        map_format: Conventions of the maps; short: ``normals_in``, ``depth_scale``.
         allow_outside: Whether the camera file may name images outside of its folder.
 
     Returns:
@@ -96,7 +98,6 @@ def load_views(
         (1, (32, 32))
     """
     size = validate.whole("size", size, _LEAST_SIZE)
-    rule = MaskRule(background, tolerance, mask_below, mask_open, mask_close, mask_fill)
     source = path if isinstance(path, CameraFile) else read_camera_file(find_camera_file(Path(path)))
     folder = None if masks is None else Path(masks)
     if folder is not None and not folder.is_dir():
@@ -126,7 +127,7 @@ def load_views(
     if not maps:
         return views
     named = [(entry, file) for entry, file, _ in listed]
-    return load_maps(views, named, source.folders, full, normals_in, depth_scale)
+    return load_maps(views, named, source.folders, full, map_format)
 
 
 def list_images(
@@ -170,17 +171,13 @@ def _mask_beside(folder: Path, name: str) -> Path | None:
     return folder / base if (folder / base).is_file() else None
 
 
+@short_names(*_RULE, **_RULE_PLACES)
 def load_photo(
     path: str | os.PathLike[str],
     *,
     size: int = 256,
     photos: bool = True,
-    background: Color | None = None,
-    tolerance: float = 0.05,
-    mask_below: float | None = None,
-    mask_open: int = 0,
-    mask_close: tuple[int, int] = (0, 0),
-    mask_fill: float = 0.0,
+    rule: MaskRule = MaskRule(),  # noqa: B008 (immutable)
 ) -> tuple[Tensor, Tensor | None]:
     """Load one image without a camera.
 
@@ -188,9 +185,7 @@ def load_photo(
         path: Image file.
         size: Longer side in pixels, ≥ 16; larger images are scaled down.
         photos: Whether to use colours; see `load_views`.
-        background: RGB in [0, 1] of the background, for an image without alpha channel.
-        tolerance: Largest difference from ``background``, in any channel, of a background pixel.
-        mask_below, mask_open, mask_close, mask_fill: As in `load_views`.
+        rule: As in `load_views`.
 
     Returns:
         The mask [H, W], and RGB multiplied by the mask [3, H, W], or None without ``photos``.
@@ -205,7 +200,6 @@ def load_photo(
         torch.Size([32, 32])
     """
     size = validate.whole("size", size, _LEAST_SIZE)
-    rule = MaskRule(background, tolerance, mask_below, mask_open, mask_close, mask_fill)
     image = load_image(existing(path))
     mask = _mask(Path(path), None, image, photos, rule, False)
     small = downscale(_premultiplied(Path(path), None, image, mask), size)
@@ -262,3 +256,51 @@ def _mask(file: Path, mask_file: Path | None, image: Tensor, photos: bool, rule:
             f"{file}: expected an alpha channel, a mask or a plain background to separate the object, got none; give "
             "masks (--masks FOLDER), a threshold (--mask-below), a colour (--background) or a box (--box)"
         ) from None
+
+
+def outline_of_box(
+    camera: Camera, box: tuple[float, ...], size: tuple[int, int]
+) -> tuple[Tensor, tuple[Tensor, float]]:
+    """Draw a box.
+
+    Args:
+        camera: N cameras.
+        box: Opposite corners (x, y, z, x, y, z) in the world.
+        size: Height and width of the images in pixels.
+
+    Returns:
+        Its outlines [N, H, W] in [0, 1]; its centre [3], and half its longest side.
+
+    Raises:
+        ValueError: There are not six finite numbers, or a side is not above 0.
+    """
+    values = [validate.number("box", value) for value in box]
+    if len(values) != 6:
+        raise ValueError(f"box: expected six numbers x, y, z, x, y, z, got {len(values)}")
+    corners = torch.tensor(values).view(2, 3)
+    center, half = corners.mean(0), (corners[1] - corners[0]).abs() / 2
+    if not bool((half > 0).all()):
+        raise ValueError(f"box: expected opposite corners that differ in x, y and z, got {tuple(box)}")
+    vertices, faces = cube()
+    views = Views(camera, torch.ones(len(camera), *size)).normalized(center, float(half.max()))
+    return views.draw((vertices * half / half.max(), faces)).alpha, (center, float(half.max()))
+
+
+def region_of_points(views: Views, points: Tensor) -> tuple[Tensor, float] | None:
+    """Find the region of the object from points of the scene, of which some belong to its surroundings.
+
+    Args:
+        views: The views.
+        points: [P, 3] in the world.
+
+    Returns:
+        The centre [3] of the points inside the masks and half the side of a cube around them, with a margin; None if
+        there are too few.
+    """
+    points = points.to(views.masks)
+    count = torch.stack([value > 0.5 for value in mask_values(views, views.masks, points)]).sum(0)
+    found = points[count >= _SHARE * len(views)]
+    if len(found) < _LEAST_POINTS:
+        return None
+    least, most = (found.quantile(share, dim=0) for share in (_TAIL, 1 - _TAIL))
+    return (least + most) / 2, _LARGER * float((most - least).max()) / 2

@@ -17,53 +17,50 @@ from ...meshes.primitives import icosphere
 from ...meshes.uv_mesh import UVMesh
 from ...pictures.clay import plain_texture
 from ..observer import Knob
-from ..settings import DetailWeights, FitWeights
-from .cameras.camera_refinement import CameraRefinement
-from .cameras.coarse_fit import coarse_fit, coarse_hull, coarse_misses
+from .agreement import REFINED_MARGIN, check_agreement
+from .cameras import CameraRefinement, locate_cameras
 from .detail.color_model import photos_for
 from .detail.detail_fit import DetailFit
-from .exposure import estimate_gains
+from .exposure import estimate_gains, match_gains
 from .fit_views import Views
-from .hull import carve, object_bounds
-from .hull.levels import carve_levels
-from .shape import ShapeFit
+from .hull import carve, carve_levels, object_bounds
+from .result import FitResult, judge
+from .settings import (
+    CameraSettings,
+    DescentSettings,
+    DetailSettings,
+    ShapeSettings,
+    TextureSettings,
+    short_names,
+)
+from .shape import ShapeFit, coarse_fit, coarse_hull, coarse_misses
 from .texture import TextureFit
 
 _DETAIL_STEPS = 200
-_REFINED_SCALE = 1.05  # of the world: the hull of cameras that are not exact is too small
+_REFINED_SCALE = 1.05  # scale of the world: the hull of cameras that are not exact is too small
 _REFINED_COLOR_FROM = 0.4  # colours show more of the cameras than outlines
 _SPHERE_RADIUS = 0.6
 _WORSE = 0.01  # IoU that details from colours may cost
-_SPHERE_OPTIONS = {"subdivisions": 2, "rate": 0.03}  # a sphere is coarse and far from the object
+_PACE, _SPHERE_PACE = (0, 0.01), (2, 0.03)  # subdivisions and step size; a sphere is coarse and far from the object
 
 
 class MeshFit:
-    """Fit a mesh to posed images: its shape, its details, then its texture. Call `advance` until ``done``.
+    """Fit a mesh to posed images: its shape, its details, then its texture. Call `run`, or `advance` until ``done``.
+
+    `result` says whether the mesh matches the images.
 
     Args:
         views: Views with or without photos, normals and depth. Without photos there is no texture phase.
         start: Initial shape: "hull", the visual hull of the silhouettes; "sphere"; or a `Mesh` or `UVMesh` in the world
             of the cameras.
         recover: "shape" fits shape and texture; "texture" keeps the shape of the given mesh.
-        steps: Steps of the shape phase, ≥ 1.
-        detail_steps: Steps of the detail phase (`DetailFit`), ≥ 0; None is 200 for views with normals or depth and with
-            ``light``, one of which it needs, and 0 for others.
-        light: "fitted" or "none": details follow the colours of the photos, too; see `DetailFit`. None: they do not.
-        texture_steps: Steps of the texture phase, ≥ 1.
-        cells: Grid cells along each axis for the visual hull, ≥ 8. None is 64, and 96 or 128 if a hull of 64 covers
-            holes or gaps that several silhouettes show.
-        texture_size: T, texels along the edge of a face's texture cube, ≥ 3.
-        color_from: See `ShapeFit`. None is 1, and 0.4 if cameras are refined.
-        refine_cameras: Whether to fit the poses of the cameras and their focal length, too: before the shape, and
-            together with it. Not with ``recover="texture"``.
-        camera_steps: Steps of the cameras' phase, ≥ 1, for up to 24 views; more views take more.
         exposure: Whether to fit exposure and white balance of each photo, too: ``views.gains``, whose geometric mean is
             1. They are estimated before each phase in which colours count.
-        weights: Weights of the losses of the shape phase.
-        detail_weights: Weights of the losses of the detail phase.
-        batch: Views per step, ≥ 1.
-        gradient: Gradient estimator of the renderer, "edge" or "nmr".
-        seed: Seed of the order of the views.
+        shape, detail, texture: Settings of the phases. Keywords set single fields, too: ``steps``, ``cells``,
+            ``color_from``, ``weights``; ``detail_steps``, ``light``, ``detail_weights``; ``texture_steps``,
+            ``texture_size``.
+        cameras: Settings for cameras that are not exact; short: ``refine_cameras``, ``camera_steps``.
+        descent: Settings of gradient descent; short: ``batch``, ``gradient``, ``seed``.
 
     Attributes:
         phase: "cameras", "shape", "detail" or "texture".
@@ -82,76 +79,69 @@ class MeshFit:
         ...     if fit.phase == "shape":
         ...         fit.turn("laplacian", 50.0)
         >>> fit.mesh().save("object.glb")
+        >>> fit.result()
+        FitResult(agreement=0.9..., verdict='match', advice=())
         >>> fit.knobs()  # in the texture phase
         []
         >>> len(fit.cameras())
         6
         >>> iou = fit.normalize(views).quality(fit.shape)["iou"]
         >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
+        >>> fit.run().verdict
+        'match'
     """
 
     @old_argument("colour_from", "color_from")
+    @short_names(
+        *("shape.steps", "shape.cells", "shape.color_from", "shape.weights", "detail.light"),
+        *("descent.batch", "descent.gradient", "descent.seed"),
+        detail_steps="detail.steps",
+        detail_weights="detail.weights",
+        texture_steps="texture.steps",
+        texture_size="texture.size",
+        refine_cameras="cameras.refine",
+        camera_steps="cameras.steps",
+    )
     def __init__(
         self,
         views: Views,
         start: Literal["hull", "sphere"] | Mesh | UVMesh = "hull",
         *,
         recover: Literal["shape", "texture"] = "shape",
-        steps: int = 150,
-        detail_steps: int | None = None,
-        light: Literal["fitted", "none"] | None = None,
-        texture_steps: int = 20,
-        cells: int | None = None,
-        texture_size: int = 4,
-        color_from: float | None = None,
-        refine_cameras: bool = False,
-        camera_steps: int = 150,
         exposure: bool = False,
-        weights: FitWeights = FitWeights(),  # noqa: B008 (immutable)
-        detail_weights: DetailWeights = DetailWeights(),  # noqa: B008 (immutable)
-        batch: int = 6,
-        gradient: str = "edge",
-        seed: int = 0,
+        shape: ShapeSettings = ShapeSettings(),  # noqa: B008 (immutable, like those below)
+        detail: DetailSettings = DetailSettings(),  # noqa: B008
+        texture: TextureSettings = TextureSettings(),  # noqa: B008
+        cameras: CameraSettings = CameraSettings(),  # noqa: B008
+        descent: DescentSettings = DescentSettings(),  # noqa: B008
     ) -> None:
         if recover == "texture" and not isinstance(start, (Mesh, UVMesh)):
             raise ValueError('start: expected a Mesh with recover="texture", got none')
-        if recover == "texture" and refine_cameras:
+        if recover == "texture" and cameras.refine:
             raise ValueError('refine_cameras: expected False with recover="texture", got True')
         if exposure and views.photos is None:
             raise ValueError("exposure: expected False for views without photos, got True")
-        misses = coarse_misses(views) if refine_cameras else 0
-        center, scale = object_bounds(views, misses)
-        self._center, self._scale = center, scale * _REFINED_SCALE if refine_cameras else scale
-        self._given = views.normalized(self._center, self._scale)
-        self._cameras = CameraRefinement(self._given.camera) if refine_cameras else None
-        if color_from is None:
-            color_from = _REFINED_COLOR_FROM if refine_cameras else 1.0
-        self._exposure = validate.flag("exposure", exposure)
-        self._gains: Tensor | None = views.gains
-        self._texture_options = {
-            "size": validate.whole("texture_size", texture_size, 3),
-            "steps": validate.whole("texture_steps", texture_steps, 1),
-            "batch": batch,
-        }
-        self._shape_options = {"steps": steps, "weights": weights, "gradient": gradient, "color_from": color_from}
-        self._shape_options |= {"batch": batch, "seed": seed}
-        has_detail = views.normals is not None or views.depth is not None or light is not None
-        detail_steps = _DETAIL_STEPS * has_detail if detail_steps is None else detail_steps
-        self._detail_options = {"steps": validate.whole("detail_steps", detail_steps, 0), "weights": detail_weights}
-        self._detail_options |= {"seed": seed, "light": light}
-        if light is not None:
-            photos_for(light, views)
-        if detail_steps and not has_detail:
+        if detail.light is not None:
+            photos_for(detail.light, views)
+        has_detail = views.normals is not None or views.depth is not None or detail.light is not None
+        if detail.steps and not has_detail:
             raise ValueError(
-                f"detail_steps: expected 0 for views without normals and depth, and without light, got {detail_steps}"
+                f"detail_steps: expected 0 for views without normals and depth, and without light, got {detail.steps}"
             )
-        if start == "sphere":
-            self._shape_options |= _SPHERE_OPTIONS
-        self._camera_options: dict[str, Any] = {"steps": validate.whole("camera_steps", camera_steps, 1)}
-        self._camera_options |= {"batch": batch, "gradient": gradient, "seed": seed}
-        self._start, self._cells = start, None if cells is None else validate.whole("cells", cells, 8)
+        self._start, self._exposure = start, validate.flag("exposure", exposure)
+        self._shape, self._detail, self._texture, self._descent = shape, detail, texture, descent
+        self._detail_steps = _DETAIL_STEPS * has_detail if detail.steps is None else detail.steps
+        self._coarse_steps = cameras.steps
+        default = _REFINED_COLOR_FROM if cameras.refine else 1.0
+        self._color_from = default if shape.color_from is None else shape.color_from
+        self._center, scale = object_bounds(views, coarse_misses(views) if cameras.refine else 0)
+        self._scale = scale * _REFINED_SCALE if cameras.refine else scale
+        self._given = views.normalized(self._center, self._scale)
+        self._cameras = CameraRefinement(self._given.camera) if cameras.refine else None
+        self._gains: Tensor | None = views.gains
         self._outlines: tuple[Tensor, Tensor] | None = None  # the shape before details from colours
-        self.phase: str = "cameras" if refine_cameras else recover
+        self._advice: tuple[str, ...] = ()
+        self.phase: str = "cameras" if cameras.refine else recover
         self._fit: ShapeFit | DetailFit | TextureFit = self._expose(*self._initial_shape())
 
     @property
@@ -222,6 +212,52 @@ class MeshFit:
             self._follow(following)
         return self._fit.advance()
 
+    def run(self, held_out: Views | None = None) -> FitResult:
+        """Take all remaining steps.
+
+        Args:
+            held_out: As in `result`.
+
+        Returns:
+            The result.
+
+        Raises:
+            ValueError: Cameras are refined and their silhouettes have no point in common any more.
+        """
+        while not self.done:
+            self.advance()
+        return self.result(held_out)
+
+    def result(self, held_out: Views | None = None) -> FitResult:
+        """Measure the current mesh, and judge it. If the fit is done and has failed, look for the cause.
+
+        Args:
+            held_out: Views in the world of the cameras that were not fitted, to measure the mesh on them, too; or None.
+
+        Returns:
+            The result.
+
+        Raises:
+            TypeError, ValueError: As `render`.
+        """
+        views, shape = self.views, self.shape
+        figures = {"fitted": views.quality(shape)}
+        if held_out is not None:
+            known = self.normalize(held_out)
+            figures["held_out"] = known.quality(shape)
+            if self._cameras is not None:
+                known = locate_cameras(known, shape)
+                figures["held_out_located"] = known.quality(shape)
+            if self._exposure and len(shape) == 3:
+                figures["held_out_exposed"] = match_gains(known, shape).quality(shape)
+        agreement, verdict, advice = judge(figures["fitted"]["iou"])
+        if self.done and verdict == "mismatch":
+            try:
+                check_agreement(self._given, margin=1 if self._cameras is None else REFINED_MARGIN)
+            except ValueError as error:
+                advice = (*advice, str(error))
+        return FitResult(self.mesh(), agreement, verdict, (*advice, *self._advice), **figures)
+
     def knobs(self) -> list[Knob]:
         """List the settings that may change between two steps.
 
@@ -252,7 +288,7 @@ class MeshFit:
         """
         cameras = None if self._cameras is None else self._cameras.state_dict()
         state = {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras, "gains": self._gains}
-        return state | {"outlines": self._outlines}
+        return state | {"outlines": self._outlines, "advice": self._advice}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from the state of a fit of the same views.
@@ -264,26 +300,26 @@ class MeshFit:
             KeyError: A name is missing.
         """
         self.phase, cameras, self._gains = state["phase"], state["cameras"], state["gains"]
-        self._outlines = state["outlines"]
+        self._outlines, self._advice = state["outlines"], state["advice"]
         if self._cameras is not None:
             self._cameras.load_state_dict(cameras)
         self._fit = self._start_phase(state["fit"]["vertices"], state["fit"]["faces"])
         self._fit.load_state_dict(state["fit"])
 
     def _next_phase(self) -> str | None:
-        """Tell which phase follows the current one; None after the last."""
+        """Name the next phase; None after the last."""
         if self.phase == "cameras":
             return "shape"
-        if self.phase == "shape" and self._detail_options["steps"]:
+        if self.phase == "shape" and self._detail_steps:
             return "detail"
         return "texture" if self.phase != "texture" and self.views.photos is not None else None
 
     def _follow(self, phase: str) -> None:
-        """Begin the next phase with the shape of this one; but after that of cameras with a new hull or sphere."""
+        """Begin the next phase with the current shape; after the cameras' phase with a new hull or sphere."""
         vertices, faces, *_ = self.shape
         if self._cameras is not None and self.phase in ("cameras", "shape"):
             vertices = self._cameras.settle(vertices)
-        if phase == "detail" and self._detail_options["light"] is not None:
+        if phase == "detail" and self._detail.light is not None:
             self._outlines = vertices, faces
         elif self.phase == "detail" and self._outlines is not None:
             vertices, faces = self._better(self._outlines, (vertices, faces))
@@ -292,37 +328,49 @@ class MeshFit:
         self._fit = self._expose(*(self._initial_shape() if is_new else (vertices, faces)))
 
     def _better(self, outlines: tuple[Tensor, Tensor], details: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-        """Choose the shape with details, unless its outlines are worse than those of the shape before."""
+        """Choose the shape with details, unless they made its outlines worse."""
         before, after = (float(self.views.quality(shape)["iou"].mean()) for shape in (outlines, details))
         if after >= before - _WORSE:
             return details
-        warn(
+        sentence = (
             f"details from colours: expected outlines as good as before, got a mean IoU of {after:.3f} after "
             f"{before:.3f}; the shape before them is kept (more steps for details, and larger images, help)"
         )
+        warn(sentence)
+        self._advice = (sentence,)
         return outlines
 
     def _expose(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
         """Estimate the gains of photos, if colours count in the current phase, and make its fit."""
-        counts = {
-            "shape": self._shape_options["color_from"] < 1,  # type: ignore[operator]
-            "detail": self._detail_options["light"] is not None,
-            "texture": True,
-        }
+        counts = {"shape": self._color_from < 1, "detail": self._detail.light is not None, "texture": True}
         if self._exposure and counts.get(self.phase):
             self._gains = estimate_gains(self.views, vertices, faces)
         return self._start_phase(vertices, faces)
 
     def _start_phase(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
         """Make the fit of the current phase."""
-        if self.phase == "cameras":
-            return coarse_fit(self._given, vertices, faces, self._cameras, **self._camera_options)  # type: ignore[arg-type]
+        descent, detail = self._descent, self._detail
+        if self.phase == "cameras" and self._cameras is not None:
+            return coarse_fit(self._given, vertices, faces, self._cameras, self._coarse_steps, descent)
         if self.phase == "shape":
-            views = replace(self._given, gains=self._gains)
-            return ShapeFit(views, vertices, faces, cameras=self._cameras, **self._shape_options)  # type: ignore[arg-type]
+            subdivisions, rate = _SPHERE_PACE if self._start == "sphere" else _PACE
+            return ShapeFit(
+                replace(self._given, gains=self._gains),
+                vertices,
+                faces,
+                steps=self._shape.steps,
+                subdivisions=subdivisions,
+                color_from=self._color_from,
+                weights=self._shape.weights,
+                rate=rate,
+                descent=descent,
+                cameras=self._cameras,
+            )
         if self.phase == "detail":
-            return DetailFit(self.views, vertices, faces, **self._detail_options)  # type: ignore[arg-type]
-        return TextureFit(self.views, vertices, faces, **self._texture_options)
+            options = {"steps": self._detail_steps, "seed": descent.seed}
+            return DetailFit(self.views, vertices, faces, weights=detail.weights, light=detail.light, **options)
+        options = {"size": self._texture.size, "steps": self._texture.steps, "batch": descent.batch}
+        return TextureFit(self.views, vertices, faces, **options)
 
     def _initial_shape(self) -> tuple[Tensor, Tensor]:
         """Make the vertices and faces with which the current phase starts."""
@@ -333,7 +381,7 @@ class MeshFit:
         if self.phase == "cameras":
             return coarse_hull(self._given)
         if self._start == "hull":
-            return carve_levels(self.views) if self._cells is None else carve(self.views, self._cells)
+            return carve_levels(self.views) if self._shape.cells is None else carve(self.views, self._shape.cells)
         vertices, faces = icosphere(3, _SPHERE_RADIUS)
         return vertices.to(self._given.masks), faces.to(self._given.masks.device)
 

@@ -19,9 +19,9 @@ from .descent import VectorAdam
 from .fit_views import downscale, mask_iou
 
 _COARSE, _FINE = 64, 128  # longer side of the images in pixels, in the first two thirds of the steps and in the last
-_CAMERAS_AT_ONCE = 8  # rendered together where no gradient is needed: limits memory
+_CAMERAS_AT_ONCE = 8  # cameras rendered together without gradients, which limits memory
 _DECAY = 0.95  # β₂ of the descent
-_HALF_HEIGHT = 1.2  # of the initial images, in radii of the object
+_HALF_HEIGHT = 1.2  # half the height of the initial images, in radii of the object
 _LAST_RATE = 0.03  # step size at the end, relative to the first
 _NEAR, _FAR = 1e-2, 1e3  # clipping planes, in radii of the object
 
@@ -68,7 +68,7 @@ class CameraFit(Adjustable):
 
     _axes: Tensor  # [S, 6]: viewing direction and up vector, not orthonormal
     _offset: Tensor  # [S, 3]: the object's centre in camera space as (x/z, y/z, log z)
-    _descents: tuple[VectorAdam, VectorAdam]  # of both; each camera has step sizes of its own
+    _descents: tuple[VectorAdam, VectorAdam]  # optimisers of `_axes` and `_offset`, with step sizes per camera
 
     def __init__(
         self,

@@ -1,7 +1,9 @@
-"""`ShapeFit`: gradient descent on vertices for silhouettes and, optionally, colours."""
+"""`ShapeFit`: gradient descent on vertices for silhouettes and, optionally, colours; alone or with the cameras."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -14,9 +16,12 @@ from ...meshes.subdivision import split_faces
 from ...meshes.topology import Topology
 from ..adjustable import Adjustable
 from ..settings import FitWeights
-from .cameras.camera_refinement import CameraRefinement
+from .cameras import CameraRefinement
 from .descent import SmoothDescent
-from .fit_views import Views, mask_iou, views_of_step
+from .detail.pyramid import reduced
+from .fit_views import Views, mask_iou, photos_of, views_of_step
+from .hull import carve
+from .settings import DescentSettings, short_names
 
 _REGULARIZERS = {"laplacian": 2, "edge_length": 1, "normal_consistency": 1, "smoothness": 1}
 """Loss on the mesh → power of the number of vertices that makes its value independent of the resolution.
@@ -27,6 +32,12 @@ neighbours to V^(-1).
 _TYPICAL_VERTICES = 10_000  # the mesh for which the default weights are chosen
 _COLOR_RATE, _COLOR_SMOOTH = 0.1, 1.0  # step and λ of the descent on colours
 _LAST_RATE = 0.05  # step size at the end, relative to the first
+_COARSE_SIZE = 128  # longer side of the images in pixels: the errors to mend are some pixels
+_COARSE_CELLS = 40  # cells of the hull's grid along each axis
+_SMALLER = 4  # times as many views fit into a step, because images have at most this part of the pixels
+_MISSED = 1 / 8  # fraction of masks that a hull point may fall outside of
+_COARSE_LAPLACIAN = 30.0  # weight: the shape has to follow the cameras
+_COARSE_RATE, _COARSE_CAMERA_RATE = 0.02, 0.01  # steps of vertices and cameras
 
 
 class ShapeFit(Adjustable):
@@ -44,9 +55,7 @@ class ShapeFit(Adjustable):
         weights: Weights of the losses.
         rate: Distance that the fastest vertex moves in a step.
         smooth: λ of `SmoothDescent`.
-        batch: Views per step.
-        gradient: Gradient estimator of the renderer, "edge" or "nmr".
-        seed: Seed of the order of the views.
+        descent: Settings of gradient descent; short: ``batch``, ``gradient``, ``seed``.
         cameras: The cameras of the views, which then move together with the vertices; None keeps them.
         camera_rate: Length of a step of a camera, in radians and relative to its distance.
 
@@ -76,6 +85,7 @@ class ShapeFit(Adjustable):
     _color_descent: SmoothDescent
 
     @old_argument("colour_from", "color_from")
+    @short_names("descent.batch", "descent.gradient", "descent.seed")
     def __init__(
         self,
         views: Views,
@@ -88,17 +98,15 @@ class ShapeFit(Adjustable):
         weights: FitWeights = FitWeights(),  # noqa: B008 (immutable)
         rate: float = 0.01,
         smooth: float = 8.0,
-        batch: int = 6,
-        gradient: str = "edge",
-        seed: int = 0,
+        descent: DescentSettings = DescentSettings(),  # noqa: B008 (immutable)
         cameras: CameraRefinement | None = None,
         camera_rate: float = 0.005,
     ) -> None:
         self.steps = validate.whole("steps", steps, 1)
         self.step = 0
-        self._views, self._weights, self._gradient = views, weights, gradient
+        self._views, self._weights, self._gradient = views, weights, descent.gradient
         self._rate, self._smooth = validate.positive("rate", rate), smooth
-        self._batch, self._seed = min(validate.whole("batch", batch, 1), len(views)), seed
+        self._batch, self._seed = min(descent.batch, len(views)), descent.seed
         self._subdivisions, self._subdivided = validate.whole("subdivisions", subdivisions, 0), 0
         if not 0 <= validate.number("color_from", color_from) <= 1:
             raise ValueError(f"color_from: expected a fraction in [0, 1], got {color_from}")
@@ -158,7 +166,7 @@ class ShapeFit(Adjustable):
         weights = self._weights
         loss = weights.silhouette * losses.silhouette_iou_loss(images.alpha, views.masks)
         if colors is not None:
-            loss = loss + weights.photometric * losses.photometric(images.rgb, views.photos, views.masks)  # type: ignore[arg-type]
+            loss = loss + weights.photometric * losses.photometric(images.rgb, photos_of(views), views.masks)
         for name, exponent in _REGULARIZERS.items():
             if getattr(weights, name):
                 scale = (len(vertices) / _TYPICAL_VERTICES) ** exponent
@@ -209,3 +217,44 @@ class ShapeFit(Adjustable):
         self._set_shape(state["vertices"], state["faces"], state["colors"])
         self._descent.load_state_dict(state["descent"])
         self._color_descent.load_state_dict(state["color_descent"])
+
+
+def coarse_misses(views: Views) -> int:
+    """Choose how many masks a point of the hull may fall outside of."""
+    return math.floor(_MISSED * len(views))
+
+
+def coarse_hull(views: Views) -> tuple[Tensor, Tensor]:
+    """Carve a coarse hull: the points inside most of the masks."""
+    return carve(views, _COARSE_CELLS, coarse_misses(views))
+
+
+def coarse_fit(
+    views: Views,
+    vertices: Tensor,
+    faces: Tensor,
+    cameras: CameraRefinement,
+    steps: int,
+    descent: DescentSettings,
+) -> ShapeFit:
+    """Make the fit of a coarse shape and of the cameras to small silhouettes.
+
+    Args:
+        views: Views that are `Views.normalized`.
+        vertices, faces: The initial shape, [V, 3] and [F, 3].
+        cameras: Their cameras, which the fit changes.
+        steps: Number of steps if a step shows all views; more views take more.
+        descent: Settings of gradient descent; the batch is that of images of full size.
+    """
+    small, batch = reduced(views, max(1, round(max(views.size) / _COARSE_SIZE))), _SMALLER * descent.batch
+    return ShapeFit(
+        small,
+        vertices,
+        faces,
+        steps=steps * math.ceil(len(views) / batch),
+        weights=FitWeights(laplacian=_COARSE_LAPLACIAN),
+        rate=_COARSE_RATE,
+        descent=replace(descent, batch=batch),
+        cameras=cameras,
+        camera_rate=_COARSE_CAMERA_RATE,
+    )

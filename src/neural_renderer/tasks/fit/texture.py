@@ -11,8 +11,8 @@ from torch import Tensor
 
 from ... import validate
 from ..texels import Texels
-from .conjugate_gradients import ConjugateGradients
-from .fit_views import Views
+from .descent import ConjugateGradients
+from .fit_views import Views, photos_of
 
 _OUTLINE = 0.05  # weight of pixels beside an outline
 
@@ -67,16 +67,15 @@ class TextureFit:
         smooth: float = 0.05,
         batch: int = 6,
     ) -> None:
-        if views.photos is None:
-            raise ValueError("views: expected photos, got silhouettes only")
+        photos = photos_of(views)
         self.steps = validate.whole("steps", steps, 1)
         self.step = 0
         self._vertices, self._faces = vertices.detach(), faces.long()
         self._texels = Texels.shared(self._faces, validate.whole("texture_size", size, 3))
         smooth, batch = validate.positive("smooth", smooth), validate.whole("batch", batch, 1)
         objective = _Objective(views, self._vertices, self._faces, self._texels, smooth, batch)
-        colors = views.photos.new_empty(self._texels.count, 3)
-        colors[:] = views.photos.sum((0, 2, 3)) / views.masks.sum()
+        colors = photos.new_empty(self._texels.count, 3)
+        colors[:] = photos.sum((0, 2, 3)) / views.masks.sum()
         self._target = -objective.gradient(torch.zeros_like(colors), photos=True)
         self._solver = ConjugateGradients(objective.gradient, objective.diagonal(), self._target, colors)
         self._constant, self._total = objective.constant, objective.total_weight
@@ -141,7 +140,7 @@ class _Objective:
         self._parts = [views[start : start + batch] for start in range(0, len(views), batch)]
         self._weights = [_pixel_weights(part, vertices, faces) for part in self._parts]
         squares = [
-            (weights[:, None] * part.photos.square()).sum()  # type: ignore[union-attr]
+            (weights[:, None] * photos_of(part).square()).sum()
             for part, weights in zip(self._parts, self._weights, strict=True)
         ]
         self.constant = float(torch.stack(squares).sum())
@@ -153,7 +152,7 @@ class _Objective:
         total = torch.zeros_like(values)
         for part, weights in zip(self._parts, self._weights, strict=True):
             rgb = part.draw((self._vertices, self._faces, self._texels.cubes(values)), "rgb").rgb
-            error = rgb.detach() - part.photos if photos else rgb.detach()  # type: ignore[operator]
+            error = rgb.detach() - photos_of(part) if photos else rgb.detach()
             total += torch.autograd.grad(rgb, values, weights[:, None] * error)[0]
         values = values.detach()
         first, second = self._edges.unbind(1)

@@ -31,6 +31,11 @@ class MaskRule:
 
     Raises:
         TypeError, ValueError: A value is out of range; the message calls it as `load_views` does.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import MaskRule
+        >>> MaskRule(below=0.2).find(torch.tensor([[[0.1, 0.1, 0.1], [0.9, 0.2, 0.2]]])).tolist()
+        [[0.0, 1.0]]
     """
 
     background: tuple[float, float, float] | None = None

@@ -15,7 +15,7 @@ from ..descent import SmoothDescent
 
 _MEAN_DECAY, _SQUARE_DECAY = 0.8, 0.9  # Adam's β₁ and β₂
 _OWN = 8  # columns of position, target length, mean gradient and mean squared gradient
-_LEAST_SIZE = 1e-12  # of a gradient; smaller ones move nothing
+_LEAST_SIZE = 1e-12  # least size of a gradient; smaller ones move nothing
 _STEADY = 0.3  # length of a mean step, of at most 1, from which faces become coarser
 _GAIN = 0.2  # relative change of the target length in a step, for a difference of 1 from `_STEADY`
 _EVERY = 2  # steps from one remeshing to the next

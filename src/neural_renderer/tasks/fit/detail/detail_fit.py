@@ -12,7 +12,7 @@ from .... import validate
 from ....meshes.normals import face_normals, vertex_normals
 from ...adjustable import Adjustable
 from ...settings import DetailWeights
-from ..fit_views import Views, mask_iou, views_of_step
+from ..fit_views import Views, mask_iou, photos_of, views_of_step
 from .adaptive_descent import AdaptiveDescent
 from .color_model import ColorModel, roughness
 from .pyramid import Pyramid, shortest_edge
@@ -22,7 +22,7 @@ _DECAY_FROM, _LAST_RATE = 0.7, 0.05  # the rate decreases from this fraction of 
 # Smooth normals move the surface far, but do not notice neighbouring faces that are bent to and fro. So from this
 # fraction of the steps on, normals are those of faces.
 _FLAT_FROM = 0.4
-_COLOR_RATE = 0.02  # of albedo
+_COLOR_RATE = 0.02  # step of the albedo
 _SETTLE = 10  # steps of light and albedo before vertices move by colours
 # See `AdaptiveDescent.step`. Colours say less than normals, and where they say little, vertices move little.
 _FLOOR, _REACH = 0.5, 1.0
@@ -156,7 +156,7 @@ class DetailFit(Adjustable):
                 layers["depth"], targets["depth"] = _depth_error(surface[..., 3:], views.depth), torch.zeros(())
         if self._color is not None:
             layers["photometric"] = self._color.draw(views, seen, parameters[1][faces], normals, not anti_aliasing)
-            targets["photometric"] = views.photos  # type: ignore[assignment]
+            targets["photometric"] = photos_of(views)
         sizes = [part.shape[3] for part in layers.values()]
         drawn = seen.composite(torch.cat(list(layers.values()), 3), seams=flat)  # normals of faces jump at edges
         images = dict(zip(layers, drawn.split(sizes, 1), strict=True))
@@ -192,7 +192,7 @@ class DetailFit(Adjustable):
 
 
 def _depth_error(depth: Tensor, target: Tensor) -> Tensor:
-    """Subtract known depth [N, H, W] from that of fragments, [N, H, W, 1] or twice as large; 0 where none is known."""
+    """Subtract known depth [N, H, W] from the depth of fragments, [N, H, W, 1] or twice as large; 0 if unknown."""
     scale = depth.shape[1] // target.shape[1]
     target = target.repeat_interleave(scale, 1).repeat_interleave(scale, 2)[..., None]
     return torch.where(target > 0, depth - target, 0.0)

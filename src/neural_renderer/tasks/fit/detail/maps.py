@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -26,13 +26,38 @@ _KNOWN = 0.999  # share of a reduced pixel whose depth must be known
 _FLAT = 0.25  # least length of a normal in a file; shorter ones are no normals
 
 
+@dataclass(frozen=True)
+class MapFormat:
+    """Conventions of normal and depth maps in files.
+
+    Attributes:
+        normals_in: Space of the normals: "world", or "camera" for x right, y up, z towards the viewer.
+        depth_scale: Steps of a depth .png for one unit of the world, > 0.
+
+    Raises:
+        TypeError, ValueError: A value is out of range.
+
+    Example:
+        >>> from neural_renderer.tasks.fit import MapFormat
+        >>> MapFormat(normals_in="camera").depth_scale
+        1000.0
+    """
+
+    normals_in: Literal["world", "camera"] = "world"
+    depth_scale: float = 1000.0
+
+    def __post_init__(self) -> None:
+        if self.normals_in not in ("world", "camera"):
+            raise ValueError(f'normals_in: expected "world" or "camera", got {self.normals_in!r}')
+        validate.positive("depth_scale", self.depth_scale)
+
+
 def load_maps(
     views: Views,
     found: Sequence[tuple[PosedImage, Path]],
     folders: Sequence[Path],
     full: tuple[int, int],
-    normals_in: str = "world",
-    depth_scale: float = 1000.0,
+    conventions: MapFormat,
 ) -> Views:
     """Add the maps in the folders ``normals`` and ``depth`` to views, where there are such.
 
@@ -41,15 +66,11 @@ def load_maps(
         found: Their N entries in the camera file, and images.
         folders: Folders that may contain the folders of maps.
         full: Height and width of the images in pixels; maps are reduced to the size of the views.
-        normals_in: "world", or "camera": x right, y up, z towards the viewer.
-        depth_scale: Steps of a .png for one unit of the world.
+        conventions: Conventions of the files.
 
     Raises:
         FileNotFoundError, ValueError: A map is missing, has another size or cannot be read.
     """
-    if normals_in not in ("world", "camera"):
-        raise ValueError(f'normals_in: expected "world" or "camera", got {normals_in!r}')
-    depth_scale = validate.positive("depth_scale", depth_scale)
     files, entries = [file for _, file in found], [entry for entry, _ in found]
     normal_files, depth_files = (find_maps(files, folders, name) for name in ("normals", "depth"))
     masks = views.masks[:, None]
@@ -57,9 +78,11 @@ def load_maps(
         own = [read_normals(file, full) for file in normal_files]
         maps = [_reduced(each.movedim(2, 0), *rest) for each, rest in _with(own, entries, full, views.size)]
         normals = F.normalize(torch.stack(maps), dim=1) * masks
-        views = replace(views, normals=to_world(normals, views.camera) if normals_in == "camera" else normals)
+        views = replace(
+            views, normals=to_world(normals, views.camera) if conventions.normals_in == "camera" else normals
+        )
     if depth_files is not None:
-        own = [read_depth(file, full, depth_scale) for file in depth_files]
+        own = [read_depth(file, full, conventions.depth_scale) for file in depth_files]
         layers = [torch.stack((each, (each > 0).to(each))) for each in own]
         depth, known = torch.stack(
             [_reduced(each, *rest) for each, rest in _with(layers, entries, full, views.size)]
@@ -69,12 +92,12 @@ def load_maps(
 
 
 def _with(maps: list[Tensor], entries: list[PosedImage], *sizes: tuple[int, int]) -> list[tuple[Tensor, Any]]:
-    """Put each map together with its entry and the sizes."""
+    """Pair each map with its entry and the sizes."""
     return [(each, (entry, *sizes)) for each, entry in zip(maps, entries, strict=True)]
 
 
 def _reduced(image: Tensor, entry: PosedImage, full: tuple[int, int], size: tuple[int, int]) -> Tensor:
-    """Remove the distortion of a map [C, H, W] as that of its image, and reduce it to a size."""
+    """Undistort a map [C, H, W] like its image, and reduce it to a size."""
     if entry.lens.needs_undistortion:
         image = undistort(image, entry.lens.model, entry.lens.values, entry.lens.intrinsics(full))
     return F.interpolate(image[None], size, mode="area")[0]

@@ -1,4 +1,4 @@
-"""Space carving: the object's bounds, and its visual hull on a grid."""
+"""Visual hull of silhouettes on a grid: the bounds of an object, and the initial shape of a fit."""
 
 from __future__ import annotations
 
@@ -7,19 +7,23 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ....meshes.bounds import bounding_box
-from ....meshes.isosurface import isosurface
-from ....meshes.topology import Topology
-from ...components import connected_components
-from ..descent import SmoothDescent
-from ..fit_views import Views
-from ..lookup import mask_values
+from ...meshes.bounds import bounding_box
+from ...meshes.isosurface import isosurface
+from ...meshes.topology import Topology
+from ..components import connected_components
+from .descent import SmoothDescent
+from .fit_views import Views, mask_values
 
 _HALF = 1.08  # half the side of the carved cube; the object lies in [-1, 1]³
 _COARSE, _FINE = 48, 64  # grid points along each axis, in the two passes that find the object
-_REACH = 0.7  # the first pass looks this far around the centre, relative to the distance of the nearest camera
-_DOUBLINGS = 3  # of a given region that the object leaves, at most
-_LEAST_COMPONENT = 0.01  # smaller components, relative to the largest one, are dropped as noise
+_REACH = 0.7  # half the side of the cube that the first pass searches, relative to the distance of the nearest camera
+_DOUBLINGS = 3  # most doublings of a given region that the object leaves
+_LEAST_COMPONENT = 0.01  # least faces of a component, relative to the largest one; smaller ones are noise
+LEVELS = (64, 96, 128)  # cells along each axis; the finest has 2 million points
+_VIEWS_AT_ONCE = 8  # views drawn together, which limits memory
+_LEAST_COVERED = 4.0  # least covered pixels that count in a view, in units of the squared radius of the coarsest blur
+_LEAST_VIEWS = 2  # views that must show a hole
+_MOST_LEFT = 0.5  # share of the covered pixels that a finer level may leave at most
 
 
 def object_bounds(views: Views, misses: int = 0) -> tuple[Tensor, float]:
@@ -52,7 +56,7 @@ def object_bounds(views: Views, misses: int = 0) -> tuple[Tensor, float]:
             inside = points[_occupancy(views, grown, points, misses) > 0.5]
             if not wider or not _reaches_border(inside, center, half):
                 break
-            half, wider = 2 * half, wider - 1  # the region was that of a part
+            half, wider = 2 * half, wider - 1  # the region held a part only
         if not len(inside):
             raise ValueError(
                 "masks: expected silhouettes of one object that meet in space, got some that do not: "
@@ -75,7 +79,7 @@ def view_center(views: Views) -> tuple[Tensor, float]:
 
 
 def _reaches_border(points: Tensor, center: Tensor, half: float) -> bool:
-    """Tell whether points [P, 3] reach the border of a cube, or there are none."""
+    """Return whether points [P, 3] reach the border of a cube, or there are none."""
     return not len(points) or float((points - center).abs().max()) > 0.99 * half
 
 
@@ -89,7 +93,7 @@ def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tenso
     Args:
         views: Views that are `Views.normalized` to the object's bounds.
         cells: Number of grid cells along each axis.
-        misses: Number of masks in which a point of the hull need not lie, for cameras that are not exact; less than the
+        misses: Masks that a point of the hull may fall outside of, for cameras that are not exact; less than the
             number of views.
 
     Returns:
@@ -149,11 +153,11 @@ def _occupancy(views: Views, masks: Tensor, points: Tensor, misses: int) -> Tens
     """Look up points [P, 3] in all masks [N, H, W]; masks are clamped at the border.
 
     Returns:
-        The least value [P] in all masks but those ``misses`` where it is least.
+        The least value [P] over the masks, without the ``misses`` lowest.
     """
     found = points.new_zeros(len(points))
-    rows = torch.arange(len(points), device=points.device)  # of points that are not outside yet; most soon are
-    least = points.new_ones(misses + 1, len(points))  # in ascending order
+    rows = torch.arange(len(points), device=points.device)  # points that are not outside yet; most soon are
+    least = points.new_ones(misses + 1, len(points))  # lowest values, in ascending order
     for index in range(len(views)):
         for value in mask_values(views[index : index + 1], masks[index : index + 1], points[rows]):
             for place in range(misses + 1):
@@ -173,3 +177,56 @@ def _grid(cells: int) -> Tensor:
 def _orthographic_half_width(views: Views) -> float:
     """Return half the width of the widest orthographic view, in world units."""
     return float(1 / torch.as_tensor(views.camera.scale).min())
+
+
+def carve_levels(views: Views, levels: tuple[int, ...] = LEVELS) -> tuple[Tensor, Tensor]:
+    """Carve the visual hull on the coarsest grid that opens the holes and gaps of the masks.
+
+    A hull lies inside all silhouettes. Where it covers background deeper than its blurred border is wide, its grid is
+    too coarse. If several views show that, the hull is carved again at the next level, which is kept if it covers at
+    most half as much.
+
+    Args:
+        views: Views that are `Views.normalized` to the object's bounds.
+        levels: Numbers of grid cells along each axis, in ascending order.
+
+    Returns:
+        Vertices [V, 3] float32 and faces [F, 3] int64, as `carve`.
+
+    Raises:
+        ValueError: As `carve`.
+    """
+    margin = blur_radius(views, levels[0])
+    shape = carve(views, levels[0])
+    covered = covered_background(views, shape, margin)
+    for cells in levels[1:]:
+        counts = covered > _LEAST_COVERED * margin**2
+        if int(counts.sum()) < min(_LEAST_VIEWS, len(views)):
+            break
+        finer = carve(views, cells)
+        left = covered_background(views, finer, margin)
+        if float(left.sum()) > _MOST_LEFT * float(covered.sum()):
+            break
+        shape, covered = finer, left
+    return shape
+
+
+@torch.no_grad()
+def covered_background(views: Views, shape: tuple[Tensor, Tensor], margin: int) -> Tensor:
+    """Count the background pixels that a mesh covers, without its outline.
+
+    Args:
+        views: N views.
+        shape: Vertices [V, 3] and faces [F, 3].
+        margin: Pixels nearer to the mesh's outline than this are left out.
+
+    Returns:
+        [N] int64, pixels of each view.
+    """
+    found = []
+    for start in range(0, len(views), _VIEWS_AT_ONCE):
+        part = views[start : start + _VIEWS_AT_ONCE]
+        outside = (part.draw(shape).alpha < 0.5).float()
+        outside = F.max_pool2d(outside[:, None], 2 * margin + 1, 1, margin)[:, 0] > 0.5
+        found.append((~outside & (part.masks < 0.5)).sum((1, 2)))
+    return torch.cat(found)

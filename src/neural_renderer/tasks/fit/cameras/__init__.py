@@ -1,1 +1,0 @@
-"""Refinement of cameras: poses and focal length, while the shape is fitted or after it."""
