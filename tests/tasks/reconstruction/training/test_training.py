@@ -146,7 +146,8 @@ def test_an_output_folder_that_is_deleted_meanwhile(tmp_path: Path, monkeypatch:
             shutil.rmtree(tmp_path / "out", ignore_errors=True)
 
     monkeypatch.setattr(Checkpoints, "on_train_epoch_end", ending)
-    with pytest.raises(OSError, match=r"out/log\.csv: expected to write it, got: No such file or directory"):
+    # The first to notice is the log or the logger's thread.
+    with pytest.raises(OSError, match="No such file or directory"):
         small_training(tmp_path / "out")
 
 
