@@ -59,6 +59,9 @@ NR_FUNC int facing(const vec3* v, int perspective) {
     return perspective && (corners_behind(v) & 1) ? -side : side;
 }
 
+// The side of a face that is visible: 0 the front, 1 the back.
+NR_FUNC int visible_side(const vec3* v, int perspective) { return facing(v, perspective) < 0; }
+
 // Twice the signed area on the screen, in screen units.
 NR_FUNC float doubled_area(const vec3* v) {
     return (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);

@@ -19,6 +19,13 @@
 #define NR_RARE inline __attribute__((noinline))
 #endif
 
+// At the start of a function: its products and sums may be fused, across statements too, whatever the module's option.
+#if defined(__clang__)
+#define NR_FUSED _Pragma("clang fp contract(fast)")
+#else
+#define NR_FUSED
+#endif
+
 namespace nr {
 
 typedef long long int64;

@@ -34,4 +34,18 @@ NR_FUNC void for_each_run(const Scene& scene, int task, int run, Visit visit) {
     }
 }
 
+// Call visit(image, own, face, box) for the pixels of a face, a task, in each image where it is visible. Its values lie
+// in image ``own`` of ``owners``. All images share those of a single owner, whose gradient one task sums, image by
+// image.
+template <class Visit>
+NR_FUNC void for_each_view(const Scene& scene, const int* visible, int owners, int task, Visit visit) {
+    const int own = task / scene.count, face = task % scene.count;
+    const int first = owners == 1 ? 0 : own, last = owners == 1 ? scene.images : own + 1;
+    for (int image = first; image < last; ++image) {
+        if (visible[(int64)image * (scene.count + 1) + face] == 0) continue;
+        const Box box = box_of_face(scene, image, face);
+        if (box.left <= box.right) visit(image, own, face, box);
+    }
+}
+
 }  // namespace nr

@@ -1,0 +1,16 @@
+// A background in memory as users pass it: one colour, an image, or many.
+#pragma once
+
+#include "platform.h"
+
+namespace nr {
+
+struct Background {
+    const float* values;                // of the first pixel of the first channel of the first image
+    int64 image, channel, row, column;  // numbers from one to the next, 0 where all share them
+
+    // The first pixel of row j from the top.
+    NR_FUNC const float* at(int b, int c, int j) const { return values + b * image + c * channel + j * row; }
+};
+
+}  // namespace nr

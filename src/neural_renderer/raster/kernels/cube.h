@@ -1,0 +1,136 @@
+// A cube of texels: the 8 texels around a point, blended, and the gradients of the blend.
+#pragma once
+
+#include "lanes.h"
+
+namespace nr {
+
+// A coordinate in a cube for each corner of a face: size - 1 times the corner's weight.
+template <class F>
+struct CubeCoordinates {
+    typedef typename Lanes<F>::Mask Mask;
+    F at[3];       // in texels, in [0, size - 1 - eps]
+    Mask free[3];  // whether the coordinate was not clamped
+
+    NR_FUNC CubeCoordinates(const F* weights, int size, float eps) {
+        const float top = (float)(size - 1);
+        const F most = all<F>(top - eps);
+        for (int k = 0; k < 3; ++k) {
+            const F raw = top * weights[k];
+            at[k] = select(raw < most, raw, most);
+            at[k] = select(at[k] > 0.0f, at[k], all<F>(0.0f));
+            free[k] = raw == at[k];
+        }
+    }
+};
+
+// The point of one pixel, in a cube of any size. A cube of one texel has nothing to blend.
+struct Cube {
+    int size, low[3];  // the first of the two texels along each axis
+    float up[3];       // the share of the second one
+    bool free[3];
+
+    NR_FUNC Cube(const float* weights, int texels, float eps) : size(texels) {
+        const CubeCoordinates<float> inside(weights, size, eps);
+        for (int k = 0; k < 3; ++k) {
+            const int down = (int)inside.at[k];  // the last texel has no other one after it
+            low[k] = down < size - 1 || size == 1 ? down : size - 2;
+            free[k] = inside.free[k], up[k] = inside.at[k] - (float)low[k];
+        }
+    }
+    NR_FUNC float part(int axis, int above) const { return above ? up[axis] : 1.0f - up[axis]; }
+    NR_FUNC int texel(int i, int j, int k) const { return ((low[0] + i) * size + low[1] + j) * size + low[2] + k; }
+    NR_FUNC vec3 blend(const vec3* texels) const {
+        if (size == 1) return texels[0];
+        vec3 sum = {};
+        for (int n = 0; n < 8; ++n) {
+            const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
+            sum += part(0, i) * part(1, j) * part(2, k) * texels[texel(i, j, k)];
+        }
+        return sum;
+    }
+    // Add the gradient of a colour to the texels; ``alone``: no other task writes them.
+    NR_FUNC void scatter(vec3* texels, const vec3& color, bool alone) const {
+        if (size == 1) return add(texels, color, alone);
+        for (int n = 0; n < 8; ++n) {
+            const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
+            add(texels + texel(i, j, k), part(0, i) * part(1, j) * part(2, k) * color, alone);
+        }
+    }
+    // The derivative of the blend, times ``color``, by the weights of the corners.
+    NR_FUNC vec3 slope(const vec3* texels, const vec3& color) const {
+        vec3 sum = {};
+        for (int n = 0; n < (size == 1 ? 0 : 8); ++n) {
+            const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
+            const float gain = dot(texels[texel(i, j, k)], color);
+            sum[0] += (i ? gain : -gain) * part(1, j) * part(2, k);
+            sum[1] += (j ? gain : -gain) * part(0, i) * part(2, k);
+            sum[2] += (k ? gain : -gain) * part(0, i) * part(1, j);
+        }
+        for (int k = 0; k < 3; ++k) sum[k] = free[k] ? sum[k] * (float)(size - 1) : 0.0f;
+        return sum;
+    }
+};
+
+#if !NR_ON_CUDA
+// The points of eight pixels of one face, in a cube of one texel or of 2 x 2 x 2. Its texels are the same for all, so
+// that blending along one axis after the other takes fewer products than `Cube`, and no texel is looked up.
+struct CubeOfEight {
+    // Sums of gradients over pixels, times the shares of texels.
+    struct Sums {
+        floats8 of_texel[8][3] = {};
+
+        vec3 of(int n) const { return {sum(of_texel[n][0]), sum(of_texel[n][1]), sum(of_texel[n][2])}; }
+    };
+    int size;
+    CubeCoordinates<floats8> inside;
+    const floats8* up = inside.at;  // shares of the second texels; ``down`` those of the first ones
+    floats8 down[3];
+
+    CubeOfEight(const floats8* weights, int texels, float eps) : size(texels), inside(weights, texels, eps) {
+        for (int k = 0; k < 3; ++k) down[k] = 1.0f - up[k];
+    }
+    CubeOfEight(const CubeOfEight&) = delete;
+    void blend(const vec3* texels, floats8* color) const {
+        NR_FUSED
+        for (int c = 0; c < 3; ++c) {
+            color[c] = all<floats8>(texels[0][c]);
+            if (size == 1) continue;
+            floats8 far[4];
+            for (int n = 0; n < 4; ++n) far[n] = down[2] * texels[2 * n][c] + up[2] * texels[2 * n + 1][c];
+            color[c] = down[0] * (down[1] * far[0] + up[1] * far[1]) + up[0] * (down[1] * far[2] + up[1] * far[3]);
+        }
+    }
+    void scatter(Sums& sums, const floats8* color) const {
+        NR_FUSED
+        if (size == 1) {
+            for (int c = 0; c < 3; ++c) sums.of_texel[0][c] += color[c];
+            return;
+        }
+        for (int n = 0; n < 8; ++n) {
+            const floats8 part =
+                ((n >> 2) ? up[0] : down[0]) * (((n >> 1) & 1) ? up[1] : down[1]) * ((n & 1) ? up[2] : down[2]);
+            for (int c = 0; c < 3; ++c) sums.of_texel[n][c] += part * color[c];
+        }
+    }
+    // The derivative of the blend, times ``color``, by the weights of the corners.
+    void slope(const vec3* texels, const floats8* color, floats8* to_weights) const {
+        NR_FUSED
+        for (int k = 0; k < 3; ++k) to_weights[k] = floats8{};
+        if (size == 1) return;
+        floats8 gain[8];
+        for (int n = 0; n < 8; ++n)
+            gain[n] = texels[n][0] * color[0] + texels[n][1] * color[1] + texels[n][2] * color[2];
+        for (int n = 0; n < 4; ++n) {
+            const int j = n >> 1, k = n & 1;
+            const floats8 *a = j ? up : down, *b = k ? up : down;
+            to_weights[0] += a[1] * b[2] * (gain[4 + n] - gain[n]);
+            to_weights[1] += a[0] * b[2] * (gain[4 * j + 2 + k] - gain[4 * j + k]);
+            to_weights[2] += a[0] * b[1] * (gain[4 * j + 2 * k + 1] - gain[4 * j + 2 * k]);
+        }
+        for (int k = 0; k < 3; ++k) to_weights[k] = select(inside.free[k], to_weights[k], floats8{});
+    }
+};
+#endif
+
+}  // namespace nr

@@ -1,0 +1,195 @@
+// Attributes of corners, interpolated at each pixel, and the gradient.
+#pragma once
+
+#include "face.h"
+
+namespace nr {
+
+struct Interpolate {
+    Scene scene;
+    const float* attributes;  // at the corners, [owners, count, 3, channels]
+    int owners;               // images of attributes: 1 if all share them
+    int channels;
+    int each;       // rows of a task
+    float* result;  // [images, height, width, channels], 0 where no face is visible
+};
+
+// Channel c of the attributes of a face, by its corners' weights.
+template <class F>
+NR_FUNC F interpolated(const F* weights, const float* from, int c, int channels) {
+    return weights[0] * from[c] + weights[1] * from[channels + c] + weights[2] * from[2 * channels + c];
+}
+
+struct InterpolateRows {
+    const Interpolate& call;
+
+    struct Nothing {};
+    NR_FUNC void fresh(const Face&, const Place&, Nothing&) const {}
+    NR_FUNC void empty(int count, const Place& place) const {
+        memset(to(place), 0, (int64)count * call.channels * sizeof(float));
+    }
+    NR_FUNC void one(const Face&, const Point<float>& point, const Place& place, Nothing&) const {
+        for (int c = 0; c < call.channels; ++c)
+            to(place)[c] = interpolated(point.weights, from(place), c, call.channels);
+    }
+#if !NR_ON_CUDA
+    // Three channels, the usual number, are stored at once.
+    void run(const Face&, const Point<floats8>& points, int count, const Place& place, Nothing&) const {
+        const float* corners = from(place);
+        const int channels = call.channels;
+        const auto mixed = [&](int c, int n) { return interpolated(points.weights, corners, c, n); };
+        if (channels == 3 && place.i + 8 <= call.scene.width)
+            return store((vec3*)to(place), mixed(0, 3), mixed(1, 3), mixed(2, 3));
+        for (int c = 0; c < channels; ++c) {
+            float values[8];
+            store(values, mixed(c, channels));
+            for (int n = 0; n < count; ++n) to(place)[n * channels + c] = values[n];
+        }
+    }
+#endif
+    NR_FUNC const float* from(const Place& place) const {
+        const int own = smaller(place.image, call.owners - 1);
+        return call.attributes + ((int64)own * call.scene.count + place.face) * 3 * call.channels;
+    }
+    NR_FUNC float* to(const Place& place) const { return call.result + place.pixel * call.channels; }
+};
+
+// The pixels of a task.
+NR_FUNC void interpolate_pixels(const Interpolate& call, int task) {
+    over_rows<InterpolateRows::Nothing>(call.scene, task, call.each, InterpolateRows{call});
+}
+
+struct PullAttributes {
+    Scene scene;
+    const float* attributes;  // at the corners, [owners, count, 3, channels]
+    int owners;               // images of attributes: 1 if all share them
+    int channels;
+    const float* grad;     // [images, height, width, channels]
+    int faces_too;         // whether the gradient to faces is asked for
+    const int* visible;    // mask of visible faces, [images, count + 1]; on the CPU
+    int run;               // pixels of a task on CUDA
+    float* to_attributes;  // [owners, count, 3, channels], 0 before
+    vec3* to_faces;        // [images, count, 3], 0 before
+};
+
+// The pixels of one face.
+struct PullCorners {
+    const PullAttributes& call;
+    const int channels;
+    const float* from;  // attributes of the corners
+    float* to;          // their gradient
+    const bool alone;
+    const Slopes slopes;
+    CornerSums<float> sums;
+
+#if !NR_ON_CUDA
+    // Eights give the same as `CornerSums::pull`, but are summed first. The gradients of weights are products of
+    // ``from`` and ``pull``. So the sums of weights[k] * pull suffice for the corners, and in perspective those of
+    // weights[k] * color * pull.
+    static constexpr int MOST = 8;  // channels
+    floats8 sums_of_pull[3 * MOST], sums_of_color[3];
+    float beside[3 * MOST];  // attributes less those of the first corner: a shift of all corners moves nothing
+    float total[3 * MOST];   // gradients of the corners' attributes
+    const bool colors_too = call.faces_too && call.scene.perspective;
+    bool by_eights = false;
+
+    void prepare() {
+        for (int k = 0; k < 3; ++k) sums_of_color[k] = floats8{};
+        for (int k = 0; k < 3 * channels; ++k) sums_of_pull[k] = floats8{};
+        for (int k = 0; k < 3; ++k)
+            for (int c = 0; c < channels; ++c) beside[k * channels + c] = from[k * channels + c] - from[c];
+    }
+    void eight(const Face&, const Point<floats8>& points, const Place& place, ints8 here) {
+        const floats8* w = points.weights;
+        const float* g = call.grad + place.pixel * channels;
+        __builtin_prefetch(g - 2 * call.scene.width * channels);  // two rows up: memory is slower than the sums
+        floats8 pulls[MOST], color{};
+        if (channels == 3) load((const vec3*)g, pulls);
+        else
+            for (int c = 0; c < channels; ++c, ++g)
+                for (int n = 0; n < 8; ++n) pulls[c][n] = g[n * channels];
+        const auto add = [&](int c, int channels) {
+            const floats8 pull = select(here, pulls[c], floats8{});
+            for (int k = 0; k < 3; ++k) sums_of_pull[3 * c + k] += w[k] * pull;
+            if (colors_too) color += pull * (w[1] * beside[channels + c] + w[2] * beside[2 * channels + c]);
+        };
+        if (channels == 3) add(0, 3), add(1, 3), add(2, 3);
+        else
+            for (int c = 0; c < channels; ++c) add(c, channels);
+        if (colors_too)
+            for (int k = 0; k < 3; ++k) sums_of_color[k] += w[k] * color;
+    }
+    void finish_eights() {
+        for (int c = 0; c < channels; ++c)
+            for (int k = 0; k < 3; ++k) to[k * channels + c] += total[k * channels + c] = sum(sums_of_pull[3 * c + k]);
+        by_eights = true;
+    }
+    void restart() {}
+    // Set the sums for the corners of the face from those of eights.
+    void into_corners(const Face& face) {
+        float right[MOST], up[MOST], all_right = 0.0f, all_up = 0.0f;  // slopes of the channels, of 1
+        for (int c = 0; c < channels; ++c) right[c] = up[c] = 0.0f;
+        for (int k = 0; k < 3; ++k) {
+            const float dx = face.inverse[k] * slopes.dx[k], dy = face.inverse[k] * slopes.dy[k];
+            all_right += dx, all_up += dy;
+            for (int c = 0; c < channels; ++c)
+                right[c] += beside[k * channels + c] * dx, up[c] += beside[k * channels + c] * dy;
+        }
+        for (int k = 0; k < 3; ++k) {
+            const float of_color = sum(sums_of_color[k]), z = face.perspective ? face.v[k][2] : 1.0f;
+            float to_x = -all_right * of_color, to_y = -all_up * of_color, to_near = -of_color;
+            for (int c = 0; c < channels; ++c) {
+                const float part = total[k * channels + c];
+                to_x += right[c] * part, to_y += up[c] * part, to_near += beside[k * channels + c] * part;
+            }
+            sums.to[3 * k] = -to_x * z;
+            sums.to[3 * k + 1] = -to_y * z;
+            sums.to[3 * k + 2] = face.perspective ? -to_near * face.inverse[k] : 0.0f;
+        }
+    }
+#endif
+    NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
+        const float* pull = call.grad + place.pixel * channels;
+        vec3 to_weights = {};
+        for (int k = 0; k < 3; ++k)
+            for (int c = 0; c < channels; ++c) {
+                to_weights[k] += from[k * channels + c] * pull[c];
+                add(to + k * channels + c, point.weights[k] * pull[c], alone);
+            }
+        if (call.faces_too) sums.pull(face, slopes, point, to_weights.c, 0.0f, true);
+    }
+};
+
+// The pixels of a box that show face f, with the attributes of image ``own``; ``alone``: no other task writes there.
+NR_FUNC void pull_corners(const PullAttributes& call, int image, int own, int f, const Box& box, bool alone) {
+    const int64 at = ((int64)own * call.scene.count + f) * 3 * call.channels;
+    Face face;
+    face.set(call.scene.corners(image, f), call.scene);
+    PullCorners visitor = {call, call.channels, call.attributes + at, call.to_attributes + at, alone, Slopes(face)};
+    const bool few = call.channels <= 8;
+#if !NR_ON_CUDA
+    if (few) visitor.prepare();
+#endif
+    over_face(call.scene, face, image, f, box, few, visitor);
+    if (!call.faces_too) return;
+#if !NR_ON_CUDA
+    if (visitor.by_eights) visitor.into_corners(face);
+#endif
+    visitor.sums.give(call.to_faces + ((int64)image * call.scene.count + f) * 3, alone);
+}
+
+// The pixels that show one face, in one image or in all.
+NR_FUNC void pull_attributes_of_face(const PullAttributes& call, int task) {
+    for_each_view(call.scene, call.visible, call.owners, task, [&](int image, int own, int f, const Box& box) {
+        pull_corners(call, image, own, f, box, true);
+    });
+}
+
+// A few neighbouring pixels, face by face, on CUDA.
+NR_FUNC void pull_attributes_of_run(const PullAttributes& call, int task) {
+    for_each_run(call.scene, task, call.run, [&](int image, int f, int j, int first, int last) {
+        pull_corners(call, image, smaller(image, call.owners - 1), f, Box{first, last, j, j}, false);
+    });
+}
+
+}  // namespace nr

@@ -1,0 +1,201 @@
+// The colour of each pixel from the cube of texels of its face, under light, and its gradient.
+#pragma once
+
+#include "background.h"
+#include "cube.h"
+#include "face.h"
+
+namespace nr {
+
+struct LitCubes {
+    const vec3* texels;  // [cubes, faces, size, size, size]
+    const vec3* light;   // factors on the front and the back of each face, [lamps, 2, faces]
+    int cubes, lamps;    // images of each; 1 if all share them
+    int size;            // texels along a side of a cube
+    float eps;           // coordinates in a cube end at size - 1 - eps
+
+    NR_FUNC int64 volume() const { return (int64)size * size * size; }
+    NR_FUNC const vec3* cube(const Scene& scene, int image, int face) const {
+        return texels + ((int64)(image < cubes ? image : cubes - 1) * scene.count + face) * volume();
+    }
+    NR_FUNC const vec3& light_on(const Scene& scene, int image, int face, int side) const {
+        return light[(2 * (int64)(image < lamps ? image : lamps - 1) + side) * scene.count + face];
+    }
+};
+
+struct SampleCubes {
+    Scene scene;
+    LitCubes textures;
+    Background background;
+    int each;      // rows of a task
+    float* color;  // [images, 3, height, width]
+};
+
+struct SampleRows {
+    const SampleCubes& call;
+
+    typedef vec3 Factors;
+    NR_FUNC void fresh(const Face& face, const Place& place, Factors& factors) const {
+        const int side = visible_side(face.v, face.perspective);
+        factors = call.textures.light_on(call.scene, place.image, place.face, side);
+    }
+    NR_FUNC void empty(int count, const Place& place) const {
+        const Background& behind = call.background;
+        for (int c = 0; c < 3; ++c) {
+            const float* from = behind.at(place.image, c, call.scene.height - 1 - place.j) + place.i * behind.column;
+            float* to = first(place) + c * call.scene.area();
+            if (behind.column == 0)
+                for (int n = 0; n < count; ++n) to[n] = *from;
+            else
+                for (int n = 0; n < count; ++n) to[n] = from[n * behind.column];
+        }
+    }
+    NR_FUNC void one(const Face&, const Point<float>& point, const Place& place, const Factors& factors) const {
+        const vec3 mixed = blend(point.weights, place);
+        for (int c = 0; c < 3; ++c) first(place)[c * call.scene.area()] = mixed[c] * factors[c];
+    }
+#if !NR_ON_CUDA
+    void run(const Face&, const Point<floats8>& points, int count, const Place& place, const Factors& factors) const {
+        const LitCubes& textures = call.textures;
+        floats8 mixed[3];
+        if (textures.size <= 2) {
+            const vec3* cube = textures.cube(call.scene, place.image, place.face);
+            CubeOfEight(points.weights, textures.size, textures.eps).blend(cube, mixed);
+        } else
+            for (int n = 0; n < count; ++n) {
+                const float weights[3] = {points.weights[0][n], points.weights[1][n], points.weights[2][n]};
+                const vec3 own = blend(weights, place);
+                for (int c = 0; c < 3; ++c) mixed[c][n] = own[c];
+            }
+        float* to = first(place);
+        for (int c = 0; c < 3; ++c, to += call.scene.area()) {
+            mixed[c] *= factors[c];
+            if (place.i + 8 <= call.scene.width) store(to, mixed[c]);
+            else
+                for (int n = 0; n < count; ++n) to[n] = mixed[c][n];
+        }
+    }
+#endif
+    // The place of a pixel's first channel.
+    NR_FUNC float* first(const Place& place) const {
+        return call.color + place.pixel + 2 * place.image * call.scene.area();
+    }
+    NR_FUNC vec3 blend(const float* weights, const Place& place) const {
+        const LitCubes& textures = call.textures;
+        return Cube(weights, textures.size, textures.eps).blend(textures.cube(call.scene, place.image, place.face));
+    }
+};
+
+// The pixels of a task.
+NR_FUNC void sample_pixels(const SampleCubes& call, int task) {
+    over_rows<SampleRows::Factors>(call.scene, task, call.each, SampleRows{call});
+}
+
+struct PullCubes {
+    Scene scene;
+    LitCubes textures;
+    const float* grad;         // [images, 3, height, width]
+    int light_too, faces_too;  // whether these gradients are asked for
+    const int* visible;        // mask of visible faces, [images, count + 1]; on the CPU
+    int run;                   // pixels of a task on CUDA
+    vec3* to_textures;         // [cubes, count, size, size, size]; 0 before, on CUDA
+    vec3* to_light;            // [images, 2, count], 0 before
+    vec3* to_faces;            // [images, count, 3], 0 before
+};
+
+struct PullCube {
+    const int size;
+    const float eps;
+    const bool light_too, faces_too;
+    const int64 area;
+    const vec3* cube;
+    const vec3 factor;
+    vec3* to_cube;
+    const float* grads;  // of the image's first channel, less the place of the image in a map
+    const bool alone;
+    const Slopes slopes;
+    CornerSums<float> sums;
+    vec3 lit = {};  // gradient to the light
+#if !NR_ON_CUDA
+    vec3 lit_cube[8];
+    CubeOfEight::Sums sums_of_texels;
+    CornerSums<floats8> sums_of_eights;
+    bool by_eights = false;
+
+    void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {
+        const CubeOfEight inside(points.weights, size, eps);
+        floats8 pull[3], to_weights[3];
+        for (int c = 0; c < 3; ++c) pull[c] = select(here, load<floats8>(grads + c * area + place.pixel), floats8{});
+        inside.scatter(sums_of_texels, pull);
+        if (faces_too) {
+            inside.slope(lit_cube, pull, to_weights);
+            sums_of_eights.pull(face, slopes, points, to_weights, floats8{}, here);
+        }
+    }
+    void finish_eights() {
+        by_eights = true;
+        for (int n = 0; n < size * size * size; ++n) {
+            const vec3 sum = sums_of_texels.of(n);
+            lit += times(cube[n], sum);
+            to_cube[n] += times(sum, factor);
+        }
+    }
+    void restart() {}
+#endif
+    NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
+        const Cube at(point.weights, size, eps);
+        vec3 g;
+        for (int c = 0; c < 3; ++c) g[c] = grads[c * area + place.pixel];
+        if (light_too) lit += times(at.blend(cube), g);
+        g = times(g, factor);
+        at.scatter(to_cube, g, alone);
+        if (faces_too) sums.pull(face, slopes, point, at.slope(cube, g).c, 0.0f, true);
+    }
+};
+
+// The pixels of a box that show face f, whose cube is that of image ``own``; ``alone``: no other task writes to it.
+NR_FUNC void pull_cube(const PullCubes& call, int image, int own, int f, const Box& box, bool alone) {
+    const Scene& scene = call.scene;
+    const int64 volume = call.textures.volume(), at = ((int64)own * scene.count + f) * volume;
+    Face face;
+    face.set(scene.corners(image, f), scene);
+    const int side = visible_side(face.v, scene.perspective);
+    const vec3 factor = call.textures.light_on(scene, image, f, side);
+    const float* grads = call.grad + 2 * image * scene.area();
+    const bool light_too = call.light_too, faces_too = call.faces_too;
+    const int size = call.textures.size;
+    PullCube visitor = {size,   call.textures.eps,     light_too, faces_too, scene.area(), call.textures.texels + at,
+                        factor, call.to_textures + at, grads,     alone,     Slopes(face)};
+    const bool small = size <= 2;
+#if !NR_ON_CUDA
+    for (int n = 0; small && n < volume; ++n) visitor.lit_cube[n] = times(visitor.cube[n], factor);
+#endif
+    over_face(scene, face, image, f, box, small, visitor);
+    if (faces_too) {
+        vec3* to = call.to_faces + ((int64)image * scene.count + f) * 3;
+#if !NR_ON_CUDA
+        if (visitor.by_eights) visitor.sums_of_eights.give(to, alone);
+        else
+#endif
+            visitor.sums.give(to, alone);
+    }
+    if (light_too) atomic_add(call.to_light + (2 * (int64)image + side) * scene.count + f, visitor.lit);
+}
+
+// The pixels that show one face, in one image or in all. The task clears its cube: a pass over the memory less.
+NR_FUNC void pull_cubes_of_face(const PullCubes& call, int task) {
+    const int64 volume = call.textures.volume();
+    memset(call.to_textures + task * volume, 0, volume * sizeof(vec3));
+    for_each_view(call.scene, call.visible, call.textures.cubes, task, [&](int image, int own, int f, const Box& box) {
+        pull_cube(call, image, own, f, box, true);
+    });
+}
+
+// A few neighbouring pixels, face by face, on CUDA.
+NR_FUNC void pull_cubes_of_run(const PullCubes& call, int task) {
+    for_each_run(call.scene, task, call.run, [&](int image, int f, int j, int first, int last) {
+        pull_cube(call, image, smaller(image, call.textures.cubes - 1), f, Box{first, last, j, j}, false);
+    });
+}
+
+}  // namespace nr
