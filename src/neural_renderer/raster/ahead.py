@@ -15,6 +15,7 @@ from .colors.texture_cubes import sample_textures
 from .ops.barycentrics import barycentrics
 from .ops.corners import gather_corners
 from .ops.coverage import coverage
+from .ops.draw import DrawingKernels
 from .ops.flat_light import flat_light
 from .ops.pinhole import pinhole
 from .ops.project_corners import project_corners
@@ -35,7 +36,7 @@ ATTRIBUTES: Functions = (interpolate, composite)
 IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels)
 PROJECTION: Functions = (pinhole, project_corners)
 SCENE: Functions = (*PROJECTION, flat_light)
-_ALWAYS: Functions = (coverage, gather_corners)
+_ALWAYS: Functions = (coverage, DrawingKernels, gather_corners)
 _VISIBILITY: dict[str, Functions] = {
     "nmr": (nmr_gradient, empty_lines),
     "edge": (edge_gradient, neighbors),

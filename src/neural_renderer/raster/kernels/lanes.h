@@ -11,8 +11,8 @@ namespace nr {
 NR_FUNC float select(bool mask, float yes, float no) { return mask ? yes : no; }
 
 // The same number in all lanes.
-template <class F>
-NR_FUNC F all(float value) {
+template <class F, class T>
+NR_FUNC F all(T value) {
     return F{} + value;
 }
 
@@ -29,6 +29,19 @@ struct Lanes<float> {
 
 NR_FUNC float to_floats(int value) { return (float)value; }
 NR_FUNC bool any(bool mask) { return mask; }
+
+// Numbers that lie side by side in memory.
+template <class V, class T>
+NR_FUNC V load(const T* from) {
+    if constexpr (sizeof(V) == sizeof(T)) return *from;  // with its alignment
+    V result;
+    memcpy(&result, from, sizeof(result));
+    return result;
+}
+template <class V, class T>
+NR_FUNC void store(T* to, const V& values) {
+    memcpy(to, &values, sizeof(values));
+}
 
 #if !NR_ON_CUDA
 #if defined(__clang__)
@@ -94,21 +107,15 @@ inline unsigned bits(ints8 mask) {
 #endif
 }
 
-inline ints8 least(ints8 a, ints8 b) { return a < b ? a : b; }
+inline ints8 least(ints8 a, ints8 b) {
+#if defined(__clang__)
+    return __builtin_elementwise_min(a, b);
+#else
+    return a < b ? a : b;
+#endif
+}
 
 inline float sum(floats8 v) { return v[0] + v[1] + v[2] + v[3] + (v[4] + v[5] + v[6] + v[7]); }
-
-// Numbers that lie side by side in memory.
-template <class V, class T>
-inline V load(const T* from) {
-    V result;
-    memcpy(&result, from, sizeof(result));
-    return result;
-}
-template <class V, class T>
-inline void store(T* to, const V& values) {
-    memcpy(to, &values, sizeof(values));
-}
 
 // Three channels of eight pixels that lie side by side, as in an array of vec3.
 inline void load(const vec3* from, floats8* to) {

@@ -107,6 +107,22 @@ NR_FUNC void atomic_add(vec3* to, const vec3& value) {
     for (int k = 0; k < 3; ++k) atomic_add(&to->c[k], value[k]);
 }
 
+// The least number of concurrent CUDA threads.
+NR_FUNC void atomic_min(int64* to, int64 value) {
+#if NR_ON_CUDA
+    atomicMin(to, value);
+#else
+    if (value < *to) *to = value;
+#endif
+}
+
+// The bits of a number. Those of positive numbers have their order.
+NR_FUNC int bits_of(float value) {
+    int result;
+    memcpy(&result, &value, sizeof(result));
+    return result;
+}
+
 // Add to a place that this task alone writes, if ``alone``, or to one that several tasks share.
 template <class T>
 NR_FUNC void add(T* to, const T& value, bool alone) {

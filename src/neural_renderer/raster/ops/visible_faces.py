@@ -1,24 +1,21 @@
 """Masks of visible faces. All other faces, often more than half, have no gradient and are skipped."""
 
-# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
 from typing import cast
 
 import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.geometry import Int4, in_front, pixel_box
-from ..warp.launch import array, launch, stream_of
-from ..warp.layout import MANY_PIXELS, PIXELS_OF_TASK, pixel_tasks
+from ..warp.launch import launch, stream_of
+from ..warp.layout import MANY_PIXELS, pixel_tasks
 from ..warp.memory import zeros
-from ..warp.native import Call, struct
+from ..warp.native import Call, Kernels
 
-wp.set_module_options({"enable_backward": False})
+_KERNELS = Kernels(__name__, "visible_faces.h")
+_Scene, _Mark = _KERNELS.struct("Scene"), _KERNELS.struct("Mark")
+_mark_pixels = _KERNELS.kernel("mark_pixels", _Mark)
 
 _ALONG = "along"  # instead of the stream on which a mask was written
-
-
-_Scene = struct("geometry.h", "Scene")
 
 
 def scene_of(faces: Tensor, face_index: Tensor, perspective: bool = False) -> Call:
@@ -69,60 +66,13 @@ def _state(face_index: Tensor) -> tuple[int, int]:
 
 
 def _visible_faces(face_index: Tensor, count: int) -> Tensor:
-    visible = zeros((len(face_index), count + 1), face_index.device, torch.int32)
     batch, height, width = face_index.shape
+    visible = zeros((batch, count + 1), face_index.device, torch.int32)
     tasks, each = pixel_tasks(batch * height, width, face_index.device)
+    scene = _Scene(face_index=face_index.contiguous(), images=batch, count=count, height=height, width=width)
     many = MANY_PIXELS // max(each * width, 1)
-    launch(_mark, tasks, [array(face_index), array(visible), each], face_index.device, many)
+    launch(_mark_pixels, tasks, [_Mark(scene=scene, each=each, visible=visible)], face_index.device, many)
     return visible
-
-
-_MARK = f"""
-    const int height = face_index.shape[1], width = face_index.shape[2], all = face_index.shape[0] * height;
-    const int entries = visible.shape[1], none = entries - 1;
-    {PIXELS_OF_TASK}
-    for (int row = first; row < last; ++row) {{
-        const int* shown = face_index.data + (wp::int64)row * width;
-        int* own = visible.data + (wp::int64)(row / height) * entries;
-        // Written without a test: faces of neighbouring pixels differ too often for a predictable branch.
-        for (int i = left; i < right; ++i) own[shown[i] < 0 ? none : shown[i]] = 1;
-    }}
-"""
-
-
-@wp.func_native(_MARK)
-def mark(face_index: wp.array3d(dtype=int), visible: wp.array2d(dtype=int), task: int, each: int):
-    """Mark the faces of the pixels of a task. In plain C++ for its speed."""
-    ...
-
-
-@wp.kernel
-def _mark(first: int, face_index: wp.array3d(dtype=int), visible: wp.array2d(dtype=int), each: int):
-    """Mark the faces of the pixels of a task. Several tasks may write to one place, but all write 1."""
-    mark(face_index, visible, first + wp.tid(), each)
-
-
-_END_OF_RUN = """
-    const int* shown = face_index.data + row * face_index.shape[2];
-    const int f = shown[i];
-    while (i < end && shown[i] == f) ++i;
-    return i;
-"""
-
-
-@wp.func_native(_END_OF_RUN)
-def end_of_run(face_index: wp.array3d(dtype=int), row: wp.int64, i: int, end: int) -> int:
-    """Find the first pixel after i in [i, end) of a row, counted over all images, that shows another face, or end."""
-    ...
-
-
-@wp.func
-def pixels_of_run(face_index: wp.array3d(dtype=int), task: int, run: int):
-    """Find the pixels of a task of `run_tasks`: the row, counted over all images, and its pixels [first, end)."""
-    width = int(face_index.shape[2])
-    runs = (width + run - 1) // run
-    begin = (task % runs) * run
-    return task // runs, begin, wp.min(begin + run, width)
 
 
 @wp.func
@@ -136,20 +86,6 @@ def pixels_of_task(task: int, each: int, width: int):
         left = task % width
         right = left + 1
     return row, left, right
-
-
-@wp.func
-def box_of_face(
-    faces: wp.array3d(dtype=wp.vec3), face_index: wp.array3d(dtype=int), b: int, f: int, perspective: int
-) -> Int4:
-    """Find the pixels that a face may cover, as `pixel_box`; none if it cannot be drawn."""
-    v0 = faces[b, f, 0]
-    v1 = faces[b, f, 1]
-    v2 = faces[b, f, 2]
-    front = in_front(v0, v1, v2, perspective)
-    if front < 0:
-        return Int4(0, -1, 0, -1)
-    return pixel_box(v0, v1, v2, front, face_index.shape[1], face_index.shape[2])
 
 
 _NEXT_SHOWN = """

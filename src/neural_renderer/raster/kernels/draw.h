@@ -1,0 +1,312 @@
+// Drawing: the nearest face of each pixel. A pixel whose edge functions e are not negative lies in a counter-clockwise
+// face; its depth is (e . n) / (e . d). The formulas are the same on both devices, so that results agree to the bit.
+//
+// On the CPU a task draws all faces into a band of rows of one image. On CUDA a thread draws a small face, and many
+// share a large one; an atomic minimum of keys of depth and index finds the nearest.
+#pragma once
+
+#include "lanes.h"
+#include "queue.h"
+#include "tasks.h"
+#include "visible_faces.h"
+
+namespace nr {
+
+struct Drawing {
+    const vec3* faces;    // corners on the screen, [images, count, 3]
+    const float* behind;  // depth behind which each pixel is drawn, [images, height, width]; null: the near plane's
+    int images;
+    int count;          // faces of an image
+    int height, width;  // pixels
+    float near, far;    // limits of depth, which are excluded
+    int two_sided;      // whether faces that run clockwise on the screen are drawn
+    int perspective;    // whether depth is 1 / sum(w_k / z_k), else sum(w_k z_k)
+    int bands;          // bands of rows in an image, a task each; on the CPU
+    float* nearest;     // depth of the nearest face, [images, height, width]; on the CPU
+    int64* keys;        // bits of the depth, then the index, of the nearest face, [images, height, width]; on CUDA
+    Queue queue;        // of large faces; on CUDA
+    int each;           // rows of a task of `decode_keys`; on CUDA
+    int* face_index;    // result, [images, height, width]; row 0 at the top, -1 where there is no face
+    int* visible;       // mask of visible faces, [images, count + 1], 0 before; may be null
+
+    NR_FUNC const vec3* corners(int image, int face) const { return faces + ((int64)image * count + face) * 3; }
+    NR_FUNC int64 row_start(int image, int j) const { return ((int64)image * height + height - 1 - j) * width; }
+};
+
+// Where drawing begins: at the near plane, or behind a depth that each pixel has.
+struct BehindNearPlane {
+    template <class F>
+    static NR_FUNC F depth(const Drawing& call, int64) {
+        return all<F>(call.near);
+    }
+};
+
+// A face to draw, counter-clockwise.
+struct DrawnFace {
+    vec3 v[3];
+    vec3 n, d;  // terms of the depth (e . n) / (e . d)
+    int index;  // number of the face, plus the number of faces where its back is seen
+    int front;  // class, as from `in_front`; -1 if it is not drawn
+};
+
+// Whether a face may be drawn between two heights of the screen. Most faces of a fine mesh fail this quick test: they
+// are above, below, too near, too far, or turned away. A face across the camera's plane passes.
+NR_FUNC bool may_be_drawn(const Drawing& call, const vec3* v, float low, float high) {
+    const float x0 = v[0][0], x1 = v[1][0], x2 = v[2][0], y0 = v[0][1], y1 = v[1][1], y2 = v[2][1];
+    const float z0 = v[0][2], z1 = v[1][2], z2 = v[2][2], near = call.near, far = call.far;
+    if (call.perspective && !((z0 > 0.0f) & (z1 > 0.0f) & (z2 > 0.0f))) return true;
+    const bool below = (y0 < low) & (y1 < low) & (y2 < low), above = (y0 > high) & (y1 > high) & (y2 > high);
+    const bool close = (z0 <= near) & (z1 <= near) & (z2 <= near), away = (z0 >= far) & (z1 >= far) & (z2 >= far);
+    const float left = (y2 - y0) * (x1 - x0), right = (y1 - y0) * (x2 - x0);
+    return !(below | above | close | away) & (call.two_sided ? left != right : left > right);
+}
+
+NR_FUNC DrawnFace drawn_face(const Drawing& call, int image, int f, float low, float high) {
+    const vec3* v = call.corners(image, f);
+    DrawnFace face = {{v[0], v[1], v[2]}, {1.0f, 1.0f, 1.0f}, {1.0f, 1.0f, 1.0f}, f, -1};
+    if (!may_be_drawn(call, v, low, high)) return face;
+    const int front = in_front(v, call.perspective), side = facing(v, call.perspective);
+    if (side == 0 || (side < 0 && !call.two_sided)) return face;
+    if (side < 0) {
+        // The first packages append reversed copies after all faces. Ties are decided in the same order here: if a file
+        // contains a face twice, once reversed, both have the same depth to the last bit.
+        face.index = f + call.count;
+        face.v[0] = v[2], face.v[2] = v[0];
+    }
+    for (int k = 0; k < 3; ++k) {
+        if (call.perspective) face.d[k] = 1.0f / face.v[k][2];
+        else face.n[k] = face.v[k][2];
+    }
+    face.front = front;
+    return face;
+}
+
+// The depth at a pixel of a face across the camera's plane; 0 outside the face.
+NR_RARE float crossing_depth(const Drawing& call, const vec3* v, int i, int j) {
+    const vec3d a = homogeneous_weights(v, pixel_centre(i, call.width), pixel_centre(j, call.height));
+    return a[0] >= 0.0 && a[1] >= 0.0 && a[2] >= 0.0 ? (float)(1.0 / (a[0] + a[1] + a[2])) : 0.0f;
+}
+
+// A row of pixels that a face may cover.
+struct Span {
+    int first, last;   // pixels
+    int64 row;         // place of the row's first pixel in memory
+    float y0, y1, y2;  // heights of the corners above the pixels' centres
+
+    // Compute the depth at pixels with centres at x; returns which of them lie in the face.
+    template <class F>
+    NR_FUNC auto depth(const DrawnFace& face, F x, F& z) const {
+        const float x0 = face.v[0][0], x1 = face.v[1][0], x2 = face.v[2][0];
+        const vec3 &n = face.n, &d = face.d;
+        const F e0 = (x1 - x) * y2 - y1 * (x2 - x);
+        const F e1 = (x2 - x) * y0 - y2 * (x0 - x);
+        const F e2 = (x0 - x) * y1 - y0 * (x1 - x);
+        z = (e0 * n[0] + e1 * n[1] + e2 * n[2]) / (e0 * d[0] + e1 * d[1] + e2 * d[2]);
+        return (e0 >= 0.0f) & (e1 >= 0.0f) & (e2 >= 0.0f);
+    }
+};
+
+// Call visit(span) for each row of a face's box, with the pixels between its crossings with the edges, widened by the
+// rounding error. A box narrower than the pixels that are tested ``at_once`` keeps its width.
+template <class Visit>
+NR_FUNC void for_each_span(
+    const Drawing& call, int image, const DrawnFace& face, const Box& box, int at_once, Visit visit) {
+    const vec3* v = face.v;
+    const float x0 = v[0][0], x1 = v[1][0], x2 = v[2][0], w = (float)call.width, h = (float)call.height;
+    const float slope[3] = {v[1][1] - v[2][1], v[2][1] - v[0][1], v[0][1] - v[1][1]};
+    for (int j = box.bottom; j <= box.top; ++j) {
+        const float y = (float)(2 * j + 1 - call.height) / h;
+        Span span = {box.left, box.right, call.row_start(image, j), v[0][1] - y, v[1][1] - y, v[2][1] - y};
+        if (box.right - box.left >= at_once) {
+            float low = -2.0f, high = 2.0f;
+            const float p[3] = {x1 * span.y2, x2 * span.y0, x0 * span.y1};
+            const float q[3] = {x2 * span.y1, x0 * span.y2, x1 * span.y0};
+            for (int k = 0; k < 3; ++k) {
+                const float steep = fabsf(slope[k]);
+                if (steep > 1e-6f) {
+                    const float at = (q[k] - p[k]) / slope[k], doubt = 1e-6f * (fabsf(p[k]) + fabsf(q[k])) / steep;
+                    if (slope[k] > 0.0f) low = larger(at - doubt, low);
+                    else high = smaller(at + doubt, high);
+                }
+            }
+            if (!(low <= high)) continue;
+            const float begin = 0.5f * (w * low + w - 1.0f) - 0.01f, end = 0.5f * (w * high + w - 1.0f) + 0.01f;
+            span.first = begin > (float)box.left ? (int)begin + 1 : box.left;
+            span.last = end < (float)box.right ? (int)end : box.right;
+        }
+        visit(span);
+    }
+}
+
+// The nearest face is visible; at equal depth, the one of lowest index.
+NR_FUNC bool is_nearer(float z, int index, float nearest, int shown) {
+    return (z < nearest) | ((z == nearest) & (index < shown));
+}
+
+// Drawing on the CPU.
+
+template <class Start>
+NR_FUNC void draw_pixel(const Drawing& call, const DrawnFace& face, bool inside, float z, int64 pixel) {
+    float& nearest = call.nearest[pixel];
+    int& shown = call.face_index[pixel];
+    if (inside & (z > Start::template depth<float>(call, pixel)) & is_nearer(z, face.index, nearest, shown))
+        nearest = z, shown = face.index;
+}
+
+#if !NR_ON_CUDA
+template <class Start>
+inline void draw_eights(const Drawing& call, const DrawnFace& face, const Span& span) {
+    const int width = call.width;
+    const ints8 lane = lane_numbers<ints8>();
+    const floats8 ahead = to_floats(2 * lane);
+    for (int i = span.first; i <= span.last; i += 8) {
+        const int at = i < width - 8 ? i : width - 8;
+        const int64 pixel = span.row + at;
+        floats8 z;
+        const ints8 inside = span.depth(face, ((float)(2 * at + 1 - width) + ahead) / (float)width, z);
+        const ints8 deeper = z > Start::template depth<floats8>(call, pixel);
+        // Only pixels in the row's span. Far from a thin face, rounding errors decide the signs of edge functions.
+        const ints8 spanned = (lane >= span.first - at) & (lane <= span.last - at);
+        // Positive floats have the order of their bits. A minimum is stored directly; a selection would be stored under
+        // a mask, which takes far longer.
+        const ints8 nearest = load<ints8>(call.nearest + pixel), shown = load<ints8>(call.face_index + pixel);
+        const ints8 bits = select(inside & deeper & spanned, (ints8)z, all<ints8>(0x7fffffff));
+        const ints8 wins = (bits < nearest) | ((bits == nearest) & (shown > face.index));
+        store(call.nearest + pixel, least(bits, nearest));
+        store(call.face_index + pixel, select(wins, all<ints8>(face.index), shown));
+    }
+}
+#endif
+
+template <class Start>
+NR_FUNC void draw_box(const Drawing& call, int image, const DrawnFace& face, const Box& box) {
+#if !NR_ON_CUDA
+    if (call.width >= 8) {
+        for_each_span(call, image, face, box, 8, [&](const Span& span) { draw_eights<Start>(call, face, span); });
+        return;
+    }
+#endif
+    for_each_span(call, image, face, box, 0, [&](const Span& span) {
+        for (int i = span.first; i <= span.last; ++i) {
+            float z;
+            const bool inside = span.depth(face, (float)(2 * i + 1 - call.width) / (float)call.width, z);
+            draw_pixel<Start>(call, face, inside, z, span.row + i);
+        }
+    });
+}
+
+template <class Start>
+NR_RARE void draw_crossing(const Drawing& call, int image, const DrawnFace& face, const Box& box) {
+    for (int j = box.bottom; j <= box.top; ++j)
+        for (int i = box.left; i <= box.right; ++i)
+            draw_pixel<Start>(call, face, true, crossing_depth(call, face.v, i, j), call.row_start(image, j) + i);
+}
+
+template <class Start>
+NR_FUNC void draw_band_of_rows(const Drawing& call, int task) {
+    const int image = task / call.bands, band = task % call.bands;
+    const int bottom = (int)((int64)band * call.height / call.bands);
+    const int top = (int)((int64)(band + 1) * call.height / call.bands) - 1;
+    const int64 start = call.row_start(image, top), stop = call.row_start(image, bottom) + call.width;
+    for (int64 i = start; i < stop; ++i) call.nearest[i] = call.far, call.face_index[i] = -1;
+    const float low = pixel_centre(bottom, call.height), high = pixel_centre(top, call.height);
+    for (int f = 0; f < call.count; ++f) {
+        if (!may_be_drawn(call, call.corners(image, f), low, high)) continue;
+        const DrawnFace face = drawn_face(call, image, f, low, high);
+        if (face.front < 0) continue;
+        Box box = pixel_box(face.v, face.front, call.height, call.width);
+        box.bottom = larger(box.bottom, bottom), box.top = smaller(box.top, top);
+        if (face.front == 0) draw_crossing<Start>(call, image, face, box);
+        else if (box.left <= box.right) draw_box<Start>(call, image, face, box);
+    }
+    if (call.two_sided)
+        for (int64 i = start; i < stop; ++i) call.face_index[i] -= call.face_index[i] < call.count ? 0 : call.count;
+    if (call.visible)  // several bands of an image may write to one place, but all write 1
+        mark_faces(call.visible + (int64)image * (call.count + 1), call.count, call.face_index + start, stop - start);
+}
+
+// Drawing on CUDA.
+
+// Pixels of the box of a small face.
+constexpr int SMALL = 64;
+// Threads that share a row of a large face's box, unless it is narrower.
+constexpr int MOST_LANES = 32;
+
+constexpr int64 NO_FACE = 0x7fffffffffffffff;
+
+template <class Start>
+NR_FUNC void draw_key(const Drawing& call, const DrawnFace& face, bool inside, float z, int64 pixel) {
+    if (!(inside && z > Start::template depth<float>(call, pixel) && z < call.far)) return;
+    // Positive floats have the order of their bits, so one minimum finds the nearest face of lowest index.
+    const int64 key = ((int64)bits_of(z) << 32) | face.index;
+    if (key < call.keys[pixel]) atomic_min(call.keys + pixel, key);
+}
+
+// Every ``lanes``-th pixel, from ``lane``, of the rows of a box.
+template <class Start>
+NR_FUNC void draw_part(const Drawing& call, int image, const DrawnFace& face, const Box& box, int lane, int lanes) {
+    if (face.front == 0) {
+        for (int j = box.bottom; j <= box.top; ++j)
+            for (int i = box.left + lane; i <= box.right; i += lanes)
+                draw_key<Start>(call, face, true, crossing_depth(call, face.v, i, j), call.row_start(image, j) + i);
+        return;
+    }
+    for_each_span(call, image, face, box, 0, [&](const Span& span) {
+        for (int i = span.first + lane; i <= span.last; i += lanes) {
+            float z;
+            const bool inside = span.depth(face, (float)(2 * i + 1 - call.width) / (float)call.width, z);
+            draw_key<Start>(call, face, inside, z, span.row + i);
+        }
+    });
+}
+
+// The number of threads that share a row of a box: enough that each has a few pixels at most.
+NR_FUNC int lanes_of(const Box& box) {
+    int lanes = MOST_LANES;
+    while (lanes > 1 && 4 * lanes > box.right - box.left + 1) lanes /= 2;
+    return lanes;
+}
+
+// Draw one face, or put it into the queue.
+template <class Start>
+NR_FUNC void draw_or_queue(const Drawing& call, int task) {
+    const int image = task / call.count;
+    const DrawnFace face = drawn_face(call, image, task % call.count, -1.0f, 1.0f);
+    if (face.front < 0) return;
+    const Box box = pixel_box(face.v, face.front, call.height, call.width);
+    if (box.is_empty()) return;
+    const int columns = box.right - box.left + 1, rows = box.top - box.bottom + 1;
+    if (columns * rows <= SMALL) draw_part<Start>(call, image, face, box, 0, 1);
+    else call.queue.put(task, rows * lanes_of(box));
+}
+
+// Draw some pixels of a row of a large face; then of another, as long as there are any.
+template <class Start>
+NR_FUNC void draw_from_queue(const Drawing& call, int task) {
+    const int64 end = call.queue.thread_count();
+    for (int64 thread = task; thread < end; thread += call.queue.threads) {
+        int64 number, own;
+        call.queue.find(thread, number, own);
+        const int image = (int)(number / call.count);
+        const DrawnFace face = drawn_face(call, image, (int)(number % call.count), -1.0f, 1.0f);
+        const Box box = pixel_box(face.v, face.front, call.height, call.width);
+        const int lanes = lanes_of(box), row = box.bottom + (int)own / lanes;
+        draw_part<Start>(call, image, face, {box.left, box.right, row, row}, (int)own % lanes, lanes);
+    }
+}
+
+// Convert the least keys of the pixels of a task to face indices, and mark these faces.
+NR_FUNC void decode_keys(const Drawing& call, int task) {
+    const Pixels pixels = pixels_of_task(task, call.each, call.images * call.height, call.width);
+    const int64 start = (int64)pixels.first * call.width + pixels.left;
+    const int64 stop = (int64)(pixels.last - 1) * call.width + pixels.right;
+    for (int64 i = start; i < stop; ++i) {
+        const int index = (int)call.keys[i];
+        const int f = call.keys[i] == NO_FACE ? -1 : index < call.count ? index : index - call.count;
+        call.face_index[i] = f;
+        if (call.visible)  // several threads may write to one place, but all write 1
+            call.visible[i / ((int64)call.height * call.width) * (call.count + 1) + (f < 0 ? call.count : f)] = 1;
+    }
+}
+
+}  // namespace nr
