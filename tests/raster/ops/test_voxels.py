@@ -12,7 +12,8 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.raster.ops import voxels
-from neural_renderer.raster.ops.voxels import fill, inside
+from neural_renderer.raster.ops.inside import inside
+from neural_renderer.raster.ops.voxels import fill
 from neural_renderer.raster.warp.launch import array, launch
 
 

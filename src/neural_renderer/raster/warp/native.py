@@ -24,6 +24,7 @@ _INCLUDE = re.compile(r'^#include "(\w+\.h)"$', re.MULTILINE)
 _FIELD = re.compile(r"    (const )?(\w+)(\*?) (\w+(?:, \w+)*);(?: *//.*)?")
 _NUMBERS: dict[str, Any] = {"int": ctypes.c_int32, "int64": ctypes.c_int64, "float": ctypes.c_float}
 _TENSORS = {
+    "byte": torch.uint8,
     "int": torch.int32,
     "int64": torch.int64,
     "float": torch.float32,

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from .... import validate
-from ....raster.ops.voxels import distances, fill, inside
+from ....raster.ops.inside import inside
+from ....raster.ops.voxels import distances, fill
 from .framing import GRID
 
 _SPACING = 0.25  # distance of points on a model's faces, in voxels: parts thinner than a voxel are not lost
