@@ -14,7 +14,6 @@ import neural_renderer as nr
 from neural_renderer.raster.ops import voxels
 from neural_renderer.raster.ops.inside import inside
 from neural_renderer.raster.ops.voxels import fill
-from neural_renderer.raster.warp.launch import array, launch
 
 
 def reference(points: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
@@ -80,8 +79,8 @@ def test_lines_flood_the_same_as_sweeps(share: float) -> None:
     """CUDA floods line by line. Where half of the voxels are full at random, the empty ones make mazes."""
     full = torch.rand(3, 14, 14, 14, generator=torch.Generator().manual_seed(0)) < share
     by_sweeps, by_lines = full.to(torch.uint8), full.to(torch.uint8)
-    launch(voxels._flood, 3, [array(by_sweeps)], by_sweeps.device)
-    voxels._flood_lines(by_lines)
+    voxels._flood_by_sweeps(by_sweeps)
+    voxels._flood_by_lines(by_lines)
     assert torch.equal(by_sweeps, by_lines) and {0, 1, 2} >= set(by_lines.unique().tolist()) >= {1, 2}
 
 

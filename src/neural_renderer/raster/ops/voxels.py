@@ -10,7 +10,7 @@ from torch import Tensor
 from ..warp.launch import launch
 from ..warp.layout import concurrent
 from ..warp.memory import zeros
-from ..warp.native import Call, Kernels
+from ..warp.native import Kernels
 
 # Without fused multiply-adds adjacent faces agree on lines through their common edge.
 _KERNELS = Kernels(__name__, "voxels.h", fused=False)
@@ -46,11 +46,10 @@ def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) 
     """
     batch, device = len(vertices), vertices.device
     state = torch.zeros((batch, size, size, size), dtype=torch.uint8, device=device)
-    grids = _Grids(state=state, size=size)
     # A task marks one mesh on the CPU and one face on CUDA, where the order of equal writes does not matter.
     groups = max(len(faces), 1) if concurrent(device) else 1
     surface = _MarkSurface(
-        grids=grids,
+        grids=_Grids(state=state, size=size),
         vertices=vertices.contiguous(),
         vertex_count=vertices.shape[1],
         faces=faces.contiguous(),
@@ -60,20 +59,27 @@ def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) 
     )
     launch(_mark_surface, batch * groups, [surface], device)
     if concurrent(device):
-        _flood_lines(grids, batch, device)
+        _flood_by_lines(state)
     else:
-        launch(_flood, batch, [grids], device)
+        _flood_by_sweeps(state)
     return state != _OUTSIDE
 
 
-def _flood_lines(grids: Call, batch: int, device: torch.device) -> None:
-    """Do the same as `_flood`, one line of voxels for each task, until no new voxel is outside."""
+def _flood_by_sweeps(state: Tensor) -> None:
+    """Mark the empty voxels outside; a task sweeps over one grid."""
+    launch(_flood, len(state), [_Grids(state=state, size=state.shape[1])], state.device)
+
+
+def _flood_by_lines(state: Tensor) -> None:
+    """Do the same, one line of voxels for each task, until no new voxel is outside."""
+    batch, size = state.shape[:2]
+    grids, device = _Grids(state=state, size=size), state.device
     changed = zeros((1,), device, torch.int32)
     while True:
         changed.zero_()
         for axis in range(3):
             call = _FloodLines(grids=grids, axis=axis, changed=changed)
-            launch(_flood_line, batch * grids.size**2, [call], device)
+            launch(_flood_line, batch * size * size, [call], device)
         if not bool(changed):
             return
 
