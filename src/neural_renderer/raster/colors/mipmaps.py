@@ -1,18 +1,24 @@
 """Texture sampling, trilinear between mipmaps (Williams, "Pyramidal parametrics", 1983)."""
 
-# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+# torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
+
+from typing import Any
+
 import torch
-import warp as wp
 from torch import Tensor
 from torch.nn import functional
 
-from ..warp.launch import array, launch
-from ..warp.layout import PIXELS_OF_TASK, in_any_order, pixel_tasks, worth_a_thread
+from ..warp.launch import launch
+from ..warp.layout import in_any_order, pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
-from ..warp.point import fill
-from ..warp.registration import differentiable, operator, refuse_second
+from ..warp.native import Kernels
+from ..warp.registration import differentiable, fake, operator, refuse_second
 
-wp.set_module_options({"enable_backward": False})
+_KERNELS = Kernels(__name__, "mipmaps.h")
+_Mipmaps, _Samples = _KERNELS.struct("Mipmaps"), _KERNELS.struct("Samples")
+_SampleMipmaps, _SampleMipmapsBackward = _KERNELS.struct("SampleMipmaps"), _KERNELS.struct("SampleMipmapsBackward")
+_sample_mipmaps = _KERNELS.kernel("sample_mipmaps", _SampleMipmaps)
+_sample_mipmaps_backward = _KERNELS.kernel("sample_mipmaps_backward", _SampleMipmapsBackward)
 
 
 def pyramid(image: Tensor) -> Tensor:
@@ -68,13 +74,23 @@ def sample_mipmaps(
     batch, rows, columns = face_index.shape
     result = empty((batch, rows, columns, texels.shape[2]), texels.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
-    arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v), each, array(result)]
-    launch(_forward, tasks, arguments, texels.device, worth_a_thread(each * columns))
+    fields = _fields(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v, each)
+    call = _SampleMipmaps(**fields, result=result)
+    launch(_sample_mipmaps, tasks, [call], texels.device, worth_a_thread(each * columns))
     return result
 
 
-@torch.library.register_fake("neural_renderer::sample_mipmaps")
-def _(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v):
+@fake("sample_mipmaps")
+def _(
+    texels: Tensor,
+    height: int,
+    width: int,
+    uv: Tensor,
+    face_index: Tensor,
+    mipmaps: bool,
+    repeat_u: bool,
+    repeat_v: bool,
+) -> Tensor:
     return uv.new_empty((*face_index.shape, texels.shape[2]))
 
 
@@ -103,28 +119,67 @@ def sample_mipmaps_backward(
     if texels_too and not in_any_order(texels.device):
         each = batch * rows // max(len(texels), 1)
         tasks = len(texels) if each else 0
-    arguments = [*_arguments(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v), each, array(grad)]
-    arguments += [int(texels_too), array(to_texels), array(to_uv, wp.vec2)]
-    launch(_backward, tasks, arguments, texels.device, worth_a_thread(each * columns))
+    call = _SampleMipmapsBackward(
+        **_fields(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v, each),
+        grad=grad.contiguous(),
+        texels_too=int(texels_too),
+        to_texels=to_texels,
+        to_uv=to_uv,
+    )
+    launch(_sample_mipmaps_backward, tasks, [call], texels.device, worth_a_thread(each * columns))
     return to_texels, to_uv
 
 
-@torch.library.register_fake("neural_renderer::sample_mipmaps_backward")
-def _(grad, texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v, texels_too):
+@fake("sample_mipmaps_backward")
+def _(
+    grad: Tensor,
+    texels: Tensor,
+    height: int,
+    width: int,
+    uv: Tensor,
+    face_index: Tensor,
+    mipmaps: bool,
+    repeat_u: bool,
+    repeat_v: bool,
+    texels_too: bool,
+) -> tuple[Tensor, Tensor]:
     return texels.new_empty(texels.shape if texels_too else (0, 0, 0)), uv.new_empty(uv.shape)
 
 
-def _arguments(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v):
-    levels = max(height, width).bit_length() if mipmaps else 1
-    return [array(texels), height, width, levels, array(uv, wp.vec2), array(face_index), int(repeat_u), int(repeat_v)]
+def _fields(
+    texels: Tensor,
+    height: int,
+    width: int,
+    uv: Tensor,
+    face_index: Tensor,
+    mipmaps: bool,
+    repeat_u: bool,
+    repeat_v: bool,
+    each: int,
+) -> dict[str, Any]:
+    maps = _Mipmaps(
+        texels=texels.contiguous(),
+        total=texels.shape[1],
+        owners=len(texels),
+        channels=texels.shape[2],
+        height=height,
+        width=width,
+        levels=max(height, width).bit_length() if mipmaps else 1,
+        repeat_u=int(repeat_u),
+        repeat_v=int(repeat_v),
+    )
+    images, rows, columns = face_index.shape
+    uv, face_index = uv.contiguous(), face_index.contiguous()
+    samples = _Samples(uv=uv, face_index=face_index, images=images, height=rows, width=columns, each=each)
+    return {"maps": maps, "samples": samples}
 
 
-def _save(ctx, inputs, output):
+def _save(ctx: Any, inputs: Any, output: Any) -> None:
     texels, ctx.height, ctx.width, uv, face_index, ctx.mipmaps, ctx.repeat_u, ctx.repeat_v = inputs
     ctx.save_for_backward(texels, uv, face_index)
 
 
-def _to_inputs(ctx, grad):
+def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     texels, uv, face_index = ctx.saved_tensors
     texels_too, uv_too = ctx.needs_input_grad[0], ctx.needs_input_grad[3]
     to_texels, to_uv = sample_mipmaps_backward(
@@ -136,13 +191,13 @@ def _to_inputs(ctx, grad):
 differentiable(sample_mipmaps, _to_inputs, _save)
 
 
-def _save_again(ctx, inputs, output):
+def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
     _, _, *ctx.size, uv, face_index, mipmaps, repeat_u, repeat_v, ctx.texels_too = inputs
     ctx.options = (mipmaps, repeat_u, repeat_v)
     ctx.save_for_backward(uv, face_index)
 
 
-def _to_gradient(ctx, texels, _):
+def _to_gradient(ctx: Any, texels: Tensor, _: Tensor) -> Any:
     # The gradient to texels is the transpose of the sampling, so that its own gradient samples.
     if ctx.needs_input_grad[4]:
         refuse_second("sample_mipmaps_backward")
@@ -151,258 +206,3 @@ def _to_gradient(ctx, texels, _):
 
 
 differentiable(sample_mipmaps_backward, _to_gradient, _save_again)
-
-
-# C++ structs: a texture with mipmaps; the texels of one level around a point, and their weights.
-_TEXTURE = """
-struct Texture {
-    typedef wp::vec_t<2, float> vec2;
-    int height, width, levels, repeat_u, repeat_v;
-
-    // The change of uv to the next pixel, or from the previous one; 0 if neither shows the same face.
-    static CUDA_CALLABLE vec2 change(const vec2* uv, const int* shown, bool next, bool previous, wp::int64 step) {
-        if (next && shown[step] == shown[0]) return uv[step] - uv[0];
-        if (previous && shown[-step] == shown[0]) return uv[0] - uv[-step];
-        return vec2(0.0f, 0.0f);
-    }
-    // log2 of the texels along the longer side of the pixel i, clamped to the levels.
-    CUDA_CALLABLE float level(const vec2* uv, const int* shown, int i, int j, int columns, int rows) const {
-        if (levels == 1) return 0.0f;
-        const vec2 x = change(uv, shown, i + 1 < columns, i > 0, 1);
-        const vec2 y = change(uv, shown, j + 1 < rows, j > 0, columns);
-        const float w = (float)width, h = (float)height;
-        const float across = x[0] * x[0] * w * w + x[1] * x[1] * h * h;
-        const float down = y[0] * y[0] * w * w + y[1] * y[1] * h * h;
-        const float longest = across > down ? across : down;
-        if (!(longest > 1.0f)) return 0.0f;
-        const float chosen = 0.5f * log2f(longest), last = (float)(levels - 1);
-        return chosen < last ? chosen : last;
-    }
-
-    struct Side {
-        int texel[2];
-        float part[2], slope;  // the slope of the position by the coordinate, in texels
-        CUDA_CALLABLE Side(float at, int size, int repeat) {
-            const float raw = at * (float)size - 0.5f, last = (float)(size - 1);
-            float x = raw < last ? raw : last;
-            x = x > 0.0f ? x : 0.0f;
-            slope = repeat || (raw >= 0.0f && raw <= last) ? (float)size : 0.0f;
-            if (repeat) x = (at - floorf(at)) * (float)size - 0.5f;
-            const float low = floorf(x);
-            part[1] = x - low, part[0] = 1.0f - part[1];
-            for (int k = 0; k < 2; ++k) {
-                int n = (int)low + k;
-                if (repeat) n = n < 0 ? n + size : n >= size ? n - size : n;
-                texel[k] = n < 0 ? 0 : n >= size ? size - 1 : n;  // for NaN coordinates, too
-            }
-        }
-    };
-    // One level around a point: the place of its first texel, and the sides.
-    struct Level {
-        wp::int64 first, width;
-        Side x, y;
-        CUDA_CALLABLE wp::int64 texel(int down, int right) const {
-            return first + y.texel[down] * width + x.texel[right];
-        }
-    };
-    CUDA_CALLABLE Level at(vec2 uv, int n) const {
-        int wide = width, high = height;
-        wp::int64 before = 0;
-        for (int k = 0; k < n; ++k) {
-            before += (wp::int64)wide * high;
-            wide = wide > 1 ? wide >> 1 : 1, high = high > 1 ? high >> 1 : 1;
-        }
-        return {before, wide, Side(uv[0], wide, repeat_u), Side(1.0f - uv[1], high, repeat_v)};
-    }
-};
-"""
-
-# Over the pixels of a task, see `pixel_tasks`; PIXEL is done for the pixels that show a face, LEVEL for each
-# of their levels, with its share.
-_ROWS = (
-    _TEXTURE
-    + """
-    const int rows = face_index.shape[1], columns = face_index.shape[2], channels = texels.shape[2];
-    const Texture texture = {height, width, levels, repeat_u, repeat_v};
-    const int all = face_index.shape[0] * rows;
-    PIXELS_OF_TASK
-    for (int line = first; line < last; ++line) {
-        const int b = line / rows, j = line % rows;
-        const wp::int64 own = b < texels.shape[0] ? b : texels.shape[0] - 1;
-        const float* image = texels.data + own * texels.shape[1] * channels;
-        for (int i = left; i < right; ++i) {
-            const wp::int64 pixel = (wp::int64)line * columns + i;
-            BEGIN
-            if (face_index.data[pixel] < 0) continue;
-            const wp::vec_t<2, float> at = uv.data[pixel];
-            const float chosen = texture.level(uv.data + pixel, face_index.data + pixel, i, j, columns, rows);
-            const int low = (int)chosen;
-            for (int n = low; n < low + 2 && n < levels; ++n) {
-                const float share = n == low ? 1.0f - (chosen - (float)low) : chosen - (float)low;
-                if (!(share > 0.0f)) continue;
-                const Texture::Level level = texture.at(at, n);
-                if (channels == 3) { const int channels = 3; LEVEL }
-                else { LEVEL }
-            }
-            END
-        }
-    }
-"""
-)
-
-_TEXELS = """
-                const float *x = level.x.part, *y = level.y.part;
-                const float* __restrict__ above[2] = {image + level.texel(0, 0) * channels,
-                                                      image + level.texel(0, 1) * channels};
-                const float* __restrict__ below[2] = {image + level.texel(1, 0) * channels,
-                                                      image + level.texel(1, 1) * channels};
-"""
-_BLEND = (
-    _TEXELS
-    + """
-                const float up = share * y[0], down = share * y[1];
-                for (int c = 0; c < channels; ++c)
-                    color[c] += up * (x[0] * above[0][c] + x[1] * above[1][c])
-                        + down * (x[0] * below[0][c] + x[1] * below[1][c]);
-"""
-)
-_BLEND_ROWS = fill(
-    _ROWS,
-    PIXELS_OF_TASK=PIXELS_OF_TASK.replace("width", "columns"),
-    BEGIN="""
-            float* __restrict__ color = result.data + pixel * channels;
-            for (int c = 0; c < channels; ++c) color[c] = 0.0f;
-    """,
-    LEVEL=_BLEND,
-    END="",
-)
-
-
-@wp.func_native(_BLEND_ROWS)
-def blend_rows(
-    texels: wp.array3d(dtype=float),
-    height: int,
-    width: int,
-    levels: int,
-    uv: wp.array3d(dtype=wp.vec2),
-    face_index: wp.array3d(dtype=int),
-    repeat_u: int,
-    repeat_v: int,
-    result: wp.array4d(dtype=float),
-    task: int,
-    each: int,
-):
-    """Sample the pixels of a task."""
-    ...
-
-
-@wp.kernel
-def _forward(
-    first: int,
-    texels: wp.array3d(dtype=float),
-    height: int,
-    width: int,
-    levels: int,
-    uv: wp.array3d(dtype=wp.vec2),
-    face_index: wp.array3d(dtype=int),
-    repeat_u: int,
-    repeat_v: int,
-    each: int,
-    result: wp.array4d(dtype=float),
-):
-    blend_rows(texels, height, width, levels, uv, face_index, repeat_u, repeat_v, result, first + wp.tid(), each)
-
-
-_SCATTER = (
-    _TEXELS
-    + """
-                float gain[4] = {0.0f, 0.0f, 0.0f, 0.0f};  // gradient with respect to each texel's weight
-                for (int c = 0; c < channels; ++c) {
-                    const float g = share * pull[c];
-                    gain[0] += g * above[0][c], gain[1] += g * above[1][c];
-                    gain[2] += g * below[0][c], gain[3] += g * below[1][c];
-                    if (!texels_too) continue;
-                    float* to = to_image + c;
-                    ADD(to + (above[0] - image), g * y[0] * x[0]);
-                    ADD(to + (above[1] - image), g * y[0] * x[1]);
-                    ADD(to + (below[0] - image), g * y[1] * x[0]);
-                    ADD(to + (below[1] - image), g * y[1] * x[1]);
-                }
-                to_x += (y[0] * (gain[1] - gain[0]) + y[1] * (gain[3] - gain[2])) * level.x.slope;
-                to_y += (x[0] * (gain[2] - gain[0]) + x[1] * (gain[3] - gain[1])) * level.y.slope;
-"""
-)
-_SCATTER_ROWS = """
-    #if defined(__CUDA_ARCH__)
-    #define ADD(to, value) wp::atomic_add(to, value)
-    #else
-    #define ADD(to, value) *(to) += value  // one task writes an image's texels
-    #endif
-""" + fill(
-    _ROWS,
-    PIXELS_OF_TASK=PIXELS_OF_TASK.replace("width", "columns"),
-    BEGIN="""
-            const float* pull = grad.data + pixel * channels;
-            float* to_image = to_texels.data + own * texels.shape[1] * channels;
-            float to_x = 0.0f, to_y = 0.0f;
-    """,
-    LEVEL=_SCATTER,
-    END="to_uv.data[pixel] = wp::vec_t<2, float>(to_x, -to_y);",
-)
-
-
-@wp.func_native(_SCATTER_ROWS)
-def scatter_rows(
-    texels: wp.array3d(dtype=float),
-    height: int,
-    width: int,
-    levels: int,
-    uv: wp.array3d(dtype=wp.vec2),
-    face_index: wp.array3d(dtype=int),
-    repeat_u: int,
-    repeat_v: int,
-    grad: wp.array4d(dtype=float),
-    texels_too: int,
-    to_texels: wp.array3d(dtype=float),
-    to_uv: wp.array3d(dtype=wp.vec2),
-    task: int,
-    each: int,
-):
-    """Send the gradients of the pixels of a task."""
-    ...
-
-
-@wp.kernel
-def _backward(
-    first: int,
-    texels: wp.array3d(dtype=float),
-    height: int,
-    width: int,
-    levels: int,
-    uv: wp.array3d(dtype=wp.vec2),
-    face_index: wp.array3d(dtype=int),
-    repeat_u: int,
-    repeat_v: int,
-    each: int,
-    grad: wp.array4d(dtype=float),
-    texels_too: int,
-    to_texels: wp.array3d(dtype=float),
-    to_uv: wp.array3d(dtype=wp.vec2),
-):
-    task = first + wp.tid()
-    scatter_rows(
-        texels,
-        height,
-        width,
-        levels,
-        uv,
-        face_index,
-        repeat_u,
-        repeat_v,
-        grad,
-        texels_too,
-        to_texels,
-        to_uv,
-        task,
-        each,
-    )

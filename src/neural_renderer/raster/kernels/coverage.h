@@ -2,6 +2,7 @@
 #pragma once
 
 #include "draw.h"
+#include "halve.h"
 
 namespace nr {
 

@@ -131,4 +131,10 @@ NR_FUNC void add(T* to, const T& value, bool alone) {
     else atomic_add(to, value);
 }
 
+// Add a product, in one expression, which may be fused.
+NR_FUNC void add_product(float* to, float a, float b, bool alone) {
+    if (alone) *to += a * b;
+    else atomic_add(to, a * b);
+}
+
 }  // namespace nr

@@ -12,10 +12,11 @@ from ..warp.registration import fake, operator
 from .draw import Drawing, DrawingKernels
 from .visible_faces import keep_mask
 
-_KERNELS = Kernels(__name__, "coverage.h", fused=False)
-_NEAREST = DrawingKernels(_KERNELS, "draw")
-_Silhouette = _KERNELS.struct("Silhouette")
-_cover_pixels = _KERNELS.kernel("cover_pixels", _Silhouette)
+# With those of `downsample`, which every image needs, too: another module would take longer to compile.
+KERNELS = Kernels(__name__, "coverage.h", fused=False)
+_NEAREST = DrawingKernels(KERNELS, "draw")
+_Silhouette = KERNELS.struct("Silhouette")
+_cover_pixels = KERNELS.kernel("cover_pixels", _Silhouette)
 
 
 @operator

@@ -1,0 +1,87 @@
+// The colours of visible faces over a background, and the gradient to the colours.
+#pragma once
+
+#include "background.h"
+#include "lanes.h"
+#include "tasks.h"
+
+namespace nr {
+
+struct Composite {
+    const float* colors;  // [images, height, width, channels]
+    Background background;
+    const int* face_index;  // [images, height, width]; the background shows where it is -1
+    int images, channels, height, width;
+    int each;      // rows of a task
+    float* image;  // result, [images, channels, height, width]
+};
+
+// Three channels, the usual number, are handled by eights on the CPU.
+NR_FUNC void composite_row(const Composite& call, int row, int left, int right) {
+    const int channels = call.channels, b = row / call.height, j = row % call.height;
+    const int64 area = (int64)call.height * call.width, start = (int64)row * call.width;
+    const int* __restrict__ shown = call.face_index + start;
+    const float* __restrict__ color = call.colors + start * channels;
+    float* __restrict__ to = call.image + b * channels * area + (int64)j * call.width;
+    const Background& behind = call.background;
+#if !NR_ON_CUDA
+    if (channels == 3 && (behind.column == 0 || behind.column == 1))
+        for (; left + 8 <= right; left += 8) {
+            const ints8 here = load<ints8>(shown + left);
+            floats8 own[3];
+            load((const vec3*)(color + 3 * left), own);
+            for (int c = 0; c < 3; ++c) {
+                const float* from = behind.at(b, c, j);
+                const floats8 back = behind.column == 0 ? all<floats8>(*from) : load<floats8>(from + left);
+                store(to + c * area + left, select(here < 0, back, own[c]));
+            }
+        }
+#endif
+    for (int c = 0; c < channels; ++c, to += area) {
+        const float* from = behind.at(b, c, j);
+        for (int i = left; i < right; ++i)
+            to[i] = shown[i] < 0 ? from[i * behind.column] : color[(int64)i * channels + c];
+    }
+}
+
+// The pixels of a task.
+NR_FUNC void composite_pixels(const Composite& call, int task) {
+    const Pixels pixels = pixels_of_task(task, call.each, call.images * call.height, call.width);
+    for (int row = pixels.first; row < pixels.last; ++row) composite_row(call, row, pixels.left, pixels.right);
+}
+
+struct CompositeBackward {
+    const float* grad;      // to the image, [images, channels, height, width]
+    const int* face_index;  // [images, height, width]
+    int images, channels, height, width;
+    int each;          // rows of a task
+    float* to_colors;  // [images, height, width, channels]
+};
+
+// The transpose of `composite_row` for the colours.
+NR_FUNC void composite_row_backward(const CompositeBackward& call, int row, int left, int right) {
+    const int channels = call.channels, b = row / call.height, j = row % call.height;
+    const int64 area = (int64)call.height * call.width, start = (int64)row * call.width;
+    const int* __restrict__ shown = call.face_index + start;
+    const float* __restrict__ from = call.grad + b * channels * area + (int64)j * call.width;
+    float* __restrict__ to = call.to_colors + start * channels;
+#if !NR_ON_CUDA
+    if (channels == 3)
+        for (; left + 8 <= right; left += 8) {
+            const ints8 here = load<ints8>(shown + left);
+            floats8 own[3];
+            for (int c = 0; c < 3; ++c) own[c] = select(here < 0, floats8{}, load<floats8>(from + c * area + left));
+            store((vec3*)(to + 3 * left), own[0], own[1], own[2]);
+        }
+#endif
+    for (int c = 0; c < channels; ++c, from += area)
+        for (int i = left; i < right; ++i) to[(int64)i * channels + c] = shown[i] < 0 ? 0.0f : from[i];
+}
+
+// The pixels of a task.
+NR_FUNC void composite_pixels_backward(const CompositeBackward& call, int task) {
+    const Pixels pixels = pixels_of_task(task, call.each, call.images * call.height, call.width);
+    for (int row = pixels.first; row < pixels.last; ++row) composite_row_backward(call, row, pixels.left, pixels.right);
+}
+
+}  // namespace nr

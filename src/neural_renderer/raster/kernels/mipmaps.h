@@ -1,0 +1,191 @@
+// Textures with mipmaps: trilinear samples (Williams, "Pyramidal parametrics", 1983), and their gradient.
+#pragma once
+
+#include "tasks.h"
+
+namespace nr {
+
+struct Mipmaps {
+    const float* texels;  // each level after the larger one, [owners, total, channels]
+    int64 total;          // texels of all levels
+    int owners;           // images of texels; 1 if all share them
+    int channels;
+    int height, width;       // texels of the largest level
+    int levels;              // 1 without mipmaps
+    int repeat_u, repeat_v;  // whether the image repeats beyond [0, 1]; else its border is extended
+
+    NR_FUNC int64 start(int image) const { return smaller(image, owners - 1) * total * channels; }
+};
+
+struct Samples {
+    const vec2* uv;         // texture coordinates, u to the right, v up, [images, height, width]
+    const int* face_index;  // [images, height, width]
+    int images, height, width;
+    int each;  // rows of a task
+};
+
+// The two texels along one side of a level around a coordinate, and their shares.
+struct TexelPair {
+    int texel[2];
+    float part[2];
+    float slope;  // of the position by the coordinate, in texels
+
+    NR_FUNC TexelPair(float at, int size, int repeat) {
+        const float raw = at * (float)size - 0.5f, last = (float)(size - 1);
+        float x = raw < last ? raw : last;
+        x = x > 0.0f ? x : 0.0f;
+        slope = repeat || (raw >= 0.0f && raw <= last) ? (float)size : 0.0f;
+        if (repeat) x = (at - floorf(at)) * (float)size - 0.5f;
+        const float low = floorf(x);
+        part[1] = x - low, part[0] = 1.0f - part[1];
+        for (int k = 0; k < 2; ++k) {
+            int n = (int)low + k;
+            if (repeat) n = n < 0 ? n + size : n >= size ? n - size : n;
+            texel[k] = n < 0 ? 0 : n >= size ? size - 1 : n;  // for NaN coordinates, too
+        }
+    }
+};
+
+// The four texels of a level around a point.
+struct TexelBlock {
+    int64 first;  // place of the level's first texel
+    int64 width;  // texels of a row of the level
+    TexelPair x, y;
+    float share;  // of the level in the sample
+
+    NR_FUNC int64 texel(int down, int right) const { return first + y.texel[down] * width + x.texel[right]; }
+};
+
+NR_FUNC TexelBlock block_of_level(const Mipmaps& maps, vec2 uv, int level, float share) {
+    int width = maps.width, height = maps.height;
+    int64 before = 0;
+    for (int k = 0; k < level; ++k) {
+        before += (int64)width * height;
+        width = width > 1 ? width >> 1 : 1, height = height > 1 ? height >> 1 : 1;
+    }
+    return {
+        before, width, TexelPair(uv[0], width, maps.repeat_u), TexelPair(1.0f - uv[1], height, maps.repeat_v), share};
+}
+
+// The change of uv to the next pixel, or from the previous one; 0 if neither shows the same face.
+NR_FUNC vec2 change_of_uv(const vec2* uv, const int* shown, bool next, bool previous, int64 step) {
+    if (next && shown[step] == shown[0]) return {uv[step][0] - uv[0][0], uv[step][1] - uv[0][1]};
+    if (previous && shown[-step] == shown[0]) return {uv[0][0] - uv[-step][0], uv[0][1] - uv[-step][1]};
+    return {0.0f, 0.0f};
+}
+
+// log2 of the texels along the longer side of pixel i of row j from the top, clamped to the levels.
+NR_FUNC float level_at(const Mipmaps& maps, const Samples& samples, int64 pixel, int i, int j) {
+    if (maps.levels == 1) return 0.0f;
+    const vec2* uv = samples.uv + pixel;
+    const int* shown = samples.face_index + pixel;
+    const vec2 x = change_of_uv(uv, shown, i + 1 < samples.width, i > 0, 1);
+    const vec2 y = change_of_uv(uv, shown, j + 1 < samples.height, j > 0, samples.width);
+    const float w = (float)maps.width, h = (float)maps.height;
+    const float across = x[0] * x[0] * w * w + x[1] * x[1] * h * h;
+    const float down = y[0] * y[0] * w * w + y[1] * y[1] * h * h;
+    const float longest = across > down ? across : down;
+    if (!(longest > 1.0f)) return 0.0f;
+    const float chosen = 0.5f * log2f(longest), last = (float)(maps.levels - 1);
+    return chosen < last ? chosen : last;
+}
+
+// Call visit(block) for each level, at most two, that the sample at a pixel has a share of.
+template <class Visit>
+NR_FUNC void for_each_level(const Mipmaps& maps, const Samples& samples, int64 pixel, int i, int j, Visit visit) {
+    const float chosen = level_at(maps, samples, pixel, i, j);
+    const int low = (int)chosen;
+    for (int n = low; n < low + 2 && n < maps.levels; ++n) {
+        const float share = n == low ? 1.0f - (chosen - (float)low) : chosen - (float)low;
+        if (share > 0.0f) visit(block_of_level(maps, samples.uv[pixel], n, share));
+    }
+}
+
+// Call visit(image, pixel, i, j) for the pixels of a task; rows j count from the top.
+template <class Visit>
+NR_FUNC void for_each_sample(const Samples& samples, int task, Visit visit) {
+    const int height = samples.height, width = samples.width;
+    const Pixels pixels = pixels_of_task(task, samples.each, samples.images * height, width);
+    for (int row = pixels.first; row < pixels.last; ++row)
+        for (int i = pixels.left; i < pixels.right; ++i) visit(row / height, (int64)row * width + i, i, row % height);
+}
+
+struct SampleMipmaps {
+    Mipmaps maps;
+    Samples samples;
+    float* result;  // [images, height, width, channels], 0 where no face is visible
+};
+
+// Add a level's colours; ``channels`` apart from the call's, so that it may be known to the compiler.
+NR_FUNC void blend_block(const TexelBlock& block, const float* image, int channels, float* __restrict__ color) {
+    const float *x = block.x.part, *y = block.y.part;
+    const float* __restrict__ above[2] = {image + block.texel(0, 0) * channels, image + block.texel(0, 1) * channels};
+    const float* __restrict__ below[2] = {image + block.texel(1, 0) * channels, image + block.texel(1, 1) * channels};
+    const float up = block.share * y[0], down = block.share * y[1];
+    for (int c = 0; c < channels; ++c)
+        color[c] += up * (x[0] * above[0][c] + x[1] * above[1][c]) + down * (x[0] * below[0][c] + x[1] * below[1][c]);
+}
+
+// The pixels of a task.
+NR_FUNC void sample_mipmaps(const SampleMipmaps& call, int task) {
+    const int channels = call.maps.channels;
+    for_each_sample(call.samples, task, [&](int b, int64 pixel, int i, int j) {
+        float* color = call.result + pixel * channels;
+        for (int c = 0; c < channels; ++c) color[c] = 0.0f;
+        if (call.samples.face_index[pixel] < 0) return;
+        const float* image = call.maps.texels + call.maps.start(b);
+        for_each_level(call.maps, call.samples, pixel, i, j, [&](const TexelBlock& block) {
+            if (channels == 3) blend_block(block, image, 3, color);
+            else blend_block(block, image, channels, color);
+        });
+    });
+}
+
+struct SampleMipmapsBackward {
+    Mipmaps maps;
+    Samples samples;
+    const float* grad;  // [images, height, width, channels]
+    int texels_too;     // whether the gradient to texels is asked for
+    float* to_texels;   // [owners, total, channels], 0 before
+    vec2* to_uv;        // [images, height, width], 0 before
+};
+
+// Send a level's gradients to its texels, unless ``to`` is null, and to the place in it. On the CPU
+// one task writes an image's texels.
+NR_FUNC void blend_block_backward(
+    const TexelBlock& block, const float* image, int channels, const float* pull, float* to, vec2& to_uv) {
+    const float *x = block.x.part, *y = block.y.part;
+    const int64 above[2] = {block.texel(0, 0) * channels, block.texel(0, 1) * channels};
+    const int64 below[2] = {block.texel(1, 0) * channels, block.texel(1, 1) * channels};
+    float gain[4] = {0.0f, 0.0f, 0.0f, 0.0f};  // gradient with respect to each texel's weight
+    for (int c = 0; c < channels; ++c) {
+        const float g = block.share * pull[c];
+        gain[0] += g * image[above[0] + c], gain[1] += g * image[above[1] + c];
+        gain[2] += g * image[below[0] + c], gain[3] += g * image[below[1] + c];
+        if (!to) continue;
+        add_product(to + above[0] + c, g * y[0], x[0], !ON_CUDA);
+        add_product(to + above[1] + c, g * y[0], x[1], !ON_CUDA);
+        add_product(to + below[0] + c, g * y[1], x[0], !ON_CUDA);
+        add_product(to + below[1] + c, g * y[1], x[1], !ON_CUDA);
+    }
+    to_uv[0] += (y[0] * (gain[1] - gain[0]) + y[1] * (gain[3] - gain[2])) * block.x.slope;
+    to_uv[1] += (x[0] * (gain[2] - gain[0]) + x[1] * (gain[3] - gain[1])) * block.y.slope;
+}
+
+// The pixels of a task.
+NR_FUNC void sample_mipmaps_backward(const SampleMipmapsBackward& call, int task) {
+    const int channels = call.maps.channels;
+    for_each_sample(call.samples, task, [&](int b, int64 pixel, int i, int j) {
+        if (call.samples.face_index[pixel] < 0) return;
+        const float *image = call.maps.texels + call.maps.start(b), *pull = call.grad + pixel * channels;
+        float* to = call.texels_too ? call.to_texels + call.maps.start(b) : nullptr;
+        vec2 to_uv = {0.0f, 0.0f};  // along rows of texels, which run down
+        for_each_level(call.maps, call.samples, pixel, i, j, [&](const TexelBlock& block) {
+            if (channels == 3) blend_block_backward(block, image, 3, pull, to, to_uv);
+            else blend_block_backward(block, image, channels, pull, to, to_uv);
+        });
+        call.to_uv[pixel] = {to_uv[0], -to_uv[1]};
+    });
+}
+
+}  // namespace nr
