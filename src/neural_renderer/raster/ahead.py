@@ -25,7 +25,6 @@ from .visibility.edge import edge_gradient
 from .visibility.intersections import add_intersections
 from .visibility.neighbors import neighbors
 from .visibility.nmr import nmr_gradient
-from .visibility.scanlines import empty_lines
 from .warp.launch import load_ahead
 from .warp.registration import is_plain, needs_gradient
 
@@ -38,7 +37,7 @@ PROJECTION: Functions = (pinhole, project_corners)
 SCENE: Functions = (*PROJECTION, flat_light)
 _ALWAYS: Functions = (coverage, DrawingKernels, gather_corners)
 _VISIBILITY: dict[str, Functions] = {
-    "nmr": (nmr_gradient, empty_lines),
+    "nmr": (nmr_gradient,),
     "edge": (edge_gradient, neighbors),
     "opendr": (),  # plain torch
 }

@@ -1,4 +1,4 @@
-"""The paper's gradient through visibility, against the reference. It tests the sums of `scanlines` too."""
+"""The paper's gradient through visibility, against the reference. It tests the sums along scan lines too."""
 
 from __future__ import annotations
 

@@ -29,6 +29,32 @@ struct Lanes<float> {
 
 NR_FUNC float to_floats(int value) { return (float)value; }
 NR_FUNC bool any(bool mask) { return mask; }
+NR_FUNC float sum(float value) { return value; }
+#if NR_ON_CUDA
+typedef float floats_at_once;  // as many numbers as a loop over memory takes at once
+#endif
+
+// The number of each lane.
+template <class Ints>
+NR_FUNC Ints lane_numbers() {
+    if constexpr (sizeof(Ints) == sizeof(int)) return 0;
+    else {
+        Ints result;
+        for (int n = 0; n < (int)(sizeof(Ints) / sizeof(int)); ++n) result[n] = n;
+        return result;
+    }
+}
+
+// A mask of the lanes n for which test(n) is true.
+template <class F, class Test>
+NR_FUNC typename Lanes<F>::Mask mask_of(Test test) {
+    if constexpr (Lanes<F>::WIDTH == 1) return test(0);
+    else {
+        typename Lanes<F>::Mask result;
+        for (int n = 0; n < Lanes<F>::WIDTH; ++n) result[n] = test(n) ? -1 : 0;
+        return result;
+    }
+}
 
 // Numbers that lie side by side in memory.
 template <class V, class T>
@@ -54,6 +80,7 @@ typedef NR_VECTOR(int, 8) ints8;
 typedef NR_VECTOR(float, 16) floats16;
 typedef NR_VECTOR(int, 16) ints16;
 #undef NR_VECTOR
+typedef floats16 floats_at_once;
 
 template <>
 struct Lanes<floats8> {
@@ -74,23 +101,18 @@ inline ints8 select(ints8 mask, ints8 yes, ints8 no) { return mask ? yes : no; }
 inline floats8 to_floats(ints8 values) { return __builtin_convertvector(values, floats8); }
 inline floats16 to_floats(ints16 values) { return __builtin_convertvector(values, floats16); }
 
-// The number of each lane.
 template <class Ints>
-inline Ints lane_numbers() {
-    Ints result;
-    for (int n = 0; n < (int)(sizeof(Ints) / sizeof(int)); ++n) result[n] = n;
-    return result;
-}
-
-inline bool any(ints8 mask) {
+inline bool any_lane(Ints mask) {
 #if defined(__clang__)
     return __builtin_reduce_or(mask) != 0;
 #else
     int result = 0;
-    for (int n = 0; n < 8; ++n) result |= mask[n];
+    for (int n = 0; n < (int)(sizeof(Ints) / sizeof(int)); ++n) result |= mask[n];
     return result != 0;
 #endif
 }
+inline bool any(ints8 mask) { return any_lane(mask); }
+inline bool any(ints16 mask) { return any_lane(mask); }
 
 // The bits of a mask: bit n is lane n.
 inline unsigned bits(ints8 mask) {
@@ -116,6 +138,11 @@ inline ints8 least(ints8 a, ints8 b) {
 }
 
 inline float sum(floats8 v) { return v[0] + v[1] + v[2] + v[3] + (v[4] + v[5] + v[6] + v[7]); }
+inline float sum(floats16 v) {
+    const floats8 half = __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7)
+        + __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15);
+    return half[0] + half[4] + (half[2] + half[6]) + (half[1] + half[5] + (half[3] + half[7]));
+}
 
 // Three channels of eight pixels that lie side by side, as in an array of vec3.
 inline void load(const vec3* from, floats8* to) {

@@ -117,6 +117,27 @@ NR_FUNC void atomic_min(int64* to, int64 value) {
 #endif
 }
 
+// The largest number of concurrent CUDA threads. Most find a larger one there: a read is faster than an atomic.
+NR_FUNC void atomic_max(int* to, int value) {
+    if (*(volatile int*)to >= value) return;
+#if NR_ON_CUDA
+    atomicMax(to, value);
+#else
+    *to = value;
+#endif
+}
+
+// Write ``value`` if the place holds ``expected``; returns what it held. On the CPU no two tasks share such a place.
+NR_FUNC int atomic_cas(int* to, int expected, int value) {
+#if NR_ON_CUDA
+    return atomicCAS(to, expected, value);
+#else
+    const int before = *to;
+    if (before == expected) *to = value;
+    return before;
+#endif
+}
+
 // The bits of a number. Those of positive numbers have their order.
 NR_FUNC int bits_of(float value) {
     int result;

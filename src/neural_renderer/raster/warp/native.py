@@ -110,6 +110,18 @@ def _struct(header: str, name: str, body: str) -> type[Call]:
     return made
 
 
+def constant(header: str, name: str) -> int:
+    """Read a whole number that a header declares by ``constexpr int``.
+
+    Raises:
+        ValueError: No such number.
+    """
+    text = (HEADERS / header).read_text(encoding="utf-8")
+    if found := re.search(rf"^constexpr int (?:.*, )?{name} = (\d+)[,;]", text, re.MULTILINE):
+        return int(found[1])
+    raise ValueError(f"{header}: expected a constexpr int {name}, found none")
+
+
 class Kernels:
     """The kernels of a header: a Warp module.
 

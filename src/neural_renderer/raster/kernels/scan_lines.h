@@ -1,0 +1,49 @@
+// Scan lines, on which the gradients through visibility measure the motion of edges.
+//
+// They are the rows of an image (axis 0), which measure motion along x, or its columns (axis 1), for motion along y. A
+// line has the number u, and a position on it is v; both in pixels from the bottom left, whose centres are the
+// integers.
+#pragma once
+
+#include "geometry.h"
+
+namespace nr {
+
+// The lines of one axis: ``count`` lines of ``length`` pixels.
+struct ScanAxis {
+    int axis, count, length;
+    int64 origin, across, along;  // in memory: pixel 0 of line 0, the steps to the next line and to the next pixel
+
+    NR_FUNC ScanAxis(int axis, int height, int width)
+        : axis(axis),
+          count(axis ? width : height),
+          length(axis ? height : width),
+          origin((int64)(height - 1) * width),
+          across(axis ? 1 : -width),
+          along(axis ? -width : 1) {}
+
+    // The place of a pixel in a map [height, width].
+    NR_FUNC int64 pixel(int u, int v) const { return origin + u * across + v * along; }
+    NR_FUNC float u_of(const vec3& p) const { return to_pixels(p[1 - axis], count); }
+    NR_FUNC float v_of(const vec3& p) const { return to_pixels(p[axis], length); }
+};
+
+// An edge p -> q of a counter-clockwise face with third corner r.
+struct LineEdge {
+    float pu, qu, ru, pv, qv, rv, slope;
+    int outward;  // direction along v out of the face: 1 or -1
+
+    NR_FUNC LineEdge(const ScanAxis& lines, const vec3& p, const vec3& q, const vec3& r)
+        : pu(lines.u_of(p)),
+          qu(lines.u_of(q)),
+          ru(lines.u_of(r)),
+          pv(lines.v_of(p)),
+          qv(lines.v_of(q)),
+          rv(lines.v_of(r)) {
+        slope = (qv - pv) / (qu - pu);
+        outward = (pu < qu) == (lines.axis == 1) ? -1 : 1;
+    }
+    NR_FUNC bool has_slope() const { return !(fabsf(pu - qu) < SHORTEST); }
+};
+
+}  // namespace nr
