@@ -63,9 +63,9 @@ struct PullWeights {
 struct PullFace {
     const PullWeights& call;
     const Slopes slopes;
-    CornerSums<float> sums;
+    CornerSums<float> sums = {};
 #if !NR_ON_CUDA
-    CornerSums<floats8> sums_of_eights;
+    CornerSums<floats8> sums_of_eights = {};
     bool by_eights = false;
 
     void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {

@@ -48,7 +48,7 @@ struct Face {
             far = larger(far, larger(fabsf(x[k]), fabsf(y[k])));
             inverse[k] = perspective ? 1.0f / v[k][2] : 1.0f;
         }
-        front = !perspective | ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f));
+        front = (perspective == 0) | ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f));
         const float area = x[2] * (y[0] - y[1]) + x[0] * (y[1] - y[2]) + x[1] * (y[2] - y[0]);
         known = fabsf(area) > LEAST_AREA * far * far;
         const float part = known ? 1.0f / area : 0.0f;

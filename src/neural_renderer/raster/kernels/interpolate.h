@@ -80,22 +80,20 @@ struct PullCorners {
     float* to;          // their gradient
     const bool alone;
     const Slopes slopes;
-    CornerSums<float> sums;
+    CornerSums<float> sums = {};
 
 #if !NR_ON_CUDA
     // Eights give the same as `CornerSums::pull`, but are summed first. The gradients of weights are products of
     // ``from`` and ``pull``. So the sums of weights[k] * pull suffice for the corners, and in perspective those of
     // weights[k] * color * pull.
     static constexpr int MOST = 8;  // channels
-    floats8 sums_of_pull[3 * MOST], sums_of_color[3];
-    float beside[3 * MOST];  // attributes less those of the first corner: a shift of all corners moves nothing
-    float total[3 * MOST];   // gradients of the corners' attributes
+    floats8 sums_of_pull[3 * MOST] = {}, sums_of_color[3] = {};
+    float beside[3 * MOST] = {};  // attributes less those of the first corner: a shift of all corners moves nothing
+    float total[3 * MOST] = {};   // gradients of the corners' attributes
     const bool colors_too = call.faces_too && call.scene.perspective;
     bool by_eights = false;
 
     void prepare() {
-        for (int k = 0; k < 3; ++k) sums_of_color[k] = floats8{};
-        for (int k = 0; k < 3 * channels; ++k) sums_of_pull[k] = floats8{};
         for (int k = 0; k < 3; ++k)
             for (int c = 0; c < channels; ++c) beside[k * channels + c] = from[k * channels + c] - from[c];
     }

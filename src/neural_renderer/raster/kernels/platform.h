@@ -107,6 +107,16 @@ NR_FUNC void atomic_add(float* to, float value) {
 NR_FUNC void atomic_add(vec3* to, const vec3& value) {
     for (int k = 0; k < 3; ++k) atomic_add(&to->c[k], value[k]);
 }
+// Add to a count; returns what it was before.
+NR_FUNC int64 atomic_add(int64* to, int64 value) {
+#if NR_ON_CUDA
+    return (int64)atomicAdd((unsigned long long*)to, (unsigned long long)value);
+#else
+    const int64 before = *to;
+    *to += value;
+    return before;
+#endif
+}
 
 // The least number of concurrent CUDA threads.
 NR_FUNC void atomic_min(int64* to, int64 value) {

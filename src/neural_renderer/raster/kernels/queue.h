@@ -17,10 +17,8 @@ struct Queue {
 
     // Put a face into the queue, with its number of threads. One addition counts both, so threads ascend by entry.
     NR_FUNC void put(int64 face, int64 count) const {
-#if NR_ON_CUDA
-        const int64 before = (int64)atomicAdd((unsigned long long*)total, (unsigned long long)(FACE + count));
+        const int64 before = atomic_add(total, FACE + count);
         entries[2 * (before / FACE)] = face, entries[2 * (before / FACE) + 1] = before % FACE;
-#endif
     }
     NR_FUNC int64 thread_count() const { return total[0] % FACE; }
 

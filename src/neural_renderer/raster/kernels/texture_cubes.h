@@ -114,12 +114,12 @@ struct PullCube {
     const float* grads;  // of the image's first channel, less the place of the image in a map
     const bool alone;
     const Slopes slopes;
-    CornerSums<float> sums;
+    CornerSums<float> sums = {};
     vec3 lit = {};  // gradient to the light
 #if !NR_ON_CUDA
-    vec3 lit_cube[8];
-    CubeOfEight::Sums sums_of_texels;
-    CornerSums<floats8> sums_of_eights;
+    vec3 lit_cube[8] = {};
+    CubeOfEight::Sums sums_of_texels = {};
+    CornerSums<floats8> sums_of_eights = {};
     bool by_eights = false;
 
     void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {
