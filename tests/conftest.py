@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 import torch
 
 from tests.paths import DATA
+
+if TYPE_CHECKING:
+    from tests.native.kernels import NativeKernels
 
 
 @pytest.fixture(scope="session")
@@ -26,6 +30,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--emulated-cuda",
         choices=["plain", "races"],
         help="run the CUDA code of all kernels on a processor; 'races' also fails tests with unordered accesses",
+    )
+    parser.addoption(
+        "--sanitizer",
+        choices=["none", "address", "thread"],
+        default="none",
+        help="run the C++ kernels as this machine's compiler builds them with a sanitizer; see `make test-native`",
     )
 
 
@@ -48,6 +58,31 @@ def emulated_cuda(request: pytest.FixtureRequest) -> Iterator[None]:
         yield
     races = {kernel: sums[0] for kernel, sums in device.measured.items() if mode == "races" and sums[0]}
     assert not races, f"unordered accesses to memory: {races}"
+
+
+@pytest.fixture(scope="session")
+def sanitized_kernels(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> NativeKernels:
+    """The kernels of the C++ headers with the sanitizer of --sanitizer."""
+    from tests.native.compiler import environment
+    from tests.native.kernels import NativeKernels
+
+    sanitizer = request.config.getoption("--sanitizer")
+    for name, value in environment(sanitizer).items():
+        if os.environ.get(name) != value:
+            raise pytest.UsageError(f"--sanitizer {sanitizer}: expected {name}={value}, as in `make test-native`")
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent  # which all processes of a run share
+    # Tasks of the address sanitizer run one after the other, so that its message names the first wrong access.
+    return NativeKernels(folder, sanitizer, threads=4 if sanitizer == "thread" else 1)
+
+
+@pytest.fixture(autouse=True)
+def native_kernels(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With --sanitizer every launch of a kernel of a C++ header runs that kernel with the sanitizer."""
+    if request.config.getoption("--sanitizer") != "none":
+        kernels = request.getfixturevalue("sanitized_kernels")
+        monkeypatch.setattr("neural_renderer.raster.warp.launch.emulator", kernels.launch)
 
 
 @pytest.fixture

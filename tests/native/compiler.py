@@ -29,7 +29,7 @@ _FLAGS = ["-std=c++17", "-O1", "-g", "-ffp-contract=off", "-pthread", f"-I{HEADE
 # The runtime of each sanitizer and the library that it looks into, and its options. Leaks would be those of Python.
 _RUNTIMES = {
     "address": ("libasan.so", "ASAN_OPTIONS", "detect_leaks=0"),
-    "thread": ("libtsan.so", "TSAN_OPTIONS", "ignore_noninstrumented_modules=1 halt_on_error=1"),
+    "thread": ("libtsan.so", "TSAN_OPTIONS", "ignore_noninstrumented_modules=1:halt_on_error=1"),
 }
 MISSING = "no C++ compiler with sanitizers: expected g++ (12 or later) or clang++"
 
