@@ -221,7 +221,7 @@ NR_FUNC void draw_band_of_rows(const Drawing& call, int task) {
     }
     if (call.two_sided)
         for (int64 i = start; i < stop; ++i) call.face_index[i] -= call.face_index[i] < call.count ? 0 : call.count;
-    if (call.visible)  // several bands of an image may write to one place, but all write 1
+    if (call.visible)
         mark_faces(call.visible + (int64)image * (call.count + 1), call.count, call.face_index + start, stop - start);
 }
 
@@ -304,8 +304,9 @@ NR_FUNC void decode_keys(const Drawing& call, int task) {
         const int index = (int)call.keys[i];
         const int f = call.keys[i] == NO_FACE ? -1 : index < call.count ? index : index - call.count;
         call.face_index[i] = f;
-        if (call.visible)  // several threads may write to one place, but all write 1
-            call.visible[i / ((int64)call.height * call.width) * (call.count + 1) + (f < 0 ? call.count : f)] = 1;
+        if (!call.visible) continue;
+        int* mask = call.visible + i / ((int64)call.height * call.width) * (call.count + 1);
+        write_shared(mask + (f < 0 ? call.count : f), 1);
     }
 }
 

@@ -19,11 +19,14 @@
 #define NR_RARE inline __attribute__((noinline))
 #endif
 
-// At the start of a function: its products and sums may be fused, across statements too, whatever the module's option.
+// At the start of a function: its products and sums may be fused, across statements too, or are not fused, whatever the
+// module's option.
 #if defined(__clang__)
 #define NR_FUSED _Pragma("clang fp contract(fast)")
+#define NR_UNFUSED _Pragma("clang fp contract(off)")
 #else
 #define NR_FUSED
+#define NR_UNFUSED
 #endif
 
 namespace nr {
@@ -145,6 +148,16 @@ NR_FUNC int atomic_cas(int* to, int expected, int value) {
     const int before = *to;
     if (before == expected) *to = value;
     return before;
+#endif
+}
+
+// Write to a place where several tasks may write the same value. On the CPU this is the same machine code as a plain
+// store, but one that the language allows.
+NR_FUNC void write_shared(int* to, int value) {
+#if NR_ON_CUDA
+    *to = value;
+#else
+    __atomic_store_n(to, value, __ATOMIC_RELAXED);
 #endif
 }
 

@@ -128,7 +128,7 @@ NR_FUNC void flood_line(const FloodLines& call, int task) {
     for (int step = 0; step < 2 * size; ++step) {
         if (step == size) outside = true;
         byte& voxel = call.grids.across(b, call.axis, p, q, step < size ? step : 2 * size - 1 - step);
-        if (voxel == EMPTY && (outside || beside)) voxel = OUTSIDE, *call.changed = 1;
+        if (voxel == EMPTY && (outside || beside)) voxel = OUTSIDE, write_shared(call.changed, 1);
         outside = voxel == OUTSIDE;
     }
 }
