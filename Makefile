@@ -5,7 +5,9 @@ BIN := $(VENV)/bin
 # torch comes first and alone: with the version of constraints.txt there, nothing later replaces it.
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 
-.PHONY: demo test test-all test-cuda-emulated lint format benchmark coverage package docs clean
+CPP := src/neural_renderer/raster/kernels/*.h tests/native/*.h tests/native/*.cpp
+
+.PHONY: demo test test-all test-cuda-emulated test-native lint format benchmark coverage package docs clean
 
 demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
@@ -28,16 +30,26 @@ test-cuda-emulated: $(VENV)/installed
 		--deselect tests/raster/visibility/test_intersections.py::test_mean_gradient_is_a_central_difference \
 		--deselect tests/raster/visibility/test_layers_gradient.py::test_the_derivative_of_pictures
 
+# The kernels' C++ headers as g++ builds them, with sanitizers: their own tests, then those of the operators. Reports of
+# sanitizers end the process, so that they are shown at once.
+test-native: $(VENV)/installed
+	$(BIN)/python -m pytest tests/native
+	for sanitizer in address thread; do \
+		variables=$$($(BIN)/python -m tests.native.compiler $$sanitizer) && env $$variables \
+		$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --capture sys --sanitizer $$sanitizer \
+			tests/raster/ops tests/raster/colors || exit 1; \
+	done
+
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/clang-format --dry-run --Werror src/neural_renderer/raster/kernels/*.h
+	$(BIN)/clang-format --dry-run --Werror $(CPP)
 	$(BIN)/mypy
 
 format: $(VENV)/installed
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
-	$(BIN)/clang-format -i src/neural_renderer/raster/kernels/*.h
+	$(BIN)/clang-format -i $(CPP)
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m benchmarks

@@ -23,7 +23,8 @@ SANITIZERS = {
     "thread": ["-fsanitize=thread"],
 }
 # GCC warns that wide vectors are passed in another way if the processor has none: this matters between libraries only.
-_WARNINGS = ["-Wall", "-Wextra", "-Werror", "-Wno-psabi"]
+# clang warns of a & b of truth values, which is meant: it has no branch.
+_WARNINGS = ["-Wall", "-Wextra", "-Werror", "-Wno-psabi", "-Wno-bitwise-instead-of-logical"]
 # One rounding for each operation, as Warp compiles the headers.
 _FLAGS = ["-std=c++17", "-O1", "-g", "-ffp-contract=off", "-pthread", f"-I{HEADERS}", f"-I{HERE}", *_WARNINGS]
 # The runtime of each sanitizer and the library that it looks into, and its options. Leaks would be those of Python.
@@ -31,7 +32,7 @@ _RUNTIMES = {
     "address": ("libasan.so", "ASAN_OPTIONS", "detect_leaks=0"),
     "thread": ("libtsan.so", "TSAN_OPTIONS", "ignore_noninstrumented_modules=1:halt_on_error=1"),
 }
-MISSING = "no C++ compiler with sanitizers: expected g++ (12 or later) or clang++"
+MISSING = "no C++ compiler with sanitizers: expected g++ (12 or later) or clang++ (15 or later)"
 
 
 @cache

@@ -54,6 +54,8 @@ def test_sanitizers_find_wrong_accesses(sanitizer: str, message: str, tmp_path: 
         pytest.skip(str(error))
     command = [sys.executable, "-m", "tests.native.wrong", sanitizer, tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, env={**without_sanitizer(), **variables})
+    if "unexpected memory mapping" in done.stderr:
+        pytest.skip("the sanitizer finds no room for its tables here: see vm.mmap_rnd_bits")
     assert done.returncode != 0
     assert message in done.stderr and "corners.h:" in done.stderr
 
