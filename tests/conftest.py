@@ -80,9 +80,15 @@ def sanitized_kernels(request: pytest.FixtureRequest, tmp_path_factory: pytest.T
 @pytest.fixture(autouse=True)
 def native_kernels(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """With --sanitizer every launch of a kernel of a C++ header runs that kernel with the sanitizer."""
-    if request.config.getoption("--sanitizer") != "none":
-        kernels = request.getfixturevalue("sanitized_kernels")
-        monkeypatch.setattr("neural_renderer.raster.warp.launch.emulator", kernels.launch)
+    sanitizer = request.config.getoption("--sanitizer")
+    if sanitizer == "none":
+        return
+    kernels = request.getfixturevalue("sanitized_kernels")
+    monkeypatch.setattr("neural_renderer.raster.warp.launch.emulator", kernels.launch)
+    if sanitizer == "thread":  # rows and bands for four threads, so that small images have several tasks
+        monkeypatch.setattr("neural_renderer.raster.warp.layout._ROWS", 1)
+        monkeypatch.setattr("neural_renderer.raster.warp.layout._ENOUGH_PIXELS", 1)
+        monkeypatch.setattr("torch.get_num_threads", lambda: 4)
 
 
 @pytest.fixture
