@@ -43,7 +43,7 @@ def compiler() -> str | None:
         source.write_text('#include "lanes.h"\nint main() {}\n', encoding="utf-8")
         for name in [os.environ["CXX"]] if "CXX" in os.environ else ["g++", "clang++"]:
             commands = [[name, *_FLAGS, *flags, source, "-o", f"{source}.out"] for flags in SANITIZERS.values()]
-            if shutil.which(name) and not any(subprocess.run(one, capture_output=True).returncode for one in commands):
+            if shutil.which(name) and all(_run(one).returncode == 0 for one in commands):
                 return name
     return None
 
@@ -63,8 +63,7 @@ def compile_source(source: Path, sanitizer: str, *flags: str | Path) -> None:
     name = compiler()
     if name is None:
         raise LookupError(MISSING)
-    command = [name, *_FLAGS, *SANITIZERS[sanitizer], source, *flags]
-    done = subprocess.run(command, capture_output=True, text=True, env=without_sanitizer())
+    done = _run([name, *_FLAGS, *SANITIZERS[sanitizer], source, *flags])
     if done.returncode:
         raise ValueError(f"{source}: expected C++ without warnings, got\n{done.stderr}")
 
@@ -74,6 +73,10 @@ def without_sanitizer() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
 
 
+def _run(command: list[str | Path]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True, env=without_sanitizer())
+
+
 def environment(sanitizer: str) -> dict[str, str]:
     """Return the environment variables of a Python whose kernels have a sanitizer: its runtime has to come first.
 
@@ -81,11 +84,13 @@ def environment(sanitizer: str) -> dict[str, str]:
         LookupError: The compiler has no runtime that another program can load; g++ on Linux has.
     """
     runtime, variable, options = _RUNTIMES[sanitizer]
-    name = compiler() or "c++"
+    name = compiler()
+    if name is None:
+        raise LookupError(MISSING)
     ask = [[name, f"-print-file-name={library}"] for library in (runtime, "libstdc++.so")]
-    found = [subprocess.run(one, capture_output=True, text=True).stdout.strip() for one in ask if shutil.which(name)]
-    if "clang" in name or not found or not all(map(os.path.isabs, found)):
-        raise LookupError(f"--sanitizer {sanitizer}: expected g++ (12 or later) with {runtime}, found none")
+    found = [_run(one).stdout.strip() for one in ask]
+    if "clang" in name or not all(map(os.path.isabs, found)):
+        raise LookupError(f"{name}: expected g++ (12 or later) with {runtime}, for Python to load")
     return {"LD_PRELOAD": ":".join(found), variable: options}
 
 
