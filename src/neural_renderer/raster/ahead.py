@@ -8,6 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from .colors.composite import composite
+from .colors.edge_hashes import texture_edge_hashes
 from .colors.interpolate import interpolate
 from .colors.light_pixels import light_pixels
 from .colors.mipmaps import sample_mipmaps
@@ -17,13 +18,12 @@ from .ops.corners import gather_corners
 from .ops.coverage import coverage
 from .ops.draw import DrawingKernels
 from .ops.flat_light import flat_light
+from .ops.neighbors import neighbors
 from .ops.pinhole import pinhole
 from .ops.project_corners import project_corners
 from .settings import Settings
-from .visibility.continuity import texture_edge_hashes
 from .visibility.edge import edge_gradient
 from .visibility.intersections import add_intersections
-from .visibility.neighbors import neighbors
 from .visibility.nmr import nmr_gradient
 from .warp.launch import load_ahead
 from .warp.registration import is_plain, needs_gradient

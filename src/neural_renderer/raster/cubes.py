@@ -10,8 +10,8 @@ from torch import Tensor
 
 from .. import validate
 from .background import background_image
+from .colors.edge_hashes import texture_edge_hashes
 from .colors.texture_cubes import sample_textures
-from .visibility.continuity import texture_edge_hashes
 from .visible import VisibleFaces
 
 

@@ -16,18 +16,18 @@ behind the last layer are taken for nothing.
 """
 
 # The types of operators are read at run time, so no `from __future__ import annotations` here.
-from typing import Optional
+from typing import Any, Optional
 
 import torch
 from torch import Tensor
 
 from .colors.downsample import halve, halve_backward
+from .ops.neighbors import neighbors
 from .visibility.edge import add_edges
 from .visibility.intersections import add_intersections
-from .visibility.neighbors import neighbors
 from .warp.launch import copy
 from .warp.memory import zeros
-from .warp.registration import differentiable, differentiable_once, operator
+from .warp.registration import differentiable, differentiable_once, fake, operator
 
 
 @operator
@@ -58,8 +58,19 @@ def layers_gradient(
     return halve(image) if halved else copy(image)
 
 
-@torch.library.register_fake("neural_renderer::layers_gradient")
-def _(image, pictures, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None, halved=False):
+@fake("layers_gradient")
+def _(
+    image: Tensor,
+    pictures: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    two_sided: bool,
+    perspective: bool,
+    seams: bool,
+    edge_hashes: Tensor | None = None,
+    rings: Tensor | None = None,
+    halved: bool = False,
+) -> Tensor:
     scale = 2 if halved else 1
     return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
 
@@ -90,17 +101,27 @@ def layers_gradient_backward(
     return result
 
 
-@torch.library.register_fake("neural_renderer::layers_gradient_backward")
-def _(grad, pictures, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None):
+@fake("layers_gradient_backward")
+def _(
+    grad: Tensor,
+    pictures: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    two_sided: bool,
+    perspective: bool,
+    seams: bool,
+    edge_hashes: Tensor | None = None,
+    rings: Tensor | None = None,
+) -> Tensor:
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
-def _save(ctx, inputs, output):
+def _save(ctx: Any, inputs: Any, output: Any) -> None:
     _, pictures, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, hashes, rings, ctx.halved = inputs
     ctx.save_for_backward(pictures, faces, face_index, hashes, rings)
 
 
-def _backward(ctx, grad):
+def _backward(ctx: Any, grad: Tensor) -> Any:
     pictures, faces, face_index, *rest = ctx.saved_tensors
     grad = halve_backward(grad) if ctx.halved else grad
     to_faces = None

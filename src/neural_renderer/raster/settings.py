@@ -15,10 +15,10 @@ from torch import Tensor
 from .. import validate
 from .colors.downsample import averaged
 from .ops.coverage import coverage, silhouette
+from .ops.rings import edge_rings
 from .visibility.comparators.opendr import opendr_gradient
 from .visibility.edge import edge_gradient
 from .visibility.nmr import nmr_gradient
-from .visibility.rings import edge_rings
 from .warp.layout import in_any_order
 from .warp.registration import needs_gradient
 

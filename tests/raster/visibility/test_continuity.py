@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.raster.visibility.continuity import image_edge_hashes, texture_edge_hashes
+from neural_renderer.raster.colors.edge_hashes import image_edge_hashes, texture_edge_hashes
 from neural_renderer.tasks.texels import Texels
 from tests.rounding import rounding
 

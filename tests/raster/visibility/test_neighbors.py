@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import neural_renderer as nr
+from neural_renderer.raster.ops.neighbors import neighbors
 from neural_renderer.raster.reference.neighbors import neighbors_reference
-from neural_renderer.raster.visibility.neighbors import neighbors
 from neural_renderer.raster.warp.layout import concurrent
 from tests.raster.scenes import Scene, examples, scenes
 

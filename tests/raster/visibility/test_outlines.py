@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from neural_renderer.raster.ops.coverage import coverage
+from neural_renderer.raster.ops.rings import edge_rings
 from neural_renderer.raster.visibility.edge import edge_gradient_backward
-from neural_renderer.raster.visibility.rings import edge_rings
 from tests.raster.scenes import FAR, NEAR, Scene
 
 SIZE = 24

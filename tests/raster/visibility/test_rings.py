@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.raster.visibility.neighbors import neighbors
-from neural_renderer.raster.visibility.rings import edge_rings
+from neural_renderer.raster.ops.neighbors import neighbors
+from neural_renderer.raster.ops.rings import edge_rings
 
 
 def points(count, seed, batch=1):

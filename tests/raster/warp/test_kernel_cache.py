@@ -28,7 +28,7 @@ def count(first: int, result: wp.array(dtype=float)):
 
 def run():
     result = torch.zeros(3)
-    launch.launch(count, 3, [launch.array(result)], torch.device("cpu"))
+    launch.launch(count, 3, [wp.from_torch(result, return_ctype=True)], torch.device("cpu"))
     assert result.tolist() == [1, 2, 3]
 
 def damage(suffix, change):

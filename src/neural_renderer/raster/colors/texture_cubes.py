@@ -53,7 +53,7 @@ def sample_textures(
     batch, height, width = face_index.shape
     color = empty((batch, 3, height, width), faces.device)
     tasks, each = pixel_tasks(batch * height, width, faces.device)
-    scene, cubes = scene_of(faces, face_index, perspective), _lit_cubes(textures, light, eps)
+    scene, cubes = scene_of(faces, face_index, perspective), lit_cubes(textures, light, eps)
     call = _SampleCubes(scene=scene, textures=cubes, background=background_of(background), each=each, color=color)
     launch(_sample_pixels, tasks, [call], faces.device, worth_a_thread(each * width))
     return color
@@ -99,7 +99,7 @@ def sample_textures_backward(
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     fields: dict[str, Any] = {
         "scene": scene_of(faces, face_index, perspective),
-        "textures": _lit_cubes(textures, light, eps),
+        "textures": lit_cubes(textures, light, eps),
         "grad": grad.contiguous(),
         "light_too": light_too,
         "faces_too": faces_too,
@@ -134,7 +134,8 @@ def _(
     return textures.new_empty(textures.shape), light.new_empty(light.shape), to_faces
 
 
-def _lit_cubes(textures: Tensor, light: Tensor, eps: float) -> Call:
+def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0) -> Call:
+    """Make the `LitCubes` of kernels; arguments as of `sample_textures`."""
     return _LitCubes(
         texels=textures.contiguous(),
         light=light.contiguous(),

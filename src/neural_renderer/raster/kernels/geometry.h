@@ -62,8 +62,9 @@ NR_FUNC int facing(const vec3* v, int perspective) {
 // The side of a face that is visible: 0 the front, 1 the back.
 NR_FUNC int visible_side(const vec3* v, int perspective) { return facing(v, perspective) < 0; }
 
-// Twice the signed area on the screen, in screen units.
+// Twice the signed area on the screen, in screen units. All kernels agree on it to the bit.
 NR_FUNC float doubled_area(const vec3* v) {
+    NR_UNFUSED
     return (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
 }
 
@@ -126,6 +127,25 @@ NR_RARE vec3d homogeneous_weights(const vec3* v, float x, float y) {
     const double area = e[0] + e[1] + e[2];
     if (area == 0.0) return {-1.0, -1.0, -1.0};
     return {e[0] / (area * v[0][2]), e[1] / (area * v[1][2]), e[2] / (area * v[2][2])};
+}
+
+// The nearness of a point is 1 / z in perspective, in orthographic projection -z. It is larger in front, and linear
+// over a face on the screen, so that depths compare without a division at each point.
+NR_FUNC float nearness(float z, int perspective) { return perspective ? 1.0f / z : -z; }
+
+// The corners' parts of the nearness of a face's plane at a screen position: their screen-space weights times their
+// nearness.
+NR_FUNC vec3 nearness_terms(const vec3* v, float x, float y, int perspective) {
+    const vec3d a = homogeneous_weights(v, x, y);
+    vec3 terms;
+    for (int k = 0; k < 3; ++k) terms[k] = perspective ? (float)a[k] : -((float)a[k] * v[k][2] * v[k][2]);
+    return terms;
+}
+NR_FUNC float total(const vec3& terms) { return terms[0] + terms[1] + terms[2]; }
+
+// The nearness of a face's plane at a screen position.
+NR_FUNC float nearness_at(const vec3* v, float x, float y, int perspective) {
+    return total(nearness_terms(v, x, y, perspective));
 }
 
 }  // namespace nr

@@ -27,6 +27,17 @@ struct Lanes<float> {
     static constexpr int WIDTH = 1;
 };
 
+// The number of the lowest bit of a number other than 0.
+NR_FUNC int lowest_bit(unsigned number) {
+#if NR_ON_CUDA
+    int n = 0;
+    while (!(number >> n & 1)) ++n;
+    return n;
+#else
+    return __builtin_ctz(number);
+#endif
+}
+
 NR_FUNC float to_floats(int value) { return (float)value; }
 NR_FUNC bool any(bool mask) { return mask; }
 NR_FUNC float sum(float value) { return value; }

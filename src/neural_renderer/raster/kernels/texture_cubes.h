@@ -7,22 +7,6 @@
 
 namespace nr {
 
-struct LitCubes {
-    const vec3* texels;  // [cubes, faces, size, size, size]
-    const vec3* light;   // factors on the front and the back of each face, [lamps, 2, faces]
-    int cubes, lamps;    // images of each; 1 if all share them
-    int size;            // texels along a side of a cube
-    float eps;           // coordinates in a cube end at size - 1 - eps
-
-    NR_FUNC int64 volume() const { return (int64)size * size * size; }
-    NR_FUNC const vec3* cube(const Scene& scene, int image, int face) const {
-        return texels + ((int64)(image < cubes ? image : cubes - 1) * scene.count + face) * volume();
-    }
-    NR_FUNC const vec3& light_on(const Scene& scene, int image, int face, int side) const {
-        return light[(2 * (int64)(image < lamps ? image : lamps - 1) + side) * scene.count + face];
-    }
-};
-
 struct SampleCubes {
     Scene scene;
     LitCubes textures;

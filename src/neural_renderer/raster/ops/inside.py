@@ -5,7 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch, load_kernel
+from ..warp.launch import launch, load_kernel
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,7 +32,8 @@ def inside(vertices: Tensor, faces: Tensor, points: Tensor, least: float = 0.5) 
     load_kernel(_wind, "cpu")  # before Warp's first array, which would start it with a banner
     corners = wp.array(faces.reshape(-1).numpy(), dtype=int, device="cpu")
     mesh = wp.Mesh(wp.array(vertices.numpy(), dtype=wp.vec3, device="cpu"), corners, support_winding_number=True)
-    launch(_wind, len(points), [mesh.id, array(points, wp.vec3), least, array(result)], points.device, _MANY_POINTS)
+    arguments = [mesh.id, wp.from_torch(points.contiguous(), wp.vec3), least, wp.from_torch(result)]
+    launch(_wind, len(points), arguments, points.device, _MANY_POINTS)
     return result == 1
 
 

@@ -3,7 +3,6 @@
 from typing import cast
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from ..warp.launch import launch, stream_of
@@ -46,9 +45,9 @@ def visible_faces(face_index: Tensor, count: int) -> Tensor:
         return _visible_faces(face_index, count)
     stream = stream_of(face_index.device)
     state, made, mask = face_index.__dict__.get("_mask", (None, None, None))
-    if mask is not None and state == _state(face_index) and mask.shape[1] == count + 1:
-        if made == _ALONG or (made == stream and stream is not None):
-            return cast("Tensor", mask)
+    readable = made == _ALONG or (made == stream and stream is not None)
+    if mask is not None and readable and state == _state(face_index) and mask.shape[1] == count + 1:
+        return cast("Tensor", mask)
     mask = _visible_faces(face_index, count)
     if stream is not None:
         face_index.__dict__["_mask"] = (_state(face_index), stream, mask)
@@ -73,29 +72,3 @@ def _visible_faces(face_index: Tensor, count: int) -> Tensor:
     many = MANY_PIXELS // max(each * width, 1)
     launch(_mark_pixels, tasks, [_Mark(scene=scene, each=each, visible=visible)], face_index.device, many)
     return visible
-
-
-@wp.func
-def pixels_of_task(task: int, each: int, width: int):
-    """Find the pixels of a task of `pixel_tasks` on CUDA: the row, counted over all images, and its [first, end)."""
-    row = task
-    left = int(0)
-    right = width
-    if each == 0:
-        row = task // width
-        left = task % width
-        right = left + 1
-    return row, left, right
-
-
-_NEXT_SHOWN = """
-    const int* shown = face_index.data + row * width;
-    while (i < end && shown[i] != f) ++i;
-    return i;
-"""
-
-
-@wp.func_native(_NEXT_SHOWN)
-def next_shown(face_index: wp.array3d(dtype=int), row: wp.int64, width: int, i: int, end: int, f: int) -> int:
-    """Find the first pixel in [i, end) of a row, counted over all images, that shows face ``f``; ``end`` if none."""
-    ...

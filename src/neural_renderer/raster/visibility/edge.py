@@ -15,9 +15,11 @@ on its inner side shows the face and the pixel on its outer side shows a farther
 - Each of the two colours is extrapolated linearly to the crossing if the next pixel shows the same face.
 - dL/dI is the gradient of the pixel that contains the crossing.
 - A pixel centre hits a face whose chord c on the line is shorter than a pixel with probability c only, so the crossing
-  has the weight 1 / c. If the surface continues, the next faces stand in for a missed one; see `outlines`.
+  has the weight 1 / c. If the surface continues, the next faces stand in for a missed one.
 - Where two surfaces meet at an edge, as at a T-junction, each edge has half of the gain.
-- Seams, where two faces of a surface meet in different colours, are in `seams`.
+- Seams, where two faces of a surface meet in different colours, take both colours from pixels that show them.
+
+The formulas are in `raster/kernels/edge.h`, on `crossings.h`.
 
 Where two faces intersect, the visible boundary is the line of equal depth; see `intersections`.
 
@@ -27,35 +29,29 @@ the last pixel at each end of an intersection; edges with an end behind the came
 triangles of half a pixel to two pixels are right within 3 %, but noisy.
 """
 
-# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
-from typing import Optional
+# torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
+from typing import Any, Optional
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from ..colors.downsample import averaged, halve_backward, like_averaged
-from ..ops.visible_faces import visible_faces
-from ..warp.geometry import facing
-from ..warp.launch import array, launch, module_for_cuda, optional_array
+from ..ops.neighbors import Neighbors, neighbors, rings_of
+from ..ops.rings import edges_alone
+from ..ops.visible_faces import scene_of, visible_faces
+from ..warp.launch import launch
 from ..warp.layout import face_tasks, in_any_order
 from ..warp.memory import empty, zeros
-from ..warp.point import fill
-from ..warp.queue import MOST_THREADS, enqueue_lines, launch_lines, line_queue, line_task, queue_arrays, queued_threads
-from ..warp.registration import differentiable, differentiable_once, operator
-from .continuity import colors_continue
-from .crossings import CROSSINGS
-from .gains import GAINS
-from .intersections import add_intersections
-from .nearness import NEARNESS
-from .neighbors import neighbors, search_rings
-from .outlines import LONGEST, OUTLINES
-from .rings import edges_alone
-from .seams import SEAMS
+from ..warp.native import Kernels
+from ..warp.queue import MOST_THREADS, empty_queue, line_threads, queue_of
+from ..warp.registration import differentiable, differentiable_once, fake, operator
+from .intersections import add_intersections, pictures_of
 
-wp.set_module_options({"enable_backward": False})
+_KERNELS = Kernels(__name__, "edge.h")
+_EdgeHashes, _EdgeBackward = _KERNELS.struct("EdgeHashes"), _KERNELS.struct("EdgeBackward")
+_edge_backward = _KERNELS.kernel("edge_backward", _EdgeBackward, launch_bounds=(256, 2))
+_queue_moving_face = _KERNELS.kernel("queue_moving_face", _EdgeBackward, only_cuda=True)
 
-_MOST = wp.constant(1)  # scan lines of a CUDA thread
 _OUTLINES_OF_LINE = 8  # CUDA threads for the outlines that a scan line crosses; more outlines take turns
 
 
@@ -97,8 +93,18 @@ def edge_gradient(
     return averaged(image, face_index, halved)
 
 
-@torch.library.register_fake("neural_renderer::edge_gradient")
-def _(image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None, halved=False):
+@fake("edge_gradient")
+def _(
+    image: Tensor | None,
+    faces: Tensor,
+    face_index: Tensor,
+    two_sided: bool,
+    perspective: bool,
+    seams: bool,
+    edge_hashes: Tensor | None = None,
+    rings: Tensor | None = None,
+    halved: bool = False,
+) -> Tensor:
     return like_averaged(image, face_index, halved)
 
 
@@ -166,32 +172,54 @@ def add_edges(
     count, device = faces.shape[1], faces.device
     if edge_hashes is None and seams:
         edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=device)  # 0 matches nothing
-    corners, beside = array(faces, wp.vec3), [array(visible_faces(face_index, count)), array(adjacent)]
-    queue = line_queue(batch * count, device)
+    scene = scene_of(faces, face_index, perspective)
+    rings, two_sided = search or (None, False)
+    searched = Neighbors(
+        scene=scene, two_sided=int(two_sided), way=-1, rings=rings_of(rings), adjacent=adjacent.contiguous()
+    )
+    fields: dict[str, Any] = {
+        "scene": scene,
+        "pictures": pictures_of(image, grad, width),
+        "neighbors": searched,
+        "folds": folds,
+        "visible": visible_faces(face_index, count),
+        "seams": int(seams),
+        "to_faces": result,
+    }
+    if edge_hashes is not None:
+        images, hashed = edge_hashes.shape[:2]
+        fields["edge_hashes"] = _EdgeHashes(values=edge_hashes.contiguous(), images=images, count=hashed)
+    queue = empty_queue(batch * count, device) if in_any_order(device) else None
     if queue is not None:
-        rings, two_sided = search or (None, False)
-        known = [optional_array(rings, 3, device), int(two_sided), int(perspective)]
-        filled = [int(seams), height, width, *queue_arrays(queue, device)]
-        launch(_queue_faces, batch * count, [corners, *known, *beside, *filled], device)
-    arguments = [corners, optional_array(image, 4, device), array(grad), array(face_index), *beside]
-    arguments += [optional_array(folds, 3, device), int(perspective), int(seams)]
-    arguments += [optional_array(edge_hashes, 4, device), array(result, wp.vec3)]
+        launch(_queue_moving_face, batch * count, [_EdgeBackward(queue=queue_of(queue), **fields)], device)
     # A scan line crosses a few outlines, and any number of seams.
     most = MOST_THREADS if seams else _OUTLINES_OF_LINE * batch * (height + width)
-    launch_lines(_move, arguments, batch * count, queue, 1, device, face_tasks(faces, height * width), most)
+    threads = line_threads(batch * count, queue, 1, most)
+    call = _EdgeBackward(queue=queue_of(queue, threads), **fields)
+    launch(_edge_backward, threads, [call], device, face_tasks(faces, height * width))
 
 
-@torch.library.register_fake("neural_renderer::edge_gradient_backward")
-def _(grad, image, faces, face_index, two_sided, perspective, seams, edge_hashes=None, rings=None):
+@fake("edge_gradient_backward")
+def _(
+    grad: Tensor,
+    image: Tensor | None,
+    faces: Tensor,
+    face_index: Tensor,
+    two_sided: bool,
+    perspective: bool,
+    seams: bool,
+    edge_hashes: Tensor | None = None,
+    rings: Tensor | None = None,
+) -> Tensor:
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
-def _save(ctx, inputs, output):
+def _save(ctx: Any, inputs: Any, output: Any) -> None:
     image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, edge_hashes, rings, ctx.halved = inputs
     ctx.save_for_backward(image, faces, face_index, edge_hashes, rings)  # callers may change the output in place
 
 
-def _backward(ctx, grad):
+def _backward(ctx: Any, grad: Tensor) -> Any:
     image, faces, face_index, *rest = ctx.saved_tensors
     to_image = to_faces = None
     if image is not None:
@@ -203,242 +231,3 @@ def _backward(ctx, grad):
 
 
 differentiable(edge_gradient, _backward, _save)
-
-
-_MOVE_EDGES = """
-    Lines lines;
-    lines.height = face_index.shape[1], lines.width = face_index.shape[2], lines.channels = grad.shape[1];
-    lines.is_silhouette = image.shape[0] == 0, lines.halved = grad.shape[3] < lines.width;
-    lines.perspective = perspective;
-    lines.set(0);
-    const wp::int64 first_face = (wp::int64)b * faces.shape[1], own = first_face + f;
-    lines.image = lines.is_silhouette ? grad.data : image.data + b * lines.channels * lines.area;
-    lines.grad_area = lines.halved ? lines.area / 4 : lines.area;
-    lines.grad = grad.data + b * lines.channels * lines.grad_area;
-    lines.shown = face_index.data + b * lines.area;
-    lines.faces = faces.data + first_face * 3;
-    lines.adjacent = adjacent.data + first_face * 3;
-    const vec3* corners = faces.data + own * 3;
-    const int* next = adjacent.data + own * 3;
-    vec3 to[3] = {vec3(0.0f), vec3(0.0f), vec3(0.0f)};
-    for (int k = 0; k < 3; ++k) {
-        if ((edges >> k & 1) == 0) continue;
-        const int m = (k + 1) % 3, n = (k + 2) % 3;
-        const int p = clockwise ? m : k, q = clockwise ? k : m;  // counter-clockwise
-        Edge edge;
-        edge.face = f, edge.adjacent = next[k];
-        edge.adjacent_pr = next[clockwise ? m : n], edge.adjacent_qr = next[clockwise ? n : m];
-        edge.small = edge.adjacent >= 0 && (Seam::is_small(lines, f) || Seam::is_small(lines, edge.adjacent));
-        for (int axis = 0; axis < 2; ++axis) {
-            lines.set(axis);
-            edge.set(lines, corners[p], corners[q], corners[n]);
-            if (!edge.has_crossings(lines)) continue;
-            float to_p = 0.0f, to_q = 0.0f;
-            const int end = edge.end(lines);
-            for (int u = edge.first(lines) + part; u < end; u += parts) {
-                const Crossing at = edge.crossing(lines, u);
-                if ((at.inner_face == -2) | (at.outer_face == -2) | (at.inner_face == at.outer_face)) continue;
-                float gain = edge.adjacent >= 0 ? Seam::gain(lines, edge, at) : Outline::gain(lines, edge, at);
-                gain *= Lines::border_weight(at.v, lines.length);
-                to_p += (1.0f - at.share) * gain, to_q += at.share * gain;
-            }
-            // A pixel has a quarter of the gradient of its block.
-            const float scale = (lines.halved ? 0.125f : 0.5f) * (float)(edge.outward * lines.length);
-            to[p][axis] += scale * to_p, to[q][axis] += scale * to_q;
-        }
-    }
-    for (int k = 0; k < 3; ++k) {
-        if (alone) result.data[own * 3 + k] = to[k];
-        else wp::atomic_add(result.data + own * 3 + k, to[k]);
-    }
-"""
-
-
-@wp.func_native(CROSSINGS + GAINS + NEARNESS + OUTLINES + SEAMS + _MOVE_EDGES)
-def move_edges(
-    edges: int,
-    clockwise: bool,
-    faces: wp.array3d(dtype=wp.vec3),
-    image: wp.array4d(dtype=float),
-    grad: wp.array4d(dtype=float),
-    face_index: wp.array3d(dtype=int),
-    adjacent: wp.array3d(dtype=int),
-    perspective: int,
-    b: int,
-    f: int,
-    part: int,
-    parts: int,
-    alone: int,
-    result: wp.array3d(dtype=wp.vec3),
-):
-    """Move those edges of face f in image b whose bit is set in ``edges``, over every ``parts``-th scan line.
-
-    ``alone`` means that no other task writes to the same places.
-    """
-    ...
-
-
-_HAS_MOVING_EDGE = """
-    const int* next = adjacent.data + (wp::int64)b * adjacent.shape[1] * 3;
-    const int* shown = visible.data + (wp::int64)b * visible.shape[1];
-    const bool has_outline = next[3 * f] < 0 || next[3 * f + 1] < 0 || next[3 * f + 2] < 0;
-    if (shown[f]) return seams || has_outline;
-    // The outline of a face that all pixel centres miss is visible if one of the faces behind it is; for a seam, the
-    // adjacent face has to be. The search goes from face to face, depth first. Without it, the face may pass in vain.
-    int faces[LONGEST + 2], from[LONGEST + 2], steps[LONGEST + 2], last = 0;
-    faces[0] = f, from[0] = -1, steps[0] = has_outline ? LONGEST : seams ? 1 : 0;
-    while (last >= 0) {
-        const int face = faces[last], before = from[last], left = steps[last] - 1;
-        --last;
-        for (int k = 0; k < 3 && left >= 0; ++k) {
-            const int g = next[3 * (wp::int64)face + k];
-            if (g < 0 || g == before) continue;
-            if (shown[g] || (has_outline && !search)) return true;
-            if (left > 0) ++last, faces[last] = g, from[last] = face, steps[last] = left;
-        }
-    }
-    return false;
-"""
-
-
-@wp.func_native(fill(_HAS_MOVING_EDGE, LONGEST=str(LONGEST)))
-def has_moving_edge(
-    visible: wp.array2d(dtype=int), adjacent: wp.array3d(dtype=int), b: int, f: int, seams: int, search: int
-) -> bool:
-    """Test whether an edge of the face may be a visible boundary; ``search``: among adjacent faces of faces, too."""
-    ...
-
-
-_FOLDS_BEHIND = """
-    if (folds.shape[0] == 0) return false;
-    const wp::int64 first_face = (wp::int64)b * faces.shape[1], own = first_face + f;
-    const int other = folds.data[own * 3 + k];
-    if (other < 0) return false;
-    const auto* v = faces.data + (first_face + other) * 3;
-    const auto r = faces.data[own * 3 + (k + 2) % 3];
-    if (perspective && ((v[0][2] <= 0.0f) | (v[1][2] <= 0.0f) | (v[2][2] <= 0.0f) | (r[2] <= 0.0f))) return false;
-    return Nearness::at(v, r[0], r[1], perspective) > Nearness::of(r[2], perspective);
-"""
-
-
-@wp.func_native(NEARNESS + _FOLDS_BEHIND)
-def folds_behind(
-    faces: wp.array3d(dtype=wp.vec3), folds: wp.array3d(dtype=int), b: int, f: int, k: int, perspective: int
-) -> bool:
-    """Test whether a surface folds at edge k of face f, and the other face of the fold is in front of f."""
-    ...
-
-
-@wp.func
-def may_move(
-    adjacent: wp.array3d(dtype=int),
-    faces: wp.array3d(dtype=wp.vec3),
-    edge_hashes: wp.array4d(dtype=wp.int64),
-    b: int,
-    f: int,
-    k: int,
-    seams: int,
-    folds: wp.array3d(dtype=int),
-    perspective: int,
-) -> bool:
-    """Test whether edge k of a face is an outline, or a seam to a face of higher index (each seam counts once)."""
-    other = adjacent[b, f, k]
-    if other < 0:
-        return not folds_behind(faces, folds, b, f, k, perspective)
-    if seams == 0 or other < f:
-        return False
-    return not colors_continue(edge_hashes, faces, adjacent, b, f, k)
-
-
-@wp.func
-def move_face(
-    faces: wp.array3d(dtype=wp.vec3),
-    image: wp.array4d(dtype=float),
-    grad: wp.array4d(dtype=float),
-    face_index: wp.array3d(dtype=int),
-    adjacent: wp.array3d(dtype=int),
-    folds: wp.array3d(dtype=int),
-    perspective: int,
-    seams: int,
-    edge_hashes: wp.array4d(dtype=wp.int64),
-    result: wp.array3d(dtype=wp.vec3),
-    b: int,
-    f: int,
-    part: int,
-    parts: int,
-    alone: int,
-):
-    """Move the edges of one face, over every n-th scan line."""
-    clockwise = facing(faces[b, f, 0], faces[b, f, 1], faces[b, f, 2], perspective) < 0
-    edges = int(0)
-    for k in range(3):
-        if may_move(adjacent, faces, edge_hashes, b, f, k, seams, folds, perspective):
-            edges += 1 << k
-    move_edges(
-        edges, clockwise, faces, image, grad, face_index, adjacent, perspective, b, f, part, parts, alone, result
-    )
-
-
-@wp.kernel(module=module_for_cuda(__name__))
-def _queue_faces(
-    first: int,
-    faces: wp.array3d(dtype=wp.vec3),
-    rings: wp.array3d(dtype=int),
-    two_sided: int,
-    perspective: int,
-    visible: wp.array2d(dtype=int),
-    adjacent: wp.array3d(dtype=int),
-    seams: int,
-    height: int,
-    width: int,
-    queue: wp.array2d(dtype=wp.int64),
-    total: wp.array1d(dtype=wp.int64),
-):
-    """Put a face that may have an edge to move into the queue for `_move`. With rings, first find adjacent faces."""
-    task = first + wp.tid()
-    b = task // int(faces.shape[1])
-    f = task % int(faces.shape[1])
-    if rings.shape[0] > 0:
-        search_rings(faces, rings, two_sided, perspective, -1, b, f, adjacent)
-    if has_moving_edge(visible, adjacent, b, f, seams, 0):  # the search would keep a GPU's other threads waiting
-        enqueue_lines(faces, b, f, height, width, queue, total, 1, int(_MOST))
-
-
-@wp.kernel(launch_bounds=(256, 2))
-def _move(
-    first: int,
-    faces: wp.array3d(dtype=wp.vec3),
-    image: wp.array4d(dtype=float),
-    grad: wp.array4d(dtype=float),
-    face_index: wp.array3d(dtype=int),
-    visible: wp.array2d(dtype=int),
-    adjacent: wp.array3d(dtype=int),
-    folds: wp.array3d(dtype=int),
-    perspective: int,
-    seams: int,
-    edge_hashes: wp.array4d(dtype=wp.int64),
-    result: wp.array3d(dtype=wp.vec3),
-    queue: wp.array2d(dtype=wp.int64),
-    total: wp.array1d(dtype=wp.int64),
-    lanes: int,
-    threads: int,
-):
-    """Move the edges of one face of one image, or some lines of them; see `launch_lines`."""
-    thread = wp.int64(first + wp.tid())
-    end = thread + wp.int64(1)
-    alone = int(threads == 0)
-    if threads > 0:
-        end = queued_threads(total)
-    elif not has_moving_edge(visible, adjacent, int(thread) // faces.shape[1], int(thread) % faces.shape[1], seams, 1):
-        return
-    while thread < end:
-        face, _lane, part, parts = line_task(
-            faces, face_index.shape[1], face_index.shape[2], queue, total, lanes, thread, int(_MOST)
-        )
-        b = face // faces.shape[1]
-        f = face % faces.shape[1]
-        move_face(
-            faces, image, grad, face_index, adjacent, folds, perspective, seams, edge_hashes, result, b, f, part,
-            parts, alone,
-        )  # fmt: skip
-        thread += wp.int64(wp.max(threads, 1))

@@ -97,7 +97,7 @@ def nmr_gradient_backward(
     device = faces.device
     result, to_image = zeros(faces.shape, device), grad.new_empty((0, 0, 0, 0))
     blocks = image is not None and grad.shape[2] < height
-    if blocks and concurrent(device) and grad.numel() and result.numel():
+    if image is not None and blocks and concurrent(device) and grad.numel() and result.numel():
         to_image = empty(image.shape, device)  # written by `store_lines`
     elif blocks:
         to_image = grad = halve_backward(grad)

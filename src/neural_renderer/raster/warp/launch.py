@@ -11,11 +11,10 @@ import contextlib
 import ctypes
 import itertools
 import os
-import struct
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -35,28 +34,14 @@ _COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
 # CUDA code on a processor and returns True; if it returns False, the launch runs as usual.
 emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
 
-# Warp keeps strides in 32 bits.
-MOST_BYTES = 2**31 - 1
-
 _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
 _asked: set[tuple[Any, torch.device]] = set()  # earlier arguments of `load_ahead`
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
-# The type of a tensor argument of a kernel; Warp has no public name for it.
-_Array: Any = type(wp.from_torch(torch.zeros(1, device="cpu"), return_ctype=True))
-# True for Warp versions whose compiled kernels `_direct` can call. Then the fields of a tensor argument (data,
-# gradient, shape, strides, dimensions, flags) and the types of number arguments.
+# True for Warp versions whose compiled kernels `_direct` can call.
 _IS_KNOWN = wp.__version__.startswith(("1.19.",))
-_pack = struct.Struct("@QQ8iHH4x").pack
-_REST = ((0, 0, 0, 0), (0, 0, 0), (0, 0), (0,), ())
-_NUMBERS: dict[Any, Any] = {
-    wp.int32: ctypes.c_int32,
-    wp.int64: ctypes.c_int64,
-    wp.uint64: ctypes.c_uint64,
-    wp.float32: ctypes.c_float,
-}
 
 
 def _after_fork() -> None:
@@ -93,16 +78,6 @@ def load_kernel(kernel: wp.Kernel, device: str) -> None:
     """Compile and load the kernel's module once, before any thread needs it."""
     if (kernel, device) not in _ready:
         _load([kernel], device)
-
-
-def module_for_cuda(name: str) -> wp.Module:
-    """Make a Warp module, with the options of the module ``name``, for its kernels that only CUDA runs.
-
-    So the CPU, where they are not needed, does not compile them.
-    """
-    module = wp.get_module(name + FOR_CUDA)
-    wp.set_module_options(wp.get_module(name).options.copy(), module)
-    return module
 
 
 def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device) -> None:
@@ -171,63 +146,13 @@ def copy(tensor: Tensor) -> Tensor:
     return result
 
 
-def array(tensor: Tensor, dtype: Any = None, strided: bool = False) -> Any:
-    """Convert a tensor to a kernel argument.
-
-    Args:
-        tensor: Copied first if it is not contiguous, unless ``strided``.
-        dtype: Warp vector or matrix type of the trailing dimensions; None for scalars.
-        strided: Whether the kernel respects strides.
-
-    Raises:
-        ValueError: A stride exceeds 32 bits.
-    """
-    if not strided or tensor.numel() == 0:  # the strides of an empty tensor are arbitrary
-        tensor = tensor.contiguous()
-    bytes_each = tensor.element_size()
-    dims = tensor.dim() - (0 if dtype is None else _inner_dims(dtype))
-    shape = tensor.shape[:dims]
-    strides = [bytes_each * step for step in tensor.stride()[:dims]]
-    if strided or (strides and strides[0] > MOST_BYTES):  # a stride along an axis of length 1 is never used
-        strides = [0 if size == 1 else stride for size, stride in zip(shape, strides, strict=True)]
-        if max(strides, default=0) > MOST_BYTES:
-            raise ValueError(
-                f"size: expected images and channels of at most {MOST_BYTES} bytes, "
-                f"got tensors {list(tensor.shape)} with {max(strides)} bytes from one to the next"
-            )
-    if _IS_KNOWN:  # in half the time that the constructor takes
-        rest = _REST[dims]
-        packed = _pack(tensor.data_ptr(), 0, *shape, *rest, *strides, *rest, dims, 0)
-        argument = _Array.from_buffer_copy(packed)
-    else:
-        argument = _Array(tensor.data_ptr(), 0, dims, shape, strides)
-    argument.tensor = tensor  # the descriptor alone would not keep a copy alive
-    return argument
-
-
-@cache
-def no_array(dims: int, device: torch.device) -> Any:
-    """Make the argument of a kernel that stands for a tensor that there is not: all its sizes are 0."""
-    return array(torch.empty((0,) * dims, device=device))
-
-
-def optional_array(tensor: Tensor | None, dims: int, device: torch.device) -> Any:
-    """Make the argument of a kernel from a tensor, or from None that of `no_array`."""
-    return no_array(dims, device) if tensor is None else array(tensor)
-
-
-@cache
-def _inner_dims(dtype: Any) -> int:
-    return len(dtype._shape_)
-
-
 def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torch.device, least: int = 1) -> None:
     """Run ``kernel(first, *arguments)`` for a range of tasks.
 
     Args:
         kernel: Its task number is ``first`` plus its thread index.
         tasks: Number of tasks.
-        arguments: Tensors as from `array`, and numbers.
+        arguments: Those of the kernel after ``first``: the `Call` of a kernel in C++.
         device: Device of the tensors.
         least: Number of tasks that are worth another CPU thread.
     """
@@ -253,30 +178,25 @@ def _enter(kernel: wp.Kernel) -> Callable[..., None]:
     def run(tasks: int, *arguments: Any) -> None:
         wp.launch(kernel, tasks, arguments, device="cpu", record_tape=False)
 
-    plain = all(arg.type in _NUMBERS or isinstance(arg.type, wp.array) or _is_call(arg.type) for arg in kernel.adj.args)
-    _entries[kernel] = _direct(kernel) if plain and _IS_KNOWN else run
+    kinds = [each.type for each in kernel.adj.args[1:]]
+    in_cpp = len(kinds) == 1 and isinstance(kinds[0], type) and issubclass(kinds[0], Call)
+    _entries[kernel] = _direct(kernel) if _IS_KNOWN and in_cpp else run
     return _entries[kernel]
-
-
-def _is_call(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, Call)
 
 
 def _direct(kernel: wp.Kernel) -> Callable[..., None]:
     """Do the same by calling the compiled code. Warp's launch checks arguments for longer than a small scene takes."""
     from warp._src.types import launch_bounds_t
 
-    fields = [
-        (arg.label, arg.type if _is_call(arg.type) else _NUMBERS.get(arg.type, _Array)) for arg in kernel.adj.args
-    ]
+    fields = [("first", ctypes.c_int32), ("call", kernel.adj.args[1].type)]
     packed = type("Arguments", (ctypes.Structure,), {"_fields_": fields})
     module: Any = kernel.module.load(wp.get_device("cpu"), 1)
-    call = module.get_kernel_hooks(kernel).forward
+    run_tasks = module.get_kernel_hooks(kernel).forward
 
     bounds = lru_cache(maxsize=64)(launch_bounds_t)  # which kernels only read
 
-    def run(tasks: int, *arguments: Any, loaded: Any = module) -> None:  # keeps the module loaded
-        call(ctypes.byref(bounds(tasks)), ctypes.byref(packed(*arguments)))
+    def run(tasks: int, first: int, call: Call, loaded: Any = module) -> None:  # keeps the module loaded
+        run_tasks(ctypes.byref(bounds(tasks)), ctypes.byref(packed(first, call)))
 
     return run
 

@@ -18,18 +18,6 @@ MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
 _ROWS = 16  # of a task on the CPU, where neighbouring rows share faces
 _MOST_TASKS = 2**31 - 1  # of one launch
 
-# C++ statements that find the pixels of a ``task`` of ``each`` rows (see `pixel_tasks`) in maps of ``all`` rows of
-# ``width`` pixels: the pixels [left, right) of the rows [first, last).
-PIXELS_OF_TASK = """
-    #if defined(__CUDA_ARCH__)
-    const int first = each ? task * each : task / width;
-    const int left = each ? 0 : task % width, right = each ? width : left + 1;
-    #else  // whole rows alone: compilers make better loops of them
-    const int first = task * each, left = 0, right = width;
-    #endif
-    const int last = each == 0 ? first + 1 : first + each < all ? first + each : all;
-"""
-
 # Tests set it, to run the layout of CUDA, and its code, on a processor; see `emulator` in `launch`.
 as_on_cuda = False
 
@@ -77,7 +65,7 @@ def group_tasks(count: int, device: torch.device, on_cpu: int, on_cuda: int = 1)
 
 
 def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
-    """Divide ``rows`` rows of pixels among tasks, which find theirs by `PIXELS_OF_TASK`.
+    """Divide ``rows`` rows of pixels among tasks, which find theirs by `pixels_of_task` in `tasks.h`.
 
     Returns:
         The number of tasks, and the rows of each. 0 stands for a single pixel, as on CUDA, where the threads of a warp

@@ -11,7 +11,7 @@ from torch import Tensor
 from ... import validate
 from ...camera import Camera
 from ...meshes.uv_mesh import UVMesh
-from ...raster.visibility.continuity import attribute_edge_hashes, image_edge_hashes
+from ...raster.colors.edge_hashes import attribute_edge_hashes, image_edge_hashes
 from ...textures.color_space import linear_to_srgb, srgb_to_linear
 from ..pbr import PBR, shade_pbr
 from ..phong import Phong, shade_diffuse, shade_phong

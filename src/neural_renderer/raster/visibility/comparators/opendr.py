@@ -24,14 +24,14 @@ The code is plain torch, for the CPU and CUDA; it is a comparator, not tuned for
 """
 
 # torch reads the annotations at run time, so no `from __future__ import annotations` here.
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from ...colors.downsample import halve, halve_backward
 from ...warp.launch import copy
-from ...warp.registration import differentiable, differentiable_once, operator
+from ...warp.registration import differentiable, differentiable_once, fake, operator
 
 
 @operator
@@ -53,8 +53,8 @@ def opendr_gradient(
     return halve(image) if halved else copy(image)
 
 
-@torch.library.register_fake("neural_renderer::opendr_gradient")
-def _(image, faces, face_index, perspective, halved=False):
+@fake("opendr_gradient")
+def _(image: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, halved: bool = False) -> Tensor:
     scale = 2 if halved else 1
     return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
 
@@ -80,17 +80,17 @@ def opendr_gradient_backward(
     return result
 
 
-@torch.library.register_fake("neural_renderer::opendr_gradient_backward")
-def _(grad, image, faces, face_index, perspective):
+@fake("opendr_gradient_backward")
+def _(grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
-def _save(ctx, inputs, output):
+def _save(ctx: Any, inputs: Any, output: Any) -> None:
     image, faces, face_index, ctx.perspective, ctx.halved = inputs
     ctx.save_for_backward(image, faces, face_index)  # not the output, which callers may change in place
 
 
-def _backward(ctx, grad):
+def _backward(ctx: Any, grad: Tensor) -> Any:
     image, faces, face_index = ctx.saved_tensors
     grad = halve_backward(grad) if ctx.halved else grad
     to_faces = None

@@ -87,7 +87,7 @@ def reinforce(
             raise ValueError(f"loss: expected losses of shape [{samples}], got {validate.shape_of(losses)}")
         slope = _slope(losses.to(parameters.dtype), noise, antithetic) / spread
         mean = losses.mean()
-    return _WithSlope.apply(parameters, slope, mean)  # type: ignore[no-untyped-call, no-any-return]
+    return _WithSlope.apply(parameters, slope, mean)  # type: ignore[no-untyped-call]
 
 
 def _slope(losses: Tensor, noise: Tensor, antithetic: bool) -> Tensor:

@@ -6,17 +6,22 @@ first hash of one face equals the second hash of the other. Equal hashes are nea
 never matches.
 """
 
-# Warp reads the annotations of kernels at run time, so no `from __future__ import annotations` here.
+# torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
+
 import torch
-import warp as wp
 from torch import Tensor
 
-from ..warp.launch import array, launch
+from ..warp.launch import launch
 from ..warp.layout import images_of
-from ..warp.registration import operator
+from ..warp.native import Kernels
+from ..warp.registration import fake, operator
+from .texture_cubes import lit_cubes
 
-wp.set_module_options({"enable_backward": False})
+_KERNELS = Kernels(__name__, "edge_hashes.h")
+_Scene, _HashEdges = _KERNELS.struct("Scene"), _KERNELS.struct("HashEdges")
+_hash_edges = _KERNELS.kernel("hash_edges", _HashEdges)
 
+# The numbers of `edge_hashes.h`.
 _ODD = 0x9E3779B97F4A7C15 - 2**64  # the golden ratio in 64 bits, whose powers have well-mixed bits
 _THERE, _BACK = 0x2545F4914F6CDD1D, 0x5851F42D4C957F2D
 
@@ -35,15 +40,15 @@ def texture_edge_hashes(textures: Tensor, light: Tensor) -> Tensor:
     Returns:
         [B, F, 3, 2] int64: for edge k, from corner k to the next, the hash in this direction and in the other.
     """
-    batch, count, size = images_of(textures, light), textures.shape[1], textures.shape[2]
+    batch, count = images_of(textures, light), textures.shape[1]
     hashes = torch.empty((batch, count, 3, 2), dtype=torch.int64, device=textures.device)
-    cubes = array(textures.reshape(len(textures), count, size**3, 3), wp.vec3)
-    launch(_hash_edges, batch * count, [cubes, array(light, wp.vec3), size, array(hashes)], textures.device)
+    call = _HashEdges(scene=_Scene(count=count), textures=lit_cubes(textures, light), hashes=hashes)
+    launch(_hash_edges, batch * count, [call], textures.device)
     return hashes
 
 
-@torch.library.register_fake("neural_renderer::texture_edge_hashes")
-def _(textures, light):
+@fake("texture_edge_hashes")
+def _(textures: Tensor, light: Tensor) -> Tensor:
     batch = images_of(textures, light)
     return textures.new_empty((batch, textures.shape[1], 3, 2), dtype=torch.int64)
 
@@ -122,95 +127,3 @@ def _mixed(number: Tensor) -> Tensor:
 def _never_zero(hashes: Tensor) -> Tensor:
     """Replace 0, which matches nothing."""
     return torch.where(hashes == 0, 1, hashes)
-
-
-# The same as `_hash`, `_digits` and `_mixed`, for unsigned integers.
-_HASH_FACE = """
-    typedef unsigned long long number;
-    struct Hash {
-        static CUDA_CALLABLE number mixed(number n) {
-            n = (n ^ (number)((long long)n >> 32)) * ODD;
-            return n ^ (number)((long long)n >> 29);
-        }
-        static CUDA_CALLABLE number add(number hash, const wp::vec_t<3, float>& color) {
-            for (int c = 0; c < 3; ++c) {
-                const float value = color[c] + 0.0f;  // -0 is 0
-                int bits;
-                memcpy(&bits, &value, 4);
-                hash = (hash + (number)(long long)((int)((unsigned)bits + 1024u) >> 11)) * ODD;
-            }
-            return hash;
-        }
-    };
-    const wp::int64 count = textures.shape[1], cubes = textures.shape[0], lamps = light.shape[0];
-    const wp::int64 texels = (wp::int64)size * size * size, square = (wp::int64)size * size;
-    const auto* cube = textures.data + ((b < cubes ? b : cubes - 1) * count + f) * texels;
-    const auto* lit = light.data + (b < lamps ? b : lamps - 1) * 2 * count + f;
-    const number lamp = Hash::mixed(Hash::add(Hash::add(0, lit[0]), lit[count]));
-    // Strides from texel to texel along the axis of the edge's first corner, and of its second.
-    const wp::int64 along[3] = {square, size, 1}, beside[3] = {size, 1, square};
-    for (int k = 0; k < 3; ++k) {
-        number there = 0, back = 0;
-        for (int i = 0; i < size; ++i)
-            for (int j = wp::max(size - 2 - i, 0); j <= wp::min(size - i, size - 1); ++j) {
-                const number color = Hash::mixed(Hash::add(0, cube[i * along[k] + j * beside[k]]));
-                there += Hash::mixed(color + (number)i * THERE + (number)j * BACK);
-                back += Hash::mixed(color + (number)j * THERE + (number)i * BACK);
-            }
-        wp::int64* to = hashes.data + ((b * count + f) * 3 + k) * 2;
-        to[0] = (wp::int64)(there + lamp), to[1] = (wp::int64)(back + lamp);
-        for (int n = 0; n < 2; ++n) to[n] = to[n] == 0 ? 1 : to[n];  // 0 matches nothing
-    }
-"""
-for _name, _value in {"ODD": _ODD % 2**64, "THERE": _THERE, "BACK": _BACK}.items():
-    _HASH_FACE = _HASH_FACE.replace(_name, f"{_value}ull")
-
-
-@wp.func_native(_HASH_FACE)
-def hash_face(
-    textures: wp.array3d(dtype=wp.vec3),
-    light: wp.array3d(dtype=wp.vec3),
-    size: int,
-    b: int,
-    f: int,
-    hashes: wp.array4d(dtype=wp.int64),
-):
-    """Hash the edges of one face of one image."""
-    ...
-
-
-@wp.kernel
-def _hash_edges(
-    first: int,
-    textures: wp.array3d(dtype=wp.vec3),
-    light: wp.array3d(dtype=wp.vec3),
-    size: int,
-    hashes: wp.array4d(dtype=wp.int64),
-):
-    """Hash the edges of one face of one image."""
-    task = first + wp.tid()
-    hash_face(textures, light, size, task // textures.shape[1], task % textures.shape[1], hashes)
-
-
-@wp.func
-def colors_continue(
-    edge_hashes: wp.array4d(dtype=wp.int64),
-    faces: wp.array3d(dtype=wp.vec3),
-    adjacent: wp.array3d(dtype=int),
-    b: int,
-    f: int,
-    k: int,
-) -> bool:
-    """Test whether the hashes of edge k of face f match the hashes of the same edge of the adjacent face.
-
-    If there are fewer hashes than images or faces, the last image and the last face are repeated.
-    """
-    own = wp.min(b, edge_hashes.shape[0] - 1)
-    last = edge_hashes.shape[1] - 1
-    own_hash = edge_hashes[own, wp.min(f, last), k, 0]
-    g = adjacent[b, f, k]
-    if own_hash != wp.int64(0):
-        for m in range(3):
-            if faces[b, g, (m + 1) % 3] == faces[b, f, k] and faces[b, g, m] == faces[b, f, (k + 1) % 3]:
-                return edge_hashes[own, wp.min(g, last), m, 1] == own_hash
-    return False

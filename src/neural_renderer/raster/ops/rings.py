@@ -16,7 +16,7 @@ from torch import Tensor
 
 from ..warp.launch import stream_of
 from ..warp.layout import readable
-from ..warp.registration import is_plain, operator
+from ..warp.registration import fake, is_plain, operator
 
 
 class _Kept(NamedTuple):
@@ -60,8 +60,8 @@ def _edge_rings(faces: Tensor) -> Tensor:
     return _known_rings(faces).clone()  # compiled programs may overwrite their inputs
 
 
-@torch.library.register_fake("neural_renderer::_edge_rings")
-def _(faces):
+@fake("_edge_rings")
+def _(faces: Tensor) -> Tensor:
     batch, count = (1, *faces.shape)[-3:-1]
     return faces.new_empty((batch, count + 1, 3), dtype=torch.int32)
 

@@ -1,0 +1,172 @@
+// Crossings of visible boundaries with scan lines: their positions, the pixels and faces beside them, the colours on
+// both sides, and the change of the loss if the boundary moves there.
+#pragma once
+
+#include "queue.h"
+#include "scan_lines.h"
+
+namespace nr {
+
+// A crossing is weighted by the inverse of a chord in pixels, the probability that a pixel centre hits the chord. The
+// weight is at most 1 / LEAST_CHORD, to limit noise. This loses part of the gradient of shorter chords.
+constexpr float LEAST_CHORD = 0.02f;
+
+// Images, and the gradient to them.
+struct Pictures {
+    const float* image;  // [images, channels, height, width]; null for the silhouette
+    // [images, channels, height, width]; or, if ``halved``, to the means of blocks of 2 x 2 pixels,
+    // [images, channels, height / 2, width / 2]
+    const float* grad;
+    int channels, halved;
+};
+
+// Pairs of centres sample only the inner half of a border pixel, so that half counts for both: a position within half a
+// pixel of the first or last centre of a line counts twice.
+NR_FUNC float border_weight(float v, int length) { return v < 0.5f || v > (float)length - 1.5f ? 2.0f : 1.0f; }
+
+NR_FUNC float weight_of_chord(float chord) { return 1.0f / larger(chord, LEAST_CHORD); }
+
+// What an image shows along the scan lines of one axis.
+struct Lines : ScanAxis {
+    int height, width, channels, perspective;
+    bool halved;
+    const vec3* faces;          // [count, 3]
+    const int* adjacent;        // faces across the edges, -1 for none, [count, 3]
+    const int* shown;           // visible face of each pixel
+    const float *image, *grad;  // channels follow each other at a distance of ``area`` and ``grad_area``
+    int64 area, grad_area;
+
+    NR_FUNC Lines(int axis, const Scene& scene, const Pictures& pictures, const int* adjacent, int b)
+        : ScanAxis(axis, scene.height, scene.width),
+          height(scene.height),
+          width(scene.width),
+          channels(pictures.channels),
+          perspective(scene.perspective),
+          halved(pictures.halved),
+          faces(scene.corners(b, 0)),
+          adjacent(adjacent + (int64)b * scene.count * 3),
+          shown(scene.face_index + b * scene.area()),
+          image(pictures.image ? pictures.image + b * channels * scene.area() : nullptr),
+          area(scene.area()),
+          grad_area(halved ? area / 4 : area) {
+        grad = pictures.grad + b * channels * grad_area;
+    }
+
+    // The place of a pixel's gradient.
+    NR_FUNC int64 pull(int u, int v) const {
+        if (!halved) return pixel(u, v);
+        const int row = height - 1 - (axis ? v : u), column = axis ? u : v;
+        return (int64)(row / 2) * (width / 2) + column / 2;
+    }
+    NR_FUNC float value(int channel, int64 pixel) const {
+        return image ? image[channel * area + pixel] : shown[pixel] >= 0 ? 1.0f : 0.0f;
+    }
+    // The visible face at a pixel: -1 for none, -2 outside the image.
+    NR_FUNC int face(int u, int v) const { return v < 0 || v >= length ? -2 : shown[pixel(u, v)]; }
+
+    // The length from ``start`` to the exit of line u from a face, which it enters at ``entry``; at most a pixel.
+    NR_FUNC float chord(int f, int u, float entry, float start) const {
+        int edge;
+        return smaller(fabsf(exit(f, u, entry, edge) - start), 1.0f);
+    }
+    // The position where line u, which enters a face at ``entry``, leaves it, and the edge there; -1 if it misses it.
+    NR_FUNC float exit(int f, int u, float entry, int& edge) const {
+        const vec3* corners = faces + (int64)f * 3;
+        float us[3], vs[3], end = entry;
+        edge = -1;
+        for (int k = 0; k < 3; ++k) us[k] = u_of(corners[k]), vs[k] = v_of(corners[k]);
+        for (int k = 0; k < 3; ++k) {
+            const int m = k == 2 ? 0 : k + 1;
+            if ((us[k] <= (float)u) == (us[m] <= (float)u)) continue;
+            const float v = vs[k] + (vs[m] - vs[k]) * ((float)u - us[k]) / (us[m] - us[k]);
+            if (fabsf(v - entry) > fabsf(end - entry)) end = v, edge = k;
+        }
+        return end;
+    }
+};
+
+// The point where a scan line crosses an edge, between the centres of two pixels.
+struct Crossing {
+    int u, inner, outer;         // the pixel on the face's side, and the one across the edge
+    float v, share, offset;      // share: of q in the point's motion; offset: from the inner centre to it, in [0, 1]
+    int inner_face, outer_face;  // as `Lines::face`
+};
+
+// An edge p -> q of a counter-clockwise face, its depths, and the faces next to it.
+struct BoundaryEdge : LineEdge {
+    float pz, qz, rz;
+    int face, adjacent, adjacent_pr, adjacent_qr;  // across p-q, p-r and q-r; -1 at a border of the surface
+    bool small;                                    // see `Seam`
+
+    NR_FUNC BoundaryEdge(const Lines& lines, const vec3& p, const vec3& q, const vec3& r)
+        : LineEdge(lines, p, q, r), pz(p[2]), qz(q[2]), rz(r[2]) {}
+
+    // Whether the edge has a slope, and both ends in front of the camera.
+    NR_FUNC bool has_crossings(const Lines& lines) const {
+        return !(!has_slope() | (lines.perspective && ((pz <= 0.0f) | (qz <= 0.0f))));
+    }
+    // The first line that crosses the edge, and the one after the last; a line through a shared corner counts once.
+    NR_FUNC int first(const Lines& lines) const { return line_from(lines, smaller(pu, qu)); }
+    NR_FUNC int end(const Lines& lines) const { return line_from(lines, larger(pu, qu)); }
+    NR_FUNC static int line_from(const Lines& lines, float u) {
+        return (int)ceilf(smaller(larger(u, 0.0f), (float)lines.count));
+    }
+    NR_FUNC Crossing crossing(const Lines& lines, int u) const {
+        Crossing at;
+        at.u = u;
+        at.v = smaller(larger(pv + slope * ((float)u - pu), -2.0f), (float)lines.length + 1.0f);
+        at.share = ((float)u - pu) / (qu - pu);
+        at.inner = (int)(outward > 0 ? floorf(at.v) : ceilf(at.v));
+        at.outer = at.inner + outward;
+        at.offset = fabsf(at.v - (float)at.inner);
+        at.inner_face = lines.face(u, at.inner), at.outer_face = lines.face(u, at.outer);
+        return at;
+    }
+};
+
+// The colour on one side of a boundary, blended from two pixels: places in memory, and weights.
+struct Blend {
+    int64 near, next;
+    float near_weight, next_weight;
+
+    NR_FUNC float of(const Lines& lines, int channel) const {
+        return near_weight * lines.value(channel, near) + next_weight * lines.value(channel, next);
+    }
+    // Extrapolate to the boundary, at a distance of ``offset`` pixels from the near centre, if both pixels show one
+    // face, so that the colour is ``linear``. Otherwise take the near pixel's colour.
+    NR_FUNC void extrapolate(float weight, float offset, bool linear) {
+        near_weight = linear ? weight * (1.0f + offset) : weight;
+        next_weight = linear ? -weight * offset : 0.0f;
+    }
+};
+
+// The change of the loss if a visible boundary moves outward by a pixel at a crossing.
+struct Gain {
+    Blend inside, outside;
+    bool before_is_inside, behind_is_outside;  // whether the next pixels show the faces of the near ones
+
+    // Start with the two pixels beside a crossing, and the ones next to them.
+    NR_FUNC Gain(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
+        const int before = at.inner - edge.outward, behind = at.outer + edge.outward, last = lines.length - 1;
+        before_is_inside = lines.face(at.u, before) == at.inner_face;
+        behind_is_outside = lines.face(at.u, behind) == at.outer_face;
+        inside.near = lines.pixel(at.u, at.inner), outside.near = lines.pixel(at.u, at.outer);
+        inside.next = lines.pixel(at.u, before < 0 ? 0 : before > last ? last : before);
+        outside.next = lines.pixel(at.u, behind < 0 ? 0 : behind > last ? last : behind);
+    }
+    // Sum (inside - outside) * gradient over the channels, with the gradient of the pixel that contains the boundary.
+    // If a side is ``narrow``, a visible centre may lie anywhere in it; then it is interpolated between both pixels.
+    NR_FUNC float sum(const Lines& lines, const Crossing& at, bool narrow) const {
+        const float share = narrow ? at.offset : at.offset < 0.5f ? 0.0f : 1.0f;
+        const int64 inner = lines.pull(at.u, at.inner), outer = lines.pull(at.u, at.outer);
+        const float* pull = lines.grad;
+        float result = 0.0f;
+        for (int c = 0; c < lines.channels; ++c, pull += lines.grad_area) {
+            const float difference = inside.of(lines, c) - outside.of(lines, c);
+            result += difference * ((1.0f - share) * pull[inner] + share * pull[outer]);
+        }
+        return result;
+    }
+};
+
+}  // namespace nr

@@ -1,0 +1,340 @@
+// The unbiased gradient of an image through visibility: an integral along visible boundaries, sampled by scan lines.
+//
+// The maths, and what is not covered, are told in `raster/visibility/edge.py`. Each edge of a visible face is either an
+// outline, with the background or a farther face across it, or a seam, with an adjacent face of its surface; where two
+// faces intersect, see `intersections.h`.
+#pragma once
+
+#include "crossings.h"
+#include "neighbors.h"
+
+namespace nr {
+
+// Most faces behind an outline's own that stand in for it: a bevel of three strips. To search more takes time.
+constexpr int LONGEST = 6;
+constexpr float SAME_DEPTH = 1e-5f;  // relative difference of nearness up to which two surfaces meet
+constexpr float SAME_PLACE = 0.02f;  // pixels between their ends up to which they do
+// Largest area of a small face, in pixels. Measured: below it the middle of a face is rarely visible; above it, the
+// middle gives less noise.
+constexpr float SMALL = 1.5f;
+
+// Hashes of the colours along each edge, as `edge_hashes.h` makes them, [images, count, 3, 2]. If there are fewer
+// images or faces, the last ones are repeated.
+struct EdgeHashes {
+    const int64* values;  // null if there are no seams
+    int images, count;
+
+    NR_FUNC int64 of(int image, int face, int edge, int back) const {
+        const int64 own = (int64)smaller(image, images - 1) * count + smaller(face, count - 1);
+        return values[(own * 3 + edge) * 2 + back];
+    }
+};
+
+struct EdgeBackward {
+    Scene scene;
+    Pictures pictures;
+    Neighbors neighbors;  // its ``adjacent``; where faces are put into the queue, the rings to find them
+    const int* folds;     // faces that the surface folds back to across each edge, [images, count, 3]; or null
+    const int* visible;   // mask of visible faces, [images, count + 1]
+    int seams;            // whether colours may jump between adjacent faces
+    EdgeHashes edge_hashes;
+    Queue queue;     // of faces that may have an edge to move; on CUDA
+    vec3* to_faces;  // gradient to the corners, [images, count, 3], 0 before
+
+    NR_FUNC const int* adjacent(int image, int f) const {
+        return neighbors.adjacent + ((int64)image * scene.count + f) * 3;
+    }
+};
+
+// ---- Outlines ----
+//
+// The chord of a face is the length of a scan line inside the face. If it is shorter than a pixel, a pixel centre hits
+// it with a probability equal to its length, so the crossing is weighted by the inverse. If the surface continues
+// behind the chord, a centre in the next faces (the stand-ins, a chain) shows the outline as well, and the chord runs
+// through them.
+//
+// Two surfaces may meet at an edge without being adjacent, as at a T-junction, where the edge of one meets a corner in
+// the middle of it. Then each has half of the gain. This is right if they move together; a gap that opens is not seen.
+
+// The nearness of a face's plane, clamped to the range of the corners: within a pixel, the plane of a face seen edge-on
+// takes any value. A face with a corner behind the camera is not clamped.
+NR_FUNC float clamped_nearness_at(const vec3* v, float x, float y, int perspective) {
+    const float near = nearness_at(v, x, y, perspective);
+    if (perspective && ((v[0][2] <= 0.0f) | (v[1][2] <= 0.0f) | (v[2][2] <= 0.0f))) return near;
+    const float a = nearness(v[0][2], perspective), b = nearness(v[1][2], perspective);
+    const float c = nearness(v[2][2], perspective);
+    return smaller(larger(near, smaller(a, smaller(b, c))), larger(a, larger(b, c)));
+}
+
+// The part of the gain that an edge has beside the face at the outer pixel: none if it passes in front of the crossing,
+// and so hides or cuts the edge; half if it ends there, at the same depth.
+NR_FUNC float part_beside_face(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
+    const float along = (2.0f * at.v + 1.0f - (float)lines.length) / (float)lines.length;
+    const float across = (2.0f * (float)at.u + 1.0f - (float)lines.count) / (float)lines.count;
+    const float x = lines.axis ? across : along, y = lines.axis ? along : across;
+    const int perspective = lines.perspective;
+    const float own = (1.0f - at.share) * nearness(edge.pz, perspective) + at.share * nearness(edge.qz, perspective);
+    const vec3* corners = lines.faces + (int64)at.outer_face * 3;
+    const float ahead = own - clamped_nearness_at(corners, x, y, perspective);
+    if (fabsf(ahead) > SAME_DEPTH * fabsf(own)) return ahead > 0.0f ? 1.0f : 0.0f;
+    for (int k = 0; k < 3; ++k) {
+        const vec3 &a = corners[k], &b = corners[k == 2 ? 0 : k + 1];
+        const float au = lines.u_of(a), bu = lines.u_of(b), av = lines.v_of(a), u = (float)at.u;
+        if ((au <= u) == (bu <= u)) continue;
+        if (fabsf(av + (lines.v_of(b) - av) * (u - au) / (bu - au) - at.v) < SAME_PLACE) return 0.5f;
+    }
+    return ahead > 0.0f ? 1.0f : 0.0f;
+}
+
+// The gain at a crossing with the background or a farther face outside; else 0.
+NR_FUNC float gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
+    if (at.inner_face < 0) return 0.0f;
+    const float u = (float)at.u;
+    float own = 1.0f, joint = 1.0f;  // chords from the crossing on: of the face, and of both
+    const int before = lines.face(at.u, at.inner - edge.outward);
+    bool shows = at.inner_face == edge.face, shows_before = false;  // the inner pixel, and the one before it
+    if (!lines.perspective || edge.rz > 0.0f) {                     // otherwise the third corner is behind the camera
+        const bool through_pr = (edge.pu <= u) != (edge.ru <= u);
+        float exit = edge.rv;
+        if (through_pr) exit = edge.pv + (edge.rv - edge.pv) * (u - edge.pu) / (edge.ru - edge.pu);
+        else if (edge.qu != edge.ru) exit = edge.qv + (edge.rv - edge.qv) * (u - edge.qu) / (edge.ru - edge.qu);
+        own = joint = smaller(fabsf(exit - at.v), 1.0f);
+        // Behind a chord shorter than a pixel, follow the surface along the line.
+        int next = through_pr ? edge.adjacent_pr : edge.adjacent_qr;
+        for (int n = 0; n < LONGEST && next >= 0 && joint < 1.0f; ++n) {
+            shows |= at.inner_face == next, shows_before |= before == next;
+            int through;
+            exit = lines.exit(next, at.u, exit, through);
+            joint = smaller(fabsf(exit - at.v), 1.0f);
+            next = through < 0 ? -1 : lines.adjacent[(int64)next * 3 + through];
+        }
+    }
+    if (!shows) return 0.0f;
+    const float share = at.outer_face >= 0 ? part_beside_face(lines, edge, at) : 1.0f;
+    if (share == 0.0f) return 0.0f;
+    const float weight = weight_of_chord(joint);
+    Gain gain(lines, edge, at);
+    gain.inside.extrapolate(weight, at.offset, gain.before_is_inside);
+    gain.outside.extrapolate(weight, 1.0f - at.offset, gain.behind_is_outside);
+    if (shows_before && at.inner_face == edge.face) {
+        // The stand-in's colour, plus the face's difference from it. The difference has the larger weight of the face
+        // alone, which centres hit less often.
+        gain.inside.near_weight = weight_of_chord(own);
+        gain.inside.next_weight = weight - gain.inside.near_weight;
+    }
+    return share * gain.sum(lines, at, weight > 1.0f);
+}
+
+// ---- Seams ----
+//
+// The gradient at a seam needs the colours of both faces, from pixels that show them. The pixels beside the seam may
+// miss a narrow face. Then the pixel at the middle of the face is used.
+//
+// If a face is small, no pixel may show it, so the two sides are estimated independently (Horvitz and Thompson, 1952):
+// a side counts only if its pixel shows its face, with the inverse of the probability of that, its chord. A colour that
+// is subtracted from both sides leaves their difference as it is, so the mean colour of other faces nearby is
+// subtracted first. This removes most of the noise.
+//
+// To search the next scan lines, too, for pixels that show the face was tried: the noise at triangles of two pixels
+// falls from 0.8 to 0.45 of the gradient, but the estimate takes 1.4 to 1.6 times as long.
+
+NR_FUNC bool is_small(const Lines& lines, int f) {
+    const vec3* v = lines.faces + (int64)f * 3;
+    const vec3 s = v[1] - v[0], t = v[2] - v[0];
+    return fabsf(s[0] * t[1] - s[1] * t[0]) * (float)lines.height * (float)lines.width / 8.0f < SMALL;
+}
+
+// A pixel that shows a face, among the 3 x 3 around its centroid: its place in memory, or -1.
+NR_FUNC int64 middle_of_face(const Lines& lines, int f) {
+    const vec3* v = lines.faces + (int64)f * 3;
+    const int height = lines.height, width = lines.width;
+    const float x = to_pixels((v[0][0] + v[1][0] + v[2][0]) / 3.0f, width);
+    const float y = to_pixels((v[0][1] + v[1][1] + v[2][1]) / 3.0f, height);
+    if (!(fabsf(x) < 32768.0f && fabsf(y) < 32768.0f)) return -1;
+    const int i = (int)floorf(x + 0.5f), j = (int)floorf(y + 0.5f);
+    // The pixel itself, the four beside it, then the four at its corners.
+    const int right[9] = {0, 1, -1, 0, 0, 1, 1, -1, -1}, up[9] = {0, 0, 0, 1, -1, 1, -1, 1, -1};
+    for (int n = 0; n < 9; ++n) {
+        const int column = i + right[n], row = height - 1 - (j + up[n]);
+        if (column < 0 || column >= width || row < 0 || row >= height) continue;
+        const int64 pixel = (int64)row * width + column;
+        if (lines.shown[pixel] == f) return pixel;
+    }
+    return -1;
+}
+
+// The gain of both sides, each on its own.
+NR_FUNC float gain_of_sides(
+    const Lines& lines, const BoundaryEdge& edge, const Crossing& at, bool shows_own, bool shows_adjacent) {
+    if (!(shows_own || shows_adjacent)) return 0.0f;
+    // Pixels around the pair: two on either side along the line, and those beside the pair.
+    const int d = edge.outward;
+    const int across[8] = {0, 0, 0, 0, -1, -1, 1, 1}, along[8] = {-1, -2, 2, 3, 0, 1, 0, 1};
+    int64 around[8];
+    int count = 0;
+    for (int n = 0; n < 8; ++n) {
+        const int u = at.u + across[n], v = at.inner + d * along[n];
+        if (u < 0 || u >= lines.count || v < 0 || v >= lines.length) continue;
+        const int64 pixel = lines.pixel(u, v);
+        const int shown = lines.shown[pixel];
+        if (shown >= 0 && shown != edge.face && shown != edge.adjacent) around[count++] = pixel;
+    }
+    float own = 0.0f, adjacent = 0.0f;
+    if (shows_own) own = weight_of_chord(lines.chord(edge.face, at.u, at.v, at.v));
+    if (shows_adjacent) adjacent = weight_of_chord(lines.chord(edge.adjacent, at.u, at.v, at.v));
+    const int64 inner = lines.pixel(at.u, at.inner), outer = lines.pixel(at.u, at.outer);
+    // Without other faces, subtract the colour of the side that is shown more often.
+    const int64 middle = shows_own && (!shows_adjacent || own <= adjacent) ? inner : outer;
+    const int64 inner_pull = lines.pull(at.u, at.inner), outer_pull = lines.pull(at.u, at.outer);
+    const float* pull = lines.grad;
+    float result = 0.0f;
+    for (int c = 0; c < lines.channels; ++c, pull += lines.grad_area) {
+        float mean = 0.0f;
+        for (int n = 0; n < count; ++n) mean += lines.value(c, around[n]);
+        mean = count > 0 ? mean / (float)count : lines.value(c, middle);
+        const float difference = own * (lines.value(c, inner) - mean) - adjacent * (lines.value(c, outer) - mean);
+        result += difference * ((1.0f - at.offset) * pull[inner_pull] + at.offset * pull[outer_pull]);
+    }
+    return result;
+}
+
+// The gain at a crossing; 0 where a colour is unknown, or something hides the seam.
+NR_FUNC float gain_of_seam(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
+    const bool shows_own = at.inner_face == edge.face, shows_adjacent = at.outer_face == edge.adjacent;
+    if (edge.small) return gain_of_sides(lines, edge, at, shows_own, shows_adjacent);
+    Gain gain(lines, edge, at);
+    // Where a centre lies in a face but does not show it, another face hides the seam.
+    if (!shows_own) {
+        if (at.offset < lines.chord(edge.face, at.u, at.v, at.v)) return 0.0f;
+        gain.inside.near = middle_of_face(lines, edge.face);
+        if (gain.inside.near < 0) return 0.0f;
+    }
+    if (!shows_adjacent) {
+        if (1.0f - at.offset < lines.chord(edge.adjacent, at.u, at.v, at.v)) return 0.0f;
+        gain.outside.near = middle_of_face(lines, edge.adjacent);
+        if (gain.outside.near < 0) return 0.0f;
+    }
+    // A colour from the middle of a face is not extrapolated.
+    gain.inside.extrapolate(1.0f, at.offset, gain.before_is_inside && shows_own);
+    gain.outside.extrapolate(1.0f, 1.0f - at.offset, gain.behind_is_outside && shows_adjacent);
+    return gain.sum(lines, at, false);
+}
+
+// ---- Which edges move ----
+
+// Whether the colours along edge k of face f are those of the same edge of the adjacent face g. A hash of 0 matches
+// nothing.
+NR_FUNC bool colors_continue(const EdgeBackward& call, int image, int f, int k, int g) {
+    const int64 own = call.edge_hashes.of(image, f, k, 0);
+    if (own == 0) return false;
+    const vec3 *v = call.scene.corners(image, f), *u = call.scene.corners(image, g);
+    for (int m = 0; m < 3; ++m)
+        if (same(u[(m + 1) % 3], v[k]) && same(u[m], v[(k + 1) % 3])) return call.edge_hashes.of(image, g, m, 1) == own;
+    return false;
+}
+
+// Whether a surface folds at edge k of face f, and the other face of the fold is in front of f.
+NR_FUNC bool folds_behind(const EdgeBackward& call, int image, int f, int k) {
+    if (!call.folds) return false;
+    const Scene& scene = call.scene;
+    const int other = call.folds[((int64)image * scene.count + f) * 3 + k];
+    if (other < 0) return false;
+    const vec3 *v = scene.corners(image, other), &r = scene.corners(image, f)[(k + 2) % 3];
+    if (scene.perspective && ((v[0][2] <= 0.0f) | (v[1][2] <= 0.0f) | (v[2][2] <= 0.0f) | (r[2] <= 0.0f))) return false;
+    return nearness_at(v, r[0], r[1], scene.perspective) > nearness(r[2], scene.perspective);
+}
+
+// Whether edge k of a face is an outline, or a seam to a face of higher index (each seam counts once).
+NR_FUNC bool may_move(const EdgeBackward& call, int image, int f, int k) {
+    const int other = call.adjacent(image, f)[k];
+    if (other < 0) return !folds_behind(call, image, f, k);
+    if (!call.seams || other < f) return false;
+    return !colors_continue(call, image, f, k, other);
+}
+
+// Whether an edge of the face may be a visible boundary; ``search``: among adjacent faces of faces, too.
+NR_FUNC bool has_moving_edge(const EdgeBackward& call, int image, int f, bool search) {
+    const int* shown = call.visible + (int64)image * (call.scene.count + 1);
+    const int* next = call.adjacent(image, 0);
+    const bool has_outline = next[3 * f] < 0 || next[3 * f + 1] < 0 || next[3 * f + 2] < 0;
+    if (shown[f]) return call.seams || has_outline;
+    // The outline of a face that all pixel centres miss is visible if one of the faces behind it is; for a seam, the
+    // adjacent face has to be. The search goes from face to face, depth first. Without it, the face may pass in vain.
+    int faces[LONGEST + 2], from[LONGEST + 2], steps[LONGEST + 2], last = 0;
+    faces[0] = f, from[0] = -1, steps[0] = has_outline ? LONGEST : call.seams ? 1 : 0;
+    while (last >= 0) {
+        const int face = faces[last], before = from[last], left = steps[last] - 1;
+        --last;
+        for (int k = 0; k < 3 && left >= 0; ++k) {
+            const int g = next[3 * (int64)face + k];
+            if (g < 0 || g == before) continue;
+            if (shown[g] || (has_outline && !search)) return true;
+            if (left > 0) ++last, faces[last] = g, from[last] = face, steps[last] = left;
+        }
+    }
+    return false;
+}
+
+// ---- Kernels ----
+
+// Edge k of a face: add its gradient along the scan lines of one axis, from the lines of a task, to its ends p and q.
+NR_FUNC void move_edge(
+    const EdgeBackward& call, const LineTask& task, const Lines& lines, int k, bool clockwise, vec3* to) {
+    const int f = task.face, m = (k + 1) % 3, n = (k + 2) % 3;
+    const int p = clockwise ? m : k, q = clockwise ? k : m;  // counter-clockwise
+    const vec3* corners = call.scene.corners(task.image, f);
+    const int* next = call.adjacent(task.image, f);
+    BoundaryEdge edge(lines, corners[p], corners[q], corners[n]);
+    if (!edge.has_crossings(lines)) return;
+    edge.face = f, edge.adjacent = next[k];
+    edge.adjacent_pr = next[clockwise ? m : n], edge.adjacent_qr = next[clockwise ? n : m];
+    edge.small = edge.adjacent >= 0 && (is_small(lines, f) || is_small(lines, edge.adjacent));
+    float to_p = 0.0f, to_q = 0.0f;
+    const int end = edge.end(lines);
+    for (int u = edge.first(lines) + task.part; u < end; u += task.parts) {
+        const Crossing at = edge.crossing(lines, u);
+        if ((at.inner_face == -2) | (at.outer_face == -2) | (at.inner_face == at.outer_face)) continue;
+        float gain = edge.adjacent >= 0 ? gain_of_seam(lines, edge, at) : gain_of_outline(lines, edge, at);
+        gain *= border_weight(at.v, lines.length);
+        to_p += (1.0f - at.share) * gain, to_q += at.share * gain;
+    }
+    // A pixel has a quarter of the gradient of its block.
+    const float scale = (lines.halved ? 0.125f : 0.5f) * (float)(edge.outward * lines.length);
+    to[p][lines.axis] += scale * to_p, to[q][lines.axis] += scale * to_q;
+}
+
+// One face of one image, over the scan lines of a task.
+NR_FUNC void move_face(const EdgeBackward& call, const LineTask& task) {
+    const Scene& scene = call.scene;
+    const bool clockwise = facing(scene.corners(task.image, task.face), scene.perspective) < 0;
+    const Lines rows(0, scene, call.pictures, call.neighbors.adjacent, task.image);
+    const Lines columns(1, scene, call.pictures, call.neighbors.adjacent, task.image);
+    vec3 to[3] = {};
+    for (int k = 0; k < 3; ++k) {
+        if (!may_move(call, task.image, task.face, k)) continue;
+        move_edge(call, task, rows, k, clockwise, to);
+        move_edge(call, task, columns, k, clockwise, to);
+    }
+    vec3* corners = call.to_faces + ((int64)task.image * scene.count + task.face) * 3;
+    for (int k = 0; k < 3; ++k) {
+        if (call.queue.threads == 0) corners[k] = to[k];
+        else atomic_add(corners + k, to[k]);
+    }
+}
+
+// A face that may have an edge to move, or what the queue holds for a CUDA thread: a scan line at a time.
+NR_FUNC void edge_backward(const EdgeBackward& call, int task) {
+    const int count = call.scene.count;
+    if (call.queue.threads == 0 && !has_moving_edge(call, task / count, task % count, true)) return;
+    for_each_line_task(call.queue, call.scene, task, 1, 1, [&](const LineTask& own) { move_face(call, own); });
+}
+
+// Put a face that may have an edge to move into the queue. With rings, first find its adjacent faces.
+NR_FUNC void queue_moving_face(const EdgeBackward& call, int task) {
+    const int image = task / call.scene.count, f = task % call.scene.count;
+    if (call.neighbors.rings.next) search_rings(call.neighbors, image, f);
+    // The search would keep a GPU's other threads waiting.
+    if (has_moving_edge(call, image, f, false)) put_lines(call.queue, call.scene, image, f, 1, 1);
+}
+
+}  // namespace nr

@@ -1,0 +1,300 @@
+// The unbiased gradient where faces intersect: the motion of the line at which their depths are equal.
+//
+// Two neighbouring pixels show two faces that have the same nearness at a point between the pixel centres. Nearness is
+// linear on the screen. Let a be the lead of the own face, the difference of the two nearnesses at its pixel, and b the
+// lead of the other face at the other pixel. Then the point lies at t = a / (a + b) pixels from the first centre. It
+// moves by d(lead) / (a + b) pixels if a corner changes the lead there. The gradient to the corner, in x, y and z, is
+// this motion, times the difference of the two colours, times the gradient of the pixel that contains the point.
+//
+// Rows and columns both sample the line. Each pair is weighted by the square of the component of the line's normal
+// along its axis; over the two axes the weights add to 1. Products and sums are not fused, because leads are small
+// differences.
+#pragma once
+
+#include "crossings.h"
+#include "lanes.h"
+#include "neighbors.h"
+#include "tasks.h"
+
+namespace nr {
+
+struct Intersections {
+    Scene scene;
+    Pictures pictures;    // with an image, and the gradient of each pixel
+    const int* adjacent;  // faces across the edges, -1 for none, [images, count, 3]
+    int* candidates;      // mask of faces that may intersect a neighbour, [images, count], 0 before; on the CPU
+    int each;             // rows of a task
+    vec3* to_faces;       // gradient to the corners, [images, count, 3]; added to
+};
+
+// ---- Candidates: a cheap test that most pairs of faces fail ----
+
+// The share of the way from (x, y) to (x2, y2) that a face covers, from its own pixel to the first of its edges.
+NR_FUNC float share_of_way(const vec3* v, float x, float y, float x2, float y2) {
+    const float area = (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
+    float end = 1.0f;
+    for (int k = 0; k < 3; ++k) {
+        const vec3 &p = v[k], &q = v[k == 2 ? 0 : k + 1];
+        const float s = area < 0.0f ? -1.0f : 1.0f, dx = s * (q[0] - p[0]), dy = s * (q[1] - p[1]);
+        const float here = dx * (y - p[1]) - dy * (x - p[0]), there = dx * (y2 - p[1]) - dy * (x2 - p[0]);
+        const float doubt = 1.0e-6f * (fabsf(dx) + fabsf(dy));
+        const bool leaves = (there < -doubt) & (here > there);
+        const float at = (leaves ? here + doubt : 1.0f) / (leaves ? here - there : 1.0f);
+        end = at < end ? at : end;
+    }
+    return end;
+}
+
+// Whether face f, shown at pixel i of a row from the top, and another one, shown at the next pixel to the right or
+// below
+// (``down``), may intersect between them. Together they have to cover the whole way from one pixel to the other.
+NR_FUNC bool may_meet(const Intersections& call, int image, int f, int other, int i, int row, bool down) {
+    const Scene& scene = call.scene;
+    const int perspective = scene.perspective;
+    const int* next = call.adjacent + ((int64)image * scene.count + f) * 3;
+    if ((other == next[0]) | (other == next[1]) | (other == next[2])) return false;
+    const vec3 *v = scene.corners(image, f), *u = scene.corners(image, other);
+    const bool in_front =
+        (v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f) & (u[0][2] > 0.0f) & (u[1][2] > 0.0f) & (u[2][2] > 0.0f);
+    if (perspective && !in_front) return true;
+    const float x = pixel_centre(i, scene.width), y = pixel_centre(scene.height - 1 - row, scene.height);
+    const float x2 = down ? x : x + 2.0f / (float)scene.width, y2 = down ? y - 2.0f / (float)scene.height : y;
+    if (share_of_way(v, x, y, x2, y2) + share_of_way(u, x2, y2, x, y) < 0.999f) return false;
+    const float own_here = nearness_at(v, x, y, perspective);
+    const float ahead = own_here - nearness_at(u, x, y, perspective);
+    const float own_there = nearness_at(v, x2, y2, perspective);
+    const float short_of = nearness_at(u, x2, y2, perspective) - own_there;
+    return ahead > 0.0f && short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here);
+}
+
+// Mark both faces of a pair of pixels, unless the pixels have one colour.
+NR_FUNC void mark_pair(const Intersections& call, int image, int i, int row, bool down) {
+    const Scene& scene = call.scene;
+    const int64 here = (int64)row * scene.width + i, there = here + (down ? scene.width : 1);
+    const int* shown = scene.face_index + image * scene.area();
+    const int f = shown[here], other = shown[there];
+    if (!may_meet(call, image, f, other, i, row, down)) return;
+    const float* color = call.pictures.image + image * call.pictures.channels * scene.area();
+    bool differs = false;
+    for (int c = 0; c < call.pictures.channels; ++c, color += scene.area()) differs |= color[here] != color[there];
+    if (!differs) return;
+    write_shared(call.candidates + (int64)image * scene.count + f, 1);
+    write_shared(call.candidates + (int64)image * scene.count + other, 1);
+}
+
+// Bit n of the result: pixel n from ``shown`` on and the one ``step`` further show two faces. Eight at once on the CPU.
+NR_FUNC unsigned pairs_of_faces(const int* shown, int step, int count) {
+    unsigned pairs = 0;
+#if !NR_ON_CUDA
+    if (count >= 8) {
+        const ints8 here = load<ints8>(shown), next = load<ints8>(shown + step);
+        return bits((here != next) & (here >= 0) & (next >= 0));
+    }
+#endif
+    for (int n = 0; n < smaller(count, 8); ++n)
+        pairs |= (unsigned)((shown[n] != shown[n + step]) & (shown[n] >= 0) & (shown[n + step] >= 0)) << n;
+    return pairs;
+}
+
+// Mark pairs of faces that may intersect between a pixel of a task and the next one, to the right or below. Several
+// tasks may write to one place, but all write 1.
+NR_FUNC void find_candidates(const Intersections& call, int task) {
+    const Scene& scene = call.scene;
+    const Pixels pixels = pixels_of_task(task, call.each, scene.images * scene.height, scene.width);
+    for (int line = pixels.first; line < pixels.last; ++line) {
+        const int row = line % scene.height;
+        const int* shown = scene.face_index + (int64)line * scene.width;
+        for (int down = 0; down < 2; ++down) {
+            if (down && row + 1 == scene.height) break;
+            // The last pixel has none to the right.
+            const int end = smaller(pixels.right, down ? scene.width : scene.width - 1);
+            for (int at = pixels.left; at < end; at += 8) {
+                unsigned pairs = pairs_of_faces(shown + at, down ? scene.width : 1, end - at);
+                for (; pairs; pairs &= pairs - 1)
+                    mark_pair(call, line / scene.height, at + lowest_bit(pairs), row, down);
+            }
+        }
+    }
+}
+
+// ---- The gradient of a pair of pixels ----
+
+// Two neighbouring pixels of an image, (i, j) and (i2, j2): column and row from the bottom left.
+struct PixelPair {
+    int image, axis, step;  // the axis along which they are neighbours; from the first to the second: 1 or -1
+    int i, j, i2, j2;
+
+    // Pair a pixel with its neighbour on one of four sides: right, left, above, below.
+    NR_FUNC PixelPair(int image, int i, int j, int side)
+        : image(image),
+          axis(side / 2),
+          step(1 - 2 * (side % 2)),
+          i(i),
+          j(j),
+          i2(i + step * (1 - axis)),
+          j2(j + step * axis) {}
+
+    // The visible face at the second pixel; -1 for none, and outside the image.
+    NR_FUNC int second_face(const Scene& scene) const {
+        if (i2 < 0 || i2 >= scene.width || j2 < 0 || j2 >= scene.height) return -1;
+        return scene.face_index[scene.row_start(image, j2) + i2];
+    }
+};
+
+// The point between two pixels at which a face and another one have the same nearness.
+struct Intersection {
+    bool exists;
+    float t;           // from the first pixel, in pixels
+    float lead;        // sum of the leads of both faces, each at its own pixel
+    vec3 terms;        // of the own face's nearness at the point, by corner
+    vec2 own_slope;    // change of the own face's nearness over a pixel to the right and up
+    vec2 other_slope;  // the same of the other face
+};
+
+// Whether two faces have two corners in common: such faces meet at an edge and do not intersect.
+NR_FUNC bool share_edge(const vec3* v, const vec3* u) {
+    int count = 0;
+    for (int k = 0; k < 3; ++k) count += same(v[k], u[0]) || same(v[k], u[1]) || same(v[k], u[2]);
+    return count >= 2;
+}
+
+// Whether the position with these nearness terms lies inside the face.
+NR_FUNC bool covers(const vec3& terms, int perspective) {
+    if (perspective) return terms[0] >= 0.0f && terms[1] >= 0.0f && terms[2] >= 0.0f;
+    return terms[0] <= 0.0f && terms[1] <= 0.0f && terms[2] <= 0.0f;
+}
+
+// The change of a face's nearness over a pixel to the right and a pixel up; it is ``here`` at (x, y).
+NR_FUNC vec2 nearness_slope(const vec3* v, float x, float y, float here, const vec2& pixel, int perspective) {
+    const float right = nearness_at(v, x + pixel[0], y, perspective) - here;
+    const float up = nearness_at(v, x, y + pixel[1], perspective) - here;
+    return {right, up};
+}
+
+NR_FUNC vec2 size_of_pixel(const Scene& scene) { return {2.0f / (float)scene.width, 2.0f / (float)scene.height}; }
+
+NR_FUNC bool has_gradient(const vec3* v, int perspective) { return in_front(v, perspective) == 1 && !degenerate(v); }
+
+// The point where face f, visible at the first pixel of a pair, and face g, visible at the second, are equally near.
+NR_FUNC Intersection find_intersection(const Scene& scene, const PixelPair& pair, int f, int g) {
+    NR_UNFUSED
+    Intersection found = {};
+    const int perspective = scene.perspective;
+    const vec3 *v = scene.corners(pair.image, f), *u = scene.corners(pair.image, g);
+    if (!has_gradient(u, perspective)) return found;
+    const float x = pixel_centre(pair.i, scene.width), y = pixel_centre(pair.j, scene.height);
+    const float x2 = pixel_centre(pair.i2, scene.width), y2 = pixel_centre(pair.j2, scene.height);
+    const vec3 own_first = nearness_terms(v, x, y, perspective), own_second = nearness_terms(v, x2, y2, perspective);
+    const vec3 other_first = nearness_terms(u, x, y, perspective);
+    const vec3 other_second = nearness_terms(u, x2, y2, perspective);
+    const float own_lead = total(own_first) - total(other_first);
+    const float other_lead = total(other_second) - total(own_second);
+    found.lead = own_lead + other_lead;
+    // The leads of faces in one plane are rounding errors.
+    if (!(own_lead > 0.0f && other_lead > 0.0f && found.lead > 1.0e-6f * fabsf(total(own_first)))) return found;
+    found.t = own_lead / found.lead;
+    found.terms = own_first + found.t * (own_second - own_first);
+    const vec3 other_terms = other_first + found.t * (other_second - other_first);
+    if (!covers(found.terms, perspective) || !covers(other_terms, perspective)) return found;
+    const vec2 pixel = size_of_pixel(scene);
+    found.exists = true;
+    found.own_slope = nearness_slope(v, x, y, total(own_first), pixel, perspective);
+    found.other_slope = nearness_slope(u, x, y, total(other_first), pixel, perspective);
+    return found;
+}
+
+// Sum (first - second colour) * gradient over the channels; ``at_second``: the second pixel has the gradient.
+NR_FUNC float color_difference(const Intersections& call, const PixelPair& pair, bool at_second) {
+    NR_UNFUSED
+    const int64 area = call.scene.area(), start = pair.image * (int64)call.pictures.channels * area;
+    const ScanAxis rows(0, call.scene.height, call.scene.width);
+    const int64 first = start + rows.pixel(pair.j, pair.i), second = start + rows.pixel(pair.j2, pair.i2);
+    const float *image = call.pictures.image, *grad = call.pictures.grad + (at_second ? second : first);
+    float result = 0.0f;
+    for (int64 c = 0; c < call.pictures.channels; ++c)
+        result += (image[first + c * area] - image[second + c * area]) * grad[c * area];
+    return result;
+}
+
+// The change of the loss if the own face's nearness at an intersection grows by 1.
+NR_FUNC float nearness_gain(const Intersections& call, const Intersection& found, const PixelPair& pair) {
+    NR_UNFUSED
+    const vec2 slope = {found.own_slope[0] - found.other_slope[0], found.own_slope[1] - found.other_slope[1]};
+    const float square = slope[0] * slope[0] + slope[1] * slope[1], along = slope[pair.axis];
+    float gain = along * along / square / found.lead;
+    gain *= color_difference(call, pair, found.t >= 0.5f);
+    const float v = (float)(pair.axis ? pair.j : pair.i) + (float)pair.step * found.t;
+    return gain * border_weight(v, pair.axis ? call.scene.height : call.scene.width);
+}
+
+// Add the gradients to the corners of face f, visible at the first pixel of a pair.
+//
+// At a fixed position, moving corner k by s on the screen changes the nearness by -w_k grad(nearness) . s, and moving
+// its depth by dz changes it by w_k dn_k/dz dz.
+NR_FUNC void add_pair(const Intersections& call, const PixelPair& pair, int f, vec3* to) {
+    NR_UNFUSED
+    const Scene& scene = call.scene;
+    const int other = pair.second_face(scene);
+    if (other < 0 || other == f) return;
+    const vec3* v = scene.corners(pair.image, f);
+    if (share_edge(v, scene.corners(pair.image, other))) return;
+    const Intersection found = find_intersection(scene, pair, f, other);
+    if (!found.exists) return;
+    const float gain = nearness_gain(call, found, pair);
+    const vec2 pixel = size_of_pixel(scene);
+    for (int k = 0; k < 3; ++k) {
+        const float z = v[k][2], w = scene.perspective ? found.terms[k] * z : -found.terms[k] / z;
+        const float to_z = scene.perspective ? -w / (z * z) : -w;
+        to[k][0] += -(gain * w * found.own_slope[0] / pixel[0]);
+        to[k][1] += -(gain * w * found.own_slope[1] / pixel[1]);
+        to[k][2] += gain * to_z;
+    }
+}
+
+// ---- Kernels ----
+
+// The pixels of one face of one image. The other face of an intersection has another task.
+NR_FUNC void intersect_face(const Intersections& call, int task) {
+    const Scene& scene = call.scene;
+    const int image = task / scene.count, f = task % scene.count;
+    const vec3* v = scene.corners(image, f);
+    if (!call.candidates[task] || !has_gradient(v, scene.perspective)) return;
+    const Box box = pixel_box(v, 1, scene.height, scene.width);
+    vec3 to[3] = {};
+    for (int j = box.bottom; j <= box.top; ++j) {
+        const int* shown = scene.face_index + scene.row_start(image, j);
+        for (int i = box.left; i <= box.right; ++i) {
+            if (shown[i] != f) continue;
+            for (int side = 0; side < 4; ++side) add_pair(call, PixelPair(image, i, j, side), f, to);
+        }
+    }
+    for (int k = 0; k < 3; ++k) call.to_faces[(int64)task * 3 + k] += to[k];
+}
+
+// Add the gradient to face f, visible at the first pixel of a pair, while other threads do so, too.
+NR_FUNC void add_pair_atomically(const Intersections& call, const PixelPair& pair, int f) {
+    if (!has_gradient(call.scene.corners(pair.image, f), call.scene.perspective)) return;
+    vec3 to[3] = {};
+    add_pair(call, pair, f, to);
+    for (int k = 0; k < 3; ++k) atomic_add(call.to_faces + ((int64)pair.image * call.scene.count + f) * 3 + k, to[k]);
+}
+
+// Pair the pixels of a task with the next ones, to the right and below, on CUDA.
+NR_FUNC void intersect_pairs(const Intersections& call, int task) {
+    const Scene& scene = call.scene;
+    const Pixels pixels = pixels_of_task(task, call.each, scene.images * scene.height, scene.width);
+    for (int line = pixels.first; line < pixels.last; ++line)
+        for (int i = pixels.left; i < pixels.right; ++i) {
+            const int image = line / scene.height, row = line % scene.height;
+            const int f = scene.face_index[(int64)line * scene.width + i];
+            for (int down = 0; down < 2 && f >= 0; ++down) {
+                const PixelPair pair(image, i, scene.height - 1 - row, 3 * down);  // to the right, and below
+                const int other = pair.second_face(scene);
+                if (other < 0 || other == f || !may_meet(call, image, f, other, i, row, down)) continue;
+                add_pair_atomically(call, pair, f);
+                add_pair_atomically(call, PixelPair(image, pair.i2, pair.j2, 1 + down), other);  // left, and above
+            }
+        }
+}
+
+}  // namespace nr
