@@ -4,22 +4,45 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from .. import validate
-from .calibrated import CalibratedCamera
-from .lens import check_rotation
-from .parameters import Array, Scalar, batch_of, batch_size, common_device, float_type, outside, parameter, scalar
-from .several import chosen, concatenated
-from .view import look_at_frame, look_frame, rotate
+from ..constants import on_device
+from .fisheye import undo_fisheye
+from .lens import (
+    calibration,
+    check_intrinsics,
+    check_rotation,
+    image_size,
+    in_parallel,
+    in_perspective,
+    pixels_to_screen,
+    undistorted,
+    undo_intrinsics,
+    viewing_angle,
+)
+from .matrices import clip_frame, view_frame
+from .parameters import (
+    Array,
+    Scalar,
+    as_tensor,
+    batch_of,
+    batch_size,
+    common_device,
+    float_type,
+    outside,
+    parameter,
+    scalar,
+)
+from .view import look_at_frame, look_frame, rotate, transform
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Camera(CalibratedCamera):
+class Camera:
     """A batch of B cameras: ``camera(vertices)`` projects world vertices onto the screen.
 
     Build it with `Camera.look_at`, `Camera.look`, `Camera.projection`, `Camera.fisheye`, `Camera.from_matrix`,
@@ -56,6 +79,29 @@ class Camera(CalibratedCamera):
         >>> depth
         tensor(2.6926)
     """
+
+    rotation: Tensor
+    origin: Tensor
+    translation: Tensor
+    viewing_angle: Scalar | None = None
+    scale: Scalar = 1.0
+    K: Tensor | None = None
+    dist_coeffs: Tensor | None = None
+    orig_size: tuple[float, float] | None = None
+    mirrored: bool = False
+
+    def __post_init__(self) -> None:
+        validate.floating("rotation", self.rotation, ("B", 3, 3))
+        validate.finite("rotation", self.rotation)
+        for name, size in (("origin", (3,)), ("translation", (3,)), ("K", (3, 3)), ("dist_coeffs", (5,))):
+            value = getattr(self, name)
+            size = (4,) if name == "dist_coeffs" and self.is_fisheye else size
+            if value is not None or name in ("origin", "translation"):
+                validate.floating(name, value, (len(self.rotation), *size))
+                validate.same_device(rotation=self.rotation, **{name: value})
+                validate.finite(name, value)
+        if self.K is not None:
+            image_size(self.orig_size)
 
     @classmethod
     def look_at(
@@ -169,6 +215,168 @@ class Camera(CalibratedCamera):
         return cls(rotation=up, origin=origin, translation=torch.zeros_like(origin), scale=scale)
 
     @classmethod
+    def projection(
+        cls,
+        K: Array,
+        R: Array,
+        t: Array,
+        dist_coeffs: Array | None = None,
+        orig_size: float | Sequence[float] | None = None,
+    ) -> Camera:
+        """Make calibrated cameras in the conventions of OpenCV; see the function `projection`.
+
+        Args:
+            K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels, with the third row (0, 0, 1).
+            R: [3, 3] or [B, 3, 3], world-to-camera rotation.
+            t: [3], [B, 3] or [B, 1, 3], world-to-camera translation; or columns [3, 1], [B, 3, 1].
+            dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3), or the first four; or a column. None means no distortion.
+            orig_size: Side or (height, width) in pixels of the image that K describes. Required. A render of any size
+                shows this whole image, stretched if its aspect is different.
+
+        Returns:
+            B cameras; one if no argument has a batch.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit, or ``orig_size`` is missing or not positive; while
+                values are checked, also a number that is not finite, a wrong third row of K, or R is not a rotation.
+
+        Example:
+            >>> K = [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
+            >>> camera = nr.Camera.projection(K, torch.eye(3), (0.0, 0.0, 3.0), orig_size=(480, 640))
+            >>> images = nr.render(mesh, camera, (240, 320))
+        """
+        return cls._with_intrinsics(K, R, t, dist_coeffs, orig_size, 5)
+
+    @classmethod
+    def fisheye(
+        cls,
+        K: Array,
+        R: Array,
+        t: Array,
+        dist_coeffs: Array | None = None,
+        orig_size: float | Sequence[float] | None = None,
+    ) -> Camera:
+        """Make calibrated fisheye cameras in the conventions of ``cv2.fisheye`` (also COLMAP's OPENCV_FISHEYE).
+
+        A point at the angle θ from the viewing direction appears at the distance θ · (1 + k1·θ² + k2·θ⁴ + k3·θ⁶ +
+        k4·θ⁸) from the axis, before the multiplication by K. Edges of faces are drawn straight, so that large faces
+        need `Mesh.subdivide`. Depth is along the viewing direction, as for all cameras: what lies 90° or more off the
+        axis is not drawn, and faces that reach beyond it are drawn inexactly near it.
+
+        Args:
+            K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels, with the third row (0, 0, 1).
+            R: [3, 3] or [B, 3, 3], world-to-camera rotation.
+            t: [3], [B, 3] or [B, 1, 3], world-to-camera translation; or columns [3, 1], [B, 3, 1].
+            dist_coeffs: [4] or [B, 4], (k1, k2, k3, k4), or a column. None means zeros, the equidistant lens.
+            orig_size: Side or (height, width) in pixels of the image that K describes. Required, as in
+                `Camera.projection`.
+
+        Returns:
+            B cameras; one if no argument has a batch.
+
+        Raises:
+            TypeError, ValueError: As `Camera.projection`.
+
+        Example:
+            >>> K = [[200.0, 0.0, 320.0], [0.0, 200.0, 240.0], [0.0, 0.0, 1.0]]
+            >>> camera = nr.Camera.fisheye(K, torch.eye(3), (0.0, 0.0, 3.0), (0.1, 0.0, 0.0, 0.0), orig_size=(480, 640))
+            >>> pixels, depth = camera.project(torch.tensor([[3.0, 0.0, 0.0]]))  # 45° to the right
+            >>> pixels.round()
+            tensor([[[487., 240.]]])
+        """
+        dist_coeffs = (0.0, 0.0, 0.0, 0.0) if dist_coeffs is None else dist_coeffs
+        return cls._with_intrinsics(K, R, t, dist_coeffs, orig_size, 4)
+
+    @classmethod
+    def from_matrix(
+        cls,
+        *,
+        world_to_camera: Array | None = None,
+        camera_to_world: Array | None = None,
+        convention: str = "opencv",
+        viewing_angle: Scalar | None = None,
+        K: Array | None = None,
+        dist_coeffs: Array | None = None,
+        orig_size: float | Sequence[float] | None = None,
+        fisheye: bool = False,
+        orthographic: bool = False,
+        scale: Scalar = 1.0,
+    ) -> Camera:
+        """Make cameras from view matrices of other programs, with one of three lenses.
+
+        Args:
+            world_to_camera: View matrix, [3, 4], [4, 4] or with a batch: a rotation and a translation.
+            camera_to_world: Its inverse, the pose of the camera. Give one of the two.
+            convention: Axes of the camera. ``"opencv"`` (also COLMAP): right, down, forward. ``"opengl"`` and
+                ``"blender"`` (also NeRF): right, up, backward. ``"pytorch3d"``: left, up, forward, and the matrix [4,
+                4] multiplies rows of points from the right, as that of ``Transform3d.get_matrix()``. The world's axes
+                stay as they are.
+            viewing_angle: Half the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
+            K, dist_coeffs, orig_size: As in `Camera.projection`, in place of ``viewing_angle``. Pixels run to the right
+                and **down** in every convention.
+            fisheye: Whether K belongs to a fisheye lens, with the four coefficients of `Camera.fisheye`.
+            orthographic: Draw without perspective, with ``scale`` in place of ``viewing_angle``.
+            scale: Screen units per world unit: a number, or a tensor [] or [B].
+
+        Returns:
+            B cameras; one if no argument has a batch.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit, the convention is unknown, or not one matrix and one
+                lens are given; while values are checked, also a matrix that is not a rotation and a translation.
+
+        Example:
+            >>> pose = torch.eye(4)
+            >>> pose[2, 3] = 3.0  # three units along +z, looking back at the origin
+            >>> camera = nr.Camera.from_matrix(camera_to_world=pose, convention="blender", viewing_angle=20)
+            >>> camera(torch.tensor([[0.0, 0.5, 0.0]]))[0, 0]
+            tensor([0.0000, 0.4579, 3.0000])
+        """
+        if [viewing_angle is not None, K is not None, validate.flag("orthographic", orthographic)].count(True) != 1:
+            raise ValueError("viewing_angle: expected one lens: this, K with orig_size, or orthographic=True")
+        given = (world_to_camera, camera_to_world, K, viewing_angle, scale)
+        dtype, device = float_type(*given), common_device(*given)
+        R, eye, t = view_frame(world_to_camera, camera_to_world, convention, dtype, device)
+        if K is not None:
+            if validate.flag("fisheye", fisheye):
+                return cls.fisheye(K, R, t, dist_coeffs, orig_size)
+            return cls.projection(K, R, t, dist_coeffs, orig_size)
+        axes = R * R.new_tensor([1.0, -1.0, 1.0])[:, None]  # right, up, forward
+        return cls._with_lens(axes, eye, viewing_angle, orthographic, scale, False)
+
+    @classmethod
+    def from_clip(cls, matrix: Array) -> Camera:
+        """Make cameras from matrices to clip space: the product of projection and view matrix of OpenGL or nvdiffrast.
+
+        A world point X has clip coordinates (x, y, z, w) = matrix · (X, 1) and appears at (x / w, y / w), y up. Its
+        depth is the distance along the viewing direction in world units, whatever the scale of the matrix; ``near`` and
+        ``far`` of `render` replace those of the matrix. Images of any size show the whole range [−1, 1]², so that the
+        matrix determines the aspect.
+
+        Args:
+            matrix: [4, 4] or [B, 4, 4], for columns of points. A matrix whose second row is negated, for images with
+                row 0 at the bottom, gives pictures upside down: negate the row first.
+
+        Returns:
+            B cameras, with K for an image of 2 × 2 pixels.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit; while values are checked, also a matrix without
+                perspective, or one that projects to a line.
+
+        Example:
+            >>> f, near, far = 2.0, 0.1, 10.0
+            >>> projection = torch.tensor([[f, 0, 0, 0], [0, f, 0, 0], [0, 0, -1, -2 * near], [0, 0, -1, 0]])
+            >>> view = torch.eye(4)
+            >>> view[2, 3] = -3.0
+            >>> camera = nr.Camera.from_clip(projection @ view)
+            >>> camera(torch.tensor([[0.0, 0.5, 0.0]]))[0, 0]
+            tensor([0.0000, 0.3333, 3.0000])
+        """
+        K, R, t, mirrored = clip_frame(matrix, float_type(matrix), common_device(matrix))
+        return cls(R, torch.zeros_like(t), t, K=K, orig_size=(2.0, 2.0), mirrored=mirrored)
+
+    @classmethod
     def cat(cls, cameras: Sequence[Camera]) -> Camera:
         """Put the cameras of several batches into one batch.
 
@@ -192,11 +400,296 @@ class Camera(CalibratedCamera):
             raise TypeError(f"cameras: expected a list of Camera, got {kinds}")
         if not cameras:
             raise ValueError("cameras: expected at least one Camera, got an empty list")
-        return replace(cameras[0], **concatenated(cameras))
+        first = cameras[0]
+        if len({_lens(camera) for camera in cameras}) > 1:
+            found = " and ".join(sorted({_lens(camera) for camera in cameras}))
+            raise ValueError(f"cameras: expected one kind of lens, got {found}")
+        if len({camera.mirrored for camera in cameras}) > 1:
+            raise ValueError("cameras: expected all mirrored or none, got both")
+        validate.same_device(**{f"cameras[{i}]": camera.rotation for i, camera in enumerate(cameras)})
+        frame = ("rotation", "origin", "translation")
+        parts: dict[str, Any] = {name: torch.cat([getattr(camera, name) for camera in cameras]) for name in frame}
+        for name in ("viewing_angle", "scale"):
+            if getattr(first, name) is not None:
+                parts[name] = _joined([getattr(camera, name) for camera in cameras], list(map(len, cameras)))
+        if first.K is not None:
+            parts["K"] = torch.cat([_resized(camera, first.orig_size) for camera in cameras])
+        if any(camera.dist_coeffs is not None for camera in cameras):
+            parts["dist_coeffs"] = torch.cat([_distortion(camera) for camera in cameras])
+        return replace(first, **parts)
+
+    @property
+    def perspective(self) -> bool:
+        """Whether the projection is perspective; False for an orthographic camera."""
+        return self.viewing_angle is not None or self.K is not None
+
+    @property
+    def is_fisheye(self) -> bool:
+        """Whether the lens is a fisheye, with four coefficients."""
+        return getattr(self.dist_coeffs, "shape", (0,))[-1] == 4
+
+    @property
+    def axes(self) -> Tensor:
+        """Directions to the right, up and forward of each camera, [B, 3, 3], in the world."""
+        if self.K is None:
+            return self.rotation
+        return self.rotation * self.rotation.new_tensor([1.0, -1.0, 1.0])[:, None]  # K's y points down
+
+    def __repr__(self) -> str:
+        number, lens = self.viewing_angle, "orthographic"
+        if self.K is not None:
+            lens = "fisheye" if self.is_fisheye else "K with distortion" if self.dist_coeffs is not None else "K"
+        elif number is not None:
+            lens = f"viewing angle {number:g}" if isinstance(number, (int, float)) else "viewing angles"
+        size = "" if self.orig_size is None else " of {:g} × {:g}".format(*self.orig_size)
+        mirrored = ", mirrored" if self.mirrored else ""
+        count = "1 camera" if len(self) == 1 else f"{len(self)} cameras"
+        return f"Camera({count}, {lens}{size}{mirrored}, {self.rotation.device})"
+
+    def __len__(self) -> int:
+        return self.rotation.shape[0]
 
     def __getitem__(self, index: Any) -> Camera:
         """Choose cameras: one by a number, several by a slice, a list, or a tensor of numbers or of bools."""
-        return replace(self, **chosen(self, index))
+        if isinstance(index, bool) or (isinstance(index, Tensor) and index.ndim == 0 and index.dtype == torch.bool):
+            raise TypeError("index: expected a number, a slice, a list or a tensor, got a bool")
+        rows = torch.arange(len(self), device=self.rotation.device)
+        if isinstance(index, (slice, range)):  # torch knows no negative steps
+            index = list(range(len(self))[index]) if isinstance(index, slice) else list(index)
+        try:
+            rows = torch.atleast_1d(rows[index])
+        except (TypeError, IndexError) as error:
+            kind = IndexError if isinstance(error, IndexError) else TypeError
+            raise kind(f"index: expected some of {len(self)} cameras, got {index!r}") from None
+        if rows.ndim > 1:
+            raise IndexError(f"index: expected some of {len(self)} cameras, got {index!r}")
+        with_batch = {name: v for name, v in self._tensors().items() if v.ndim and len(v) == len(self)}
+        parts: dict[str, Any] = {name: v[rows.to(v.device)] for name, v in with_batch.items()}
+        return replace(self, **parts)
 
     def __iter__(self) -> Iterator[Camera]:
         return (self[i] for i in range(len(self)))
+
+    def __call__(self, vertices: Tensor, aspect: float = 1.0) -> Tensor:
+        """Project world vertices onto the screen. One camera can project B meshes, and B cameras one mesh.
+
+        Args:
+            vertices: [V, 3] or [B, V, 3] floating.
+            aspect: Width / height of the image. x is divided by it, which makes pixels square. `Camera.projection`
+                ignores it and uses ``orig_size``.
+
+        Returns:
+            [B, V, 3], float64 for float64 vertices, else float32. x (right) and y (up) are in [-1, 1] over the image; z
+            is the depth along the viewing direction in world units, negative behind the camera.
+
+        Raises:
+            TypeError, ValueError: A type, shape or batch size does not fit, or ``aspect`` is not positive; while values
+                are checked, also a vertex that is not finite.
+
+        Example:
+            >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45)
+            >>> camera(torch.tensor([[-1.0, 1.0, 0.0]]))  # from the −z side, −x is on the right
+            tensor([[[0.4000, 0.4000, 2.5000]]])
+        """
+        vertices = validate.wide(validate.vertices(vertices))
+        aspect = validate.positive("aspect", aspect)
+        points = transform(vertices, self.rotation, self.origin)
+        if self.K is not None and self.orig_size is not None:
+            points = points + on_device(self.translation, points)[..., None, :]
+            dist_coeffs = None if self.dist_coeffs is None else on_device(self.dist_coeffs, points)
+            return pixels_to_screen(points, on_device(self.K, points), dist_coeffs, self.orig_size)
+        angle = self.viewing_angle
+        screen = in_parallel(points, self.scale) if angle is None else in_perspective(points, angle)
+        if aspect == 1:
+            return screen
+        x, y, z = screen.unbind(-1)
+        return torch.stack((x / aspect, y, z), dim=-1)
+
+    def project(self, points: Array, size: float | Sequence[float] | None = None) -> tuple[Tensor, Tensor]:
+        """Project world points to pixels and depth.
+
+        Args:
+            points: [V, 3] or [B, V, 3] floating, in the world. Arrays and lists get the dtype of the camera.
+            size: Side or (height, width) of the image in pixels. A camera with K has a default: the size that K
+                describes.
+
+        Returns:
+            Pixels [B, V, 2], x to the right and y down, with (0, 0) at the image's upper left corner and the centre of
+            the first pixel at (0.5, 0.5); and the depth [B, V] in world units, negative behind the camera.
+
+        Raises:
+            TypeError, ValueError: A type, shape or batch size does not fit, or the size is missing or not positive;
+                while values are checked, also a point that is not finite.
+
+        Example:
+            >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45)
+            >>> pixels, depth = camera.project(torch.tensor([[-1.0, 1.0, 0.0]]), size=(100, 200))
+            >>> pixels.round(), depth
+            (tensor([[[120.,  30.]]]), tensor([[2.5000]]))
+        """
+        height, width = self._image_size(size)
+        points = self._numbers("points", points)
+        with validate.called(vertices="points"):
+            screen = self(points, width / height)
+        x, y, depth = screen.unbind(-1)
+        return torch.stack(((x + 1) * (width / 2), (1 - y) * (height / 2)), -1), depth
+
+    def unproject(self, pixels: Array, depth: Array, size: float | Sequence[float] | None = None) -> Tensor:
+        """Find the world points that are visible at pixels; the inverse of `project`.
+
+        Args:
+            pixels: [V, 2] or [B, V, 2] floating, as `project` returns them. Arrays and lists as there.
+            depth: [V] or [B, V] floating, depth of each in world units, as in `Images`.
+            size: As in `project`.
+
+        Returns:
+            [B, V, 3], in the world. Differentiable in all arguments and the camera. Lens distortion is inverted by
+            Newton's method; pixels that it does not reach have no meaning.
+
+        Raises:
+            TypeError, ValueError: A type, shape or batch size does not fit, or the size is missing or not positive;
+                while values are checked, also a number that is not finite.
+
+        Example:
+            >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45)
+            >>> camera.unproject(torch.tensor([[120.0, 30.0]]), torch.tensor([3.5]), size=(100, 200))
+            tensor([[[-1.4000,  1.4000,  1.0000]]])
+        """
+        image = self._image_size(size)
+        pixels, depth = self._numbers("pixels", pixels), self._numbers("depth", depth)
+        validate.floating("pixels", pixels, ("V", 2) if getattr(pixels, "ndim", 3) == 2 else ("B", "V", 2))
+        count = pixels.shape[-2]
+        validate.floating("depth", depth, (count,) if getattr(depth, "ndim", 2) == 1 else ("B", count))
+        validate.same_device(pixels=pixels, depth=depth)
+        validate.finite("pixels", pixels)
+        validate.finite("depth", depth)
+        pixels, depth = validate.wide(pixels), validate.wide(depth)
+        dtype = torch.promote_types(pixels.dtype, depth.dtype)
+        batch_size(pixels=batch_of(pixels, 2), depth=batch_of(depth, 1), camera=len(self))
+        pixels, depth = pixels.to(dtype).reshape(-1, count, 2), depth.to(dtype).reshape(-1, count)
+        points = self._points_at(pixels, depth, image) - on_device(self.translation, pixels)[:, None]
+        axes = on_device(self.rotation, pixels)
+        return rotate(axes.transpose(-1, -2), points) + on_device(self.origin, pixels)[:, None]
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Camera:
+        """Copy the cameras to another device or floating dtype.
+
+        Args:
+            device: Device of the copy; None keeps the device.
+            dtype: Floating dtype of the copy; None keeps the dtype.
+
+        Returns:
+            The copy. Gradients flow back to the original.
+
+        Raises:
+            TypeError: ``dtype`` is not a floating dtype.
+
+        Example:
+            >>> nr.Camera.look_at((0.0, 0.0, -2.5)).to(dtype=torch.float64).rotation.dtype
+            torch.float64
+        """
+        if not (dtype is None or (isinstance(dtype, torch.dtype) and dtype.is_floating_point)):
+            raise TypeError(f"dtype: expected a floating dtype, got {dtype!r}")
+        moved: dict[str, Any] = {name: v.to(device=device, dtype=dtype) for name, v in self._tensors().items()}
+        return replace(self, **moved)
+
+    @classmethod
+    def _with_lens(
+        cls, rotation: Tensor, eye: Tensor, angle: Any, is_orthographic: bool, scale: Any, mirrored: bool
+    ) -> Camera:
+        """Make cameras from axes and eye, with a perspective or an orthographic lens."""
+        lens: dict[str, Any]
+        if is_orthographic:
+            lens = {"scale": scalar("scale", scale, eye.dtype)}
+        else:
+            lens = {"viewing_angle": viewing_angle("viewing_angle", angle, eye.dtype)}
+        sizes = {name: batch_of(value, 0) for name, value in lens.items()}
+        batch = batch_size(camera=batch_of(rotation, 2), eye=batch_of(eye, 1), **sizes)
+        origin = eye.expand(batch, 3)
+        return cls(rotation.expand(batch, 3, 3), origin, torch.zeros_like(origin), mirrored=mirrored, **lens)
+
+    @classmethod
+    def _with_intrinsics(cls, K: Any, R: Any, t: Any, dist_coeffs: Any, orig_size: Any, coefficients: int) -> Camera:
+        """Make cameras from a calibration with this number of coefficients."""
+        if orig_size is None:
+            raise ValueError("orig_size: expected the side or (height, width) of the image that K describes, got None")
+        given = (K, R, t, dist_coeffs)
+        K, R, t, dist_coeffs = calibration(*given, float_type(*given), common_device(*given), coefficients)
+        check_intrinsics(K)
+        check_rotation(R)
+        batch = batch_size(K=batch_of(K, 2), R=batch_of(R, 2), t=batch_of(t, 1), dist_coeffs=batch_of(dist_coeffs, 1))
+        t = t.expand(batch, 3)
+        return cls(
+            rotation=R.expand(batch, 3, 3),
+            origin=torch.zeros_like(t),
+            translation=t,
+            K=K.expand(batch, 3, 3),
+            dist_coeffs=None if dist_coeffs is None else dist_coeffs.expand(batch, coefficients),
+            orig_size=image_size(orig_size),
+        )
+
+    def _image_size(self, size: Any) -> tuple[float, float]:
+        """Convert a side or (height, width) to (height, width); by default the size that K describes."""
+        size = self.orig_size if size is None else size
+        if size is None:
+            raise ValueError("size: expected the side or (height, width) of the image in pixels, got None")
+        with validate.called(orig_size="size"):
+            return image_size(size)
+
+    def _points_at(self, pixels: Tensor, depth: Tensor, size: tuple[float, float]) -> Tensor:
+        """Compute the points [B, V, 3], relative to the camera's axes, that pixels [B, V, 2] at depths [B, V] show."""
+        height, width = size
+        x, y = pixels.unbind(-1)
+        if self.K is not None and self.orig_size is not None:
+            rows, columns = self.orig_size
+            x, y = undo_intrinsics(x * (columns / width), y * (rows / height), on_device(self.K, pixels))
+            if self.dist_coeffs is not None:
+                undo = undo_fisheye if self.is_fisheye else undistorted
+                x, y = undo(x, y, on_device(self.dist_coeffs, pixels))
+            return torch.stack(torch.broadcast_tensors(x * depth, y * depth, depth), -1)
+        x, y = (2 * x / width - 1) * (width / height), 1 - 2 * y / height
+        if self.viewing_angle is None:
+            scale = as_tensor("scale", scalar("scale", self.scale, pixels.dtype, pixels.device), pixels.dtype)
+            scale = scale[..., None] if scale.ndim else scale
+            return torch.stack(torch.broadcast_tensors(x / scale, y / scale, depth), -1)
+        angle = viewing_angle("viewing_angle", self.viewing_angle, pixels.dtype, pixels.device)
+        across = torch.tan(torch.deg2rad(as_tensor("viewing_angle", angle, pixels.dtype)))
+        across = (across[..., None] if across.ndim else across) * depth
+        return torch.stack(torch.broadcast_tensors(x * across, y * across, depth), -1)
+
+    def _tensors(self) -> dict[str, Tensor]:
+        """Collect the attributes that are tensors, by name."""
+        return {f.name: v for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)}
+
+    def _numbers(self, name: str, value: Array) -> Tensor:
+        """Convert arrays and lists to tensors of the camera's dtype and device."""
+        if isinstance(value, Tensor):
+            return value
+        return as_tensor(name, value, self.rotation.dtype).to(self.rotation.device)
+
+
+def _lens(camera: Camera) -> str:
+    if camera.K is not None:
+        return "fisheye" if camera.is_fisheye else "K"
+    return "orthographic" if camera.viewing_angle is None else "viewing_angle"
+
+
+def _joined(values: list[Scalar], counts: list[int]) -> Scalar:
+    """Put one number, or one tensor [] or [B], for each batch together; equal numbers stay a number."""
+    if not any(isinstance(value, Tensor) for value in values) and len(set(values)) == 1:
+        return values[0]
+    like = next((v for v in values if isinstance(v, Tensor)), torch.empty(0))
+    parts = [torch.as_tensor(value, dtype=like.dtype, device=like.device) for value in values]
+    return torch.cat([part.expand(count) for part, count in zip(parts, counts, strict=True)])
+
+
+def _resized(camera: Camera, size: tuple[float, float] | None) -> Tensor:
+    """Convert a camera's K to an image of another size, which shows the same."""
+    K: Any = camera.K
+    if camera.orig_size is None or size is None or camera.orig_size == size:
+        return K
+    return K * K.new_tensor([size[1] / camera.orig_size[1], size[0] / camera.orig_size[0], 1.0])[:, None]
+
+
+def _distortion(camera: Camera) -> Tensor:
+    return camera.rotation.new_zeros(len(camera), 5) if camera.dist_coeffs is None else camera.dist_coeffs

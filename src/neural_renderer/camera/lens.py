@@ -18,6 +18,7 @@ from .view import rotate
 _TOLERANCE = 0.02  # for R Rᵀ and K's third row; admits matrices typed with three digits, or in bfloat16
 _FARTHEST = 1e9  # bound of |x| and |y| (at z = 1) in tangential distortion
 _WIDEST = 1e4  # bound of x² + y² (at z = 1) in the radial polynomial: 89.4° off the axis
+_STEPS = 10  # Newton's method; each step doubles the correct digits
 _THIRD_ROW = (0.0, 0.0, 1.0)  # of an intrinsic matrix
 
 
@@ -218,6 +219,35 @@ def distorted(x: Tensor, y: Tensor, dist_coeffs: Tensor) -> tuple[Tensor, Tensor
         x * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a),
         y * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b,
     )
+
+
+def undistorted(u: Tensor, v: Tensor, dist_coeffs: Tensor) -> tuple[Tensor, Tensor]:
+    """Find the x and y [B, V] that `distorted` moves to u and v, by Newton's method."""
+    k1, k2, p1, p2, k3 = dist_coeffs.detach()[..., None].unbind(-2)
+    x, y = torch.broadcast_tensors(u.detach(), v.detach() + 0 * k1)
+    for step in range(_STEPS):
+        r2 = x * x + y * y
+        radial, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + 3 * r2 * k3)
+        across = 2 * (x * y * slope + p1 * x + p2 * y)  # the Jacobian is symmetric
+        along_x = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+        along_y = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+        area = along_x * along_y - across * across
+        # The last step carries the gradients: x and y are a solution, so that one step differentiates it exactly.
+        is_last = step == _STEPS - 1
+        target_u, target_v = (u, v) if is_last else (u.detach(), v.detach())
+        found_u, found_v = distorted(x, y, dist_coeffs if is_last else dist_coeffs.detach())
+        off_u, off_v = found_u - target_u, found_v - target_v
+        x = x - (along_y * off_u - across * off_v) / area
+        y = y - (along_x * off_v - across * off_u) / area
+    return x, y
+
+
+def undo_intrinsics(u: Tensor, v: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
+    """Solve (u, v) = K (x, y, 1) for x and y [B, V]; K [B, 3, 3] has the third row (0, 0, 1)."""
+    a, b, c, d = (K[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)))
+    u, v = u - K[:, 0, 2, None], v - K[:, 1, 2, None]
+    area = a * d - b * c
+    return (d * u - b * v) / area, (a * v - c * u) / area
 
 
 def image_size(orig_size: Any) -> tuple[float, float]:
