@@ -17,12 +17,11 @@ from ..io.mesh_writer import save_mesh
 from ..io.obj import load_obj
 from . import primitives
 from .bounds import centered
-from .old_mesh import OldMesh
 from .pieces import chosen_faces, merged_vertices, used_vertices
 from .subdivision import checked_levels, split_cubes, subdivided
 
 
-class Mesh(OldMesh):
+class Mesh(nn.Module):
     """Triangle mesh as a `torch.nn.Module`: vertices and textures are parameters, faces are a buffer.
 
     `load`, `fromobj` and `icosphere` make a mesh, `save` writes it, `normalize` centres and scales it, `submesh`,
@@ -61,6 +60,10 @@ class Mesh(OldMesh):
         Mesh(8 vertices, 12 faces, textures of 1³, cpu)
     """
 
+    vertices: nn.Parameter
+    faces: Tensor
+    textures: nn.Parameter
+
     def __init__(
         self,
         vertices: Any,
@@ -73,13 +76,12 @@ class Mesh(OldMesh):
         face_colors: Any = None,
     ) -> None:
         super().__init__()
-        is_file = isinstance(vertices, (str, os.PathLike))
-        if is_file:
-            # In this form the second and third positions are `texture_size` and `normalization`.
+        plain = white_cubes
+        if isinstance(vertices, (str, os.PathLike)):
+            # Mesh(path, texture_size, normalization), as in the first packages.
             texture_size = texture_size if faces is None else faces
-            normalization = normalization if textures is None else textures
-            vertices, faces, *_ = load_obj(vertices, normalization)
-            textures = None
+            vertices, faces, *_ = load_obj(vertices, normalization if textures is None else textures)
+            textures, plain = None, noise_cubes
         vertices, faces = as_tensor(vertices), as_tensor(faces)
         validate.floating("vertices", vertices, ["V", 3])
         faces = validate.indices("faces", faces, ["F", 3])
@@ -88,8 +90,7 @@ class Mesh(OldMesh):
         if textures is None:
             texture_size = validate.whole("texture_size", texture_size, 1)
             textures = _textures(vertex_colors, face_colors, vertices, faces, texture_size)
-            if textures is None:
-                textures = noise_cubes(faces, texture_size) if is_file else white_cubes(faces, texture_size)
+            textures = plain(faces, texture_size) if textures is None else textures
         elif vertex_colors is not None or face_colors is not None:
             raise ValueError("textures: expected one of textures, vertex_colors and face_colors, got several")
         textures = as_tensor(textures)
@@ -132,6 +133,39 @@ class Mesh(OldMesh):
         vertices, faces, textures = load_mesh(path, texture_size, allow_outside)
         mesh = cls(vertices, faces, white_cubes(faces, texture_size) if textures is None else textures)
         return mesh.normalize() if normalize else mesh
+
+    @classmethod
+    def fromobj(
+        cls,
+        filename_obj: str | os.PathLike[str],
+        normalization: bool = True,
+        load_texture: bool = False,
+        texture_size: int = 4,
+        allow_outside: bool = False,
+    ) -> Mesh:
+        """Read an OBJ file.
+
+        Args:
+            filename_obj: Path of the file.
+            normalization: Centre the bounding box at the origin and scale its longest side to [−1, 1].
+            load_texture: Read the colours; otherwise the texture is noise.
+            texture_size: T, texels along a cube's edge, ≥ 1.
+            allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
+
+        Returns:
+            The mesh, on the CPU.
+
+        Raises:
+            OSError, TypeError, ValueError: As `load_obj`.
+
+        Example:
+            >>> nr.save_obj("cube.obj", *nr.cube())
+            >>> nr.Mesh.fromobj("cube.obj", texture_size=2)
+            Mesh(8 vertices, 12 faces, textures of 2³, cpu)
+        """
+        loaded = load_obj(filename_obj, normalization, texture_size, load_texture, allow_outside=allow_outside)
+        textures = loaded[2] if len(loaded) == 3 else noise_cubes(loaded[1], texture_size)
+        return cls(loaded[0], loaded[1], textures, texture_size)
 
     @classmethod
     def icosphere(cls, level: int = 3, radius: float = 1.0, texture_size: int = 4) -> Mesh:
@@ -275,6 +309,53 @@ class Mesh(OldMesh):
             vertices, faces = subdivided(vertices, faces, scheme)
             textures = split_cubes(textures)
         return self._like(vertices, faces, textures)
+
+    def get_batch(self, batch_size: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Repeat the mesh ``batch_size`` times, without a copy.
+
+        Args:
+            batch_size: B, ≥ 0.
+
+        Returns:
+            Vertices [B, V, 3], faces [B, F, 3] and textures [B, F, T, T, T, 3]. The textures are the sigmoid of the
+            parameter, so that they stay in [0, 1] during optimisation.
+
+        Raises:
+            TypeError, ValueError: ``batch_size`` is not a whole number ≥ 0.
+
+        Example:
+            >>> vertices, faces, textures = nr.Mesh.icosphere(2).get_batch(5)
+            >>> vertices.shape
+            torch.Size([5, 162, 3])
+        """
+        batch_size = validate.whole("batch_size", batch_size, 0)
+        parts = self.vertices, self.faces, torch.sigmoid(self.textures)
+        vertices, faces, textures = (part.expand(batch_size, *part.shape) for part in parts)
+        return vertices, faces, textures
+
+    def set_lr(self, lr_vertices: float, lr_textures: float) -> None:
+        """Set the factors of the learning rate that `neural_renderer.Adam` uses for vertices and textures.
+
+        Copies and pickles of the mesh keep the factors; its `state_dict` does not.
+
+        Args:
+            lr_vertices: Factor for the vertices; 0 keeps them.
+            lr_textures: Factor for the textures; 0 keeps them.
+
+        Example:
+            >>> mesh = nr.Mesh.icosphere(2)
+            >>> mesh.set_lr(0.1, 1.0)
+            >>> optimizer = nr.Adam(mesh.parameters(), lr=0.01)  # 0.001 for the vertices
+        """
+        self.vertices.lr = lr_vertices  # type: ignore[attr-defined]
+        self.textures.lr = lr_textures  # type: ignore[attr-defined]
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Mesh:
+        result = memo[id(self)] = type(self).__new__(type(self))
+        result.__dict__ = copy.deepcopy(self.__dict__, memo)
+        for mine, theirs in zip(self.parameters(), result.parameters(), strict=True):
+            theirs.__dict__.update(mine.__dict__)  # the factors of `set_lr`; torch does not copy them
+        return result
 
     def _like(self, vertices: Tensor, faces: Tensor, textures: Tensor) -> Mesh:
         """Make a mesh of other tensors, with what this one's parameters carry: the factors of `set_lr`, frozen ones."""
