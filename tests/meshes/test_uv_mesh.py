@@ -95,7 +95,7 @@ def test_the_vertices_of_a_file_without_colour_are_grey(tmp_path):
 def test_what_does_not_fit(tmp_path):
     with pytest.raises(FileNotFoundError):
         nr.UVMesh.load(tmp_path / "none.obj")
-    with pytest.raises(ValueError, match="triangles: expected"):
+    with pytest.raises(ValueError, match="fragments: expected"):
         mesh = nr.Mesh.icosphere(1)
         (tmp_path / "plain.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
         nr.UVMesh.load(tmp_path / "plain.obj").shade(nr.fragments(mesh, nr.Camera.look_at((0.0, 0.0, 3.0)), 8))

@@ -78,7 +78,7 @@ class Mesh(nn.Module):
         super().__init__()
         plain = white_cubes
         if isinstance(vertices, (str, os.PathLike)):
-            # Mesh(path, texture_size, normalization), as in the first packages.
+            # `Mesh(path, texture_size, normalization)`, as in the first packages.
             texture_size = texture_size if faces is None else faces
             vertices, faces, *_ = load_obj(vertices, normalization if textures is None else textures)
             textures, plain = None, noise_cubes

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ..io.surface_colors import FileTexture, SurfaceColors
+from ..io.surface_colors import FileTexture
 from .material import Material, Texture
 from .sample_texture import Wrap, wrap_pair
-
-if TYPE_CHECKING:
-    from ..meshes.uv_mesh import UVMesh
 
 _WRAPS = {"REPEAT": "repeat", "CLAMP_TO_EDGE": "clamp", "CLAMP_TO_BORDER": "clamp", "MIRRORED_REPEAT": "mirror"}
 _WRAPPINGS = {"repeat": "REPEAT", "clamp": "CLAMP_TO_EDGE", "mirror": "MIRRORED_REPEAT"}
@@ -33,8 +31,8 @@ def wrapping(wrap: Wrap) -> str | tuple[str, str]:
     return u if u == v else (u, v)
 
 
-def attributes_of_file(surface: SurfaceColors) -> dict[str, Any]:
-    """Convert what a file has beside colours to the optional attributes of `UVMesh`."""
+def materials_of_file(materials: Sequence[dict[str, Any]]) -> tuple[Material, ...]:
+    """Convert the materials of `SurfaceColors`."""
     images: dict[int, Tensor] = {}  # so that textures that share an array share a tensor
 
     def value(part: Any) -> Any:
@@ -43,16 +41,11 @@ def attributes_of_file(surface: SurfaceColors) -> dict[str, Any]:
         image = images.setdefault(id(part.image), torch.from_numpy(part.image).float())
         return Texture(image, *part[1:])
 
-    tensors = {name: getattr(surface, name) for name in ("normals", "tangents", "uv1")}
-    known = {name: torch.from_numpy(array).float() for name, array in tensors.items() if array is not None}
-    if surface.material is not None:
-        known["material_index"] = torch.from_numpy(surface.material).long()
-    arguments = [{name: value(part) for name, part in one.items()} for one in surface.materials]
-    return {**known, "materials": tuple(Material(**one) for one in arguments)}
+    return tuple(Material(**{name: value(part) for name, part in one.items()}) for one in materials)
 
 
-def arrays_of_materials(mesh: UVMesh) -> dict[str, Any]:
-    """Convert the optional attributes of a mesh to those of `SurfaceColors`."""
+def arrays_of_materials(materials: Sequence[Material]) -> list[dict[str, Any]]:
+    """Convert materials to those of `SurfaceColors`."""
     images: dict[int, np.ndarray] = {}
 
     def value(part: Any) -> Any:
@@ -62,12 +55,4 @@ def arrays_of_materials(mesh: UVMesh) -> dict[str, Any]:
             return FileTexture(image, part.wrap, offset, scale, float(part.rotation), part.uv_set)
         return part.detach().cpu().tolist() if isinstance(part, Tensor) else part
 
-    materials = [
-        {one.name: value(getattr(material, one.name)) for one in fields(material)} for material in mesh.materials
-    ]
-    index = mesh.material_index
-    if index is None and materials:
-        index = torch.zeros(len(mesh.faces), dtype=torch.int64)
-    tensors = {name: getattr(mesh, name) for name in ("normals", "tangents", "uv1")}
-    arrays = {name: None if v is None else v.detach().double().cpu().numpy() for name, v in tensors.items()}
-    return {**arrays, "materials": materials, "material": None if index is None else index.long().cpu().numpy()}
+    return [{one.name: value(getattr(material, one.name)) for one in fields(material)} for material in materials]

@@ -1,0 +1,101 @@
+"""Albedo of the pixels of a `UVMesh`: images, colours of faces without one, and base colours of materials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ..constants import read_once
+from ..raster.colors.interpolate import interpolate
+from ..raster.visible import VisibleFaces
+from .color_space import linear_to_srgb, srgb_to_linear
+from .material import Material
+from .sample_texture import Wrap, sampled
+
+
+def sampled_albedo(
+    visible: VisibleFaces,
+    uv: Tensor,
+    image_index: Tensor,
+    colors: Tensor,
+    images: Sequence[Tensor],
+    wraps: Sequence[Wrap],
+) -> Tensor:
+    """Sample images, with mipmaps, and the colours of faces without an image at each pixel.
+
+    Args:
+        visible: Visible faces of B images.
+        uv, image_index, colors: As in `UVMesh`, for F faces; or of a batch of B meshes, with a leading dimension.
+        images, wraps: As in `UVMesh`.
+
+    Returns:
+        Display values [B, H, W, 3] float32, differentiable.
+    """
+    if uv.dim() == 4:
+        rows = []
+        for row, numbers in enumerate(read_once(image_index, _numbers_of_rows)):
+            places = torch.full((len(images) + 1,), -1, device=uv.device)  # −1 stays −1
+            places[numbers] = torch.arange(len(numbers), device=uv.device)
+            drawn = slice(None) if len(uv) == 1 else slice(row, row + 1)
+            seen = replace(visible, corners=visible.corners[drawn], face_index=visible.face_index[drawn], rings=None)
+            chosen = [images[number] for number in numbers], [wraps[number] for number in numbers]
+            rows.append(sampled_albedo(seen, uv[row], places[image_index[row]], colors[row], *chosen))
+        return torch.cat(rows)
+
+    def at_pixels(values: Tensor) -> Tensor:
+        """Interpolate values of the faces' corners, [F, 3, C]."""
+        return interpolate(values[None].float(), visible.corners, visible.face_index, visible.settings.perspective)
+
+    parts = []  # images to add up; each is 0 where another one is visible
+    # A compiled graph cannot ask for values; what it adds is 0 where no face is plain.
+    if not images or torch.compiler.is_compiling() or read_once(image_index, has_negative):
+        parts.append(at_pixels(colors * (image_index < 0)[:, None, None]))
+    if images:
+        places, shown = at_pixels(uv), None
+        if len(images) > 1 or parts:
+            # Face −1 (background) reads the extra entry at the end.
+            shown = torch.cat((image_index, image_index.new_full((1,), -1)))[visible.face_index.long()]
+        for number, (image, wrap) in enumerate(zip(images, wraps, strict=True)):
+            own = visible.face_index if shown is None else torch.where(shown == number, visible.face_index, -1)
+            parts.append(sampled(image[None].float(), places, own, wrap))
+    return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
+
+
+def tinted_by_materials(
+    albedo: Tensor, materials: Sequence[Material], material_index: Tensor | None, face_index: Tensor
+) -> Tensor:
+    """Multiply the albedo of pixels by the base colours of their materials, in linear light.
+
+    Args:
+        albedo: Display values [B, H, W, 3].
+        materials: Materials of a mesh.
+        material_index: [F] or [B, F], index into the materials, −1 for none; None: all faces have the only material.
+        face_index: [B, H, W], the visible face of each pixel, −1 for none.
+
+    Returns:
+        Display values [B, H, W, 3], differentiable; the same tensor if all base colours are 1.
+    """
+    if not any(material.is_tinted for material in materials):
+        return albedo
+    rows = [material.base_color.to(albedo) for material in materials]
+    if material_index is None:
+        return linear_to_srgb(srgb_to_linear(albedo) * rows[0])
+    table = torch.stack((*rows, torch.ones_like(rows[0])))  # the last one is that of −1
+    index = material_index.long().reshape(-1, material_index.shape[-1])
+    index = torch.cat((index, index.new_full((len(index), 1), -1)), 1).expand(len(face_index), -1)
+    places = face_index.flatten(1).long() % index.shape[1]  # −1 becomes the extra entry
+    shown = index.gather(1, places).view(face_index.shape) % len(table)
+    return linear_to_srgb(srgb_to_linear(albedo) * table[shown])
+
+
+def has_negative(index: Tensor) -> bool:
+    """Tell whether there is a face without an image."""
+    return bool((index < 0).any())
+
+
+def _numbers_of_rows(index: Tensor) -> list[list[int]]:
+    """Find the images that each mesh of a batch uses."""
+    return [sorted({number for number in row if number >= 0}) for row in index.tolist()]
