@@ -63,8 +63,7 @@ def test_render(device, outputs, gradient, anti_aliasing, batch):
     options = {"outputs": outputs, "gradient": gradient, "anti_aliasing": anti_aliasing, "far": FAR}
 
     def draw(inputs):
-        images = nr.render(inputs, camera, 16, **options)._asdict()
-        return {name: images[name] for name in outputs}
+        return vars(nr.render(inputs, camera, 16, **options))
 
     check(draw, leaves(device, batch))
 
@@ -100,13 +99,15 @@ def test_composite(device, gradient, anti_aliasing, batch):
 def test_changing_one_image_leaves_the_others(device):
     vertices, faces, textures = leaves(device, 1)
     for options in itertools.product(("nmr", "edge"), (False, True)):
-        images = nr.render(
-            (vertices, faces, textures),
-            nr.Camera.look_at((0, 0, -2.0)),
-            8,
-            gradient=options[0],
-            anti_aliasing=options[1],
-        )
+        images = [
+            *nr.render(
+                (vertices, faces, textures),
+                nr.Camera.look_at((0, 0, -2.0)),
+                8,
+                gradient=options[0],
+                anti_aliasing=options[1],
+            )
+        ]
         before = [image.clone() for image in images]
         for k, image in enumerate(images):
             image.zero_()

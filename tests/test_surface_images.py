@@ -118,6 +118,11 @@ def test_images_keep_them() -> None:
         assert isinstance(copied, nr.Images)
     assert torch.equal(copy.copy(images).face_index, images.face_index)
     assert not hasattr(images, "normal") and not hasattr(images, "depths")
+    other = images.replace(rgb=2 * images.rgb)
+    assert torch.equal(other.rgb, 2 * rgb) and other.face_index is images.face_index and images.rgb is rgb
+    assert list(vars(images.replace(rgb=None, depth=rgb))) == ["depth", "face_index"]
+    with pytest.raises(AttributeError, match="rgb: expected no change"):
+        images.rgb = rgb
     with pytest.raises(AttributeError, match='got images of rgb, face_index; add "normal" to outputs'):
         images.normal.sum()
 

@@ -131,9 +131,9 @@ def render(
         else:
             colors = cube_colors(visible, _checked_cubes(textures), factors, background)
     images = visible.images(outputs, *colors)
-    if surface:
-        vars(images).update(surface_images(surface, visible, mesh, camera, model is not None))
-    return images
+    if not surface:
+        return images
+    return images.replace(**surface_images(surface, visible, mesh, camera, model is not None))
 
 
 def _light_on_faces(

@@ -20,7 +20,7 @@ Leaves = dict[str, Tensor]
 
 
 def images_of(images: nr.Images) -> dict[str, Tensor]:
-    return {name: image for name, image in images._asdict().items() if image is not None}
+    return vars(images)
 
 
 def render(s: Scene, leaves: Leaves, pick: Pick) -> dict[str, Tensor]:

@@ -172,8 +172,8 @@ def test_autocast_changes_nothing(device):
         cast = nr.render(mesh, camera, 16)
     assert all(torch.equal(a, b) for a, b in zip(plain, cast, strict=True))
     assert all(
-        torch.equal(*(torch.autograd.grad(images[n].sum(), vertices, retain_graph=True)[0] for images in (plain, cast)))
-        for n in (1, 2)
+        torch.equal(*(torch.autograd.grad(image.sum(), vertices, retain_graph=True)[0] for image in pair))
+        for pair in ((plain.alpha, cast.alpha), (plain.depth, cast.depth))
     )
 
 

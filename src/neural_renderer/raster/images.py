@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Collection, Iterator
+from typing import Any
 
 from torch import Tensor
 
@@ -14,19 +14,12 @@ SURFACE = ("normal", "position", "uv", "face_index", "barycentric")
 """Outputs of `render` alone."""
 
 
-class _Outputs(NamedTuple):
-    """Storage of `Images`: None for an output that was not requested."""
-
-    rgb: Tensor | None = None
-    alpha: Tensor | None = None
-    depth: Tensor | None = None
-
-
-class Images(_Outputs):
+class Images:
     """Rendered images. Row 0 is at the top.
 
     Unpacking gives three values, ``rgb, alpha, depth = images``, with None for an output that was not requested; the
-    others are attributes only. Images may be changed in place before ``backward``.
+    others are attributes only. ``vars(images)`` holds the outputs by name. The tensors may be changed in place before
+    ``backward``; which ones there are is fixed, and `replace` makes a copy with others.
 
     Anti-aliasing averages ``rgb``, ``alpha``, ``depth``, ``normal``, ``position`` and ``uv`` over 2 x 2 points in a
     pixel, with the background where no face is visible; so the mean of the visible part of ``position`` is ``position /
@@ -56,48 +49,69 @@ class Images(_Outputs):
         torch.Size([1, 3, 32, 32])
     """
 
-    if TYPE_CHECKING:
-        normal: Tensor
-        position: Tensor
-        uv: Tensor
-        face_index: Tensor
-        barycentric: Tensor
+    rgb: Tensor
+    alpha: Tensor
+    depth: Tensor
+    normal: Tensor
+    position: Tensor
+    uv: Tensor
+    face_index: Tensor
+    barycentric: Tensor
 
-    @property
-    def rgb(self) -> Tensor:
-        """Colours, [B, 3, H, W] float32."""
-        return self._drawn(0)
+    def __init__(
+        self,
+        rgb: Tensor | None = None,
+        alpha: Tensor | None = None,
+        depth: Tensor | None = None,
+        *,
+        normal: Tensor | None = None,
+        position: Tensor | None = None,
+        uv: Tensor | None = None,
+        face_index: Tensor | None = None,
+        barycentric: Tensor | None = None,
+    ) -> None:
+        images = (rgb, alpha, depth, normal, position, uv, face_index, barycentric)
+        drawn = {name: image for name, image in zip(OUTPUTS + SURFACE, images, strict=True) if image is not None}
+        self.__dict__.update(drawn)  # the others are no attributes, so that `__getattr__` explains them
 
-    @property
-    def alpha(self) -> Tensor:
-        """Silhouettes, [B, H, W] float32: 1 where a face is visible, 0 elsewhere, in between at smoothed outlines."""
-        return self._drawn(1)
+    def replace(self, **outputs: Tensor | None) -> Images:
+        """Copy the images, with some of them exchanged.
 
-    @property
-    def depth(self) -> Tensor:
-        """Depth along the viewing axis in world units, [B, H, W] float32; ``far`` where no face is visible."""
-        return self._drawn(2)
+        Args:
+            **outputs: Images by their names; None for one that the copy lacks.
+
+        Returns:
+            The copy. It shares all other images.
+
+        Raises:
+            TypeError: A name is not one of the attributes.
+
+        Example:
+            >>> images = nr.render(mesh, camera, 32, outputs=("rgb", "face_index"))
+            >>> brighter = images.replace(rgb=images.rgb * 1.5)
+            >>> brighter.face_index is images.face_index
+            True
+        """
+        return Images(**{**vars(self), **outputs})
+
+    __replace__ = replace  # for `copy.replace`, from Python 3.13 on
+
+    def __iter__(self) -> Iterator[Tensor | None]:
+        return (vars(self).get(name) for name in OUTPUTS)
 
     def __repr__(self) -> str:
-        return one_line(type(self).__name__, [*zip(OUTPUTS, self, strict=True), *vars(self).items()])
+        return one_line(type(self).__name__, vars(self).items())
 
-    def _drawn(self, index: int) -> Tensor:
-        image = self[index]
-        if image is None:
-            raise self._missing(OUTPUTS[index])
-        return image
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"{name}: expected no change, because Images are immutable; `replace` makes a copy")
 
-    def __getattr__(self, name: str) -> Tensor:
+    def __getattr__(self, name: str) -> Any:
         if name in OUTPUTS + SURFACE:
-            raise self._missing(name)
+            raise AttributeError(
+                f"{name}: expected an output that was requested, got images of {', '.join(vars(self)) or 'nothing'}; "
+                f'add "{name}" to outputs'
+            )
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-
-    def _missing(self, name: str) -> AttributeError:
-        drawn = [output for output, value in zip(OUTPUTS, self, strict=True) if value is not None] + list(vars(self))
-        return AttributeError(
-            f"{name}: expected an output that was requested, got images of {', '.join(drawn) or 'nothing'}; "
-            f'add "{name}" to outputs'
-        )
 
 
 def checked_outputs(outputs: Collection[str], known: tuple[str, ...] = OUTPUTS) -> Collection[str]:

@@ -210,11 +210,9 @@ class Views:
         """
         options: dict[str, Any] = {"gradient": gradient, **self._limits()}
         images = render(shape, self.camera, self.size, light=None, outputs=outputs, **options)
-        if self.gains is None or images[0] is None:
+        if self.gains is None or not hasattr(images, "rgb"):
             return images
-        exposed = images._replace(rgb=images.rgb * self.gains[:, :, None, None])
-        vars(exposed).update(vars(images))  # outputs that are no fields
-        return exposed
+        return images.replace(rgb=images.rgb * self.gains[:, :, None, None])
 
     def fragments(self, shape: tuple[Tensor, ...], anti_aliasing: bool = True) -> Fragments:
         """Rasterise a mesh from all cameras.
