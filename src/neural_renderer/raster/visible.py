@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -31,6 +31,7 @@ class VisibleFaces(OneLine):
     face_index: Tensor
     settings: Settings
     rings: Tensor | None
+    _located: tuple[Tensor, Tensor] | None = field(default=None, init=False, repr=False)
 
     @property
     def mask(self) -> Tensor:
@@ -50,11 +51,11 @@ class VisibleFaces(OneLine):
     @property
     def _points(self) -> tuple[Tensor, Tensor]:
         # Cached, unless they were computed under no_grad and a later use may need gradients.
-        points: tuple[Tensor, Tensor] | None = self.__dict__.get("_kept")
+        points = self._located
         if points is None:
             points = self._locate()
             if torch.is_grad_enabled() or not (self.corners.requires_grad or torch.is_inference_mode_enabled()):
-                self.__dict__["_kept"] = points
+                object.__setattr__(self, "_located", points)  # the class is frozen
         return points
 
     def _locate(self) -> tuple[Tensor, Tensor]:

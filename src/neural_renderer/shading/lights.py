@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -44,6 +44,7 @@ class Ambience(Protocol):
         """Compute the light on matt surfaces or in blurred reflections; see `Light.ambience`."""
 
 
+_Converted: TypeAlias = tuple[torch.dtype, torch.device, tuple[Tensor, Tensor, Tensor]]
 _WHITE = (1.0, 1.0, 1.0)
 _UP = (0.0, 1.0, 0.0)
 
@@ -75,6 +76,7 @@ class Light:
     ambient_color: Array = _WHITE
     directional_color: Array = _WHITE
     direction: Array = _UP
+    _converted: _Converted | None = field(default=None, init=False, repr=False)
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
         """Compute the light on both sides of each face.
@@ -176,13 +178,13 @@ class Light:
             TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
                 finite.
         """
-        kept = self.__dict__.get("_kept")
-        if kept is not None and kept[0] == (dtype, device) and is_plain(()):
-            parts: tuple[Tensor, Tensor, Tensor] = kept[1]
+        kept = self._converted
+        if kept is not None and kept[:2] == (dtype, device) and is_plain(()):
+            parts = kept[2]
         elif is_plain(()) and all(isinstance(number, (int, float)) for number in self._numbers()):
             with torch.inference_mode(False):  # what is kept may be needed with gradients later
                 parts = self._convert(dtype, device)
-            self.__dict__["_kept"] = ((dtype, device), parts)
+            object.__setattr__(self, "_converted", (dtype, device, parts))  # the class is frozen
         else:
             parts = self._convert(dtype, device)
         names = ("ambient_color", "directional_color", "direction")

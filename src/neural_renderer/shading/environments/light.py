@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,7 @@ class EnvironmentLight(OneLine):
 
     image: Array
     intensity: Scalar = 1.0
+    _computed: dict[str, tuple[Any, Tensor]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         image = as_tensor("image", self.image, torch.float32)
@@ -219,10 +220,10 @@ class EnvironmentLight(OneLine):
         if image.requires_grad or not is_plain((image,)) or source.is_inference():  # changes of these are not counted
             return compute(image)
         key = (source._version, image.device)
-        known = self.__dict__.get(f"_{name}")
+        known = self._computed.get(name)
         if known is None or known[0] != key:
             with torch.inference_mode(False), torch.no_grad():
-                known = self.__dict__[f"_{name}"] = (key, compute(image.clone()))
+                known = self._computed[name] = (key, compute(image.clone()))
         return known[1]
 
     def _strength(self, light: Tensor) -> Tensor:

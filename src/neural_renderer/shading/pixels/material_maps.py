@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -19,6 +20,8 @@ from .visible_surface import VisibleSurface, at_pixels
 
 if TYPE_CHECKING:
     from ...deferred import Fragments
+
+_tangents_of_meshes: WeakKeyDictionary[UVMesh, tuple[Any, Tensor]] = WeakKeyDictionary()
 
 
 class MaterialMaps:
@@ -131,12 +134,11 @@ def _kept_tangents(mesh: UVMesh, uv: Tensor) -> Tensor:
     if moves or not is_plain(parts) or any(part.is_inference() for part in parts):
         return _computed_tangents(mesh, uv)
     key = [(id(part), part._version) for part in parts]
-    known = mesh.__dict__.get("_tangents")  # the class is frozen
+    known = _tangents_of_meshes.get(mesh)
     if known is None or known[0] != key:
         with torch.inference_mode(False), torch.no_grad():
-            known = mesh.__dict__["_tangents"] = (key, _computed_tangents(mesh, uv))
-    tangents: Tensor = known[1]
-    return tangents
+            known = _tangents_of_meshes[mesh] = (key, _computed_tangents(mesh, uv))
+    return known[1]
 
 
 def _computed_tangents(mesh: UVMesh, uv: Tensor) -> Tensor:
