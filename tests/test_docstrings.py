@@ -46,7 +46,6 @@ NEVER_RAISES = {
     "Remeshed",
 }
 WITHOUT_EXAMPLE = {
-    "losses.silhouette_iou",  # deprecated
     "Style.losses",  # an edit calls them, as in the example of `MeshEdit`
     "Dream.losses",
     "googlenet",  # needs a file of 50 MB
@@ -99,8 +98,6 @@ def public() -> dict[str, tuple[Any, Any]]:
             left_out = options.get("exclude-members", "").split(", ")
             for member in members:
                 method = inspect.getattr_static(thing, member)
-                if hasattr(method, "is_old_name"):
-                    continue
                 if member not in left_out and (
                     isinstance(method, (classmethod, property)) or inspect.isroutine(method)
                 ):

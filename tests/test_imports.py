@@ -15,7 +15,6 @@ SOURCE = Path(neural_renderer.__file__).parent
 # From the bottom to the top; a module may import from its own room and from those before it.
 ROOMS = [
     "version",
-    "deprecated",
     "validate",
     "one_line",
     "constants",
@@ -61,7 +60,7 @@ RASTER = [
     "rasterize",
     "soft_silhouettes",
 ]
-RECONSTRUCTION = ["data", "networks", "evaluation", "training", "checkpoint", "refine"]  # the last two: old names
+RECONSTRUCTION = ["data", "networks", "evaluation", "training"]
 
 
 def imports(path: Path) -> Iterator[tuple[str, ...]]:

@@ -207,12 +207,6 @@ def test_they_compile_in_one_graph():
     torch.testing.assert_close(torch.compile(loss, fullgraph=True, backend="aot_eager")(v, image), loss(v, image))
 
 
-def test_the_old_name_of_the_silhouette_loss_warns() -> None:
-    s, t = torch.rand(2, 1, 4, 4)
-    with pytest.warns(DeprecationWarning, match="silhouette_iou_loss"):
-        assert torch.equal(losses.silhouette_iou(s, t), losses.silhouette_iou_loss(s, t))
-
-
 REDUCED = {
     "silhouette_iou_loss": lambda n: (torch.rand(n, 4, 5).double(), torch.rand(n, 4, 5).double()),
     "photometric": lambda n: (torch.rand(n, 3, 4, 5).double(), torch.rand(n, 3, 4, 5).double()),

@@ -9,7 +9,6 @@ while values are checked (`check_values`).
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -54,29 +53,6 @@ def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *,
     iou = intersection / union.clamp(min=eps)
     each = 1 - torch.where(union <= eps, torch.ones_like(iou), iou)  # this way round NaN stays NaN
     return _reduced(each, reduction)
-
-
-def silhouette_iou(predicted: Tensor, target: Tensor, eps: float = 1e-6) -> Tensor:
-    """Call `silhouette_iou_loss` under its old name. Deprecated since 2.0.
-
-    Args:
-        predicted, target, eps: As in `silhouette_iou_loss`.
-
-    Returns:
-        Scalar tensor in [0, 1].
-
-    Raises:
-        TypeError, ValueError: As `silhouette_iou_loss`.
-
-    Warns:
-        DeprecationWarning: In every call.
-    """
-    warnings.warn(
-        "losses.silhouette_iou is now losses.silhouette_iou_loss; the old name goes in the next version",
-        DeprecationWarning,
-        stacklevel=2,
-    )
-    return silhouette_iou_loss(predicted, target, eps)
 
 
 def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None, *, reduction: str = "mean") -> Tensor:

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
-from ..deprecated import old_argument
 
 _LEAST_SIDE = 32  # pixels: any image this large survives the five halvings of a network
 
@@ -47,7 +46,6 @@ class FeatureNetwork(nn.Module):
         torch.Size([4, 8, 32, 32])
     """
 
-    @old_argument("normalise", "normalize")
     def __init__(self, name: str, normalize: nn.Module, stages: dict[str, nn.Module], plan: Plan | None = None) -> None:
         super().__init__()
         self.name = name

@@ -14,7 +14,6 @@ from torch.nn import functional
 
 from .. import validate
 from ..constants import read_once
-from ..deprecated import old_argument
 from ..io.formats import read_mesh
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
@@ -276,7 +275,6 @@ class UVMesh:
         found = {id(part): part for part in _tensors(self) if part.requires_grad and part.is_leaf}
         return iter(found.values())
 
-    @old_argument("seen", "fragments")
     @validate.checked_together
     def shade(self, fragments: VisibleFaces) -> Tensor:
         """Sample the albedo of each pixel, with mipmaps and the base colours of materials.

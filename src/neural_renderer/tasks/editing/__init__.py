@@ -1,6 +1,5 @@
 """Mesh editing by gradient descent: style transfer and DeepDream."""
 
-from ...deprecated import old_names
 from ..settings import DREAM_LAYER, STYLE_LAYERS
 from .dream import PUBLISHED_DREAM, Dream, DreamWeights
 from .edit import MeshEdit
@@ -19,5 +18,3 @@ __all__ = [
     "Style",
     "StyleWeights",
 ]
-
-__getattr__ = old_names(__name__, Views="RandomViews")

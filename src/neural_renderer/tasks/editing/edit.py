@@ -11,7 +11,6 @@ from torch import Tensor
 from ... import validate
 from ...camera import Camera
 from ...compat.adam import Adam
-from ...deprecated import old_method
 from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
 from ...meshes.topology import Topology
@@ -199,8 +198,6 @@ class MeshEdit:
             return rough if isinstance(rough, UVMesh) else Mesh(rough[0], rough[1], rough[2])
         known = self._visible_steps > _RARELY * self.step
         return self._paint.finish(vertices, torch.sigmoid(self._colors.detach()), known)
-
-    moved = old_method("moved", "displacement")
 
     def displacement(self) -> dict[str, float]:
         """Measure the displacement of vertices, relative to the mesh's longest side.

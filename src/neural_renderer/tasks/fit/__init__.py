@@ -1,6 +1,5 @@
 """Fitting: a textured mesh from images with cameras, the texture of a known mesh, or the camera of one image."""
 
-from ...deprecated import old_names
 from ..masks.rule import MaskRule
 from ..settings import DetailWeights, FitWeights
 from .agreement import check_agreement
@@ -39,5 +38,3 @@ __all__ = [
     "load_views",
     "object_bounds",
 ]
-
-__getattr__ = old_names(__name__, Weights="FitWeights", frame="object_bounds")

@@ -13,7 +13,6 @@ from torch import Tensor
 from ... import metrics, validate
 from ...camera import Camera
 from ...deferred import Fragments, fragments
-from ...deprecated import old_method
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
 from ...raster import Images
@@ -154,8 +153,6 @@ class Views:
         photos, *maps = (None if part is None else part.to(device) for part in self._optional())
         region = self.region and (self.region[0].to(device), self.region[1])
         return Views(self.camera.to(device), self.masks.to(device), photos, region, *maps)
-
-    moved = old_method("moved", "normalized")
 
     def normalized(self, center: Tensor, scale: float) -> Views:
         """Change the world of the cameras: ``center`` becomes the origin and ``scale`` the unit of length.

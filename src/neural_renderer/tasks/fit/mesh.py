@@ -10,7 +10,6 @@ from torch import Tensor
 
 from ... import validate
 from ...camera import Camera
-from ...deprecated import old_argument, old_method
 from ...io.files import warn
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
@@ -91,7 +90,6 @@ class MeshFit:
         'match'
     """
 
-    @old_argument("colour_from", "color_from")
     @short_names(
         *("shape.steps", "shape.cells", "shape.color_from", "shape.weights", "detail.light"),
         *("descent.batch", "descent.gradient", "descent.seed"),
@@ -180,8 +178,6 @@ class MeshFit:
             The same views, with other cameras.
         """
         return views.normalized(self._center, self._scale)
-
-    placed = old_method("placed", "normalize")
 
     def mesh(self) -> Mesh:
         """Make the current mesh.

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from ... import losses, validate
-from ...deprecated import old_argument
 from ...io.cubes import bake_corners
 from ...meshes.subdivision import split_faces
 from ...meshes.topology import Topology
@@ -84,7 +83,6 @@ class ShapeFit(Adjustable):
     _descent: SmoothDescent
     _color_descent: SmoothDescent
 
-    @old_argument("colour_from", "color_from")
     @short_names("descent.batch", "descent.gradient", "descent.seed")
     def __init__(
         self,
