@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from neural_renderer.raster.warp.native import HEADERS, Call, struct
+from neural_renderer.raster.warp.native import HEADERS, Call, struct, with_includes
 
 from .compiler import compile_source
 
@@ -20,8 +20,9 @@ _INCLUDE = re.compile(r'#include "(\w+\.h)"')
 
 
 def _kernels(header: str) -> list[tuple[str, str]]:
-    """Find the kernels of a header: the names of their functions and of their structs."""
-    return _KERNEL.findall((HEADERS / header).read_text(encoding="utf-8"))
+    """Find the kernels of a header and of those it includes: the names of their functions and of their structs."""
+    texts = [(HEADERS / each).read_text(encoding="utf-8") for each in with_includes(header)]
+    return [found for text in texts for found in _KERNEL.findall(text)]
 
 
 def source_of(header: str) -> str:

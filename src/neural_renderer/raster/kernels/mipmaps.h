@@ -38,10 +38,11 @@ struct TexelPair {
         if (repeat) x = (at - floorf(at)) * (float)size - 0.5f;
         const float low = floorf(x);
         part[1] = x - low, part[0] = 1.0f - part[1];
+        const int first = (int)clamp(low, -1.0f, last);  // a number for NaN coordinates, too
         for (int k = 0; k < 2; ++k) {
-            int n = (int)low + k;
+            int n = first + k;
             if (repeat) n = n < 0 ? n + size : n >= size ? n - size : n;
-            texel[k] = n < 0 ? 0 : n >= size ? size - 1 : n;  // for NaN coordinates, too
+            texel[k] = n < 0 ? 0 : n >= size ? size - 1 : n;
         }
     }
 };

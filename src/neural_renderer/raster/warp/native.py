@@ -66,12 +66,12 @@ class Call(ctypes.Structure):
 
 
 @cache
-def _with_includes(header: str) -> tuple[str, ...]:
+def with_includes(header: str) -> tuple[str, ...]:
     """Return the names of a header and of those that it includes, the deepest first."""
     text = (HEADERS / header).read_text(encoding="utf-8")
     found: dict[str, None] = {}
     for included in _INCLUDE.findall(text):
-        found.update(dict.fromkeys(_with_includes(included)))
+        found.update(dict.fromkeys(with_includes(included)))
     return (*found, header)
 
 
@@ -82,7 +82,7 @@ def struct(header: str, name: str) -> type[Call]:
         ValueError: No such struct, or a line in it that is neither a field nor a comment. Methods follow an empty line.
     """
     pattern = re.compile(rf"^struct {name} \{{\n(.*?)^\}};", re.MULTILINE | re.DOTALL)
-    for each in _with_includes(header):
+    for each in with_includes(header):
         if found := pattern.search((HEADERS / each).read_text(encoding="utf-8")):
             return _struct(each, name, found[1].split("\n\n")[0])
     raise ValueError(f"{header}: expected a struct {name}, found none")
@@ -134,7 +134,7 @@ class Kernels:
 
     def __init__(self, module: str, header: str, fused: bool = True) -> None:
         folder = str(HEADERS)
-        files = [str(HEADERS / each) for each in _with_includes(header)]
+        files = [str(HEADERS / each) for each in with_includes(header)]
         text = f'#include "{header}"\n'
         self._header = header
         self._module = wp.get_module(module)
