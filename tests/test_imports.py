@@ -21,6 +21,7 @@ ROOMS = [
     "metrics",
     "io",
     "raster",
+    "comparators",
     "textures",
     "camera",
     "meshes",
@@ -47,7 +48,6 @@ RASTER = [
     "ops",
     "colors",
     "visibility",
-    "layers",
     "reference",
     "settings",
     "ahead",
@@ -58,7 +58,6 @@ RASTER = [
     "exact",
     "cubes",
     "rasterize",
-    "soft_silhouettes",
 ]
 RECONSTRUCTION = ["data", "networks", "evaluation", "training"]
 

@@ -24,6 +24,7 @@ from .raster.faces import checked_faces
 from .raster.ops.corners import gather_corners
 from .raster.ops.peel import peel
 from .raster.settings import Settings
+from .raster.visibility.estimators import Estimator
 from .raster.visible import VisibleFaces
 
 
@@ -221,7 +222,7 @@ def fragments(
     far: float = 100.0,
     anti_aliasing: bool = True,
     two_sided: bool = True,
-    gradient: str = "edge",
+    gradient: str | Estimator = "edge",
     eps: float = 1e-3,
     layers: None = None,
 ) -> Fragments: ...
@@ -237,7 +238,7 @@ def fragments(
     far: float = 100.0,
     anti_aliasing: bool = True,
     two_sided: bool = True,
-    gradient: str = "edge",
+    gradient: str | Estimator = "edge",
     eps: float = 1e-3,
     layers: int,
 ) -> Layers: ...
@@ -253,7 +254,7 @@ def fragments(
     far: float = 100.0,
     anti_aliasing: bool = True,
     two_sided: bool = True,
-    gradient: str = "edge",
+    gradient: str | Estimator = "edge",
     eps: float = 1e-3,
     layers: int | None = None,
 ) -> Fragments | Layers:

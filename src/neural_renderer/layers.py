@@ -13,7 +13,6 @@ from . import validate
 from .one_line import OneLine
 from .raster.background import background_image
 from .raster.colors.composite import composite
-from .raster.layers import layers_gradient
 from .raster.warp.registration import needs_gradient
 
 if TYPE_CHECKING:
@@ -95,7 +94,7 @@ class Layers(OneLine):
         edge_hashes: Callable[[], Tensor] | None = None,
     ) -> Tensor:
         """Apply `composite` to valid colours, with the function that returns the hashes for `edge_gradient`."""
-        first = self.layers[0]
+        first, estimator = self.layers[0], self.layers[0].settings.gradient
         channels = colors[0].shape[3]
         opacities = self._opacities(opacity)
         behind = background_image(background, len(first.face_index), channels, first.settings, first.corners.device)
@@ -104,7 +103,7 @@ class Layers(OneLine):
         for layer, color, alpha in zip(self.layers[::-1], colors[::-1], opacities[::-1], strict=True):
             blended = alpha * color.float() + (1 - alpha) * through.movedim(1, 3)
             through = picture = composite(blended, picture, layer.face_index)
-            if first.settings.gradient != "edge" and layer is not first:
+            if not estimator.joins_layers and layer is not first:
                 # Seen through the layer in front. Elsewhere that layer's faces, which may end at the same edges, have
                 # the gradient.
                 whole = replace(first.settings, anti_aliasing=False)
@@ -112,23 +111,11 @@ class Layers(OneLine):
             pictures.append(picture)
         validate.finite("colors", picture)
         seams = validate.flag("seams", seams)
-        moving = needs_gradient(first.corners)
-        if first.settings.gradient != "edge" or not moving:
+        if not estimator.joins_layers or not needs_gradient(first.corners):
             return first.image(picture, seams=seams, edge_hashes=edge_hashes).contiguous()
-        settings = first.settings
-        shown = torch.stack([layer.face_index for layer in self.layers])
-        return layers_gradient(
-            picture,
-            self._passing(pictures[:0:-1], opacities),
-            first.corners,
-            shown,
-            settings.two_sided,
-            settings.perspective,
-            seams,
-            edge_hashes() if edge_hashes is not None and seams else None,
-            first.rings,
-            settings.anti_aliasing,
-        ).contiguous()
+        drawn = first.settings.drawn(first.corners, first.face_index, first.rings)
+        passing, shown = self._passing(pictures[:0:-1], opacities), [layer.face_index for layer in self.layers]
+        return estimator.attach_layers(picture, passing, shown, drawn, seams, edge_hashes).contiguous()
 
     def _passing(self, pictures: list[Tensor], opacities: list[Tensor]) -> Tensor:
         """Multiply each layer's picture by the share that passes the layers in front, [K, B, C, H, W]; no gradient."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -23,6 +22,7 @@ from .raster.colors.light_pixels import light_pixels
 from .raster.cubes import cube_colors
 from .raster.images import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
+from .raster.visibility.estimators import Estimator
 from .shading.lights import AnyLight, Light, light_factors, pixel_lights
 from .shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from .surface_images import surface_images, surface_outputs
@@ -43,7 +43,7 @@ def render(
     far: float = 100.0,
     anti_aliasing: bool = True,
     two_sided: bool = True,
-    gradient: str = "edge",
+    gradient: str | Estimator = "edge",
     eps: float = 1e-3,
     layers: int | None = None,
 ) -> Images:
@@ -162,9 +162,7 @@ def _shaded(
     background: Any,
 ) -> tuple[Tensor, Callable[[], Tensor]]:
     """Colour an image with light in each pixel; results as in `cube_colors`."""
-    # Only "edge" differentiates shading inside faces.
-    edge = visible.settings.gradient == "edge"
-    inside = visible if edge else replace(visible, corners=visible.corners.detach())
+    inside = visible.for_shading
     if isinstance(mesh, UVMesh):
         albedo = mesh.shade(inside)
     else:
@@ -180,9 +178,7 @@ def _image_colors(
     visible: Fragments, mesh: UVMesh, light: Tensor | None, background: Any
 ) -> tuple[Tensor, Callable[[], Tensor]]:
     """Colour an image by a mesh's texture images; arguments and results as in `cube_colors`."""
-    still = replace(visible, corners=visible.corners.detach())
-    # Only "edge" differentiates shading inside faces.
-    color = mesh.shade(visible if visible.settings.gradient == "edge" else still)
+    color = mesh.shade(visible.for_shading)
     behind = background_image(background, len(color), 3, visible.settings, color.device)
     rgb = composite(color, behind, visible.face_index)
     if light is not None:

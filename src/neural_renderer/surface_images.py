@@ -54,8 +54,7 @@ def surface_images(
             centres = visible_fragments(visible.corners, visible.triangles, visible.num_vertices, one_sample, 4)
         images["face_index"] = centres.face_index.clone()
         images["barycentric"] = centres.weights.movedim(3, 1).contiguous()
-    # Only "edge" differentiates shading inside faces.
-    inside = visible if settings.gradient == "edge" else replace(visible, corners=visible.corners.detach())
+    inside = visible.for_shading
     values: dict[str, Tensor] = {}
     if "normal" in names or "position" in names:
         surface = VisibleSurface.of(inside, mesh, camera)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
 from typing import Any
 
 import torch
@@ -77,10 +76,9 @@ def layered_images(
     outputs: Collection[str],
 ) -> Images:
     """Shade and blend layers; arguments as in `render`, with the light on faces for flat shading (``model`` None)."""
-    edge = layers[0].settings.gradient == "edge"
     opacity, colors = [], []
     for layer in layers:
-        inside = layer if edge else replace(layer, corners=layer.corners.detach())
+        inside = layer.for_shading
         opacity.append(surface_opacity(inside, mesh, mirrored=camera.mirrored))
         if "rgb" in outputs:
             colors.append(_colors(inside, mesh, camera, lights, model, factors))

@@ -3,6 +3,5 @@
 from .faces import vertices_to_faces
 from .images import Images
 from .rasterize import rasterize_images
-from .settings import GRADIENTS
 
-__all__ = ["GRADIENTS", "Images", "rasterize_images", "vertices_to_faces"]
+__all__ = ["Images", "rasterize_images", "vertices_to_faces"]

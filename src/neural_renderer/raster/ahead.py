@@ -8,7 +8,6 @@ from typing import Any
 from torch import Tensor
 
 from .colors.composite import composite
-from .colors.edge_hashes import texture_edge_hashes
 from .colors.interpolate import interpolate
 from .colors.light_pixels import light_pixels
 from .colors.mipmaps import sample_mipmaps
@@ -18,13 +17,9 @@ from .ops.corners import gather_corners
 from .ops.coverage import coverage
 from .ops.draw import DrawingKernels
 from .ops.flat_light import flat_light
-from .ops.neighbors import neighbors
 from .ops.pinhole import pinhole
 from .ops.project_corners import project_corners
 from .settings import Settings
-from .visibility.edge import edge_gradient
-from .visibility.intersections import add_intersections
-from .visibility.nmr import nmr_gradient
 from .warp.launch import load_ahead
 from .warp.registration import is_plain, needs_gradient
 
@@ -36,11 +31,6 @@ IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels)
 PROJECTION: Functions = (pinhole, project_corners)
 SCENE: Functions = (*PROJECTION, flat_light)
 _ALWAYS: Functions = (coverage, DrawingKernels, gather_corners)
-_VISIBILITY: dict[str, Functions] = {
-    "nmr": (nmr_gradient,),
-    "edge": (edge_gradient, neighbors),
-    "opendr": (),  # plain torch
-}
 
 
 def load_kernels(
@@ -61,14 +51,9 @@ def load_kernels(
         return
     moving = needs_gradient(*positions)
     # The modules that take longest to compile come first.
-    needed: Functions = _VISIBILITY[settings.gradient] if moving else ()
-    if moving and settings.gradient == "edge" and set(outputs) != {"alpha"}:  # silhouettes do not show intersections
-        needed += (add_intersections,)
-    needed += scene if "rgb" in outputs else scene[: len(PROJECTION)]
-    if "rgb" in outputs:
-        needed += colors
-        if moving and settings.gradient == "edge" and colors == CUBES:
-            needed += (texture_edge_hashes,)
+    cubes = "rgb" in outputs and colors == CUBES
+    needed: Functions = settings.gradient.operators(set(outputs) == {"alpha"}, cubes) if moving else ()
+    needed += (*scene, *colors) if "rgb" in outputs else scene[: len(PROJECTION)]
     if "depth" in outputs:
         needed += (barycentrics,)
     load_ahead(needed + _ALWAYS, positions[0].device)

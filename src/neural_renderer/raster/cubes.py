@@ -35,8 +35,7 @@ def cube_colors(
     """
     corners, settings = visible.corners, visible.settings
     cubes, factors, behind = checked_colors(visible, textures, light, background, torch.float32)
-    # Only "edge" differentiates shading inside faces.
-    inside = corners if settings.gradient == "edge" else corners.detach()
+    inside = corners if settings.gradient.differentiates_inside else corners.detach()
     rgb = sample_textures(cubes, factors, behind, inside, visible.face_index, settings.eps, settings.perspective)
     return rgb, lambda: texture_edge_hashes(cubes, factors)
 

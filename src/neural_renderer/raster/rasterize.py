@@ -15,6 +15,7 @@ from .exact import checked_dtype, exact_images
 from .faces import checked_triangles
 from .images import OUTPUTS, Images, checked_outputs
 from .settings import Settings
+from .visibility.estimators import Estimator
 from .visible import VisibleFaces
 
 
@@ -33,7 +34,7 @@ def rasterize_images(
     anti_aliasing: bool = True,
     two_sided: bool = False,
     perspective: bool = True,
-    gradient: str = "edge",
+    gradient: str | Estimator = "edge",
     triangles: Tensor | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> Images:

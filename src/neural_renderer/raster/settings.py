@@ -14,15 +14,11 @@ from torch import Tensor
 
 from .. import validate
 from .colors.downsample import averaged
-from .ops.coverage import coverage, silhouette
+from .ops.coverage import coverage
 from .ops.rings import edge_rings
-from .visibility.comparators.opendr import opendr_gradient
-from .visibility.edge import edge_gradient
-from .visibility.nmr import nmr_gradient
-from .warp.layout import in_any_order
+from .visibility.estimators import DrawnFaces, Estimator, estimator
 from .warp.registration import needs_gradient
 
-GRADIENTS = ("nmr", "edge", "opendr")
 _CGROUPS = Path("/proc/self/cgroup")
 _LIMITS = {
     "": (Path("/sys/fs/cgroup"), "memory.max"),
@@ -45,7 +41,7 @@ class Settings:
         anti_aliasing: Whether faces are drawn at twice the size and averaged over 2 x 2 pixels.
         two_sided: Whether faces whose corners run clockwise on the screen are drawn.
         perspective: Whether the projection is perspective; else orthographic.
-        gradient: Estimator of the gradient through visibility, "nmr", "edge" or "opendr".
+        gradient: Estimator of the gradient through visibility.
     """
 
     height: int
@@ -56,7 +52,7 @@ class Settings:
     anti_aliasing: bool
     two_sided: bool
     perspective: bool
-    gradient: str
+    gradient: Estimator
 
     @classmethod
     def checked(
@@ -68,13 +64,14 @@ class Settings:
         anti_aliasing: bool,
         two_sided: bool,
         perspective: bool,
-        gradient: str,
+        gradient: str | Estimator,
     ) -> Settings:
         """Validate settings.
 
         Args:
             size: Side, or (height, width), of the returned image in pixels, 1 to 32768 each.
-            near, far, eps, anti_aliasing, two_sided, perspective, gradient: As the attributes.
+            near, far, eps, anti_aliasing, two_sided, perspective: As the attributes.
+            gradient: Name of an estimator, or itself; see `estimator`.
 
         Raises:
             TypeError: A flag, number or size of another type.
@@ -82,15 +79,13 @@ class Settings:
         """
         height, width = image_size("size", size)
         two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
-        if not isinstance(gradient, str) or gradient not in GRADIENTS:
-            hint = "; the score-function estimate needs a loss: call reinforce" if str(gradient) == "reinforce" else ""
-            raise ValueError(f"gradient: expected one of {', '.join(GRADIENTS)}, got {gradient!r}{hint}")
+        through = estimator(gradient)
         near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
         if not 0 <= near < far <= FARTHEST:
             raise ValueError(f"near, far: expected 0 <= near < far <= {FARTHEST:g}, got near {near}, far {far}")
         if not 0 <= eps < 1:
             raise ValueError(f"eps: expected 0 <= eps < 1, got {eps}")
-        return cls(height, width, near, far, eps, anti_aliasing, two_sided, bool(perspective), gradient)
+        return cls(height, width, near, far, eps, anti_aliasing, two_sided, bool(perspective), through)
 
     @property
     def scale(self) -> int:
@@ -121,15 +116,13 @@ class Settings:
     def face_index(self, corners: Tensor) -> Tensor:
         """Find the visible face of each drawn pixel, [B, H, W] int32; see `coverage`."""
         height, width = self.height * self.scale, self.width * self.scale
-        marked = needs_gradient(corners) and self.gradient != "opendr"
-        if marked and self.gradient == "nmr":  # its backward pass asks for the mask if faces have an order
-            marked = not in_any_order(corners.device)
+        marked = needs_gradient(corners) and self.gradient.needs_mask(corners.device)
         options = (self.near, self.far, self.two_sided, self.perspective)
         return coverage(corners.detach(), height, width, *options, marked)
 
     def rings(self, corners: Tensor, triangles: Tensor) -> Tensor | None:
         """Find the `edge_rings` of the faces with these vertex indices; None if no gradient needs them."""
-        needed = self.gradient == "edge" and needs_gradient(corners)
+        needed = self.gradient.needs_rings and needs_gradient(corners)
         return edge_rings(triangles) if needed else None
 
     def through_visibility(
@@ -154,20 +147,16 @@ class Settings:
         Returns:
             [B, C, height, width] float32.
         """
-        halved = self.anti_aliasing
         if not needs_gradient(corners):
-            return averaged(image, face_index, halved) if halved or image is None else image
-        if self.gradient == "edge":
-            hashes = edge_hashes() if edge_hashes is not None and seams else None
-            return edge_gradient(
-                image, corners, face_index, self.two_sided, self.perspective, seams, hashes, rings, halved
-            )
-        if self.gradient == "opendr":
-            image = silhouette(face_index) if image is None else image
-            return opendr_gradient(image, corners, face_index, self.perspective, halved)
-        if not self.perspective:  # an orthographic camera has no plane that corners can lie behind
-            corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
-        return nmr_gradient(image, corners, face_index, self.eps, self.two_sided, halved)
+            if image is not None and not self.anti_aliasing:
+                return image
+            return averaged(image, face_index, self.anti_aliasing)
+        return self.gradient.attach(image, self.drawn(corners, face_index, rings), seams, edge_hashes)
+
+    def drawn(self, corners: Tensor, face_index: Tensor, rings: Tensor | None) -> DrawnFaces:
+        """Gather what an estimator needs; arguments as of `through_visibility`."""
+        options = (self.eps, self.two_sided, self.perspective, self.anti_aliasing)
+        return DrawnFaces(corners, face_index, rings, *options)
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:

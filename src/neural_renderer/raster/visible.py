@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -14,6 +15,8 @@ from .images import Images
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette
 from .settings import Settings
+
+Faces = TypeVar("Faces", bound="VisibleFaces")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,6 +65,11 @@ class VisibleFaces(OneLine):
         settings = self.settings
         return barycentrics(self.corners, self.face_index, settings.near, settings.far, settings.perspective)
 
+    @property
+    def for_shading(self: Faces) -> Faces:
+        """The same, without a gradient to corners if the estimator has none inside faces."""
+        return self if self.settings.gradient.differentiates_inside else replace(self, corners=self.corners.detach())
+
     def image(
         self,
         layers: Tensor | None,
@@ -91,7 +99,7 @@ class VisibleFaces(OneLine):
             edge_hashes: As in `Settings.through_visibility`.
         """
         layers = {} if rgb is None else {"rgb": rgb}
-        through = "depth" in outputs and self.settings.gradient == "edge"  # "nmr" sends no depth through visibility
+        through = "depth" in outputs and self.settings.gradient.differentiates_inside
         alone = rgb is None and not through
         if "alpha" in outputs and alone:
             layers["alpha"] = self.image(None)

@@ -6,8 +6,8 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.reference.edge import edge_gradient_reference
 from neural_renderer.raster.visibility.edge import edge_gradient
+from tests.raster.reference.edge import edge_gradient_reference
 from tests.raster.scenes import FAR, NEAR
 
 

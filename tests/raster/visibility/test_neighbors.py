@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 import neural_renderer as nr
 from neural_renderer.raster.ops.neighbors import neighbors
-from neural_renderer.raster.reference.neighbors import neighbors_reference
 from neural_renderer.raster.warp.layout import concurrent
+from tests.raster.reference.neighbors import neighbors_reference
 from tests.raster.scenes import Scene, examples, scenes
 
 # No faces with collinear corners: rounding decides which side of them is visible.

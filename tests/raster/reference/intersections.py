@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .operators import degenerate, pixel_centres
+from neural_renderer.raster.reference.operators import degenerate, pixel_centres
 
 
 def intersections_reference(

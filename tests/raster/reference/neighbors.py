@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .operators import in_camera_space
+from neural_renderer.raster.reference.operators import in_camera_space
 
 
 def neighbors_reference(faces: Tensor, two_sided: bool, perspective: bool, folds: bool = False) -> Tensor:

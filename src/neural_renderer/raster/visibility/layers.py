@@ -21,13 +21,13 @@ from typing import Any, Optional
 import torch
 from torch import Tensor
 
-from .colors.downsample import halve, halve_backward
-from .ops.neighbors import neighbors
-from .visibility.edge import add_edges
-from .visibility.intersections import add_intersections
-from .warp.launch import copy
-from .warp.memory import zeros
-from .warp.registration import differentiable, differentiable_once, fake, operator
+from ..colors.downsample import halve, halve_backward
+from ..ops.neighbors import neighbors
+from ..warp.launch import copy
+from ..warp.memory import zeros
+from ..warp.registration import differentiable, differentiable_once, fake, operator
+from .edge import add_edges
+from .intersections import add_intersections
 
 
 @operator

@@ -24,14 +24,36 @@ The code is plain torch, for the CPU and CUDA; it is a comparator, not tuned for
 """
 
 # torch reads the annotations at run time, so no `from __future__ import annotations` here.
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from ...colors.downsample import halve, halve_backward
-from ...warp.launch import copy
-from ...warp.registration import differentiable, differentiable_once, fake, operator
+from ..raster.colors.downsample import halve, halve_backward
+from ..raster.ops.coverage import silhouette
+from ..raster.visibility.estimators import DrawnFaces, Estimator
+from ..raster.warp.launch import copy
+from ..raster.warp.registration import differentiable, differentiable_once, fake, operator
+
+
+class OpenDR(Estimator):
+    """OpenDR's gradient, `opendr_gradient`."""
+
+    def attach(
+        self,
+        image: Tensor | None,
+        drawn: DrawnFaces,
+        seams: bool = False,
+        edge_hashes: Callable[[], Tensor] | None = None,
+    ) -> Tensor:
+        """See `Estimator.attach`."""
+        image = silhouette(drawn.face_index) if image is None else image
+        return opendr_gradient(image, drawn.corners, drawn.face_index, drawn.perspective, drawn.halved)
+
+    def needs_mask(self, device: torch.device) -> bool:
+        """See `Estimator.needs_mask`."""
+        return False
 
 
 @operator

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from .settings import image_size
+from ..raster.settings import image_size
 
 LEAST = 1e-4  # probability below which a face outside is left out
 

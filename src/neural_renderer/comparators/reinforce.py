@@ -23,7 +23,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from .... import validate
+from .. import validate
 
 
 def reinforce(

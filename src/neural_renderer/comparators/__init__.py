@@ -1,0 +1,1 @@
+"""Gradients and silhouettes of other papers, to compare with."""

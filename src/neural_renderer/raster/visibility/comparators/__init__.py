@@ -1,1 +1,0 @@
-"""Gradients of other papers, to compare with: OpenDR, and the score function (REINFORCE)."""

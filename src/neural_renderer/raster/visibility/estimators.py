@@ -1,0 +1,210 @@
+"""Estimators of the gradient through visibility, by the names that users give them.
+
+An estimator is an operation on an image: the forward pass returns the image unchanged, the backward pass adds the
+gradient through visibility. So it works with any shading. To add one, derive a class from `Estimator`, and name it in
+`ESTIMATORS` or pass it as ``gradient=`` itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..colors.edge_hashes import texture_edge_hashes
+from ..ops.neighbors import neighbors
+from ..warp.layout import in_any_order
+from .edge import edge_gradient
+from .intersections import add_intersections
+from .layers import layers_gradient
+from .nmr import nmr_gradient
+
+
+@dataclass(frozen=True)
+class DrawnFaces:
+    """What an estimator may need besides the image.
+
+    Attributes:
+        corners: Screen-space corners, [B, F, 3, 3] float32.
+        face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
+        rings: As from `edge_rings`; None without vertex indices.
+        eps: Added to distances, in screen units.
+        two_sided: Whether faces whose corners run clockwise on the screen are drawn.
+        perspective: Whether the projection is perspective; else orthographic.
+        halved: Whether blocks of 2 x 2 pixels are averaged (anti-aliasing).
+    """
+
+    corners: Tensor
+    face_index: Tensor
+    rings: Tensor | None
+    eps: float
+    two_sided: bool
+    perspective: bool
+    halved: bool
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """Base class of estimators.
+
+    Attributes:
+        differentiates_inside: Whether depth, and what is shaded inside faces, has derivatives by the faces' position.
+        needs_rings: Whether `edge_rings` of a mesh are of use.
+        joins_layers: Whether `attach_layers` adds the gradient of a picture of several layers; else `attach` adds that
+            of each layer.
+
+    Example:
+        >>> class Straight(Estimator):  # no gradient through visibility
+        ...     def attach(self, image, drawn, seams=False, edge_hashes=None):
+        ...         return averaged(image, drawn.face_index, drawn.halved)
+        >>> nr.rasterize_images(faces, 64, gradient=Straight())
+    """
+
+    differentiates_inside = False
+    needs_rings = False
+    joins_layers = False
+
+    def attach(
+        self,
+        image: Tensor | None,
+        drawn: DrawnFaces,
+        seams: bool = False,
+        edge_hashes: Callable[[], Tensor] | None = None,
+    ) -> Tensor:
+        """Return the image, averaged for anti-aliasing, with the gradient through visibility.
+
+        Args:
+            image: Image with its background, before anti-aliasing, [B, C, H, W] float32; None for the silhouette.
+            drawn: The faces.
+            seams: Whether colours may jump between adjacent faces; see `edge_gradient`.
+            edge_hashes: Function that returns hashes of the colours along edges, [1 or B, F, 3, 2] int64.
+
+        Returns:
+            [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``drawn.halved``.
+        """
+        raise NotImplementedError
+
+    def attach_layers(
+        self,
+        image: Tensor,
+        pictures: Tensor,
+        shown: list[Tensor],
+        drawn: DrawnFaces,
+        seams: bool,
+        edge_hashes: Callable[[], Tensor] | None,
+    ) -> Tensor:
+        """Return a picture of several layers, averaged for anti-aliasing, with the gradient through their visibility.
+
+        Args:
+            image: Picture with its background, before anti-aliasing, [B, C, H, W] float32.
+            pictures: What each layer and those behind it add to the picture, [K, B, C, H, W] float32; without gradient.
+            shown: Visible face of each pixel of each layer, K of [B, H, W] int32.
+            drawn: The faces, with the first layer's ``face_index``.
+            seams, edge_hashes: As in `attach`.
+
+        Returns:
+            As `attach`.
+        """
+        raise NotImplementedError
+
+    def needs_mask(self, device: torch.device) -> bool:
+        """Test whether backward reads the mask of visible faces, which `coverage` then writes at once."""
+        return True
+
+    def operators(self, silhouettes: bool, cubes: bool) -> tuple[Callable[..., Any], ...]:
+        """List the operators whose kernels `attach` needs, to compile them together.
+
+        Args:
+            silhouettes: Whether silhouettes alone are drawn.
+            cubes: Whether colours come from texture cubes.
+        """
+        return ()
+
+    def __repr__(self) -> str:
+        return next((repr(name) for name, each in ESTIMATORS.items() if each == self), type(self).__name__)
+
+
+class PaperGradient(Estimator):
+    """The paper's approximate gradient, `nmr_gradient`."""
+
+    def attach(
+        self,
+        image: Tensor | None,
+        drawn: DrawnFaces,
+        seams: bool = False,
+        edge_hashes: Callable[[], Tensor] | None = None,
+    ) -> Tensor:
+        """See `Estimator.attach`."""
+        corners = drawn.corners
+        if not drawn.perspective:  # an orthographic camera has no plane that corners can lie behind
+            corners = torch.cat((corners[..., :2], torch.ones_like(corners[..., 2:])), -1)
+        return nmr_gradient(image, corners, drawn.face_index, drawn.eps, drawn.two_sided, drawn.halved)
+
+    def needs_mask(self, device: torch.device) -> bool:
+        """See `Estimator.needs_mask`."""
+        return not in_any_order(device)
+
+    def operators(self, silhouettes: bool, cubes: bool) -> tuple[Callable[..., Any], ...]:
+        """See `Estimator.operators`."""
+        return (nmr_gradient,)
+
+
+class Derivative(Estimator):
+    """The derivative of the image averaged over sub-pixel shifts, `edge_gradient`."""
+
+    differentiates_inside = True
+    needs_rings = True
+    joins_layers = True
+
+    def attach(
+        self,
+        image: Tensor | None,
+        drawn: DrawnFaces,
+        seams: bool = False,
+        edge_hashes: Callable[[], Tensor] | None = None,
+    ) -> Tensor:
+        """See `Estimator.attach`."""
+        hashes = edge_hashes() if edge_hashes is not None and seams else None
+        options = (drawn.two_sided, drawn.perspective, seams, hashes, drawn.rings, drawn.halved)
+        return edge_gradient(image, drawn.corners, drawn.face_index, *options)
+
+    def attach_layers(
+        self,
+        image: Tensor,
+        pictures: Tensor,
+        shown: list[Tensor],
+        drawn: DrawnFaces,
+        seams: bool,
+        edge_hashes: Callable[[], Tensor] | None,
+    ) -> Tensor:
+        """See `Estimator.attach_layers`."""
+        hashes = edge_hashes() if edge_hashes is not None and seams else None
+        options = (drawn.two_sided, drawn.perspective, seams, hashes, drawn.rings, drawn.halved)
+        return layers_gradient(image, pictures, drawn.corners, torch.stack(shown), *options)
+
+    def operators(self, silhouettes: bool, cubes: bool) -> tuple[Callable[..., Any], ...]:
+        """See `Estimator.operators`."""
+        needed: tuple[Callable[..., Any], ...] = (edge_gradient, neighbors)
+        if not silhouettes:  # they do not show intersections
+            needed += (add_intersections,)
+        return (*needed, texture_edge_hashes) if cubes else needed
+
+
+ESTIMATORS: dict[str, Estimator] = {"nmr": PaperGradient(), "edge": Derivative()}
+
+
+def estimator(gradient: Any) -> Estimator:
+    """Find an estimator by its name; an `Estimator` is returned as it is.
+
+    Raises:
+        ValueError: An unknown name.
+    """
+    if isinstance(gradient, Estimator):
+        return gradient
+    if not isinstance(gradient, str) or gradient not in ESTIMATORS:
+        hint = "; the score-function estimate needs a loss: call reinforce" if str(gradient) == "reinforce" else ""
+        raise ValueError(f"gradient: expected one of {', '.join(ESTIMATORS)}, got {gradient!r}{hint}")
+    return ESTIMATORS[gradient]
