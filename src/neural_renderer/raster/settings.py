@@ -15,7 +15,7 @@ from torch import Tensor
 from .. import validate
 from .colors.downsample import averaged
 from .ops.coverage import coverage
-from .ops.rings import edge_rings
+from .ops.rings import Rings, edge_rings
 from .visibility.estimators import DrawnFaces, Estimator, estimator
 from .warp.registration import needs_gradient
 
@@ -120,7 +120,7 @@ class Settings:
         options = (self.near, self.far, self.two_sided, self.perspective)
         return coverage(corners.detach(), height, width, *options, marked)
 
-    def rings(self, corners: Tensor, triangles: Tensor) -> Tensor | None:
+    def rings(self, corners: Tensor, triangles: Tensor) -> Rings | None:
         """Find the `edge_rings` of the faces with these vertex indices; None if no gradient needs them."""
         needed = self.gradient.needs_rings and needs_gradient(corners)
         return edge_rings(triangles) if needed else None
@@ -132,7 +132,7 @@ class Settings:
         face_index: Tensor,
         seams: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
-        rings: Tensor | None = None,
+        rings: Rings | None = None,
     ) -> Tensor:
         """Average an image for anti-aliasing, and attach the gradient through visibility.
 
@@ -153,7 +153,7 @@ class Settings:
             return averaged(image, face_index, self.anti_aliasing)
         return self.gradient.attach(image, self.drawn(corners, face_index, rings), seams, edge_hashes)
 
-    def drawn(self, corners: Tensor, face_index: Tensor, rings: Tensor | None) -> DrawnFaces:
+    def drawn(self, corners: Tensor, face_index: Tensor, rings: Rings | None) -> DrawnFaces:
         """Gather what an estimator needs; arguments as of `through_visibility`."""
         options = (self.eps, self.two_sided, self.perspective, self.anti_aliasing)
         return DrawnFaces(corners, face_index, rings, *options)

@@ -14,6 +14,7 @@ from .colors.downsample import halve
 from .images import Images
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette
+from .ops.rings import Rings
 from .settings import Settings
 
 Faces = TypeVar("Faces", bound="VisibleFaces")
@@ -33,7 +34,7 @@ class VisibleFaces(OneLine):
     corners: Tensor
     face_index: Tensor
     settings: Settings
-    rings: Tensor | None
+    rings: Rings | None
     _located: tuple[Tensor, Tensor] | None = field(default=None, init=False, repr=False)
 
     @property

@@ -21,7 +21,7 @@ def total_gradient(places, depths, triangles, shades, grad, shared):
     index = coverage(faces, SIZE, SIZE, NEAR, FAR, True, True)
     colors = torch.cat((shades.to(grad.device), torch.zeros(1, device=grad.device)))  # the last one is the background
     image = colors[index.long()][:, None]
-    rings = edge_rings(triangles) if shared else None
+    rings = edge_rings(triangles).next if shared else None
     found = edge_gradient_backward(grad, image, faces, index, True, True, True, None, rings)
     return found.sum((0, 1, 2))[:2].cpu()
 

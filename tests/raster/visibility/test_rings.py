@@ -28,15 +28,15 @@ def check_neighbors(vertices, faces, two_sided):
 def test_edges_with_the_same_vertices_form_rings(dtype):
     faces = torch.tensor([[0, 1, 2], [2, 1, 3], [1, 2, 4], [-1, -1, -1], [5, 5, 6], [0, 3, 1]], dtype=dtype)
     rings = edge_rings(faces)
-    assert rings.dtype == torch.int32 and rings.shape == (1, 7, 3)
+    assert rings.next.dtype == torch.int32 and rings.next.shape == (1, 6, 3)
     own = torch.arange(18).view(6, 3)
     expected = own.clone()
     expected[0, 1], expected[1, 0], expected[2, 0] = 3, 6, 1  # 1 - 2, of three faces
     expected[0, 0], expected[5, 2] = 17, 0  # 0 - 1
     expected[1, 1], expected[5, 1] = 16, 4  # 1 - 3
     expected[4, 1], expected[4, 2] = 14, 13  # 5 - 6, twice in one face
-    assert torch.equal(rings[0, :6].long(), expected)
-    assert (rings[0, 6] == (expected == own).sum()).all()
+    assert torch.equal(rings.next[0].long(), expected)
+    assert rings.alone == (expected == own).sum()
 
 
 @pytest.mark.parametrize("two_sided", [False, True])
@@ -68,16 +68,16 @@ def test_faces_changed_in_place_get_new_rings(device):
     first = edge_rings(faces)
     assert edge_rings(faces) is first
     faces[1] = torch.tensor([3, 4, 5], device=device)
-    assert (edge_rings(faces)[:, :2].flatten().cpu() == torch.arange(6)).all()
+    assert (edge_rings(faces).next.flatten().cpu() == torch.arange(6)).all()
     faces[1] = torch.tensor([2, 1, 3], device=device)
-    assert torch.equal(edge_rings(faces), first)
+    assert torch.equal(edge_rings(faces).next, first.next)
 
 
 def test_rings_found_in_inference_mode_serve_gradients_later(device):
     faces = nr.icosphere(0)[1].to(device)
     with torch.inference_mode():
         edge_rings(faces.clone())
-    assert not edge_rings(faces.clone()).is_inference()
+    assert not edge_rings(faces.clone()).next.is_inference()
 
 
 def gradient(vertices, faces, change=None):

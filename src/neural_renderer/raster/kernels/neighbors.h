@@ -14,11 +14,11 @@ constexpr int MOST_EQUALS = 8;
 // The rings of the edges that faces share by vertex indices: edge k of face f has the number 3 f + k, and each edge of
 // a ring names the next one.
 struct Rings {
-    const int* next;  // [owners, count + 1, 3]; null if there are none
+    const int* next;  // [owners, count, 3]; null if there are none
     int owners;       // images of rings; 1 if all share them
 
     NR_FUNC const int* of_image(int image, int count) const {
-        return next + (int64)smaller(image, owners - 1) * (count + 1) * 3;
+        return next + (int64)smaller(image, owners - 1) * count * 3;
     }
     // Whether only the table can find the neighbour of an edge.
     NR_FUNC bool is_alone(int image, int count, int edge) const {

@@ -18,7 +18,7 @@ from ..warp.launch import launch
 from ..warp.layout import in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from .rings import edges_alone
+from .rings import Rings, count_alone
 
 _KERNELS = Kernels(__name__, "neighbors.h")
 _Scene, _Rings, Neighbors = (_KERNELS.struct(name) for name in ("Scene", "Rings", "Neighbors"))
@@ -29,16 +29,16 @@ _search_table = _KERNELS.kernel("search_table", Neighbors)
 _LEAST = 512  # faces that are worth another CPU thread
 
 
-def rings_of(rings: Tensor | None) -> Call:
+def rings_of(rings: Rings | None) -> Call:
     """Make the `Rings` of kernels, from the result of `edge_rings`."""
-    return _Rings() if rings is None else _Rings(next=rings.contiguous(), owners=len(rings))
+    return _Rings() if rings is None else _Rings(next=rings.next.contiguous(), owners=len(rings.next))
 
 
 def neighbors(
     faces: Tensor,
     two_sided: bool,
     perspective: bool,
-    rings: Tensor | None = None,
+    rings: Rings | None = None,
     folds: bool = False,
 ) -> Tensor:
     """Find the adjacent face across each edge, or with ``folds`` the one that the surface folds back to.
@@ -47,7 +47,7 @@ def neighbors(
         faces: Screen-space corners, [B, F, 3, 3] float32.
         two_sided: As in `coverage`.
         perspective: As in `coverage`.
-        rings: [1 or B, F + 1, 3] int32 from `edge_rings` for the vertex indices of the faces.
+        rings: As from `edge_rings` for the vertex indices of the faces.
         folds: Find faces with the same two corners on the same side of the edge.
 
     Returns:
@@ -66,7 +66,7 @@ def neighbors(
     most = 3 * count
     if rings is not None:
         launch(_search_rings_of_face, batch * count, [Neighbors(**fields)], faces.device, _LEAST)
-        alone = edges_alone(rings)
+        alone = count_alone(rings)
         most = most if alone is None else alone
     if most == 0:
         return result

@@ -9,6 +9,7 @@ from __future__ import annotations
 import collections
 import threading
 import weakref
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -19,20 +20,33 @@ from ..warp.layout import readable
 from ..warp.registration import fake, is_plain, operator
 
 
-class _Kept(NamedTuple):
+class Rings(NamedTuple):
+    """The rings of a mesh.
+
+    Attributes:
+        next: The next edge in the ring of each edge, [B or 1, F, 3] int32.
+        alone: Number of edges that are alone in their rings; -1 where reading it would wait for the device.
+    """
+
+    next: Tensor
+    alone: int
+
+
+@dataclass
+class _Kept:
     """The rings of a mesh seen before."""
 
     faces: Tensor  # a copy, where values can be compared
     source: weakref.ref[Tensor]
     version: int
-    rings: Tensor
+    rings: Rings
 
 
 _kept: collections.deque[_Kept] = collections.deque(maxlen=8)
 _lock = threading.Lock()
 
 
-def edge_rings(faces: Tensor) -> Tensor:
+def edge_rings(faces: Tensor) -> Rings:
     """Find the rings of the edges that faces share.
 
     The rings of the last eight meshes are kept. On the CPU a mesh is recognised by its values. On CUDA comparing values
@@ -40,40 +54,35 @@ def edge_rings(faces: Tensor) -> Tensor:
 
     Args:
         faces: Vertex indices, [F, 3] or [B or 1, F, 3] of integers. Faces of (-1, -1, -1) are padding.
-
-    Returns:
-        [B or 1, F + 1, 3] int32: the next edge in the ring of each edge. The last row holds the number of edges that
-        are alone in their ring, three times.
     """
-    return _known_rings(faces) if is_plain((faces,)) else _edge_rings(faces)
+    return _known_rings(faces) if is_plain((faces,)) else Rings(_edge_rings(faces), -1)
 
 
-def edges_alone(rings: Tensor) -> int | None:
-    """Return the number of edges that are alone in their rings; None where reading it would wait for the device."""
-    if readable(rings.device):
-        return int(rings[0, -1, 0])
-    return rings.__dict__.get("_alone")
+def count_alone(rings: Rings) -> int | None:
+    """Count the edges that are alone in their rings; None where reading the number would wait for the device."""
+    if rings.alone < 0 and readable(rings.next.device):
+        return int(_are_alone(rings.next).sum())
+    return None if rings.alone < 0 else rings.alone
 
 
 @operator
 def _edge_rings(faces: Tensor) -> Tensor:
-    return _known_rings(faces).clone()  # compiled programs may overwrite their inputs
+    return _known_rings(faces).next.clone()  # compiled programs may overwrite their inputs
 
 
 @fake("_edge_rings")
 def _(faces: Tensor) -> Tensor:
-    batch, count = (1, *faces.shape)[-3:-1]
-    return faces.new_empty((batch, count + 1, 3), dtype=torch.int32)
+    return faces.new_empty((1, *faces.shape)[-3:], dtype=torch.int32)
 
 
-def _known_rings(faces: Tensor) -> Tensor:
+def _known_rings(faces: Tensor) -> Rings:
     """Return the kept rings of a known mesh; otherwise find and keep them."""
     with _lock:
         kept = list(_kept)
     known_by_values = readable(faces.device)
     version = -1 if faces.is_inference() else faces._version
     for one in reversed(kept):
-        if one.rings.device != faces.device:
+        if one.rings.next.device != faces.device:
             continue
         if known_by_values:
             same = one.faces.shape == faces.shape and one.faces.dtype == faces.dtype and torch.equal(one.faces, faces)
@@ -81,14 +90,20 @@ def _known_rings(faces: Tensor) -> Tensor:
             same = one.source() is faces and one.version == version >= 0
         if same:
             # On CUDA read once, of a mesh that comes again; not while a graph is captured.
-            if not known_by_values and "_alone" not in one.rings.__dict__ and stream_of(faces.device) is not None:
-                one.rings.__dict__["_alone"] = int(one.rings[0, -1, 0])
+            if one.rings.alone < 0 and stream_of(faces.device) is not None:
+                one.rings = one.rings._replace(alone=int(_are_alone(one.rings.next).sum()))
             return one.rings
-    rings = _find_rings(faces if faces.dim() == 3 else faces[None])
+    following = _find_rings(faces if faces.dim() == 3 else faces[None])
+    rings = Rings(following, int(_are_alone(following).sum()) if known_by_values else -1)
     copy = faces.clone() if known_by_values else faces[:0]
     with _lock:
         _kept.append(_Kept(copy, weakref.ref(faces), version, rings))
     return rings
+
+
+def _are_alone(following: Tensor) -> Tensor:
+    own = torch.arange(3 * following.shape[1], dtype=torch.int32, device=following.device)
+    return following == own.view(-1, 3)
 
 
 @torch.inference_mode(False)  # what is kept may be needed with gradients later
@@ -108,5 +123,4 @@ def _find_rings(faces: Tensor) -> Tensor:
     first = torch.where(last.roll(1, 1), own, 0)
     following = torch.where(last, order.gather(1, first.cummax(1).values), order.roll(-1, 1))
     rings = torch.empty_like(order).scatter_(1, order, following)
-    alone = (rings == own).sum()
-    return torch.cat((rings.view(batch, count, 3), alone.expand(batch, 1, 3)), 1).int()
+    return rings.view(batch, count, 3).int()

@@ -1,6 +1,6 @@
 """Masks of visible faces. All other faces, often more than half, have no gradient and are skipped."""
 
-from typing import cast
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,7 +14,25 @@ _KERNELS = Kernels(__name__, "visible_faces.h")
 _Scene, _Mark = _KERNELS.struct("Scene"), _KERNELS.struct("Mark")
 _mark_pixels = _KERNELS.kernel("mark_pixels", _Mark)
 
-_ALONG = "along"  # instead of the stream on which a mask was written
+
+class _Mask(NamedTuple):
+    """The mask of the visible faces of a ``face_index``, which keeps it as ``_mask``.
+
+    Attributes:
+        address, version: Of the ``face_index``, to recognise a change in place or a copied attribute.
+        stream: On which the mask was written; None if the same launch wrote both, so that it can be read with it.
+        values: [B, F + 1] int32, as from `visible_faces`.
+    """
+
+    address: int
+    version: int
+    stream: int | None
+    values: Tensor
+
+    def is_of(self, face_index: Tensor, count: int, stream: int | None) -> bool:
+        """Test whether the mask of ``count`` faces holds for ``face_index``, and can be read on a stream."""
+        same = (self.address, self.version) == (face_index.data_ptr(), face_index._version)
+        return same and self.values.shape[1] == count + 1 and (self.stream is None or self.stream == stream)
 
 
 def scene_of(faces: Tensor, face_index: Tensor, perspective: bool = False) -> Call:
@@ -44,24 +62,22 @@ def visible_faces(face_index: Tensor, count: int) -> Tensor:
     if face_index.is_inference():
         return _visible_faces(face_index, count)
     stream = stream_of(face_index.device)
-    state, made, mask = face_index.__dict__.get("_mask", (None, None, None))
-    readable = made == _ALONG or (made == stream and stream is not None)
-    if mask is not None and readable and state == _state(face_index) and mask.shape[1] == count + 1:
-        return cast("Tensor", mask)
+    known: _Mask | None = getattr(face_index, "_mask", None)
+    if known is not None and known.is_of(face_index, count, stream):
+        return known.values
     mask = _visible_faces(face_index, count)
     if stream is not None:
-        face_index.__dict__["_mask"] = (_state(face_index), stream, mask)
+        _keep(face_index, stream, mask)
     return mask
 
 
 def keep_mask(face_index: Tensor, mask: Tensor) -> None:
-    """Keep a mask that is written together with ``face_index``: where this one can be read, so can the mask."""
-    face_index.__dict__["_mask"] = (_state(face_index), _ALONG, mask)
+    """Attach a mask that the launch of ``face_index`` writes: it is valid on any stream where ``face_index`` is."""
+    _keep(face_index, None, mask)
 
 
-def _state(face_index: Tensor) -> tuple[int, int]:
-    """Return what differs if a tensor has been changed in place, or is a copy, which takes the mask along."""
-    return face_index.data_ptr(), face_index._version
+def _keep(face_index: Tensor, stream: int | None, mask: Tensor) -> None:
+    face_index._mask = _Mask(face_index.data_ptr(), face_index._version, stream, mask)  # type: ignore[attr-defined]
 
 
 def _visible_faces(face_index: Tensor, count: int) -> Tensor:

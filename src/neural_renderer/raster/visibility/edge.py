@@ -37,7 +37,7 @@ from torch import Tensor
 
 from ..colors.downsample import averaged, halve_backward, like_averaged
 from ..ops.neighbors import Neighbors, neighbors, rings_of
-from ..ops.rings import edges_alone
+from ..ops.rings import Rings, count_alone
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp.launch import launch
 from ..warp.layout import face_tasks, in_any_order
@@ -66,6 +66,7 @@ def edge_gradient(
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045
     rings: Optional[Tensor] = None,  # noqa: UP045
     halved: bool = False,
+    alone: int = -1,
 ) -> Tensor:
     """Return the image, and in backward send a gradient through visibility to the faces.
 
@@ -81,9 +82,10 @@ def edge_gradient(
             colours.
         edge_hashes: [1 or B, F, 3, 2] int64 from `texture_edge_hashes` or `image_edge_hashes`. An edge whose hashes
             match is not a seam. None: every edge may be a seam.
-        rings: [1 or B, F + 1, 3] int32 from `edge_rings` for the vertex indices of the faces. They replace the search
-            for adjacent faces; None searches.
+        rings: `Rings.next` for the vertex indices of the faces, [1 or B, F, 3] int32. They replace the search for
+            adjacent faces; None searches.
         halved: Whether to average blocks of 2 x 2 pixels (anti-aliasing), which saves a copy of the image.
+        alone: `Rings.alone`.
 
     Returns:
         A copy of the image, [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``. Backward sends its gradient to
@@ -104,6 +106,7 @@ def _(
     edge_hashes: Tensor | None = None,
     rings: Tensor | None = None,
     halved: bool = False,
+    alone: int = -1,
 ) -> Tensor:
     return like_averaged(image, face_index, halved)
 
@@ -119,24 +122,25 @@ def edge_gradient_backward(
     seams: bool,
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045
     rings: Optional[Tensor] = None,  # noqa: UP045
+    alone: int = -1,
 ) -> Tensor:
     """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces.
 
     Args:
         grad: Gradient to the image, [B, C, H, W] float32; or to the means of its blocks of 2 x 2 pixels,
             [B, C, H / 2, W / 2].
-        image, faces, face_index, two_sided, perspective, seams, edge_hashes, rings: As in `edge_gradient`.
+        image, faces, face_index, two_sided, perspective, seams, edge_hashes, rings, alone: As in `edge_gradient`.
     """
     grad, faces = grad.contiguous(), faces.contiguous()
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or grad.numel() == 0:
         return result
-    search = None
-    if rings is not None and in_any_order(faces.device) and edges_alone(rings) == 0:
-        search = (rings, two_sided)  # by the launch that queues faces
+    search, known = None, None if rings is None else Rings(rings, alone)
+    if known and in_any_order(faces.device) and count_alone(known) == 0:
+        search = (known, two_sided)  # by the launch that queues faces
         adjacent = empty((*faces.shape[:2], 3), faces.device, torch.int32)
     else:
-        adjacent = neighbors(faces, two_sided, perspective, rings)
+        adjacent = neighbors(faces, two_sided, perspective, known)
     add_edges(result, grad, image, faces, face_index, adjacent, perspective, seams, edge_hashes, search=search)
     if image is not None:  # where two faces of a silhouette meet, both are 1
         add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
@@ -154,7 +158,7 @@ def add_edges(
     seams: bool,
     edge_hashes: Tensor | None,
     folds: Tensor | None = None,
-    search: tuple[Tensor, bool] | None = None,
+    search: tuple[Rings, bool] | None = None,
 ) -> None:
     """Compute the gradient of outlines and seams.
 
@@ -210,12 +214,15 @@ def _(
     seams: bool,
     edge_hashes: Tensor | None = None,
     rings: Tensor | None = None,
+    alone: int = -1,
 ) -> Tensor:
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, edge_hashes, rings, ctx.halved = inputs
+    image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, edge_hashes, rings, ctx.halved, ctx.alone = (
+        inputs
+    )
     ctx.save_for_backward(image, faces, face_index, edge_hashes, rings)  # callers may change the output in place
 
 
@@ -225,9 +232,9 @@ def _backward(ctx: Any, grad: Tensor) -> Any:
     if image is not None:
         to_image = grad = halve_backward(grad) if ctx.halved else grad
     if ctx.needs_input_grad[1]:
-        options = (ctx.two_sided, ctx.perspective, ctx.seams, *rest)
+        options = (ctx.two_sided, ctx.perspective, ctx.seams, *rest, ctx.alone)
         to_faces = edge_gradient_backward(grad, image, faces, face_index, *options)
-    return to_image, to_faces, *[None] * 7
+    return to_image, to_faces, *[None] * 8
 
 
 differentiable(edge_gradient, _backward, _save)

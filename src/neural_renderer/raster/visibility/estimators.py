@@ -16,6 +16,7 @@ from torch import Tensor
 
 from ..colors.edge_hashes import texture_edge_hashes
 from ..ops.neighbors import neighbors
+from ..ops.rings import Rings
 from ..warp.layout import in_any_order
 from .edge import edge_gradient
 from .intersections import add_intersections
@@ -39,7 +40,7 @@ class DrawnFaces:
 
     corners: Tensor
     face_index: Tensor
-    rings: Tensor | None
+    rings: Rings | None
     eps: float
     two_sided: bool
     perspective: bool
@@ -168,7 +169,7 @@ class Derivative(Estimator):
     ) -> Tensor:
         """See `Estimator.attach`."""
         hashes = edge_hashes() if edge_hashes is not None and seams else None
-        options = (drawn.two_sided, drawn.perspective, seams, hashes, drawn.rings, drawn.halved)
+        options = (drawn.two_sided, drawn.perspective, seams, hashes, *_rings_and_halved(drawn))
         return edge_gradient(image, drawn.corners, drawn.face_index, *options)
 
     def attach_layers(
@@ -182,7 +183,7 @@ class Derivative(Estimator):
     ) -> Tensor:
         """See `Estimator.attach_layers`."""
         hashes = edge_hashes() if edge_hashes is not None and seams else None
-        options = (drawn.two_sided, drawn.perspective, seams, hashes, drawn.rings, drawn.halved)
+        options = (drawn.two_sided, drawn.perspective, seams, hashes, *_rings_and_halved(drawn))
         return layers_gradient(image, pictures, drawn.corners, torch.stack(shown), *options)
 
     def operators(self, silhouettes: bool, cubes: bool) -> tuple[Callable[..., Any], ...]:
@@ -191,6 +192,11 @@ class Derivative(Estimator):
         if not silhouettes:  # they do not show intersections
             needed += (add_intersections,)
         return (*needed, texture_edge_hashes) if cubes else needed
+
+
+def _rings_and_halved(drawn: DrawnFaces) -> tuple[Tensor | None, bool, int]:
+    rings = drawn.rings
+    return (None, drawn.halved, -1) if rings is None else (rings.next, drawn.halved, rings.alone)
 
 
 ESTIMATORS: dict[str, Estimator] = {"nmr": PaperGradient(), "edge": Derivative()}

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from ..colors.downsample import halve, halve_backward
 from ..ops.neighbors import neighbors
+from ..ops.rings import Rings
 from ..warp.launch import copy
 from ..warp.memory import zeros
 from ..warp.registration import differentiable, differentiable_once, fake, operator
@@ -42,6 +43,7 @@ def layers_gradient(
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045 (schemas are inferred from it)
     rings: Optional[Tensor] = None,  # noqa: UP045
     halved: bool = False,
+    alone: int = -1,
 ) -> Tensor:
     """Return the picture, and in backward send a gradient through the visibility of each layer to the faces.
 
@@ -50,7 +52,7 @@ def layers_gradient(
         pictures: T S of each layer, [K, B, C, H, W] float32; they get no gradient.
         faces: Screen-space corners, [B, F, 3, 3] float32.
         face_index: [K, B, H, W] int32, as from `peel`.
-        two_sided, perspective, seams, edge_hashes, rings, halved: As in `edge_gradient`.
+        two_sided, perspective, seams, edge_hashes, rings, halved, alone: As in `edge_gradient`.
 
     Returns:
         As `edge_gradient`.
@@ -70,6 +72,7 @@ def _(
     edge_hashes: Tensor | None = None,
     rings: Tensor | None = None,
     halved: bool = False,
+    alone: int = -1,
 ) -> Tensor:
     scale = 2 if halved else 1
     return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
@@ -86,13 +89,15 @@ def layers_gradient_backward(
     seams: bool,
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045
     rings: Optional[Tensor] = None,  # noqa: UP045
+    alone: int = -1,
 ) -> Tensor:
     """Compute the gradient [B, F, 3, 3] float32 that `layers_gradient` sends to its faces; arguments as there."""
     grad, faces = grad.contiguous(), faces.contiguous()
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or pictures.numel() == 0:
         return result
-    adjacent, folds = (neighbors(faces, two_sided, perspective, rings, fold) for fold in (False, True))
+    known = None if rings is None else Rings(rings, alone)
+    adjacent, folds = (neighbors(faces, two_sided, perspective, known, fold) for fold in (False, True))
     for image, index in zip(pictures.contiguous(), face_index.contiguous(), strict=True):
         own = zeros(faces.shape, faces.device)
         add_edges(own, grad, image, faces, index, adjacent, perspective, seams, edge_hashes, folds)
@@ -112,12 +117,15 @@ def _(
     seams: bool,
     edge_hashes: Tensor | None = None,
     rings: Tensor | None = None,
+    alone: int = -1,
 ) -> Tensor:
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    _, pictures, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, hashes, rings, ctx.halved = inputs
+    _, pictures, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, hashes, rings, ctx.halved, ctx.alone = (
+        inputs
+    )
     ctx.save_for_backward(pictures, faces, face_index, hashes, rings)
 
 
@@ -126,9 +134,9 @@ def _backward(ctx: Any, grad: Tensor) -> Any:
     grad = halve_backward(grad) if ctx.halved else grad
     to_faces = None
     if ctx.needs_input_grad[2]:
-        options = (ctx.two_sided, ctx.perspective, ctx.seams, *rest)
+        options = (ctx.two_sided, ctx.perspective, ctx.seams, *rest, ctx.alone)
         to_faces = layers_gradient_backward(grad, pictures, faces, face_index, *options)
-    return grad, None, to_faces, *[None] * 7
+    return grad, None, to_faces, *[None] * 8
 
 
 differentiable(layers_gradient, _backward, _save)
