@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.raster.reference.operators import peel_reference
+from tests.raster.reference.drawing import peel_reference
 
 CAMERA = nr.Camera.look_at((0.3, 0.4, -3.0), viewing_angle=25)
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from neural_renderer.raster.ops.corners import gather_corners
-from neural_renderer.raster.reference.operators import gather_corners_reference
+from tests.raster.reference.drawing import gather_corners_reference
 from tests.raster.scenes import examples
 
 

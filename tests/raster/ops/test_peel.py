@@ -10,7 +10,7 @@ from hypothesis import given
 
 from neural_renderer.raster.ops.coverage import coverage
 from neural_renderer.raster.ops.peel import peel
-from neural_renderer.raster.reference.operators import peel_reference
+from tests.raster.reference.drawing import peel_reference
 from tests.raster.scenes import FAR, NEAR, Scene, doubt, examples, scenes
 
 
