@@ -31,7 +31,7 @@ struct WeighRows {
         call.weights[place.pixel] = {point.weights[0], point.weights[1], point.weights[2]};
         call.depth[place.pixel] = limited(point.z);
     }
-#if !NR_ON_CUDA
+#if NR_LANES
     void run(const Face&, const Point<floats8>& points, int count, const Place& place, Nothing&) const {
         const floats8 *w = points.weights, z = limited(points.z);
         if (place.i + 8 <= call.scene.width) {
@@ -64,7 +64,7 @@ struct PullFace {
     const PullWeights& call;
     const Slopes slopes;
     CornerSums<float> sums = {};
-#if !NR_ON_CUDA
+#if NR_LANES
     CornerSums<floats8> sums_of_eights = {};
     bool by_eights = false;
 
@@ -88,7 +88,7 @@ NR_FUNC void pull_face(const PullWeights& call, int image, int f, const Box& box
     PullFace visitor = {call, Slopes(face)};
     over_face(call.scene, face, image, f, box, true, visitor);
     vec3* to = call.to_faces + ((int64)image * call.scene.count + f) * 3;
-#if !NR_ON_CUDA
+#if NR_LANES
     if (visitor.by_eights) return visitor.sums_of_eights.give(to, alone);
 #endif
     visitor.sums.give(to, alone);

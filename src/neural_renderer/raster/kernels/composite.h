@@ -24,7 +24,7 @@ NR_FUNC void composite_row(const Composite& call, int row, int left, int right) 
     const float* __restrict__ color = call.colors + start * channels;
     float* __restrict__ to = call.image + b * channels * area + (int64)j * call.width;
     const Background& behind = call.background;
-#if !NR_ON_CUDA
+#if NR_LANES
     if (channels == 3 && (behind.column == 0 || behind.column == 1))
         for (; left + 8 <= right; left += 8) {
             const ints8 here = load<ints8>(shown + left);
@@ -65,7 +65,7 @@ NR_FUNC void composite_row_backward(const CompositeBackward& call, int row, int 
     const int* __restrict__ shown = call.face_index + start;
     const float* __restrict__ from = call.grad + b * channels * area + (int64)j * call.width;
     float* __restrict__ to = call.to_colors + start * channels;
-#if !NR_ON_CUDA
+#if NR_LANES
     if (channels == 3)
         for (; left + 8 <= right; left += 8) {
             const ints8 here = load<ints8>(shown + left);

@@ -90,7 +90,7 @@ struct Cube {
     }
 };
 
-#if !NR_ON_CUDA
+#if NR_LANES
 // The points of eight pixels of one face, in a cube of one texel or of 2 x 2 x 2. Its texels are the same for all, so
 // that blending along one axis after the other takes fewer products than `Cube`, and no texel is looked up.
 struct CubeOfEight {

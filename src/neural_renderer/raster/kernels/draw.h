@@ -153,7 +153,7 @@ NR_FUNC void draw_pixel(const Drawing& call, const DrawnFace& face, bool inside,
         nearest = z, shown = face.index;
 }
 
-#if !NR_ON_CUDA
+#if NR_LANES
 template <class Start>
 inline void draw_eights(const Drawing& call, const DrawnFace& face, const Span& span) {
     const int width = call.width;
@@ -180,7 +180,7 @@ inline void draw_eights(const Drawing& call, const DrawnFace& face, const Span& 
 
 template <class Start>
 NR_FUNC void draw_box(const Drawing& call, int image, const DrawnFace& face, const Box& box) {
-#if !NR_ON_CUDA
+#if NR_LANES
     if (call.width >= 8) {
         for_each_span(call, image, face, box, 8, [&](const Span& span) { draw_eights<Start>(call, face, span); });
         return;

@@ -179,7 +179,7 @@ NR_FUNC void CornerSums<float>::give(vec3* corners, bool alone) const {
         else atomic_add(corners + k, part);
     }
 }
-#if !NR_ON_CUDA
+#if NR_LANES
 template <>
 inline void CornerSums<floats8>::give(vec3* corners, bool alone) const {
     CornerSums<float> sums;
@@ -204,7 +204,7 @@ struct Place {
 //     empty(count, place)                   neighbours without a face
 template <class Extra, class Visitor>
 NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) {
-    constexpr int KEPT = ON_CUDA ? 1 : 128;  // neighbouring rows show the same faces
+    constexpr int KEPT = THREADS_ARE_LANES ? 1 : 128;  // neighbouring rows show the same faces
     Face kept[KEPT];
     Extra extras[KEPT];
     int64 held[KEPT];
@@ -220,7 +220,7 @@ NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) 
             place.face = f, place.i = i, place.pixel = (int64)row * width + i;
             if (f < 0) {  // most pixels of most images, so several are skipped at once
                 int empty = 1;
-#if !NR_ON_CUDA
+#if NR_LANES
                 for (int four[4]; i + empty + 4 <= right; empty += 4) {
                     memcpy(four, shown + i + empty, sizeof(four));
                     if ((four[0] & four[1] & four[2] & four[3]) >= 0) break;
@@ -239,7 +239,7 @@ NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) 
                 held[slot] = own;
                 visitor.fresh(face, place, extras[slot]);
             }
-#if !NR_ON_CUDA
+#if NR_LANES
             if (face.is_usual()) {  // the pixels up to the next face, at most eight
                 int run = 1;
                 while (run < 8 && i + run < right && shown[i + run] == f) ++run;
@@ -269,7 +269,7 @@ NR_FUNC void over_face(
     const Scene& scene, const Face& face, int image, int f, const Box& box, bool in_eights, Visitor& visitor) {
     bool done = false;
     const int width = scene.width;
-#if !NR_ON_CUDA
+#if NR_LANES
     if (face.is_usual() && width >= 8 && in_eights) {
         done = true;
         for (int j = box.bottom; j <= box.top && done; ++j) {

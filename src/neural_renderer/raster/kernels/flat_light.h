@@ -69,20 +69,13 @@ struct FlatLight {
     float* factors;  // [images, 2, count, 3]; side 0 is that of (v1 - v0) x (v2 - v0), the other one if mirrored
 };
 
-// Vectors of faces, whose numbers lie apart, would save little time and take a second to compile.
-#if defined(__clang__) && !NR_ON_CUDA
-#define NR_NO_VECTORS _Pragma("clang loop vectorize(disable) interleave(disable) unroll(disable)")
-#else
-#define NR_NO_VECTORS
-#endif
-
 NR_FUNC void light_faces(const FlatLight& call, int task) {
     const int b = call.tasks.image(task);
     const int64 all = call.scene.triangles.count;
     const ImageLight light(call.scene, b);
     float* to = call.factors + b * all * 6;
-    NR_NO_VECTORS
-    for (int f = call.tasks.begin(task), end = call.tasks.end(task, (int)all); f < end; ++f) {
+    NR_NO_VECTORS  // of faces, whose numbers lie apart: they would save little time and take a second to compile
+        for (int f = call.tasks.begin(task), end = call.tasks.end(task, (int)all); f < end; ++f) {
         const Normal normal(call.scene, light, b, f);
         const float facing = normal.facing;
         const float front = facing > 0.0f ? facing : 0.0f, back = facing < 0.0f ? -facing : 0.0f;

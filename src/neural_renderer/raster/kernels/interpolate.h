@@ -32,7 +32,7 @@ struct InterpolateRows {
         for (int c = 0; c < call.channels; ++c)
             to(place)[c] = interpolated(point.weights, from(place), c, call.channels);
     }
-#if !NR_ON_CUDA
+#if NR_LANES
     // Three channels, the usual number, are stored at once.
     void run(const Face&, const Point<floats8>& points, int count, const Place& place, Nothing&) const {
         const float* corners = from(place);
@@ -82,7 +82,7 @@ struct PullCorners {
     const Slopes slopes;
     CornerSums<float> sums = {};
 
-#if !NR_ON_CUDA
+#if NR_LANES
     // Eights give the same as `CornerSums::pull`, but are summed first. The gradients of weights are products of
     // ``from`` and ``pull``. So the sums of weights[k] * pull suffice for the corners, and in perspective those of
     // weights[k] * color * pull.
@@ -165,12 +165,12 @@ NR_FUNC void pull_corners(const PullAttributes& call, int image, int own, int f,
     face.set(call.scene.corners(image, f), call.scene);
     PullCorners visitor = {call, call.channels, call.attributes + at, call.to_attributes + at, alone, Slopes(face)};
     const bool few = call.channels <= 8;
-#if !NR_ON_CUDA
+#if NR_LANES
     if (few) visitor.prepare();
 #endif
     over_face(call.scene, face, image, f, box, few, visitor);
     if (!call.faces_too) return;
-#if !NR_ON_CUDA
+#if NR_LANES
     if (visitor.by_eights) visitor.into_corners(face);
 #endif
     visitor.sums.give(call.to_faces + ((int64)image * call.scene.count + f) * 3, alone);

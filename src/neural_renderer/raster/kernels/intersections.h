@@ -85,7 +85,7 @@ NR_FUNC void mark_pair(const Intersections& call, int image, int i, int row, boo
 // Bit n of the result: pixel n from ``shown`` on and the one ``step`` further show two faces. Eight at once on the CPU.
 NR_FUNC unsigned pairs_of_faces(const int* shown, int step, int count) {
     unsigned pairs = 0;
-#if !NR_ON_CUDA
+#if NR_LANES
     if (count >= 8) {
         const ints8 here = load<ints8>(shown), next = load<ints8>(shown + step);
         return bits((here != next) & (here >= 0) & (next >= 0));

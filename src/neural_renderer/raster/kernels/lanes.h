@@ -6,7 +6,13 @@
 
 #include "platform.h"
 
+// Whether there are vectors, so that functions for several numbers at once can be compiled.
+#define NR_LANES !NR_ON_CUDA
+
 namespace nr {
+
+// Whether neighbouring threads take what the lanes of a vector take elsewhere.
+constexpr bool THREADS_ARE_LANES = !NR_LANES;
 
 NR_FUNC float select(bool mask, float yes, float no) { return mask ? yes : no; }
 
@@ -29,19 +35,19 @@ struct Lanes<float> {
 
 // The number of the lowest bit of a number other than 0.
 NR_FUNC int lowest_bit(unsigned number) {
-#if NR_ON_CUDA
+#if NR_LANES
+    return __builtin_ctz(number);
+#else
     int n = 0;
     while (!(number >> n & 1)) ++n;
     return n;
-#else
-    return __builtin_ctz(number);
 #endif
 }
 
 NR_FUNC float to_floats(int value) { return (float)value; }
 NR_FUNC bool any(bool mask) { return mask; }
 NR_FUNC float sum(float value) { return value; }
-#if NR_ON_CUDA
+#if !NR_LANES
 typedef float floats_at_once;  // as many numbers as a loop over memory takes at once
 #endif
 
@@ -80,7 +86,7 @@ NR_FUNC void store(T* to, const V& values) {
     memcpy(to, &values, sizeof(values));
 }
 
-#if !NR_ON_CUDA
+#if NR_LANES
 #if defined(__clang__)
 #define NR_VECTOR(type, n) __attribute__((ext_vector_type(n))) type
 #else
@@ -175,6 +181,6 @@ inline void store(vec3* to, floats8 a, floats8 b, floats8 c) {
     w = __builtin_shufflevector(w, c, 0, 13, 2, 3, 14, 5, 6, 15);
     store(to->c, u), store(to->c + 8, v), store(to->c + 16, w);
 }
-#endif  // !NR_ON_CUDA
+#endif  // NR_LANES
 
 }  // namespace nr

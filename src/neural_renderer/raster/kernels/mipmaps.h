@@ -164,10 +164,10 @@ NR_FUNC void blend_block_backward(
         gain[0] += g * image[above[0] + c], gain[1] += g * image[above[1] + c];
         gain[2] += g * image[below[0] + c], gain[3] += g * image[below[1] + c];
         if (!to) continue;
-        add_product(to + above[0] + c, g * y[0], x[0], !ON_CUDA);
-        add_product(to + above[1] + c, g * y[0], x[1], !ON_CUDA);
-        add_product(to + below[0] + c, g * y[1], x[0], !ON_CUDA);
-        add_product(to + below[1] + c, g * y[1], x[1], !ON_CUDA);
+        add_product(to + above[0] + c, g * y[0], x[0]);
+        add_product(to + above[1] + c, g * y[0], x[1]);
+        add_product(to + below[0] + c, g * y[1], x[0]);
+        add_product(to + below[1] + c, g * y[1], x[1]);
     }
     to_uv[0] += (y[0] * (gain[1] - gain[0]) + y[1] * (gain[3] - gain[2])) * block.x.slope;
     to_uv[1] += (x[0] * (gain[2] - gain[0]) + x[1] * (gain[3] - gain[1])) * block.y.slope;

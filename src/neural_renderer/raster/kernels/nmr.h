@@ -228,7 +228,7 @@ struct EdgeGradient {
         const float* colors = binary ? nullptr : call.image + task.image * call.channels * area;
         const int channels = call.lines.planes - 1;
         Run run = {call.lines.line(lines, task.image, u), ScanLines::plane(lines), 0, way, 0, 0.0f, 0, 1};
-        if (ON_CUDA) run.lane = task.lane, run.lanes = task.lanes;
+        if (THREADS_ARE_LANES) run.lane = task.lane, run.lanes = task.lanes;
         if (pulls_in) {  // equation 1: from the edge outward, to the end of the line's span
             const vec2i span = *call.lines.span(lines, task.image, u);
             const int low = lines.length - span[0], high = span[1] - 1;
@@ -250,7 +250,7 @@ struct EdgeGradient {
             const int count = run.count, f = task.face;
             const auto shows = [=](int n) { return n < count && own[n * step] == f; };
             const NewColor color(channels, binary ? nullptr : colors + outside, area);
-            if (run.count > 0 && (ON_CUDA || run.count <= FEW))
+            if (run.count > 0 && (THREADS_ARE_LANES || run.count <= FEW))
                 add_shares(sum_of_run<float>(run, color, travel, -1.0f, shows), -to_p, -to_q, one_by_one);
             else if (run.count > 0)
                 add_shares(sum_of_run<floats_at_once>(run, color, travel, -1.0f, shows), -to_p, -to_q, by_many);

@@ -24,9 +24,12 @@
 #if defined(__clang__)
 #define NR_FUSED _Pragma("clang fp contract(fast)")
 #define NR_UNFUSED _Pragma("clang fp contract(off)")
+// Before a loop: it is not turned into vector instructions.
+#define NR_NO_VECTORS _Pragma("clang loop vectorize(disable) interleave(disable) unroll(disable)")
 #else
 #define NR_FUSED
 #define NR_UNFUSED
+#define NR_NO_VECTORS
 #endif
 
 namespace nr {
@@ -175,10 +178,13 @@ NR_FUNC void add(T* to, const T& value, bool alone) {
     else atomic_add(to, value);
 }
 
-// Add a product, in one expression, which may be fused.
-NR_FUNC void add_product(float* to, float a, float b, bool alone) {
-    if (alone) *to += a * b;
-    else atomic_add(to, a * b);
+// Add a product: on the CPU in one expression, which may be fused.
+NR_FUNC void add_product(float* to, float a, float b) {
+#if NR_ON_CUDA
+    atomicAdd(to, a * b);
+#else
+    *to += a * b;
+#endif
 }
 
 }  // namespace nr

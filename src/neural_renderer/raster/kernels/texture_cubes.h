@@ -38,7 +38,7 @@ struct SampleRows {
         const vec3 mixed = blend(point.weights, place);
         for (int c = 0; c < 3; ++c) first(place)[c * call.scene.area()] = mixed[c] * factors[c];
     }
-#if !NR_ON_CUDA
+#if NR_LANES
     void run(const Face&, const Point<floats8>& points, int count, const Place& place, const Factors& factors) const {
         const LitCubes& textures = call.textures;
         floats8 mixed[3];
@@ -100,7 +100,7 @@ struct PullCube {
     const Slopes slopes;
     CornerSums<float> sums = {};
     vec3 lit = {};  // gradient to the light
-#if !NR_ON_CUDA
+#if NR_LANES
     vec3 lit_cube[8] = {};
     CubeOfEight::Sums sums_of_texels = {};
     CornerSums<floats8> sums_of_eights = {};
@@ -151,13 +151,13 @@ NR_FUNC void pull_cube(const PullCubes& call, int image, int own, int f, const B
     PullCube visitor = {size,   call.textures.eps,     light_too, faces_too, scene.area(), call.textures.texels + at,
                         factor, call.to_textures + at, grads,     alone,     Slopes(face)};
     const bool small = size <= 2;
-#if !NR_ON_CUDA
+#if NR_LANES
     for (int n = 0; small && n < volume; ++n) visitor.lit_cube[n] = times(visitor.cube[n], factor);
 #endif
     over_face(scene, face, image, f, box, small, visitor);
     if (faces_too) {
         vec3* to = call.to_faces + ((int64)image * scene.count + f) * 3;
-#if !NR_ON_CUDA
+#if NR_LANES
         if (visitor.by_eights) visitor.sums_of_eights.give(to, alone);
         else
 #endif
