@@ -684,7 +684,7 @@ def _joined(values: list[Scalar], counts: list[int]) -> Scalar:
 
 
 def _resized(camera: Camera, size: tuple[float, float] | None) -> Tensor:
-    """Convert a camera's K to an image of another size, which shows the same."""
+    """Scale a camera's K to another image size with the same view."""
     K: Any = camera.K
     if camera.orig_size is None or size is None or camera.orig_size == size:
         return K

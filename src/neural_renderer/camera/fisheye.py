@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..raster.ops.pinhole import NEAREST
 
-_STEPS = 10  # of Newton's method; it doubles the correct digits in each
+_STEPS = 10  # Newton's method; each step doubles the correct digits
 
 
 def fisheye(points: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
@@ -25,7 +25,7 @@ def fisheye(points: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
     Returns:
         x and y, [..., V]. Values and gradients are finite, also on the axis.
     """
-    # The direction decides alone. Its longest side becomes 1, so that squares neither overflow nor vanish.
+    # Only the direction matters. Scaled to a longest side of 1, its squares neither overflow nor vanish.
     x, y, z = (points / points.detach().abs().amax(-1, keepdim=True).clamp(min=NEAREST)).unbind(-1)
     across = (x * x + y * y).clamp(min=torch.finfo(points.dtype).eps).sqrt()  # θ / across is 1 / z on the axis
     stretch = _distance(torch.atan2(across, z), coefficients) / across

@@ -15,11 +15,11 @@ from .fisheye import fisheye
 from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, outside, parameter, scalar
 from .view import rotate
 
-_TOLERANCE = 0.02  # for R Rᵀ and K's third row; admits matrices typed with three digits, or in bfloat16
+_TOLERANCE = 0.02  # tolerance of R Rᵀ and K's third row; admits matrices typed with three digits, or in bfloat16
 _FARTHEST = 1e9  # bound of |x| and |y| (at z = 1) in tangential distortion
 _WIDEST = 1e4  # bound of x² + y² (at z = 1) in the radial polynomial: 89.4° off the axis
 _STEPS = 10  # Newton's method; each step doubles the correct digits
-_THIRD_ROW = (0.0, 0.0, 1.0)  # of an intrinsic matrix
+_THIRD_ROW = (0.0, 0.0, 1.0)  # third row of every intrinsic matrix
 
 
 def perspective(vertices: Tensor, angle: Scalar = 30.0) -> Tensor:

@@ -19,8 +19,8 @@ _AXES = {
     "blender": (1.0, -1.0, -1.0),
     "pytorch3d": (-1.0, -1.0, 1.0),
 }
-_TOLERANCE = 1e-3  # for the constant row of a matrix
-_SINGULAR = 1e-6  # a row of a clip matrix that is this small relative to the matrix, after those before it, is 0
+_TOLERANCE = 1e-3  # tolerance of a matrix's constant row
+_SINGULAR = 1e-6  # relative size below which an orthogonalised row counts as zero
 
 
 def view_frame(

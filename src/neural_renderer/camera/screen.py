@@ -56,7 +56,7 @@ def _clip_camera() -> Camera:
 
 
 def causes(vertices: Tensor, camera: Camera) -> tuple[Tensor, ...]:
-    """Return the tensors that positions on the screen follow from, vertices first."""
+    """Return the tensors that screen positions depend on, vertices first."""
     lens = (camera.rotation, camera.origin, camera.translation, camera.viewing_angle, camera.scale, camera.K)
     return vertices, *(part for part in lens if isinstance(part, Tensor))
 
@@ -91,7 +91,7 @@ def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) 
 
 
 def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
-    """Return the points, rotation, origin and width for the operator `project_corners`; None if it does not fit."""
+    """Return the points, rotation, origin and width for the operator `project_corners`; None for other cameras."""
     is_simple = type(camera) is Camera and camera.K is None and not camera.is_fisheye
     if not is_simple or getattr(vertices, "dtype", None) != torch.float32 or not is_plain((vertices, camera.rotation)):
         return None

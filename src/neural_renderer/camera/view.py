@@ -91,7 +91,7 @@ def look_frame(
 
 
 def transform(vertices: Tensor, rotation: Tensor, origin: Tensor) -> Tensor:
-    """Compute rotation · (X − origin) for all vertices X, [V, 3] or [B, V, 3]; moves the others to their device."""
+    """Compute rotation · (X − origin) for vertices X, [V, 3] or [B, V, 3], on their device."""
     if not vertices.is_meta:
         validate.has_numbers("camera", rotation)
     rotation, origin = on_device(rotation, vertices), on_device(origin, vertices)
@@ -153,7 +153,7 @@ def point_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees: bool
 def _vectors(dtype: torch.dtype, **values: Any) -> list[Tensor]:
     """Convert vectors, given by argument name, to tensors [3] or [B, 3] with batches that fit."""
     device = common_device(*values.values())
-    # The camera hands out its eye; the others are only read.
+    # Cameras hand out the eye, so it must not be a shared constant.
     vectors = [parameter(name, v, (3,), dtype, device, shared=name != "eye") for name, v in values.items()]
     batch_size(**{name: batch_of(v, 1) for name, v in zip(values, vectors, strict=True)})
     return vectors
@@ -176,8 +176,8 @@ def _axes(forward: Tensor, up: Tensor, mirrored: bool, problem: str) -> Tensor:
 def _normalized(vectors: Tensor) -> Tensor:
     """Divide vectors [..., 3] by their lengths, or by `_FLOOR` if that is larger.
 
-    Unlike `torch.nn.functional.normalize`, the result of a vector does not depend, bit for bit, on the others in the
-    batch, and large vectors do not overflow.
+    Unlike `torch.nn.functional.normalize`, results do not depend, bit for bit, on the rest of the batch, and large
+    vectors do not overflow.
     """
     largest = vectors.detach().abs().amax(-1, keepdim=True)
     v = validate.wide(vectors / (largest / _LARGE).clamp(min=1))

@@ -13,7 +13,7 @@ from ...io.files import read_bytes
 from .colmap_text import Camera, Image
 from .lens import MODELS
 
-_NAMES = [*MODELS][:11] + ["RAD_TAN_THIN_PRISM_FISHEYE"] + [*MODELS][11:] + ["EQUIRECTANGULAR"]  # by their numbers
+_NAMES = [*MODELS][:11] + ["RAD_TAN_THIN_PRISM_FISHEYE"] + [*MODELS][11:] + ["EQUIRECTANGULAR"]  # by number
 _POINT_OF_IMAGE, _TRACK_ENTRY = 24, 8  # bytes
 
 

@@ -25,7 +25,7 @@ def _rational(x: Tensor, y: Tensor, v: Values) -> Point:
 
 
 def _field_of_view(x: Tensor, y: Tensor, v: Values) -> Point:
-    """The FOV model of Devernay and Faugeras: distances from the axis are angles, of a lens of the angle omega."""
+    """The FOV model of Devernay and Faugeras: the distance from the axis is an angle, and omega the field of view."""
     radius = (x * x + y * y).sqrt().clamp(min=_LEAST_RADIUS)
     omega = torch.tensor(v["omega"], dtype=x.dtype)
     if abs(v["omega"]) < 1e-4:
@@ -50,7 +50,7 @@ def _thin_prism_fisheye(x: Tensor, y: Tensor, v: Values) -> Point:
 
 
 def _division(x: Tensor, y: Tensor, v: Values) -> Point:
-    """Fitzgibbon's division model: an undistorted radius is r / (1 + k1·r²) of the distorted one."""
+    """Fitzgibbon's division model: the undistorted radius is r / (1 + k1·r²) for a distorted radius r."""
     root = (1 - 4 * v["k1"] * (x * x + y * y)).clamp(min=0).sqrt()
     return 2 * x / (1 + root), 2 * y / (1 + root)
 

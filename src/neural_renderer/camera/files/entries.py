@@ -42,7 +42,7 @@ def entry_camera(where: str, entry: dict[str, Any], size: tuple[int, int] | None
     Raises:
         ValueError: A key is missing or unknown, or a value does not fit; the message names the place.
     """
-    # A matrix comes before K, which is then its lens.
+    # K is tested last: beside another key it is the lens.
     kind = next((name for name in (*KINDS[1:], "K") if name in entry), None)
     if kind is None:
         raise ValueError(f"{where}: expected one of the keys {', '.join(KINDS)}, got {short(', '.join(entry))}")

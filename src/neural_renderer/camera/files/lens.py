@@ -72,7 +72,7 @@ class Lens:
         return self.model in DISTORTIONS
 
     def distortion(self) -> list[float]:
-        """Return (k1, k2, p1, p2, k3) of the images; zeros for those that are undistorted."""
+        """Return (k1, k2, p1, p2, k3) of the images; zeros for undistorted images."""
         return [0.0 if self.needs_undistortion else self.values.get(name, 0.0) for name in _OPENCV]
 
     def intrinsics(self, size: tuple[int, int]) -> list[list[float]]:

@@ -13,7 +13,7 @@ from .keys import read_json, rows_of
 from .posed import CameraFile
 from .read import find_camera_file, read_camera_file
 
-# Lenses of COLMAP that are those of `Camera.fisheye`, some with fewer coefficients.
+# COLMAP's lens models that `Camera.fisheye` covers, some with fewer coefficients.
 _FISHEYES = ("OPENCV_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE")
 
 
@@ -59,7 +59,7 @@ def _entries(content: Any) -> Any:
 def _posed_cameras(file: CameraFile, size: tuple[int, int] | None) -> Camera:
     """Make the cameras of a file of posed images, with the lenses of their images."""
     lenses = [image.lens for image in file.images]
-    # A lens with an angle of view is that of any size of the same aspect.
+    # A lens given by its angle of view fits all sizes of one aspect.
     full = size or ((1, 1) if all(lens.field is not None for lens in lenses) else None)
     if all(lens.model in _FISHEYES for lens in lenses) and full is not None:
         K = torch.tensor([lens.intrinsics(full) for lens in lenses])

@@ -1,6 +1,6 @@
 """``*_par.txt`` of the Middlebury multi-view data sets: K, R and t of each image in one line.
 
-The first line is the number of images. Each of the others is a name and 21 numbers: the rows of K, those of R, and t.
+The first line is the number of images. Each further line is a name and 21 numbers: K and R by rows, and t.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from .posed import CameraFile, PosedImage
 
 
 def views_by_hand(content: Any) -> dict[str, Any] | None:
-    """Bring the three forms of the file to the first; return None if the content has none of them."""
+    """Convert any of the three forms of the file to the first; return None for other content."""
     if isinstance(content, list):
         return {"views": content}
     if not isinstance(content, dict) or "frames" in content:
@@ -64,7 +64,7 @@ def parse_opencv(path: Path, content: dict[str, Any]) -> CameraFile:
 
 
 def intrinsic_values(where: str, K: Any) -> dict[str, float]:
-    """Return the values of an intrinsic matrix [3, 3] by name; raise ValueError if it is none."""
+    """Return the values of an intrinsic matrix [3, 3] by name; raise ValueError for other matrices."""
     (fx, skew, cx), (zero, fy, cy), last = K.tolist()
     if not (fx > 0 and fy > 0):
         raise ValueError(f"{where}: K: expected focal lengths above 0, got {fx:g} and {fy:g}")
