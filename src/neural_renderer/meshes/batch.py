@@ -129,11 +129,11 @@ def _are_uv_meshes(meshes: Any) -> bool:
 
 
 def _together(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]], dict[str, Any]]:
-    """Number the images and materials of several meshes through.
+    """Give images and materials of several meshes common numbers.
 
     Returns:
-        Attributes of faces, a list of one tensor for each mesh; and what all share: images, wraps and materials. An
-        image that several meshes share, with the same wrapping, appears once.
+        Attributes of faces, a list of one tensor for each mesh; and the shared images, wraps and materials. An image
+        of several meshes, with the same wrapping, appears once.
     """
     pictures: dict[tuple[int, Any], tuple[Tensor, Any]] = {}
     materials: dict[int, Any] = {}
@@ -145,7 +145,7 @@ def _together(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]], dict[s
         pictures.update(zip(keys, pairs, strict=True))
         materials.update((id(one), one) for one in mesh.materials)
         index = mesh.material_index
-        if index is None:  # all faces have the only one, or there is none
+        if index is None:  # all faces have the only material, or none
             index = torch.full_like(mesh.image_index, 0 if mesh.materials else -1)
         parts["uv"].append(mesh.uv)
         parts["colors"].append(mesh.colors)
@@ -156,7 +156,7 @@ def _together(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]], dict[s
         del parts["material_index"]
     for name in ("normals", "tangents", "uv1"):
         given = [getattr(mesh, name) is not None for mesh in meshes]
-        # Tangents are computed where they are missing, so those of some meshes are worth nothing.
+        # Tangents are kept if all meshes have them; otherwise shading computes them.
         if any(given) if name != "tangents" else all(given):
             parts[name] = [_corner_attribute(name, mesh) for mesh in meshes]
         else:

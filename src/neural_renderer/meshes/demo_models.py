@@ -12,7 +12,7 @@ from ..io.cubes import bake_corners
 from .isosurface import isosurface
 from .mesh import Mesh
 
-_EYE, _GLINT = (0.215, 0.56, 0.70), (0.0, 0.035, 0.03)  # centre of an eye, and of its highlight relative to that
+_EYE, _GLINT = (0.215, 0.56, 0.70), (0.0, 0.035, 0.03)  # centre of an eye, and its highlight's offset
 _YELLOW, _ORANGE, _BLACK = (1.0, 0.78, 0.12), (0.96, 0.42, 0.07), (0.07, 0.06, 0.06)
 
 

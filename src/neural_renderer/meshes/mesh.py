@@ -358,7 +358,7 @@ class Mesh(nn.Module):
         return result
 
     def _like(self, vertices: Tensor, faces: Tensor, textures: Tensor) -> Mesh:
-        """Make a mesh of other tensors, with what this one's parameters carry: the factors of `set_lr`, frozen ones."""
+        """Make a mesh of other tensors that keeps the factors of `set_lr` and which parameters are frozen."""
         result = Mesh(vertices, faces, textures)
         for mine, theirs in zip(self.parameters(), result.parameters(), strict=True):
             theirs.requires_grad_(mine.requires_grad)
@@ -378,7 +378,7 @@ def as_tensor(value: Any) -> Any:
 
 
 def _textures(vertex_colors: Any, face_colors: Any, vertices: Tensor, faces: Tensor, size: int) -> Tensor | None:
-    """Bake colours into texture cubes [F, T, T, T, 3]; None if there are none."""
+    """Bake colours into texture cubes [F, T, T, T, 3]; None without colours."""
     if vertex_colors is not None and face_colors is not None:
         raise ValueError("face_colors: expected one of vertex_colors and face_colors, got both")
     if vertex_colors is not None:

@@ -41,7 +41,7 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     corners = _corners(points if points.dim() == 3 else points[None], faces)
     batch, count = len(corners), vertices.shape[-2]
     v0, v1, v2 = _in_range(corners, (1, 2, 3)).unbind(2)
-    normals = torch.linalg.cross(v1 - v0, v2 - v0)  # of length twice the area
+    normals = torch.linalg.cross(v1 - v0, v2 - v0)  # length: twice the area
     faces = faces.expand(batch, -1, -1).long().clamp(min=0)
     first = count * torch.arange(batch, device=faces.device)
     places = (faces + first[:, None, None]).reshape(-1)

@@ -57,6 +57,6 @@ def merged_vertices(vertices: Tensor, faces: Tensor, tolerance: float) -> tuple[
     count = len(vertices)
     numbers = torch.arange(count, device=place.device)
     firsts = numbers.new_full((len(found),), count).scatter_reduce(0, place, numbers, "amin")
-    rows, order = torch.sort(firsts)  # the order of the mesh, not that of coordinates
+    rows, order = torch.sort(firsts)  # order of the mesh, not of the coordinates
     new = torch.empty_like(order).scatter(0, order, torch.arange(len(order), device=order.device))
     return rows, new[place[faces.long()]].to(faces.dtype)

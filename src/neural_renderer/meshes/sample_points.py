@@ -109,5 +109,5 @@ def sample_points(mesh: Any, count: int, generator: torch.Generator | None = Non
         u, v = torch.where(beyond, 1 - u, u), torch.where(beyond, 1 - v, v)
         weights = torch.stack((1 - u - v, u, v), -1).to(vertices.dtype)
     corners = vertices[faces[index]]
-    points, normals = (weights[..., None] * corners).sum(1), -face_normals(corners)  # these are of the other side
+    points, normals = (weights[..., None] * corners).sum(1), -face_normals(corners)  # `face_normals` point inward
     return SurfacePoints(points, normals, index, weights, faces)

@@ -64,7 +64,7 @@ def subdivided(vertices: Tensor, faces: Tensor, scheme: str) -> tuple[Tensor, Te
     if scheme == "midpoint":
         return torch.cat((vertices, middle)), split.to(faces.dtype)
     sides = split.view(-1, 4, 3)[:, 3].flatten() - len(vertices)  # the edges ab, bc, ca of each face
-    across = vertices[faces.long().roll(1, 1).flatten()]  # the vertices opposite of them
+    across = vertices[faces.long().roll(1, 1).flatten()]  # the vertices opposite of these edges
     smooth = torch.bincount(sides, minlength=len(edges)) == 2
     beyond = torch.zeros_like(middle).index_add(0, sides, across)
     created = torch.where(smooth[:, None], 0.75 * middle + 0.125 * beyond, middle)
@@ -75,7 +75,7 @@ def _smoothed(vertices: Tensor, edges: Tensor, ends: Tensor, creases: Tensor) ->
     """Move the old vertices as Loop's scheme does. ``creases`` [E] tells which edges are not smooth."""
 
     def neighbours(kept: Tensor) -> tuple[Tensor, Tensor]:
-        """Count the neighbours of each vertex along some edges, and add them up."""
+        """Count and sum the neighbours of each vertex along the ``kept`` edges."""
         number = torch.bincount(edges[kept].flatten(), minlength=len(vertices))[:, None]
         total = torch.zeros_like(vertices).index_add(0, edges[kept].flatten(), ends[kept].flip(1).flatten(0, 1))
         return number, total

@@ -499,7 +499,7 @@ def _one_image(vertices: Any, faces: Any, uv: Any, image: Any, wrap: Wrap) -> tu
     """
     vertices = validate.floating("vertices", as_tensor(vertices), ("V", 3)).float()
     faces = validate.indices("faces", as_tensor(faces), ("F", 3)).int()
-    if str(getattr(image, "dtype", "")).endswith("uint8"):  # as from a file
+    if str(getattr(image, "dtype", "")).endswith("uint8"):  # most likely an image from a file
         raise TypeError(
             f"image: expected floating numbers in [0, 1], got {list(image.shape)} uint8; image / 255 has them"
         )

@@ -12,8 +12,8 @@ from ..batch import mesh_parts
 from ..normals import face_normals
 from ..sample_points import SurfacePoints
 
-_AT_ONCE = 32768  # points; limits memory
-_BITS = 10  # of each coordinate in the order of faces along a space-filling curve
+_AT_ONCE = 32768  # points searched together, which limits memory
+_BITS = 10  # bits per coordinate in the order of faces along a space-filling curve
 
 
 def closest_points(mesh: Any, points: Tensor) -> SurfacePoints:
@@ -69,7 +69,7 @@ class FaceTree:
         corners = vertices[faces]
         order = torch.argsort(_morton_codes(corners.mean(1)), stable=True)
         depth = max(len(faces) - 1, 0).bit_length()
-        self._faces = order[torch.arange(2**depth, device=order.device) * len(faces) >> depth]  # each once or twice
+        self._faces = order[torch.arange(2**depth, device=order.device) * len(faces) >> depth]  # faces once or twice
         self._corners = corners[self._faces]
         boxes = torch.cat((self._corners.amin(1), self._corners.amax(1), self._corners.mean(1)), 1)
         self._levels = [boxes]  # lowest and highest corners of boxes, and a point of the surface in each
@@ -87,7 +87,7 @@ class FaceTree:
     def closest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Find the face [N] and the weights [N, 3] of its corners at the closest point for each of N points."""
         rows = torch.arange(len(points), device=points.device)
-        bound = torch.full_like(points[:, 0], torch.inf)  # the closest point is at most this far, squared
+        bound = torch.full_like(points[:, 0], torch.inf)  # squared distance of the closest point, at most
         owner, node = rows, torch.zeros_like(rows)
         for level in range(1, len(self._levels)):
             owner, node = owner.repeat_interleave(2), (2 * node[:, None] + node.new_tensor([0, 1])).flatten()

@@ -9,9 +9,9 @@ from .edges import Edges, area_vectors, least_of_neighbors, lengths
 from .split import LONG
 from .surface import Surface
 
-_SHORT = 4 / 5  # times the target: shorter edges are collapsed
-_LEAST_COSINE = 0.3  # between the normals of a face before and after
-_LEAST_QUALITY = 0.05  # of a face after, unless it was worse: 1 for an equilateral triangle
+_SHORT = 4 / 5  # length, relative to the target, below which edges collapse
+_LEAST_COSINE = 0.3  # least cosine between a face's normals before and after
+_LEAST_QUALITY = 0.05  # least quality of a face afterwards, unless it was worse: 1 for an equilateral triangle
 
 
 def collapse_short(surface: Surface, rounds: int = 4) -> Surface:
@@ -64,7 +64,7 @@ def _merged(surface: Surface, edges: Edges, chosen: Tensor) -> Tensor:
 
 
 def _is_wrong(surface: Surface, edges: Edges, chosen: Tensor) -> Tensor:
-    """Tell which of the chosen edges [N] must not collapse. Each face belongs to one of them at most."""
+    """Tell which of the chosen edges [N] must not collapse. A face touches one chosen edge at most."""
     count, device = len(chosen), chosen.device
     ends = edges.ends[chosen]
     owner = torch.full_like(edges.fixed, -1, dtype=torch.int64)
@@ -72,9 +72,9 @@ def _is_wrong(surface: Surface, edges: Edges, chosen: Tensor) -> Tensor:
     after = surface.vertices.index_copy(
         0, ends.flatten(), _merged(surface, edges, chosen)[:, :3].repeat_interleave(2, 0)
     )
-    wrong = torch.zeros(count + 1, dtype=torch.bool, device=device)  # the last stands for −1
+    wrong = torch.zeros(count + 1, dtype=torch.bool, device=device)  # last entry: no edge, −1
 
-    # The link condition: no vertices are adjacent to both ends but the two opposite of the edge.
+    # The link condition: only the two vertices opposite of the edge are adjacent to both ends.
     owners = owner[edges.ends]
     around = torch.nonzero(owners[:, 0] != owners[:, 1])[:, 0]
     pairs = torch.cat((edges.ends[around], edges.ends[around].flip(1)))

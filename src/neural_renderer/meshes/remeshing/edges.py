@@ -17,7 +17,7 @@ class Edges:
         ends: [E, 2] int64, lower vertex index first.
         sides: [F, 3] int64, the edge from each corner of a face to the next one.
         faces: [E, 2] int64, two faces of each edge; only valid where ``regular``.
-        opposite: [E, 2] int64, the third vertices of these faces, likewise.
+        opposite: [E, 2] int64, the third vertices of ``faces``; only valid where ``regular``.
         regular: [E] bool: exactly two faces have the edge, in opposite directions. Other edges are boundaries, are not
             manifold, or join faces of different orientation.
         fixed: [V] bool, vertices at edges that are not regular.
@@ -51,7 +51,7 @@ class Edges:
         return cls(keys, ends, sides.view(-1, 3), own // 3, opposite, regular, fixed)
 
     def contain(self, keys: Tensor) -> Tensor:
-        """Tell which keys [N] are those of edges, [N] bool."""
+        """Tell which keys [N] belong to edges, [N] bool."""
         place = torch.searchsorted(self.keys, keys).clamp(max=len(self.keys) - 1)
         return self.keys[place] == keys
 
@@ -61,7 +61,7 @@ class Edges:
 
 
 def area_vectors(corners: Tensor) -> Tensor:
-    """Compute normals [F, 3] of faces [F, 3 corners, 3], of length twice the area, out of counter-clockwise faces."""
+    """Compute outward normals [F, 3], twice as long as the area, of counter-clockwise faces [F, 3 corners, 3]."""
     return torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], dim=1)
 
 
@@ -71,6 +71,6 @@ def lengths(vertices: Tensor, ends: Tensor) -> Tensor:
 
 
 def least_of_neighbors(values: Tensor, ends: Tensor) -> Tensor:
-    """Take the least of the value [V] of each vertex and those of its neighbours."""
+    """Compute the least value among each vertex and its neighbours, from values [V]."""
     a, b = ends.unbind(1)
     return values.scatter_reduce(0, a, values[b], "amin").scatter_reduce(0, b, values[a], "amin")

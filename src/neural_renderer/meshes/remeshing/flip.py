@@ -10,8 +10,8 @@ from .edges import Edges, area_vectors
 from .surface import Surface
 
 _REGULAR, _AT_BORDER = 6, 4  # best number of neighbours, inside a surface and at its border
-_LEAST_COSINE = 0.9  # between the normals of two faces after a flip, unless they met at a sharper angle before
-_LEAST_SINE = 0.1  # of the angles of a face after a flip
+_LEAST_COSINE = 0.9  # least cosine of two normals after a flip, unless they met at a sharper angle before
+_LEAST_SINE = 0.1  # least sine of a face's angles after a flip
 
 
 def flip_edges(surface: Surface, rounds: int = 4) -> Surface:

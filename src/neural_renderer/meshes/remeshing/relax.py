@@ -9,8 +9,8 @@ from torch.nn.functional import normalize
 from .edges import Edges, area_vectors
 from .surface import Surface
 
-_LEAST_COSINE = 0.5  # between the normals of a face before and after
-_LEAST_AREA = 0.1  # of a face after, relative to before
+_LEAST_COSINE = 0.5  # least cosine between a face's normals before and after
+_LEAST_AREA = 0.1  # least area of a face afterwards, relative to before
 
 
 def relax(surface: Surface, strength: float = 0.5) -> Surface:
@@ -36,7 +36,7 @@ def relax(surface: Surface, strength: float = 0.5) -> Surface:
 
 
 def move_safely(vertices: Tensor, goal: Tensor, faces: Tensor) -> Tensor:
-    """Move vertices [V, 3] to ``goal``, but for those of faces [F, 3] that would turn over or shrink to slivers."""
+    """Move vertices [V, 3] to ``goal``, except where faces [F, 3] would turn over or shrink to slivers."""
     before = area_vectors(vertices[faces])
     size = before.norm(dim=1)
     while True:

@@ -19,8 +19,8 @@ from .relax import move_safely, relax
 from .split import split_long
 from .surface import Surface
 
-_MOST_SPLITS = 12  # times all edges are halved before the first pass
-_PROJECTED = 2  # the last passes, in which vertices return to the surface
+_MOST_SPLITS = 12  # most halvings of all edges before the first pass
+_PROJECTED = 2  # last passes, whose vertices return to the surface
 _MOST_FACES = 20_000_000
 
 
@@ -134,7 +134,7 @@ def remesh_once(surface: Surface, tree: FaceTree | None = None, rounds: int = 4,
 
 
 def _lengths_of_vertices(edge_length: Any, vertices: Tensor) -> Tensor:
-    """Check the target length of edges; return that of each vertex, [V, 1]."""
+    """Check the target length of edges; return a length per vertex, [V, 1]."""
     if not isinstance(edge_length, Tensor):
         return vertices.new_full((len(vertices), 1), validate.positive("edge_length", edge_length))
     validate.floating("edge_length", edge_length, (len(vertices),))

@@ -8,11 +8,11 @@ from torch import Tensor
 from .edges import Edges, lengths
 from .surface import Surface
 
-LONG = 4 / 3  # times the target: longer edges are split, after which they are nearer to the target than before
+LONG = 4 / 3  # length, relative to the target, above which a split brings edges nearer to the target
 
 
 def split_long(surface: Surface) -> Surface:
-    """Split all edges that are too long, at the same time, each once."""
+    """Split every edge that is too long, once."""
     edges = Edges.of(surface.faces, len(surface.values))
     return split(surface, edges, lengths(surface.vertices, edges.ends) > LONG * surface.target_of(edges.ends))
 
@@ -34,7 +34,7 @@ def split(surface: Surface, edges: Edges, chosen: Tensor) -> Surface:
     middle = torch.where(chosen, len(surface.values) + chosen.cumsum(0) - 1, -1)[edges.sides]  # −1: not split
     number = (middle >= 0).sum(1)
     faces = [surface.faces[number == 0]]
-    # Faces are turned so that, of one or two split sides, the first comes first; of two, they are ab and bc.
+    # Faces are turned so that one split side is ab, and two split sides are ab and bc.
     is_split = middle >= 0
     begin = torch.where(number == 2, ((~is_split).int().argmax(1) + 1) % 3, is_split.int().argmax(1))
     turn = (torch.arange(3, device=begin.device) + begin[:, None]) % 3

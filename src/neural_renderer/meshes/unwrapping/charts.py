@@ -39,12 +39,12 @@ def chart_coordinates(vertices: Tensor, faces: Tensor, size: int, gutter: int) -
     positions = vertices.detach().cpu().double().numpy()
     low = positions.min(0)
     longest = max(float((positions.max(0) - low).max()), 1e-30)
-    # Of one size: the library takes tiny faces for degenerate.
+    # Scaled to a fixed size: the library takes tiny faces for degenerate.
     atlas.add_mesh(((positions - low) / longest * 100).astype(np.float32), faces.cpu().numpy().astype(np.uint32))
     options = xatlas.PackOptions()
     options.resolution, options.padding = size, gutter
     atlas.generate(xatlas.ChartOptions(), options)
-    if atlas.atlas_count != 1:  # what does not fit goes to a second image: pack once more, with any side
+    if atlas.atlas_count != 1:  # charts that do not fit went to a second image: pack again, with any side
         options.resolution, options.texels_per_unit = 0, 0.9 * atlas.texels_per_unit
         atlas.generate(xatlas.ChartOptions(), options)
     _, corners, uv = atlas[0]

@@ -15,7 +15,7 @@ from .charts import chart_coordinates
 
 LEAST_SIZE, MOST_SIZE = 16, 8192
 """Pixels of a side of the image."""
-_SAMPLES = 2  # of a texel, along each axis
+_SAMPLES = 2  # samples of a texel along each axis
 
 
 def unwrap(mesh: Mesh, size: int = 1024, *, gutter: int = 4, uv: Tensor | None = None) -> UVMesh:
