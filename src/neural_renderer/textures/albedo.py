@@ -1,4 +1,4 @@
-"""Albedo of the pixels of a `UVMesh`: images, colours of faces without one, and base colours of materials."""
+"""Albedo of the pixels of a `UVMesh`: images, colours of faces without an image, and base colours of materials."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def sampled_albedo(
         """Interpolate values of the faces' corners, [F, 3, C]."""
         return interpolate(values[None].float(), visible.corners, visible.face_index, visible.settings.perspective)
 
-    parts = []  # images to add up; each is 0 where another one is visible
-    # A compiled graph cannot ask for values; what it adds is 0 where no face is plain.
+    parts = []  # colours to add up: at each pixel, all but one are 0
+    # A compiled graph cannot read values, so it always adds plain colours, 0 where all faces have images.
     if not images or torch.compiler.is_compiling() or read_once(image_index, has_negative):
         parts.append(at_pixels(colors * (image_index < 0)[:, None, None]))
     if images:
@@ -83,7 +83,7 @@ def tinted_by_materials(
     rows = [material.base_color.to(albedo) for material in materials]
     if material_index is None:
         return linear_to_srgb(srgb_to_linear(albedo) * rows[0])
-    table = torch.stack((*rows, torch.ones_like(rows[0])))  # the last one is that of −1
+    table = torch.stack((*rows, torch.ones_like(rows[0])))  # last entry: no material, −1
     index = material_index.long().reshape(-1, material_index.shape[-1])
     index = torch.cat((index, index.new_full((len(index), 1), -1)), 1).expand(len(face_index), -1)
     places = face_index.flatten(1).long() % index.shape[1]  # −1 becomes the extra entry

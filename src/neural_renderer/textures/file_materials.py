@@ -1,4 +1,4 @@
-"""Materials of a `UVMesh` from and to the arrays of readers and writers."""
+"""Conversion of a `UVMesh`'s materials from and to the arrays of readers and writers."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ _WRAPPINGS = {"repeat": "REPEAT", "clamp": "CLAMP_TO_EDGE", "mirror": "MIRRORED_
 
 
 def wrap_of(wrapping: str | tuple[str, str]) -> Wrap:
-    """Convert a wrapping of `SurfaceColors`, or a pair of them."""
+    """Convert a wrapping of `SurfaceColors`, or a pair for u and v, to modes of `sample_texture`."""
     if isinstance(wrapping, tuple):
         return _WRAPS[wrapping[0]], _WRAPS[wrapping[1]]
     return _WRAPS[wrapping]
 
 
 def wrapping(wrap: Wrap) -> str | tuple[str, str]:
-    """Convert a mode, or a pair of them, to a wrapping of `SurfaceColors`."""
+    """Convert a mode, or a pair for u and v, to a wrapping of `SurfaceColors`."""
     u, v = (_WRAPPINGS[mode] for mode in wrap_pair(wrap))
     return u if u == v else (u, v)
 
 
 def materials_of_file(materials: Sequence[dict[str, Any]]) -> tuple[Material, ...]:
-    """Convert the materials of `SurfaceColors`."""
-    images: dict[int, Tensor] = {}  # so that textures that share an array share a tensor
+    """Convert the materials of `SurfaceColors` to `Material`."""
+    images: dict[int, Tensor] = {}  # tensor of each array, which textures may share
 
     def value(part: Any) -> Any:
         if not isinstance(part, FileTexture):
@@ -45,7 +45,7 @@ def materials_of_file(materials: Sequence[dict[str, Any]]) -> tuple[Material, ..
 
 
 def arrays_of_materials(materials: Sequence[Material]) -> list[dict[str, Any]]:
-    """Convert materials to those of `SurfaceColors`."""
+    """Convert materials to the form of `SurfaceColors`."""
     images: dict[int, np.ndarray] = {}
 
     def value(part: Any) -> Any:

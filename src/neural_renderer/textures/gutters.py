@@ -98,7 +98,7 @@ def _small(places: Tensor) -> Tensor:
     """Select the triangles of [F, 3, 2] that may contain no centre of a texel."""
     sides = places.roll(-1, 1) - places
     area = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).abs()
-    radius = area / sides.norm(dim=2).sum(1).clamp(min=1e-12)  # of the inscribed circle
+    radius = area / sides.norm(dim=2).sum(1).clamp(min=1e-12)  # inscribed circle
     return places[radius < _COVERING_RADIUS]
 
 
