@@ -203,7 +203,7 @@ class Light:
         return rgb.reshape(-1, 3)
 
     def _numbers(self) -> Iterator[Any]:
-        """Yield what the parameters are made of: numbers that stay, or tensors and lists that may change."""
+        """Yield the values of the parameters: numbers, or tensors and lists, which may change later."""
         for value in (self.ambient, self.directional, self.ambient_color, self.directional_color, self.direction):
             yield from value if isinstance(value, tuple) else (value,)
 
@@ -247,5 +247,5 @@ def light_factors(lights: Sequence[AnyLight], vertices: Tensor, faces: Tensor, i
         else:
             corners = world_corners(vertices, faces, images, in_range=True) if corners is None else corners
             several.append(light.two_sided(corners, mirrored))
-    # Those for all images broadcast to those for each.
+    # Light for all images broadcasts to light for each.
     return several[0] if len(several) == 1 else torch.stack(torch.broadcast_tensors(*several)).sum(0)

@@ -146,7 +146,7 @@ def _like(surface: VisibleSurface) -> dict[str, Any]:
 
 
 def _reflected(n: Tensor, v: Tensor, towards: Tensor, nv: Tensor, matt: Tensor, f0: Tensor, alpha: Tensor) -> Tensor:
-    """Compute π f (n · l): what is reflected of light that shows a white matt surface in front of it as 1."""
+    """Evaluate π f(l, v) (n · l): reflected light if a white Lambertian surface facing the light has radiance 1."""
     nl = torch.relu(dot(n, towards))
     h = unit(towards + v)
     square = alpha * alpha

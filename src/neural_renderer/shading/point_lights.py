@@ -169,6 +169,6 @@ def _strength(name: str, value: Any, points: Tensor) -> Any:
 
 
 def _cosine(name: str, degrees: Any, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Convert degrees to a tensor that broadcasts with points; return it, and its cosine."""
+    """Convert degrees to a tensor that broadcasts with points; return the tensor and its cosine."""
     angle = torch.as_tensor(_strength(name, degrees, points), dtype=points.dtype)
     return angle, torch.cos(torch.deg2rad(angle))

@@ -58,7 +58,7 @@ def _table() -> Tensor:
         visible = 1 / ((nl + _root(alpha**2, nl)) * (cosine + _root(alpha**2, cosine)))
         weight = share * visible * nl * 4 * vh / h[..., 2].clamp(min=1e-6)
         grazing = (1 - vh) ** 5
-        # Of GGX with α = 1 the density of h is (n · h) / π: h serves as the light's direction, with Lambert's weights.
+        # GGX with α = 1 has the density (n · h) / π: h serves as the light's direction, with Lambert's weights.
         towards = _half_vectors(uniform, turn, 1.0)
         between = functional.normalize(towards + v, dim=-1)
         fresnel = (share * (1 - (v * between).sum(-1).clamp(0, 1)) ** 5).sum(-1).expand(_SIZE, _SIZE)

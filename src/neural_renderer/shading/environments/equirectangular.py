@@ -39,7 +39,7 @@ def directions_of(height: int, width: int, like: Tensor) -> Tensor:
 
 
 def solid_angles(height: int, width: int, like: Tensor) -> Tensor:
-    """Compute the solid angle of the pixels of each row, [H]; H · W of them add up to 4π."""
+    """Compute the solid angle of a pixel of each row, [H]; all pixels together cover 4π."""
     edges = torch.cos(torch.arange(height + 1, dtype=like.dtype, device=like.device) * (math.pi / height))
     return (edges[:-1] - edges[1:]) * (2 * math.pi / width)
 

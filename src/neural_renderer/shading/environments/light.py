@@ -214,10 +214,10 @@ class EnvironmentLight(OneLine):
         return SphericalHarmonicLight(self._kept("coefficients", self._pixels(like)))
 
     def _kept(self, name: str, image: Tensor) -> Tensor:
-        """Compute levels or coefficients of the image; keep them until it changes, unless it gets gradients."""
+        """Compute levels or coefficients of the image, kept until the image changes unless it needs gradients."""
         compute = prefiltered if name == "levels" else projected
         source = torch.as_tensor(self.image)
-        if image.requires_grad or not is_plain((image,)) or source.is_inference():  # changes of these are not counted
+        if image.requires_grad or not is_plain((image,)) or source.is_inference():  # torch does not count its changes
             return compute(image)
         key = (source._version, image.device)
         known = self._computed.get(name)

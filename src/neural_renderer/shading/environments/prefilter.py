@@ -24,7 +24,7 @@ LEVELS = 8
 _ROWS = 128  # most rows of a level
 _FEWEST = 16  # rows of the smoothest levels
 _WIDE = 0.2  # α of lobes that are summed over all pixels
-_SMALL = 48  # most rows of the image for these
+_SMALL = 48  # most rows of the image that wide lobes sum over
 _SAMPLES = 128
 _SHARPER = 0.5  # levels by which samples are sharper than their solid angle: neighbours overlap anyway
 
@@ -149,7 +149,7 @@ def _lobe_samples(alpha: float) -> list[tuple[tuple[float, float, float], float,
     samples = []
     for index in range(_SAMPLES):
         uniform, turn = (index + 0.5) / _SAMPLES, index * math.pi * (1 + 5**0.5)  # the golden angle spreads them evenly
-        square = (1 - uniform) / (1 - uniform + alpha**2 * uniform)  # of the halfway vector's z
+        square = (1 - uniform) / (1 - uniform + alpha**2 * uniform)  # z² of the halfway vector
         z, across = math.sqrt(square), math.sqrt(1 - square)
         density = alpha**2 / (math.pi * (square * (alpha**2 - 1) + 1) ** 2) / 4
         way = (2 * z * across * math.cos(turn), 2 * z * across * math.sin(turn), 2 * square - 1)

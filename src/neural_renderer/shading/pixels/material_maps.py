@@ -25,7 +25,7 @@ _tangents_of_meshes: WeakKeyDictionary[UVMesh, tuple[Any, Tensor]] = WeakKeyDict
 
 
 class MaterialMaps:
-    """Materials of a `UVMesh` at every pixel. Faces without one look as in a mesh without materials."""
+    """Materials of a `UVMesh` at every pixel. Faces without a material look as in a mesh without materials."""
 
     def __init__(self, fragments: Fragments, mesh: UVMesh) -> None:
         self.fragments, self.mesh = fragments, mesh
@@ -40,12 +40,12 @@ class MaterialMaps:
             self.shown = (at_pixels(index + 1, fragments.face_index)[..., 0] - 1) % len(self.materials)
 
     def factor(self, name: str) -> Tensor:
-        """Return a factor of the materials at every pixel, [B, H, W, C], or [1, 1, 1, C] if it is the same."""
+        """Return a factor of the materials at every pixel, [B, H, W, C]; [1, 1, 1, C] for one material."""
         rows = [getattr(material, name).reshape(-1) for material in self.materials]
         return self._spread(torch.stack([row.to(self.fragments.corners.device) for row in rows]))
 
     def each(self, values: Sequence[float]) -> Tensor:
-        """Return a number of each material at every pixel, [B, H, W, 1], or [1, 1, 1, 1] if there is one."""
+        """Return a number of each material at every pixel, [B, H, W, 1]; [1, 1, 1, 1] for one material."""
         return self._spread(torch.tensor(values, dtype=torch.float32, device=self.fragments.corners.device)[:, None])
 
     def textured(self, name: str, channels: slice = slice(None), otherwise: float = 1.0) -> Tensor | None:
@@ -144,7 +144,7 @@ def _kept_tangents(mesh: UVMesh, uv: Tensor) -> Tensor:
 def _computed_tangents(mesh: UVMesh, uv: Tensor) -> Tensor:
     if uv.dim() == 3:
         return corner_tangents(mesh.vertices, mesh.faces, uv, mesh.normals)
-    faces = mesh.faces.clamp(min=0)  # those of the padding are not drawn
+    faces = mesh.faces.clamp(min=0)  # padding is not drawn
     normals = [None] * len(uv) if mesh.normals is None else mesh.normals
     rows = zip(mesh.vertices, faces, uv, normals, strict=True)
     return torch.stack([corner_tangents(*row) for row in rows])

@@ -91,7 +91,7 @@ def _by_name(
 
 
 def _pbr(surface: VisibleSurface, maps: MaterialMaps, albedo: Tensor, lights: Sequence[Any]) -> Tensor:
-    """Shade by materials; from display values and to them."""
+    """Shade by materials; takes and returns display values."""
     base = srgb_to_linear(albedo)
     emissive_image = maps.textured("emissive_texture")
     emissive = maps.factor("emissive")
@@ -105,7 +105,7 @@ def _pbr(surface: VisibleSurface, maps: MaterialMaps, albedo: Tensor, lights: Se
 
 
 def surface_edge_hashes(mesh: UVMesh) -> Tensor:
-    """Hash all that colours of pixels depend on along each edge; as `image_edge_hashes`."""
+    """Hash all that determines colours under light on pixels along each edge; as `image_edge_hashes`."""
     hashes = image_edge_hashes(mesh.uv, mesh.image_index, None)
     for values in (mesh.normals, mesh.uv1):
         if values is not None:
@@ -114,7 +114,7 @@ def surface_edge_hashes(mesh: UVMesh) -> Tensor:
 
 
 def flat_edge_hashes(mesh: UVMesh, light: Tensor | None) -> Tensor:
-    """Hash all that colours under light on whole faces depend on along each edge; as `image_edge_hashes`."""
+    """Hash all that determines colours under light on faces along each edge; as `image_edge_hashes`."""
     hashes = image_edge_hashes(mesh.uv, mesh.image_index, light)
     return _with_materials(hashes, mesh) if any(material.is_tinted for material in mesh.materials) else hashes
 

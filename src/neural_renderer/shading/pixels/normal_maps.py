@@ -80,7 +80,7 @@ def bumped(surface: VisibleSurface, tangents: Tensor, mapped: Tensor) -> Visible
     Returns:
         The surface with normals x · tangent + y · bitangent + z · normal, differentiable.
     """
-    n = surface.normals * surface.sides  # of the front
+    n = surface.normals * surface.sides  # front normals
     t, sign = unit(planar(tangents[..., :3])), tangents[..., 3:].contiguous()
     bitangent = sign * cross(n, t)
     x, y, z = planar(mapped).split(1, -1)
@@ -103,7 +103,7 @@ def _in_plane(vectors: Tensor, normals: Tensor) -> Tensor:
 
 
 def _unit(vectors: Tensor) -> Tensor:
-    """Divide vectors by their lengths; one shorter than `_EPS` becomes 0, and passes no gradient."""
+    """Divide vectors by their lengths; vectors shorter than `_EPS` become 0, without a gradient."""
     short = torch.linalg.vector_norm(vectors.detach(), dim=-1, keepdim=True) < _EPS
     known = torch.where(short, torch.ones_like(vectors), vectors)
     return torch.where(short, torch.zeros_like(vectors), functional.normalize(known, dim=-1, eps=_EPS))

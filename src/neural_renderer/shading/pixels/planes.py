@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 def planar(values: Tensor) -> Tensor:
-    """Return values [B, ..., C] in memory channel by channel; the same tensor if they are."""
+    """Return values [B, ..., C] in memory channel by channel; a planar tensor unchanged."""
     return values.movedim(-1, 1).contiguous().movedim(1, -1)
 
 
@@ -33,5 +33,5 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 def unit(vectors: Tensor) -> Tensor:
-    """Divide vectors [..., 3] by their lengths; one shorter than 1e-12 becomes shorter than 1."""
+    """Divide vectors [..., 3] by their lengths; vectors shorter than 1e-12 stay shorter than 1."""
     return vectors * dot(vectors, vectors).clamp(min=1e-24).rsqrt()

@@ -114,7 +114,7 @@ class VisibleSurface(OneLine):
 
 
 def at_pixels(values: Tensor, face_index: Tensor) -> Tensor:
-    """Take a number of each face, [B, F], at the visible face of each pixel [B, H, W]; [B, H, W, 1], 0 for no face."""
+    """Look up values [B, F] of the visible faces [B, H, W]: [B, H, W, 1], 0 where no face is visible."""
     batch, count = values.shape
     padded = torch.cat((values, values.new_zeros(batch, 1)), 1)
     index = face_index.flatten(1).long() % (count + 1)
@@ -132,7 +132,7 @@ def _eye(camera: Camera, like: Tensor) -> Tensor:
 
 
 def _sides(corners: Tensor, eye: Tensor, perspective: bool) -> Tensor:
-    """Tell which side of each face [B, F, 3, 3] the eye sees: 1 for that of (v1 − v0) × (v2 − v0), −1; [B, F]."""
+    """Return +1 where the eye sees a face's front, the side of (v1 − v0) × (v2 − v0), else −1; [B, F]."""
     v0, v1, v2 = corners.unbind(2)
     normals = torch.linalg.cross(v1 - v0, v2 - v0, dim=-1)
     towards = eye[:, 0] - v0 if perspective else eye[:, 0]
