@@ -1,4 +1,4 @@
-"""`FirstView`: where browsers look from at first, and those that nobody has turned since."""
+"""`FirstView`: the first view of browsers, and of cameras that nobody has moved since."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from .layout import FIELD, clip_distances
 if TYPE_CHECKING:
     import viser
 
-_UNMOVED = 0.02  # a camera that is nearer to its first place, relative to its distance, was not moved
-_VIEWS = 16  # remembered, to tell which cameras were not moved
+_UNMOVED = 0.02  # distance from a first view, relative to the target's, below which a camera counts as unmoved
+_VIEWS = 16  # first views remembered, to recognise unmoved cameras
 
 
 class FirstView:

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 _MOST = 200  # frusta drawn
 _PHOTO = 192  # longer side of a photograph in the scene, in pixels
-_SIZE = 0.08  # of a frustum, relative to the median distance of the cameras from the scene's centre
-_FAR = 1.5  # relative to that distance: cameras beyond need not be in the first view
+_SIZE = 0.08  # size of a frustum, relative to the median distance of the cameras from the scene's centre
+_FAR = 1.5  # distance, relative to that median, beyond which the first view may omit cameras
 _COLOR = (70, 90, 120)  # RGB
 _PAPER = 0.93  # grey behind photographs of objects that were cut out
-_PARALLEL = 0.05  # field of view in radians with which a camera without perspective is drawn
+_PARALLEL = 0.05  # drawn field of view of orthographic cameras, in radians
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +103,11 @@ class Frusta:
         self._server = server
         self._nodes: list[Any] = []
         self._box: Any = None
-        self._near = np.zeros((0, 3))  # positions
+        self._near = np.zeros((0, 3))  # positions of the cameras that the first view shows
         self.photographs: dict[str, Photograph] = {}
 
     def show(self, name: str, taken: list[Photograph], center: np.ndarray) -> None:
-        """Show cameras around meshes with this centre [3], in place of those that were there."""
+        """Show cameras around meshes with this centre [3], in place of earlier cameras."""
         for node in self._nodes:
             node.remove()
         self.photographs = {f"photo {number + 1}": one for number, one in enumerate(taken)}
@@ -127,13 +127,13 @@ class Frusta:
             self._box.on_update(self._hide)
 
     def bounds(self) -> list[Box]:
-        """Return the box around the visible cameras, without those far away; none without cameras."""
+        """Return the box around the visible cameras, without far cameras; an empty list if there is none."""
         if self._box is None or not self._box.value or not len(self._near):
             return []
         return [(self._near.min(0), self._near.max(0))]
 
     def _hide(self, _: Any) -> None:
-        """Show or hide the cameras, as the box says."""
+        """Show or hide the cameras, as the checkbox says."""
         for node in self._nodes:
             node.visible = self._box.value
 

@@ -10,13 +10,13 @@ Box = tuple[np.ndarray, np.ndarray]
 """Least and greatest coordinates, [3] each."""
 FIELD = 0.7
 """Vertical field of view of the first view, in radians."""
-_ASPECT = 0.9  # width over height of the first view, at least: panels may be on both sides
+_ASPECT = 0.9  # least width over height of the first view: panels may be on both sides
 _VIEW = np.array([-0.45, 0.35, 1.0])  # direction of the first view: right, up, backward
-_GAP = 0.25  # between meshes side by side, relative to the width of the widest
-_NEAR, _FAR = 1e-3, 1e2  # planes, relative to the distance of the first view
-_BACKGROUND = 1.0  # distance of the plane with the background
-_MOST_NEARER = 10.0  # times that the near plane may be nearer for it
-_MARGIN = 1.1  # of the distance, relative to the least one that shows everything
+_GAP = 0.25  # gap between meshes in a row, relative to the widest mesh
+_NEAR, _FAR = 1e-3, 1e2  # clipping planes, relative to the distance of the first view
+_BACKGROUND = 1.0  # distance of viser's background plane
+_MOST_NEARER = 10.0  # largest near distance, relative to the background's, that is shortened to show the background
+_MARGIN = 1.1  # distance of the first view, relative to the least that shows everything
 
 
 def axes_of(up: str) -> np.ndarray:
@@ -28,7 +28,7 @@ def axes_of(up: str) -> np.ndarray:
 
 
 def places_in_row(boxes: Sequence[Box], axes: np.ndarray) -> list[np.ndarray]:
-    """Choose places [3] of the origins of meshes, so that these stand in a row on the ground of the first one.
+    """Choose places [3] of the origins of meshes, so that they stand in a row on the ground of the first mesh.
 
     Args:
         boxes: Bounds of the meshes, each in its own coordinates.
@@ -74,10 +74,10 @@ def first_view(boxes: Sequence[Box], axes: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def clip_distances(radius: float) -> tuple[float, float]:
-    """Choose the distances of the near and the far plane of a camera that is so far from what it looks at.
+    """Choose near and far planes for a camera at distance ``radius`` from its target.
 
-    viser draws the background on a plane at distance 1: it has to lie between them. Of a very large scene it does not,
-    because the near plane would be so near that depths could not be told apart.
+    viser draws the background on a plane at distance 1, which has to lie between them. In very large scenes the
+    background is lost: a closer near plane would exhaust depth precision.
     """
     near = radius * _NEAR
     if _BACKGROUND <= near <= _MOST_NEARER * _BACKGROUND:

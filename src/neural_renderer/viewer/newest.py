@@ -10,19 +10,19 @@ from typing import Any
 from ..io.files import reason, warn
 from .drawing.snapshot import Snapshot, check_mesh, take_snapshot
 
-_SHARE = 0.01  # of the time that copies of meshes may take in the thread of the work
-_IDLE = 1.0  # seconds between two copies while nobody looks, and nothing is recorded
+_SHARE = 0.01  # share of the task's thread that copies of meshes may take
+_IDLE = 1.0  # seconds between two copies while no browser or record wants them
 
 
 class Newest:
     """Copies of meshes, by name. Threads may share it.
 
-    A copy is made at most ``rate`` times a second, and such that copies take at most 1 % of the time.
+    Copies are made at most ``rate`` times a second, and take at most 1 % of the time.
 
     Args:
         rate: Copies of a mesh a second at most, > 0.
         put: Called with the name of a mesh and its new copy.
-        is_watched: Tells whether somebody looks, or the copies are recorded. Without, there is a copy a second.
+        is_watched: Whether a browser or a record wants copies; otherwise one copy per second is made.
         postpone: Called when a mesh came too early; `catch_up` is to be called soon.
 
     Attributes:

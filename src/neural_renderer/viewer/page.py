@@ -50,7 +50,7 @@ class Page:
         return len(self.server.get_clients())
 
     def show_cameras(self, name: str, taken: list[Photograph]) -> None:
-        """Show cameras with their photographs. In the worker's thread."""
+        """Show cameras with their photographs. Runs in the worker's thread."""
         if self.scene.side_by_side or self.scene.equal_size:
             self.display.arrange(side_by_side=False, equal_size=False)  # cameras fit one place only
         self.frusta.show(name, taken, self.scene.center())
@@ -58,25 +58,25 @@ class Page:
         self.renderer.update()
 
     def show_pictures(self, pictures: Mapping[str, Path]) -> None:
-        """Offer pictures by name. In the worker's thread."""
+        """Offer pictures by name. Runs in the worker's thread."""
         if self._pictures is None:
             self._pictures = PicturesPanel(self.server)
         self._pictures.offer(pictures)
 
     def show_steps(self, labels: Sequence[str], choose: Callable[[int], None]) -> None:
-        """Offer a slider through steps. In the worker's thread."""
+        """Offer a slider through steps. Runs in the worker's thread."""
         if self._steps is None:
             self._steps = StepsPanel(self.server)
         self._steps.offer(labels, choose)
 
     def update_run(self) -> None:
-        """Show the state of the run. In the worker's thread."""
+        """Show the state of the run. Runs in the worker's thread."""
         if self._run_panel is None:
             self._run_panel = RunPanel(self.server, self._run)
         self._run_panel.update()
 
     def finish(self, text: str) -> None:
-        """Show that the run is over. In the worker's thread."""
+        """Show that the run is over. Runs in the worker's thread."""
         if self._run_panel is not None:
             self._run_panel.finish(text)
 

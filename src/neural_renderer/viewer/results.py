@@ -19,7 +19,7 @@ MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 """Suffixes of mesh files."""
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 _MOST_MESHES, _MOST_PICTURES = 12, 200
-_GREY = 0.5  # of meshes without colours
+_GREY = 0.5  # grey of meshes without colours
 _INNER = ("pictures", "sheets")  # folders of pictures of a training, and of a data set
 _VIEW_SIZE = 256  # longer side of a photograph in pixels
 
@@ -70,7 +70,7 @@ def read_results(path: Path, allow_outside: bool = False) -> Results:
 
 
 def read_mesh_to_show(path: Path, allow_outside: bool = False) -> Any:
-    """Read a mesh with its images; one without any colours is returned as (vertices, faces)."""
+    """Read a mesh with its images; a mesh without colours is returned as (vertices, faces)."""
     mesh = UVMesh.load(path, grey=_GREY, allow_outside=allow_outside)
     if not mesh.images and bool((mesh.colors == _GREY).all()):
         return mesh.vertices, mesh.faces
@@ -164,7 +164,7 @@ def _is_texture(path: Path, meshes: list[Path]) -> bool:
 
 
 def _read_report(path: Path, results: Results) -> dict[str, Any]:
-    """Read the report of a command: its history as curves. Returns an empty one if there is none."""
+    """Read the report of a command: its history as curves. Returns an empty dict without a report."""
     if not path.is_file():
         return {}
     try:

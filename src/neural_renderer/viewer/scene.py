@@ -19,12 +19,12 @@ from .worker import Worker
 if TYPE_CHECKING:
     import viser
 
-_DECODING, _DECODED = 0.1, 2e7  # a browser shows a mesh after so many seconds, and one more for so many bytes
-_MOST_DECODING = 2.0  # seconds
+_DECODING, _DECODED = 0.1, 2e7  # least seconds for which a browser decodes a mesh, and bytes per second beyond
+_MOST_DECODING = 2.0  # most seconds for which a browser decodes a mesh
 _AMBIENT = 1.1  # intensities: π shows a white surface that faces a lamp as white
 # A lamp shines from its place, right, up and backward, to the origin.
 _LAMPS = (((-0.5, 0.8, 0.7), 1.8), ((0.7, -0.2, 0.3), 0.5), ((0.2, 0.3, -1.0), 0.8))
-_GROWN = 1.4  # a mesh that is so many times larger, or smaller, than in the first view is seen whole again
+_GROWN = 1.4  # growth or shrinkage since the first view after which a mesh is seen whole again
 
 
 class Scene:
@@ -34,7 +34,7 @@ class Scene:
         look: How meshes are shown.
         wireframe, normals: Whether edges and vertex normals are drawn.
         side_by_side: Whether meshes stand in a row; otherwise each at its own coordinates.
-        equal_size: Whether the others are shown as large as the first.
+        equal_size: Whether all meshes are shown as large as the first.
         meshes: The meshes by name. Only the worker's thread changes them.
     """
 
@@ -66,19 +66,19 @@ class Scene:
         self._set_first_view()
 
     def put(self, name: str, snapshot: Snapshot) -> None:
-        """Show a mesh soon, in place of one of the same name. For any thread."""
+        """Show a mesh soon, in place of one of the same name. Any thread may call it."""
         with self._lock:
             self._coming[name] = snapshot
         self._worker.post("meshes", self._update)
 
     def redraw(self, *names: str) -> None:
-        """Show these meshes, or all, again soon, after the look has changed. For any thread."""
+        """Show these meshes, or all, again soon, after the look has changed. Any thread may call it."""
         with self._lock:
             self._stale.update(names or self.meshes)
         self._worker.post("meshes", self._update)
 
     def remove(self, names: Iterable[str]) -> None:
-        """Take meshes away soon. For any thread."""
+        """Take meshes away soon. Any thread may call it."""
         gone = list(names)
 
         def job() -> None:
@@ -99,7 +99,7 @@ class Scene:
         return first_view(self._bounds(), self._axes)[1]
 
     def set_up(self, axis: str) -> None:
-        """Choose the axis that is up, such as "+z". For any thread."""
+        """Choose the axis that is up, such as "+z". Any thread may call it."""
         self._axes = axes_of(axis)
         self._server.scene.set_up_direction(axis)  # type: ignore[arg-type]
         for lamp, (direction, _) in zip(self._lamps, _LAMPS, strict=True):
@@ -145,7 +145,7 @@ class Scene:
             self.on_change()
 
     def _resize(self, new: Iterable[str] = ()) -> None:
-        """Choose the sizes at which meshes are shown; draw those again soon whose size changes, except new ones."""
+        """Choose the sizes of meshes as shown; draw meshes soon whose size changes, except ``new`` ones."""
         reference = 0.0
         for name, shown in self.meshes.items():
             extent = extent_of(shown.original) if self.equal_size else 0.0
@@ -178,7 +178,7 @@ class Scene:
             shown.place_at(place)
 
     def arrange(self) -> None:
-        """Arrange the meshes again soon, and show all of them. For any thread."""
+        """Arrange the meshes again soon, and show all of them. Any thread may call it."""
 
         def job() -> None:
             self._resize()
@@ -189,11 +189,11 @@ class Scene:
         self._worker.post("arrange", job)
 
     def show_whole(self, client: viser.ClientHandle) -> None:
-        """Move the camera of a browser so that everything is visible. For any thread."""
+        """Move the camera of a browser so that everything is visible. Any thread may call it."""
         look_from(client, *self._choose_view())
 
     def _set_first_view(self, move: bool = True) -> None:
-        """Tell browsers that connect later where to look from; ``move`` all that are there, or those still there."""
+        """Choose the first view; ``move`` the cameras of all browsers, or else only those that nobody has moved."""
         self.first_view.choose(*self._choose_view(), move=move)  # nobody's own view changes because a mesh has come
         for shown in self.meshes.values():
             shown.framed = extent_of(shown.snapshot)

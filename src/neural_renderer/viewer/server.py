@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import viser
 
 _STOPPING = 1.0  # seconds that the end waits for open connections
-_PORTS = 100  # tried one after the other
+_PORTS = 100  # most ports that are tried
 _NOT_HERE = (errno.EADDRNOTAVAIL,)
 _THEME = (43, 90, 140)  # RGB of buttons
 _STARTING = threading.Lock()
@@ -98,7 +98,7 @@ class _Filtered(io.TextIOBase):
 
 @contextlib.contextmanager
 def _without_output(drops: Callable[[str], bool]) -> Iterator[None]:
-    """Drop some of what is printed: viser prints what a program that uses it should say in its own way.
+    """Filter viser's own messages from the output.
 
     In a notebook rich's own console, which viser prints with, bypasses the standard output.
     """
@@ -115,7 +115,7 @@ def _without_output(drops: Callable[[str], bool]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _own_pages_only(is_local: bool) -> Iterator[None]:
-    """Have a server of viser that starts here refuse connections from pages of other servers.
+    """Make viser's server refuse connections from pages of other servers.
 
     A browser lets every page open a websocket to this machine, and names the page's server in the header "Origin".
     viser does not look at it and has no option for it, so its call of websockets is extended.
@@ -190,7 +190,7 @@ def _free_port(host: str, port: int) -> int:
         raise OSError(f"host: expected a name or an address of this machine, got {host!r} ({error.strerror})") from None
     for candidate in range(port, min(port + _PORTS, 65536)) if port else (0,):
         with socket.socket(family, socket.SOCK_STREAM) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server does: ports of closed ones
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # ports of closed servers, as viser
             try:
                 probe.bind((host, candidate))
             except PermissionError as error:

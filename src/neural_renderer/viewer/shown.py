@@ -19,7 +19,7 @@ _LINES = (30, 40, 55)  # RGB of the wireframe
 _NORMALS = (200, 60, 130)  # RGB of normals
 _LIFT = 5e-4  # distance of the wireframe from its faces, relative to the size of the mesh
 _NORMAL_LENGTH, _THICKNESS = 0.04, 0.0015  # relative to the size of the mesh
-_MOST_NORMALS = 4000  # drawn
+_MOST_NORMALS = 4000  # most normals drawn
 
 
 @dataclass
@@ -28,14 +28,14 @@ class Shown:
 
     Attributes:
         original: The mesh, without faces that cannot be drawn.
-        snapshot: The same at the size at which it is shown.
-        scale: Size of the one relative to the other.
-        left_out: Number of those faces.
-        visible: Whether it is shown.
-        place: [3], where its origin lies in the scene.
-        values: [V, 3] colours of vertices to show in place of its own, or None.
-        path: Name of its nodes.
-        framed: Its size when the first view was chosen.
+        snapshot: The mesh in its shown size.
+        scale: Size of ``snapshot`` relative to ``original``.
+        left_out: Number of faces that cannot be drawn.
+        visible: Whether the mesh is shown.
+        place: Origin of the mesh in the scene, [3].
+        values: Colours [V, 3] to show in place of the mesh's own, or None.
+        path: Name of the nodes.
+        framed: Size of the mesh when the first view was chosen.
         coming: Bytes that a browser has to decode before `swap`.
     """
 
@@ -71,7 +71,7 @@ class Shown:
             self.frame.position = tuple(place)
 
     def draw(self, server: viser.ViserServer, look: Look, wireframe: bool, normals: bool) -> None:
-        """Make the nodes. Those that replace visible ones stay invisible until `swap`."""
+        """Make the nodes; nodes that replace visible ones stay invisible until `swap`."""
         if self.frame is None:
             self.frame = server.scene.add_frame(self.path, show_axes=False, position=tuple(self.place))
         self.frame.visible = self.visible

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 UP = ("+x", "-x", "+y", "-y", "+z", "-z")
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8080
-_WORKER_SHARE = 0.02  # of one core, for all but copies of meshes, while work goes on
+_WORKER_SHARE = 0.02  # share of one core that the worker may use during a run (mesh copies excluded)
 _FLUSH = 20.0  # seconds that the end waits for the newest mesh
 _POLL = 0.1  # seconds
 
@@ -460,7 +460,7 @@ class Viewer:
         self._worker.post("early", self._newest.catch_up)
 
     def _record(self) -> None:
-        """Add the newest meshes to the record. In the worker's thread."""
+        """Add the newest meshes to the record. Runs in the worker's thread."""
         (step, label), meshes = self._newest.all()
         if self._recorder is not None:
             self._recorder.add(step, meshes, label)

@@ -1,4 +1,4 @@
-"""`Worker`: one thread that does the viewer's work, the newest of each kind, in a small share of the time."""
+"""`Worker`: one thread that does the newest job of each kind for the viewer, in a small share of the time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from ..io.files import reason, warn
 
-_SLOWEST = 10.0  # seconds between two rounds at most
+_SLOWEST = 10.0  # most seconds between two rounds
 
 
 class Worker:
@@ -32,7 +32,7 @@ class Worker:
         self._thread.start()
 
     def set_share(self, share: float) -> None:
-        """Change the share of one core, also for the rest that has begun."""
+        """Change the share of one core, also during a rest."""
         with self._changed:
             self._share = share
             self._changed.notify_all()
@@ -41,7 +41,7 @@ class Worker:
         """Do a job soon."""
         with self._changed:
             if not self._closed:
-                self._jobs.pop(name, None)  # after those that were posted meanwhile
+                self._jobs.pop(name, None)  # jobs that were posted meanwhile come first
                 self._jobs[name] = job
                 self._changed.notify_all()
 
@@ -91,7 +91,7 @@ class Worker:
                 self._changed.wait(left)
 
     def _try(self, job: Callable[[], None]) -> None:
-        """Do a job. What goes wrong in the viewer is told once, and does not end the work that it shows."""
+        """Do a job. An error in the viewer is reported once, and does not end the task."""
         try:
             job()
         except Exception as error:

@@ -21,9 +21,9 @@ class Drawable:
 
     Attributes:
         vertices: [V, 3] float32.
-        corners: [N], the vertex at each drawn position; None if those are the vertices.
+        corners: [N], the vertex at each drawn position; None if the vertices are drawn.
         normals: [V, 3] float32, for smooth light; None for flat light.
-        index: [F, 3] uint32, faces as indices of drawn positions; None if each three of them are a face.
+        index: [F, 3] uint32, faces as indices of drawn positions; None if each three positions are a face.
         color: RGB of the whole mesh in [0, 1].
         colors: [N, 3] uint8 sRGB, or None.
         uv: [N, 2] float32, v down, or None.
@@ -119,12 +119,12 @@ def write_glb(parts: Sequence[Drawable]) -> bytes:
 
 
 class _Body:
-    """The binary part of a GLB file, with the descriptions of what lies where.
+    """The binary part of a GLB file, with descriptions of its arrays.
 
     Attributes:
         parts: The bytes so far, each part padded to a multiple of four.
-        size: Their number.
-        views, accessors: The descriptions.
+        size: Number of bytes.
+        views, accessors: Descriptions of the arrays.
     """
 
     def __init__(self) -> None:

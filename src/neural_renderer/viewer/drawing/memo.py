@@ -13,7 +13,7 @@ _Value = TypeVar("_Value")
 
 
 class Memo(Generic[_Value]):
-    """Keeps results for tensors, as long as these live and are not changed in place. For any thread.
+    """Keeps results for tensors, as long as these live and are not changed in place. Any thread may call it.
 
     torch counts changes of a tensor, but neither those by ``tensor.data`` nor those by an array of numpy that shares
     its memory. ``holds`` can find these.
@@ -30,7 +30,7 @@ class Memo(Generic[_Value]):
 
     def get(self, tensor: Tensor, make: Callable[[Tensor], _Value]) -> _Value:
         """Return ``make(tensor)``, or the result of an earlier call."""
-        if tensor.is_inference():  # changes of these are not counted
+        if tensor.is_inference():  # torch does not count its changes
             return make(tensor)
         key, version = id(tensor), tensor._version
         with self._lock:

@@ -24,8 +24,8 @@ IMAGE_LOSSES = ("silhouette IoU", "photometric")
 FREE_LOSSES = ("area", "brightness", "laplacian", "edge length", "normal consistency", "smoothness")
 """Losses without a target: the first two of the picture, the others of the mesh."""
 _AMBIENT, _DIRECTIONAL = 0.45, 0.6
-_NEAREST, _FARTHEST = 1e-3, 1e3  # planes, relative to the distance of the eye from the mesh
-_LENGTH, _LEAST = 0.1, 0.02  # of the longest arrow, relative to the mesh; shorter ones, relative to it, are left out
+_NEAREST, _FARTHEST = 1e-3, 1e3  # clipping planes, relative to the eye's distance from the mesh
+_LENGTH, _LEAST = 0.1, 0.02  # longest arrow, relative to the mesh; least gradient of an arrow, relative to the largest
 _MOST_ARROWS = 3000
 _COLD, _WARM, _HOT = (0.80, 0.83, 0.88), (0.96, 0.62, 0.20), (0.72, 0.05, 0.12)  # colours of small to large gradients
 
@@ -248,7 +248,7 @@ def arrows(snapshot: Snapshot, gradient: Tensor) -> tuple[np.ndarray, np.ndarray
 
 
 def heat(values: Tensor) -> Tensor:
-    """Choose colours [N, 3] for values [N] in [0, 1]: grey, orange, red; small ones are told apart, too."""
+    """Choose colours [N, 3] for values [N] in [0, 1]: grey, orange, red; small values stay distinct."""
     cold, warm, hot = (torch.tensor(color) for color in (_COLD, _WARM, _HOT))
     t = values.clamp(0, 1).sqrt()[:, None]
     return torch.where(t < 0.5, cold + (warm - cold) * 2 * t, warm + (hot - warm) * (2 * t - 1))

@@ -124,7 +124,7 @@ def _parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
 
 
 def _checked(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
-    """Check indices; vertices may be infinite, or no numbers, in an optimisation that diverges."""
+    """Check indices; vertices may be infinite or NaN in an optimisation that diverges."""
     faces = validate.indices("faces", faces, ("F", 3), always=True).int()
     numbers = faces.numpy()  # torch's threads would cost more than they save
     if numbers.size and not 0 <= numbers.min() <= numbers.max() < len(vertices):
@@ -144,7 +144,7 @@ def _single(value: Any, dimensions: int = 2) -> Tensor:
 
 
 def _copy(value: Tensor) -> Tensor:
-    """Copy a tensor to the CPU, without its gradient; one that has not changed has one copy."""
+    """Copy a tensor to the CPU, without its gradient; an unchanged tensor is copied once."""
     return _COPIES.get(value, _copied)
 
 

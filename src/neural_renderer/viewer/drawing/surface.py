@@ -1,6 +1,6 @@
 """Surface of a mesh as the viewer shows it: its colours, one colour, its normals, or a colour for each face.
 
-This is written in numpy, on one core: torch's threads would compete with those of the work that is shown.
+This is written in numpy, on one core: torch's threads would compete with the task's threads.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from .snapshot import Snapshot
 
 Surface = Literal["colours", "clay", "normals", "faces"]
 SURFACES: tuple[Surface, ...] = ("colours", "clay", "normals", "faces")
-_MOST_ATLAS_PIXELS = 4096**2  # finer meshes have the colours of their faces' corners only
+_MOST_ATLAS_PIXELS = 4096**2  # largest atlas in pixels; finer meshes get colours at corners only
 _LARGEST_IMAGE = 4096  # longer side of an image in pixels
-_EVEN = 2  # colours that differ by less, of 255, are one colour
-_FEW = 64  # faces that are looked at first
-_V_DOWN, _V_TOP = np.array([1, -1], np.float32), np.array([0, 1], np.float32)  # v up to v down
+_EVEN = 2  # difference, of 255, below which colours count as one
+_FEW = 64  # faces examined first, for speed
+_V_DOWN, _V_TOP = np.array([1, -1], np.float32), np.array([0, 1], np.float32)  # factor and offset from v up to v down
 _JPEGS: Memo[bytes] = Memo()
 
 
@@ -176,7 +176,7 @@ def _of_images(vertices: np.ndarray, faces: np.ndarray, mesh: UVMesh, look: Look
 
 
 def _seams(corners: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find equal pairs of a vertex and its coordinates: the first of each kind, and the kind of each."""
+    """Find equal pairs (vertex, coordinates): the first pair of each kind, and the kind of each pair."""
     order = np.lexsort((uv[:, 1], uv[:, 0], corners))
     is_new = np.ones(len(order), bool)
     is_new[1:] = (np.diff(corners[order]) != 0) | (np.diff(uv[order], axis=0) != 0).any(1)
@@ -211,7 +211,7 @@ def _unrolled(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Compute normals of faces, [F, 3], of the lengths of their areas."""
+    """Compute normals of faces, [F, 3], twice as long as the area."""
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
     (ax, ay, az), (bx, by, bz) = (second - first).T, (third - first).T
     return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), 1)

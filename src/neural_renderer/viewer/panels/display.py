@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 _BACKGROUND = (236, 238, 242)  # RGB
 _UP = {"+y": "+y", "−y": "-y", "+z": "+z", "−z": "-z", "+x": "+x", "−x": "-x"}
-_MOST_PIXELS = 4096  # of a side of a saved picture
-_RENDERING = 30.0  # seconds that a browser may take for it
+_MOST_PIXELS = 4096  # longest side of a saved picture
+_RENDERING = 30.0  # seconds that a browser may take for a picture
 
 
 class DisplayPanel:

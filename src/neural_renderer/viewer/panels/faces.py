@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import viser
 
 _MOST_LABELS = 300
-_PARALLEL = 1e-12  # of the determinant below which a ray does not meet a face
+_PARALLEL = 1e-12  # determinant below which a ray counts as parallel to a face
 
 
 class FacesPanel:
@@ -30,7 +30,7 @@ class FacesPanel:
         self._clicked: Any = None
 
     def update(self) -> None:
-        """Label the faces of small meshes, if that is asked for. In the worker's thread."""
+        """Label the faces of small meshes, if that is asked for. Runs in the worker's thread."""
         self._clear()
         shown = [one for one in self._scene.meshes.values() if one.visible]
         if not self._box.value or sum(len(one.snapshot.faces) for one in shown) > _MOST_LABELS:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _OUTPUTS = {"colour": "rgb", "silhouette": "alpha", "depth": "depth"}
 _HEIGHTS = (128, 256, 384, 512)
-_WIDTH = 380  # of the picture, in pixels of the page
+_WIDTH = 380  # width of the picture, in pixels of the page
 _WHITE = (1.0, 1.0, 1.0)
 _SHAFT, _HEAD = 0.003, 0.008  # radii of arrows, relative to the size of the mesh
 _HEAD_LENGTH = 0.02
@@ -67,7 +67,7 @@ class RendererPanel:
         server.on_client_connect(lambda client: self._follow(client))
 
     def update(self) -> None:
-        """Draw again soon, where something is asked for. For any thread."""
+        """Draw again soon, where something is asked for. Any thread may call it."""
         self._worker.post("our picture", self._draw)
 
     def _follow(self, client: viser.ClientHandle) -> None:
@@ -192,7 +192,7 @@ class RendererPanel:
         )
 
     def _color(self, name: str, values: Any) -> None:
-        """Give a mesh its own colours back, or others."""
+        """Colour a mesh by values of its vertices; None restores its own colours."""
         shown = self._scene.meshes.get(name)
         if shown is not None:
             shown.values = values

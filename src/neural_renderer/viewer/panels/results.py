@@ -14,7 +14,7 @@ from ...io import load_image
 if TYPE_CHECKING:
     import viser
 
-_WIDTH = 320  # of the panel of pictures, in pixels of the page
+_WIDTH = 320  # width of the panel of pictures, in pixels of the page
 _LARGEST = 1200  # longer side of a picture
 
 

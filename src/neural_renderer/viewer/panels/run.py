@@ -16,7 +16,7 @@ from .settings import SettingsPanel
 if TYPE_CHECKING:
     import viser
 
-_MOST_POINTS = 400  # of a curve
+_MOST_POINTS = 400  # most points of a curve
 _MOST_CURVES = 4
 _CURVE_HEIGHT = 120  # pixels
 _CURVES_PAUSE = 0.5  # seconds
@@ -24,12 +24,12 @@ _COLOR = "#2b5a8c"
 
 
 class Run:
-    """State of a run that the browser may change. For any thread.
+    """State of a run that the browser may change. Any thread may use it.
 
     Attributes:
         paused: Whether the work is to wait.
-        stopped: Whether it is to end and to keep its result.
-        is_used: Whether there is a run: something looks at these, or logs numbers.
+        stopped: Whether the work is to end and to keep its result.
+        is_used: Whether there is a run: a task has asked for changes or logged numbers.
         knobs: The settings that may change.
     """
 
@@ -96,7 +96,7 @@ class RunPanel:
             hint = "End after this step, and keep the result"
             self._stop = gui.add_button("Stop and keep", color="red", hint=hint)
         self._curves: dict[str, Any] = {}
-        self._next_curves = 0.0  # time
+        self._next_curves = 0.0  # time of the next curves
         self._settings = SettingsPanel(server, run.change)
         self._offered: dict[str, Knob] = {}
 
@@ -164,6 +164,6 @@ class RunPanel:
 
 
 def round_up(value: float) -> float:
-    """Return the least of 10, 20, 50, 100, 200, 500, … that is not less."""
+    """Return the least of 10, 20, 50, 100, 200, 500, … that is at least ``value``."""
     power = 10.0 ** max(math.floor(math.log10(max(value, 1.0))), 1)
     return next(factor * power for factor in (1, 2, 5, 10) if value <= factor * power)

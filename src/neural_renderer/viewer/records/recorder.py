@@ -26,13 +26,13 @@ BEGIN, END = '<script id="record" type="application/json">', "</script>"
 """Text before and after the data in a file."""
 DEFAULT_LIMIT = 32.0
 """Size of a file in MiB at most."""
-_LEVELS = 2**16 - 1  # of a coordinate, over the mesh's bounding box
+_LEVELS = 2**16 - 1  # levels of a coordinate over the mesh's bounding box
 _UV_LEVELS = 2**16 - 1
 _PAGE = Path(__file__).with_name("record.html")
 _MARK = "<!-- record -->"
-_WRITING = 0.02  # share of the time that writing the file while work goes on may take
-_LEAST_INTERVAL = 10.0  # seconds between two such writings
-_MOST_NUMBERS = 2000  # of steps, in the curves
+_WRITING = 0.02  # share of the time that writing the file may take during a run
+_LEAST_INTERVAL = 10.0  # least seconds between two writes during a run
+_MOST_NUMBERS = 2000  # most steps in the curves
 
 
 class Recorder:
@@ -63,10 +63,10 @@ class Recorder:
         self._blobs: dict[str, str] = {}
         self._numbers: dict[str, list[tuple[int, float]]] = {}
         self._seen, self._stride = 0, 1
-        self._step = self._offset = self._earlier = 0  # of the curves: phases that count from 1 follow each other
+        self._step = self._offset = self._earlier = 0  # steps of the curves: phases that count from 1 follow each other
         self._written, self._interval = time.monotonic(), _LEAST_INTERVAL
         self._too_large = 0
-        write_file(self.path, self._content())  # a name that cannot be written is told at the start
+        write_file(self.path, self._content())  # fails at the start if the name cannot be written
 
     def __len__(self) -> int:
         return len(self._frames)

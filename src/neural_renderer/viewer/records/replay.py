@@ -20,7 +20,7 @@ from ...meshes.uv_mesh import UVMesh
 from ..drawing.snapshot import Snapshot
 from .recorder import BEGIN, END, FORMAT
 
-_LARGEST = 2**30  # bytes of an array: more is a damaged file
+_LARGEST = 2**30  # most bytes of an array: more is a damaged file
 
 
 class Record:
@@ -80,7 +80,7 @@ class Record:
         faces, uvs, colors, image_index = [], [], [], []
         images: list[Tensor] = []
         wraps: list[str | tuple[str, str]] = []
-        first: dict[str, int] = {}  # the vertices of several parts are the same
+        first: dict[str, int] = {}  # parts may share vertices
         for part in parts:
             if part["vertices"] not in first:
                 first[part["vertices"]] = sum(map(len, vertices))
