@@ -1,4 +1,4 @@
-"""Observers of running tasks: they are shown meshes and losses, and may change settings. The viewer is one."""
+"""Observers, such as the viewer, see the meshes and losses of a running task, and may change settings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .. import validate
 
 LEAST_RATE = 1e-9
 """Least value of a learning rate that must be positive."""
-_POLL = 0.05  # seconds
+_POLL = 0.05  # seconds between two looks at a paused task
 _Weights = TypeVar("_Weights")
 
 
@@ -34,12 +34,12 @@ class Knob:
 
 
 def weight_knobs(weights: Any) -> list[Knob]:
-    """Make knobs of the loss weights in a dataclass; none of None."""
+    """Make knobs of the loss weights in a dataclass; no knobs for None."""
     return [] if weights is None else [Knob(name, float(value)) for name, value in asdict(weights).items()]
 
 
 def turn_weight(weights: _Weights, name: str, value: float | str) -> _Weights:
-    """Return loss weights of which one has a new value, ≥ 0; raise ValueError if there is none of this name."""
+    """Replace one of the loss weights by a value ≥ 0; raise ValueError for an unknown name."""
     if weights is None or name not in asdict(weights):  # type: ignore[call-overload]
         raise ValueError(f"name: expected a setting that can change, got {name!r}")
     return replace(weights, **{name: validate.not_negative(name, value)})  # type: ignore[type-var]
@@ -65,8 +65,8 @@ class Observer(Protocol):
 
         Args:
             phase: Name of the phase.
-            step: Number of steps taken in it.
-            steps: Number of its steps.
+            step: Number of steps taken in the phase.
+            steps: Number of steps of the phase.
             numbers: Losses and measures of the step.
             mesh: Makes the current mesh, or several by name. Called in this thread, at some of the steps only.
         """

@@ -76,7 +76,7 @@ def _disagreement(which: str, covered: Tensor, advice: str | None) -> ValueError
 
 
 def _remedy(wrong: Views, right: Views | None) -> str | None:
-    """Find the remedy that makes views agree with the views ``right``, or else with each other; None if none does."""
+    """Find the remedy that makes views agree with the views ``right``, by default with each other; None without one."""
     best, advice = 0.0, None
     for text, changed in _remedies(wrong):
         inside = _follow_rays(changed if right is None else right, changed)
@@ -98,7 +98,7 @@ def _covered(inside: Tensor) -> Tensor:
 
 
 def _consistent(inside: Tensor, partners: list[int]) -> list[int]:
-    """Choose most of the N partners so that the hull of their masks fills each of them; an empty list if none do.
+    """Choose most of the N partners so that the hull of their masks fills each mask; an empty list if no choice does.
 
     The partner whose removal brings the rays of the others closest to a common point goes first.
     """
@@ -121,7 +121,7 @@ def _consistent(inside: Tensor, partners: list[int]) -> list[int]:
 
 
 def _follow_rays(views: Views, sources: Views) -> Tensor | None:
-    """Follow rays of pixels inside the masks of V sources, and tell in which masks of N views points on them lie.
+    """Sample rays through the masks of V sources, and tell which masks of N views contain the points.
 
     Returns:
         [N, V, R, S] bool, for points near the object; None if no point lies in most of the masks.
@@ -161,7 +161,7 @@ def _inside(views: Views, points: Tensor) -> Tensor:
 
 
 def _remedies(views: Views) -> Iterator[tuple[str, Views]]:
-    """Undo one usual mistake after the other: yield what was done, as the subject of a sentence, and the views."""
+    """Yield (remedy, views) for each usual mistake undone; the remedy is the subject of a sentence."""
     yield from _turned_images(views)
     if views.camera.K is not None:
         yield from _exchanged_axes(views)
@@ -169,7 +169,7 @@ def _remedies(views: Views) -> Iterator[tuple[str, Views]]:
 
 
 def _turned_images(views: Views) -> Iterator[tuple[str, Views]]:
-    """Turn and mirror the images."""
+    """Yield the views with turned and mirrored images."""
     camera, masks = views.camera, views.masks
     yield "turning the images by 180°", Views(camera, masks.rot90(2, (1, 2)))
     yield "mirroring the images left to right", Views(camera, masks.flip(2))
@@ -183,7 +183,7 @@ def _turned_images(views: Views) -> Iterator[tuple[str, Views]]:
 
 
 def _exchanged_axes(views: Views) -> Iterator[tuple[str, Views]]:
-    """Exchange directions and axes of the matrices."""
+    """Yield the views with exchanged directions and axes of the matrices."""
     R, t = views.camera.rotation, views.camera.translation
     signs = R.new_tensor([1.0, -1.0, -1.0])
     axes = "OpenCV's camera axes (y down, z forward) and OpenGL's (y up, z backward)"
@@ -198,7 +198,7 @@ def _exchanged_axes(views: Views) -> Iterator[tuple[str, Views]]:
 
 
 def _changed_intrinsics(views: Views, K: Tensor) -> Iterator[tuple[str, Views]]:
-    """Exchange width and height in the intrinsics, and scale them."""
+    """Yield the views with intrinsics of exchanged width and height, and scaled ones."""
     size = views.camera.orig_size or (1.0, 1.0)
     exchange = "exchanging width and height"
     aspect = size[1] / size[0]

@@ -131,7 +131,7 @@ class Views:
         return replace(views, normals=maps.normal if normals else None, depth=known if depth else None)
 
     def __getitem__(self, index: Sequence[int] | slice) -> Views:
-        """Select views by a slice or a list of numbers. Those of a slice share memory with these."""
+        """Select views by a slice or a list of numbers. Views of a slice share memory with the originals."""
         is_slice = isinstance(index, slice) and (index.step is None or index.step > 0)
         rows: Any = index if is_slice else torch.arange(len(self))[index].to(self.masks.device)
         photos, *maps = (None if part is None else part[rows] for part in self._optional())

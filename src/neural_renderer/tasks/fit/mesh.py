@@ -144,7 +144,7 @@ class MeshFit:
 
     @property
     def views(self) -> Views:
-        """The views, in a world where the object lies in about [-1, 1]³, with refined cameras and gains if they are."""
+        """The views in a world where the object lies in about [-1, 1]³, with refined cameras and gains if any."""
         camera = self._given.camera if self._cameras is None else self._cameras.camera
         return replace(self._given, camera=camera, gains=self._gains)
 
@@ -337,7 +337,7 @@ class MeshFit:
         return outlines
 
     def _expose(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
-        """Estimate the gains of photos, if colours count in the current phase, and make its fit."""
+        """Make the fit of the current phase; estimate the gains of photos first if colours count."""
         counts = {"shape": self._color_from < 1, "detail": self._detail.light is not None, "texture": True}
         if self._exposure and counts.get(self.phase):
             self._gains = estimate_gains(self.views, vertices, faces)

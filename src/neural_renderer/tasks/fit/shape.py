@@ -28,12 +28,12 @@ _REGULARIZERS = {"laplacian": 2, "edge_length": 1, "normal_consistency": 1, "smo
 The edge length of a mesh with V vertices is proportional to V^(-1/2), and the distance of a vertex from the mean of its
 neighbours to V^(-1).
 """
-_TYPICAL_VERTICES = 10_000  # the mesh for which the default weights are chosen
+_TYPICAL_VERTICES = 10_000  # vertices of the mesh for which the default weights are chosen
 _COLOR_RATE, _COLOR_SMOOTH = 0.1, 1.0  # step and λ of the descent on colours
 _LAST_RATE = 0.05  # step size at the end, relative to the first
 _COARSE_SIZE = 128  # longer side of the images in pixels: the errors to mend are some pixels
 _COARSE_CELLS = 40  # cells of the hull's grid along each axis
-_SMALLER = 4  # times as many views fit into a step, because images have at most this part of the pixels
+_SMALLER = 4  # growth of the batch: images have at most a quarter of the pixels
 _MISSED = 1 / 8  # fraction of masks that a hull point may fall outside of
 _COARSE_LAPLACIAN = 30.0  # weight: the shape has to follow the cameras
 _COARSE_RATE, _COARSE_CAMERA_RATE = 0.02, 0.01  # steps of vertices and cameras

@@ -128,7 +128,7 @@ class _Objective:
     """Objective of a `TextureFit`, a quadratic function of the texels.
 
     Attributes:
-        constant: Its value at black texels.
+        constant: Value at black texels.
         total_weight: Sum of the weights of pixels, over pixels and channels.
     """
 
@@ -147,7 +147,7 @@ class _Objective:
         self.total_weight = max(float(3 * torch.cat(self._weights).sum()), 1e-6)
 
     def gradient(self, values: Tensor, photos: bool = False) -> Tensor:
-        """Compute half the gradient at values [texels, 3]; without photos, that of the quadratic part."""
+        """Compute half the gradient at values [texels, 3]; without photos, of the quadratic part alone."""
         values = values.detach().requires_grad_()
         total = torch.zeros_like(values)
         for part, weights in zip(self._parts, self._weights, strict=True):

@@ -7,15 +7,15 @@ from torch import Tensor
 
 from .resize import limit_size, resize
 
-_MOST_SEARCHED = 640  # the background is fitted to a picture scaled down to this larger side in pixels
+_MOST_SEARCHED = 640  # largest side, in pixels, of the picture that the background is fitted to
 
 # A plain background: a quadratic function of position, fitted robustly to the border of the picture.
 _BORDER = 0.02  # width of the border, relative to the shorter side
-_BACKGROUND_SHARE = 0.65  # at least this share of the border is background; the rest may be object
-_ITERATIONS = 8  # of fitting to the pixels that fit best so far
-_LEAST_RESIDUAL = 0.02  # residuals below this always count as background
+_BACKGROUND_SHARE = 0.65  # least share of the border that is background; the rest may be object
+_ITERATIONS = 8  # fits, each to the pixels that fitted best before
+_LEAST_RESIDUAL = 0.02  # residual up to which pixels always count as background
 _LEAST_THRESHOLD, _NOISES = 0.06, 5  # the object's distance from the background: an absolute limit, and in noise levels
-_MOST_THRESHOLD, _MOST_OUTSIDE = 0.25, 0.34  # a noisier background, or more border outside of it, is not plain
+_MOST_THRESHOLD, _MOST_OUTSIDE = 0.25, 0.34  # most threshold, and share of border beyond it, of plain backgrounds
 _SOFT_FROM, _SOFT_WIDTH = 0.6, 0.8  # alpha rises from 0 to 1 between 0.6 and 1.4 times the threshold
 
 

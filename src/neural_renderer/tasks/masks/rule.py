@@ -14,7 +14,7 @@ from .morphology import dilate, erode, opened
 from .plain_background import plain_background_mask
 from .specks import fill_holes, remove_specks
 
-_CLEAR = 0.99  # an alpha channel that is nowhere below this tells nothing
+_CLEAR = 0.99  # alpha that a channel must fall below somewhere to count as a mask
 
 
 @dataclass(frozen=True)

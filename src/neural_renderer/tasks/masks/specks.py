@@ -11,9 +11,9 @@ from torch import Tensor
 from ..components import connected_components
 from .resize import limit_size
 
-_MOST_SEARCHED = 640  # larger masks are scaled down to this larger side in pixels
-_MOST_FILLED = 1280  # holes of larger masks are found in one of this larger side in pixels, or less
-_SPECK = 0.02  # components smaller than this, relative to the largest one, are dropped
+_MOST_SEARCHED = 640  # largest side, in pixels, of masks in which specks are found
+_MOST_FILLED = 1280  # largest side, in pixels, of masks in which holes are found
+_SPECK = 0.02  # size, relative to the largest component, below which components are dropped
 
 
 def remove_specks(alpha: Tensor) -> Tensor:
@@ -29,14 +29,13 @@ def remove_specks(alpha: Tensor) -> Tensor:
 def fill_holes(mask: Tensor, share: float) -> Tensor:
     """Fill the holes of a mask [H, W] bool that are smaller than this share of it, such as shadows and highlights.
 
-    In a mask of more than 1280 pixels, holes are found in one of lower resolution, and those narrower than its pixels
-    stay.
+    In a mask of more than 1280 pixels, holes are found at a lower resolution; narrower holes than its pixels stay.
     """
     block = math.ceil(max(mask.shape) / _MOST_FILLED)
     if block == 1:
         return mask | _small_holes(mask, share)
     coarse = F.max_pool2d(mask[None, None].float(), block, ceil_mode=True)[0, 0] > 0.5
-    # The blocks around a hole belong to it in part.
+    # Blocks around a hole may contain a part of the hole.
     holes = F.max_pool2d(_small_holes(coarse, share)[None, None].float(), 3, 1, 1)[0, 0] > 0.5
     return mask | holes.repeat_interleave(block, 0).repeat_interleave(block, 1)[: mask.shape[0], : mask.shape[1]]
 

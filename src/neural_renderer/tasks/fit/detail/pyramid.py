@@ -40,7 +40,7 @@ class Pyramid:
 def reduced(views: Views, divisor: int) -> Views:
     """Reduce the resolution of views by averaging.
 
-    Depth is the mean of what is known. Normals become unit vectors again, times the mask.
+    Depth is the mean of known depths. Normals become unit vectors again, times the mask.
     """
     height, width = (max(1, round(side / divisor)) for side in views.size)
 
