@@ -24,8 +24,8 @@ def constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor | N
         device: Device of the result.
 
     Returns:
-        The tensor, of finite numbers; None if ``value`` is something else or larger than all dtypes hold, and in
-        torch.compile, torch.func and modes that see each operation, where tensors have other types.
+        The tensor, of finite numbers. None for other values, values beyond float16, and under torch.compile, torch.func
+        or a dispatch mode.
     """
     if (
         torch.compiler.is_compiling()
@@ -55,7 +55,7 @@ def on_device(tensor: Tensor, like: Tensor) -> Tensor:
 
 
 def read_once(tensor: Tensor, read: Callable[[Tensor], Any]) -> Any:
-    """Return ``read(tensor)``; on a GPU, where to read is to wait, once for as long as the tensor stays unchanged."""
+    """Return ``read(tensor)``, on a GPU kept until the tensor changes, because reading synchronises."""
     if tensor.device.type == "cpu" or tensor.is_inference():
         return read(tensor)
     kept = _numbers.get(tensor)

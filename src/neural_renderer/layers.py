@@ -104,8 +104,8 @@ class Layers(OneLine):
             blended = alpha * color.float() + (1 - alpha) * through.movedim(1, 3)
             through = picture = composite(blended, picture, layer.face_index)
             if not estimator.joins_layers and layer is not first:
-                # Seen through the layer in front. Elsewhere that layer's faces, which may end at the same edges, have
-                # the gradient.
+                # The gradient of a hidden layer counts where the layer is seen through the one in front. Elsewhere
+                # the faces in front, which may end at the same edges, have the gradient.
                 whole = replace(first.settings, anti_aliasing=False)
                 through = whole.through_visibility(picture, layer.corners, layer.face_index)
             pictures.append(picture)

@@ -119,7 +119,7 @@ def total_variation(images: Tensor, mask: Tensor | None = None, *, reduction: st
 
 
 def _of_each_mesh(loss: _Loss) -> _Loss:
-    """Let a loss of vertices and faces take faces [B, F, 3], as `batch` makes them: the loss of each mesh."""
+    """Extend a loss of vertices and faces to faces [B, F, 3], as `batch` makes them: one loss per mesh."""
 
     @functools.wraps(loss)
     def of_each(vertices: Tensor, faces: Any, *, reduction: str = "mean") -> Tensor:
@@ -274,7 +274,7 @@ def _wide(value: Tensor) -> Tensor:
 
 
 def _reduced(each: Tensor, reduction: str) -> Tensor:
-    """Reduce the losses [B], or [] of a single mesh; the mean and the sum of none are 0."""
+    """Reduce losses [B], or [] of a single mesh; an empty batch has the mean and the sum 0."""
     if reduction == "none":
         return each
     if reduction == "sum":

@@ -10,11 +10,11 @@ from torch import Tensor
 
 from .validate import shape_of
 
-_FEW = 4  # numbers of a tensor that is shown whole
+_FEW = 4  # most numbers of a tensor that is shown whole
 
 
 class OneLine:
-    """Base of dataclasses (``repr=False``) whose `repr` shows tensors by shape and dtype; without what is None."""
+    """Base of dataclasses (``repr=False``) whose `repr` shows tensors by shape and dtype, and omits None."""
 
     def __repr__(self) -> str:
         parts = ((part.name, getattr(self, part.name)) for part in fields(self) if part.repr)  # type: ignore[arg-type]

@@ -20,7 +20,7 @@ from .shading.pixels.visible_surface import VisibleSurface
 
 
 def surface_outputs(outputs: Collection[str], mesh: Any, has_camera: bool) -> list[str]:
-    """Choose the outputs that `surface_images` makes; raise ValueError for those that the scene does not have."""
+    """Choose the outputs that `surface_images` makes; raise ValueError for outputs that the scene lacks."""
     names = [name for name in outputs if name in SURFACE]
     if "uv" in names and not isinstance(mesh, UVMesh):
         raise ValueError(f'outputs: expected a UVMesh for "uv", got {type(mesh).__name__}')
@@ -73,7 +73,7 @@ def surface_images(
 
 
 def _flat_normals(fragments: Fragments, mesh: Any) -> Tensor:
-    """Compute the normal of the visible face at every pixel, [B, H, W, 3], of its front."""
+    """Compute the front normal of the visible face at every pixel, [B, H, W, 3]."""
     vertices, faces, _ = mesh_parts(mesh)
     corners = world_corners(vertices, checked_faces(faces), len(fragments.corners), in_range=True)
     return fragments.interpolate(-face_normals(corners.float())[:, :, None].expand(-1, -1, 3, -1))

@@ -21,10 +21,10 @@ FLOATING = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 """Floating dtypes that torch can compute in; 8-bit floats are for storage only."""
 _SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torch.uint64)
 
-_FEW = 4096  # numbers that torch sums on one thread
+_FEW = 4096  # most numbers that torch sums on one thread
 
 _check_values = True
-_calls = threading.local()  # with the checks that wait in a call of `checked_together`
+_calls = threading.local()  # checks that wait in a call of `checked_together`
 
 
 def check_values(enabled: bool) -> None:
@@ -53,7 +53,7 @@ def check_values(enabled: bool) -> None:
 def values_are_checked(value: Tensor) -> bool:
     """Tell whether values of this tensor are checked now.
 
-    They are not where they cannot be read: in torch.compile, torch.func and make_fx, on the device "meta", and in
+    Values that cannot be read are not checked: in torch.compile, torch.func and make_fx, on the device "meta", and in
     tensor subclasses such as FakeTensor.
     """
     return _check_values and not (

@@ -36,7 +36,7 @@ _RASTERIZER = {
     "eps": "rasterizer_eps",
     "light": "light_*",
 }
-_COLOR_EPS = 1e-3  # as in the first packages
+_COLOR_EPS = 1e-3  # default of the first packages
 
 
 class Renderer(nn.Module):

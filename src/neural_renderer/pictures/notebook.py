@@ -20,7 +20,7 @@ from ..meshes.uv_mesh import UVMesh
 from ..raster import Images
 from .turntable import turntable
 
-_MOST_IMAGES = 8  # of a batch
+_MOST_IMAGES = 8  # most images shown of a batch
 _LEAST_SIDE, _MOST_WIDTH = 128, 1024  # pixels: small images are enlarged, wide rows are reduced
 _FRAMES, _FRAME_SIZE, _FRAME_MILLISECONDS = 20, 192, 120
 _MANY_FACES = 200_000  # a turntable of a larger mesh would take many seconds; one picture is shown instead
@@ -80,7 +80,7 @@ def _nearness(depth: Tensor) -> Tensor:
     covered = depth[depth < 0.9 * depth.amax()]
     if not covered.numel():  # one depth everywhere: a surface that fills the image, or none
         covered = depth.flatten()
-    # Anti-aliasing mixes the background's depth into outlines; those are fewer than a fifth of the pixels.
+    # Anti-aliasing mixes the background's depth into outlines; outlines are fewer than a fifth of the pixels.
     low, typical = covered.min(), covered.sort().values[len(covered) * 4 // 5]
     grey = 1 - 0.64 * (depth - low) / (typical - low).clamp(min=1e-6)
     return grey.clamp(min=0)

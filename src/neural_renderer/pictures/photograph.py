@@ -22,7 +22,7 @@ _AMBIENT, _SKY, _DIFFUSE = 0.34, 0.20, 0.62  # light from everywhere, from above
 _WRAP = 0.25  # cosine by which the lamp's light reaches beyond the terminator
 _GLOSS, _SHININESS = 0.22, 40  # strength and exponent of the highlight (Blinn-Phong)
 _SHADOW = 0.45  # share of light that a full shadow takes away
-_SHADOW_STEEPNESS = 2.0  # the lamp that casts the shadow stands higher, so that shadows stay short
+_SHADOW_STEEPNESS = 2.0  # height of the shadow's lamp, relative to the lamp: shadows stay short
 _SHADOW_BLUR = 1 / 40  # radius of the box blur, relative to the height of the picture
 _SHADOW_FADE = 0.12  # width of the border, relative to the sides, in which the shadow fades out
 
