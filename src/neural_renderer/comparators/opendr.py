@@ -145,7 +145,7 @@ class _Surface(NamedTuple):
         after, later = arms.roll(-1, -2), arms.roll(-2, -2)
         parts = after[..., 0] * later[..., 1] - after[..., 1] * later[..., 0]
         area = parts.sum(-1, keepdim=True)
-        side = (after - later) / area[..., None]  # of the edge opposite to each corner
+        side = (after - later) / area[..., None]  # opposite edge of each corner, over the area
         # A motion of the centre along x changes a corner's weight by the y of the opposite edge, and vice versa.
         to_right, up = side[..., 1] * 2 / width, -side[..., 0] * 2 / height
         z = corners[..., 2]
@@ -161,7 +161,7 @@ class _Surface(NamedTuple):
 def _slope(image: Tensor, here: _Surface, axis: int) -> Tensor:
     """Compute the slope of an image by pixel, along x to the right (axis 0) or along y upwards (axis 1)."""
     along, way = (-1, 1) if axis == 0 else (-2, -1)  # rows are stored from the top
-    difference = image.diff(dim=along) * way  # of the pixels n and n + 1
+    difference = image.diff(dim=along) * way  # difference of the pixels n and n + 1
     steps = here.steps[axis].abs()
     first, second = (_part(here.nearness, along, n) for n in (0, 1))
     most = _part(steps, along, 0) + _part(steps, along, 1)
@@ -189,7 +189,7 @@ def _part(values: Tensor, along: int, n: int) -> Tensor:
 
 
 def _pads(along: int, n: int) -> tuple[int, ...]:
-    """Pads that place pairs at their second pixel (n = 0) or at their first one."""
+    """Return pads that place pairs at their second pixel (n = 0) or at their first one."""
     pads = (1, 0) if n == 0 else (0, 1)
     return pads if along == -1 else (0, 0, *pads)
 

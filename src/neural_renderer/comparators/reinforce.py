@@ -3,15 +3,15 @@
 Source: Williams, "Simple statistical gradient-following algorithms", 1992, as used for rendering by Rezende et al.,
 "Unsupervised learning of 3D structure from images", NeurIPS 2016.
 
-It takes the renderer for a black box. Parameters x are replaced by x + s e with normal noise e, and the mean of the
+The renderer is a black box. Parameters x are replaced by x + s e with normal noise e, and the mean of the
 loss L(x + s e) is differentiated through the probability of the noise:
 
     d/dx mean(L) = mean((L(x + s e) - b) e) / s.
 
-The baseline b reduces noise. Of each sample it is the mean loss of the others, which leaves the estimate unbiased.
-Of antithetic samples, pairs e and -e, the even part of the loss cancels, which has no slope.
+The baseline b of a sample, the mean loss of the other samples, reduces noise and leaves the estimate unbiased.
+Antithetic samples, pairs e and -e, cancel the even part of the loss, which has no slope.
 
-It is a function of a loss, not an operation on an image as the other estimators are: one estimate needs the losses of
+The estimator is a function of a loss, not an operation on an image like the others: one estimate needs the losses of
 several images. Its mean is the gradient of the loss blurred by the spread s, which has a long range if s is large. Its
 noise grows with the square root of the number of parameters and falls with that of samples.
 """

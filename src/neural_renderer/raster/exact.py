@@ -24,9 +24,9 @@ def checked_dtype(dtype: Any) -> torch.dtype:
 
 @operator
 def fixed(values: Tensor, corners: Tensor) -> Tensor:
-    """Copy what depends on corners, such as themselves, to float64.
+    """Copy values that depend on corners, or the corners, to float64.
 
-    Its gradient to the corners is an error (RuntimeError), for there is none through visibility.
+    A gradient to the corners is an error (RuntimeError): there is none through visibility.
     """
     return values.to(torch.float64, copy=True)
 

@@ -72,7 +72,7 @@ class Images:
     ) -> None:
         images = (rgb, alpha, depth, normal, position, uv, face_index, barycentric)
         drawn = {name: image for name, image in zip(OUTPUTS + SURFACE, images, strict=True) if image is not None}
-        self.__dict__.update(drawn)  # the others are no attributes, so that `__getattr__` explains them
+        self.__dict__.update(drawn)  # missing outputs are no attributes: `__getattr__` explains them
 
     def replace(self, **outputs: Tensor | None) -> Images:
         """Copy the images, with some of them exchanged.
@@ -94,7 +94,7 @@ class Images:
         """
         return Images(**{**vars(self), **outputs})
 
-    __replace__ = replace  # for `copy.replace`, from Python 3.13 on
+    __replace__ = replace  # `copy.replace` of Python 3.13 and later
 
     def __iter__(self) -> Iterator[Tensor | None]:
         return (vars(self).get(name) for name in OUTPUTS)

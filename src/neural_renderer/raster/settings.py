@@ -24,7 +24,7 @@ _LIMITS = {
     "": (Path("/sys/fs/cgroup"), "memory.max"),
     "memory": (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes"),
 }
-FARTHEST = 1e37  # so that the sum of four depths is finite in float32
+FARTHEST = 1e37  # largest depth: the sum of four is finite in float32
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ def _machine_memory() -> int | None:
         groups = [line.split(":", 2) for line in _CGROUPS.read_text().splitlines()]
     except OSError:
         groups = []
-    for _, controllers, path in groups:  # of version 2, without controllers, or of version 1
+    for _, controllers, path in groups:  # cgroups: version 2 names no controllers
         if controllers in ("", "memory"):
             root, name = _LIMITS[controllers]
             own = root / path.lstrip("/")

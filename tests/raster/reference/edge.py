@@ -138,7 +138,7 @@ class _Scan(NamedTuple):
         return abs((bu - au) * (cv - av) - (bv - av) * (cu - au)) / 2
 
     def middle(self, f: int) -> list[float] | None:
-        """Read the colour of a pixel that shows face f, among the 3 x 3 around its centroid; None if none does."""
+        """Read the colour of a pixel that shows face f, among the 3 x 3 around its centroid, or None."""
         u, v = (math.floor(sum(place[n] for place in self.places[f]) / 3 + 0.5) for n in (0, 1))
         for x, y in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)):
             i, j = (u + x, v + y) if self.axis else (u + y, v + x)
@@ -178,7 +178,7 @@ def _move_edge(scan: _Scan, f: int, k: int, counter_clockwise: bool) -> tuple[fl
             gain *= 2  # pairs of centres sample only half of a border pixel
         to_start += (1 - share) * gain
         to_end += share * gain
-    pixels = len(scan.shown[0]) / 2  # per screen unit
+    pixels = len(scan.shown[0]) / 2  # pixels per screen unit
     return d * pixels * to_start, d * pixels * to_end
 
 
@@ -276,7 +276,7 @@ def _seam_gain(scan: _Scan, f: int, g: int, u: int, c: float, d: int) -> float:
 def _small_seam_gain(
     scan: _Scan, faces: tuple[int, int], u: int, inner: int, d: int, offset: float, chords: list[float]
 ) -> float:
-    """Compute the gain at a seam of a small face: each side that is shown, by the inverse of its chord."""
+    """Compute the gain at a seam of a small face: the sum over shown sides, weighted by the inverse of the chord."""
     pixels = (inner, inner + d)
     shows = [scan.shown[u][pixel] == face for pixel, face in zip(pixels, faces, strict=True)]
     weights = [seen / max(chord, LEAST_CHORD) for seen, chord in zip(shows, chords, strict=True)]

@@ -46,7 +46,7 @@ def intersections_reference(
     # If the lead of f grows, the line moves towards g, by the growth over the decrease of the lead between the pixels.
     amount = share * gain / (here - there)
     place, last = ((cut_y + 1) * height / 2 - 0.5, height - 1) if axis else ((cut_x + 1) * width / 2 - 0.5, width - 1)
-    amount = torch.where((place < 0.5) | (place > last - 0.5), 2 * amount, amount)  # as in `_move_edge`
+    amount = torch.where((place < 0.5) | (place > last - 0.5), 2 * amount, amount)  # border: see `_move_edge`
 
     # The line of equal depth must lie between the two centres and in both faces. Faces in one plane do not intersect:
     # their leads are rounding errors.

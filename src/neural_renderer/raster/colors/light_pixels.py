@@ -66,7 +66,7 @@ def light_pixels_backward(
     to_light = zeros((batch, 2, count, 3), grad.device)
     scene = scene_of(faces, face_index, perspective)
     given = _LightPixels(scene=scene, image=image.contiguous(), light=light.contiguous(), lamps=len(light))
-    # On the CPU, and where the order of sums must not vary, one task takes all rows of an image: a run of 0.
+    # Deterministic sums, and the CPU: one task per image (run = 0 means all rows).
     tasks, run = run_tasks(batch * height, width) if in_any_order(grad.device) else (batch, 0)
     call = _LightPixelsBackward(forward=given, grad=grad.contiguous(), run=run, to_image=to_image, to_light=to_light)
     launch(_light_pixels_backward, tasks, [call], grad.device, worth_a_thread(height * width))
@@ -95,7 +95,7 @@ differentiable(light_pixels, _to_inputs, _save)
 
 
 def _to_first(ctx: Any, image: Tensor, light: Tensor) -> Any:
-    """Differentiate <image, gradient to it> + <light, gradient to it>, of colours linear in each of both."""
+    """Differentiate <image, its gradient> + <light, its gradient>; colours are linear in image and in light."""
     grad, own_image, own_light, faces, face_index = ctx.saved_tensors
     covered = (face_index >= 0)[:, None]  # the background is not lit, so it does not depend on the light
     to_grad = light_pixels(image, own_light, faces, face_index, ctx.perspective)

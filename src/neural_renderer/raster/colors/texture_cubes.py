@@ -173,7 +173,7 @@ def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
 
 
 def _to_first(ctx: Any, textures: Tensor, light: Tensor, _: Tensor) -> Any:
-    """Differentiate <textures, gradient to them> + <light, gradient to it>, of colours linear in each of both."""
+    """Differentiate <textures, their gradient> + <light, its gradient>; colours are linear in textures and in light."""
     if ctx.needs_input_grad[3]:
         refuse_second("sample_textures_backward")
     grad, own_textures, own_light, faces, face_index = ctx.saved_tensors

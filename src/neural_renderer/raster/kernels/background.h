@@ -6,8 +6,8 @@
 namespace nr {
 
 struct Background {
-    const float* values;                // of the first pixel of the first channel of the first image
-    int64 image, channel, row, column;  // numbers from one to the next, 0 where all share them
+    const float* values;                // the first pixel of the first channel of the first image
+    int64 image, channel, row, column;  // strides; 0 where all share the values
 
     // The first pixel of row j from the top.
     NR_FUNC const float* at(int b, int c, int j) const { return values + b * image + c * channel + j * row; }

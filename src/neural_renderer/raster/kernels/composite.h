@@ -51,7 +51,7 @@ NR_FUNC void composite_pixels(const Composite& call, int task) {
 }
 
 struct CompositeBackward {
-    const float* grad;      // to the image, [images, channels, height, width]
+    const float* grad;      // gradient to the image, [images, channels, height, width]
     const int* face_index;  // [images, height, width]
     int images, channels, height, width;
     int each;          // rows of a task

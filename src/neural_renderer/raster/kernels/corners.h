@@ -37,7 +37,7 @@ struct GatherCorners {
     Triangles triangles;
     Groups tasks;
     int channels;
-    float* vertices;  // [images, vertices, channels]; of the gradient they are written
+    float* vertices;  // [images, vertices, channels]; gradients are written
     float* corners;   // [images, count, 3, channels]
 };
 
@@ -51,7 +51,7 @@ NR_FUNC void over_corners(const GatherCorners& call, int task, Each each) {
             const int i = triangles.vertex(b, f, k);
             float* vertex = i < 0 ? nullptr : call.vertices + ((int64)b * triangles.vertices + i) * channels;
             float* corner = call.corners + (((int64)b * triangles.count + f) * 3 + k) * channels;
-            if (channels == 3) each(vertex, corner, 3);  // a constant, for a loop without a loop
+            if (channels == 3) each(vertex, corner, 3);  // a constant, so that the loop is unrolled
             else each(vertex, corner, channels);
         }
     }

@@ -89,13 +89,13 @@ struct Lines : ScanAxis {
 struct Crossing {
     int u, inner, outer;         // the pixel on the face's side, and the one across the edge
     float v, share, offset;      // share: of q in the point's motion; offset: from the inner centre to it, in [0, 1]
-    int inner_face, outer_face;  // as `Lines::face`
+    int inner_face, outer_face;  // faces as from `Lines::face`
 };
 
 // An edge p -> q of a counter-clockwise face, its depths, and the faces next to it.
 struct BoundaryEdge : LineEdge {
     float pz, qz, rz;
-    int face, adjacent, adjacent_pr, adjacent_qr;  // across p-q, p-r and q-r; -1 at a border of the surface
+    int face, adjacent, adjacent_pr, adjacent_qr;  // faces across p-q, p-r and q-r; -1 at a border of the surface
     bool small;                                    // see `Seam`
 
     NR_FUNC BoundaryEdge(const Lines& lines, const vec3& p, const vec3& q, const vec3& r)

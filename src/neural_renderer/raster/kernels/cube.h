@@ -10,7 +10,7 @@ namespace nr {
 struct LitCubes {
     const vec3* texels;  // [cubes, faces, size, size, size]
     const vec3* light;   // factors on the front and the back of each face, [lamps, 2, faces]
-    int cubes, lamps;    // images of each; 1 if all share them
+    int cubes, lamps;    // images of cubes and of light; 1 if all share them
     int size;            // texels along a side of a cube
     float eps;           // coordinates in a cube end at size - 1 - eps
 
@@ -27,7 +27,7 @@ struct LitCubes {
 template <class F>
 struct CubeCoordinates {
     typedef typename Lanes<F>::Mask Mask;
-    F at[3];       // in texels, in [0, size - 1 - eps]
+    F at[3];       // coordinates in texels, in [0, size - 1 - eps]
     Mask free[3];  // whether the coordinate was not clamped
 
     NR_FUNC CubeCoordinates(const F* weights, int size, float eps) {

@@ -24,7 +24,7 @@ struct Drawing {
     int bands;          // bands of rows in an image, a task each; on the CPU
     float* nearest;     // depth of the nearest face, [images, height, width]; on the CPU
     int64* keys;        // bits of the depth, then the index, of the nearest face, [images, height, width]; on CUDA
-    Queue queue;        // of large faces; on CUDA
+    Queue queue;        // large faces; on CUDA
     int each;           // rows of a task of `decode_keys`; on CUDA
     int* face_index;    // result, [images, height, width]; row 0 at the top, -1 where there is no face
     int* visible;       // mask of visible faces, [images, count + 1], 0 before; may be null

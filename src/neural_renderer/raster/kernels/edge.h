@@ -10,10 +10,10 @@
 
 namespace nr {
 
-// Most faces behind an outline's own that stand in for it: a bevel of three strips. To search more takes time.
+// Most stand-in faces behind the face of an outline: a bevel of three strips. A longer search takes time.
 constexpr int LONGEST = 6;
 constexpr float SAME_DEPTH = 1e-5f;  // relative difference of nearness up to which two surfaces meet
-constexpr float SAME_PLACE = 0.02f;  // pixels between their ends up to which they do
+constexpr float SAME_PLACE = 0.02f;  // pixels between the ends up to which two surfaces meet
 // Largest area of a small face, in pixels. Measured: below it the middle of a face is rarely visible; above it, the
 // middle gives less noise.
 constexpr float SMALL = 1.5f;
@@ -33,12 +33,12 @@ struct EdgeHashes {
 struct EdgeBackward {
     Scene scene;
     Pictures pictures;
-    Neighbors neighbors;  // its ``adjacent``; where faces are put into the queue, the rings to find them
+    Neighbors neighbors;  // ``adjacent``, and where faces are put into the queue, the rings to find it
     const int* folds;     // faces that the surface folds back to across each edge, [images, count, 3]; or null
     const int* visible;   // mask of visible faces, [images, count + 1]
     int seams;            // whether colours may jump between adjacent faces
     EdgeHashes edge_hashes;
-    Queue queue;     // of faces that may have an edge to move; on CUDA
+    Queue queue;     // faces that may have an edge to move; on CUDA
     vec3* to_faces;  // gradient to the corners, [images, count, 3], 0 before
 
     NR_FUNC const int* adjacent(int image, int f) const {
@@ -66,8 +66,8 @@ NR_FUNC float clamped_nearness_at(const vec3* v, float x, float y, int perspecti
     return smaller(larger(near, smaller(a, smaller(b, c))), larger(a, larger(b, c)));
 }
 
-// The part of the gain that an edge has beside the face at the outer pixel: none if it passes in front of the crossing,
-// and so hides or cuts the edge; half if it ends there, at the same depth.
+// The part of the gain that an edge has beside the face at the outer pixel: none if this face passes in front of the
+// crossing, and so hides or cuts the edge; half if the face ends there, at the same depth.
 NR_FUNC float part_beside_face(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
     const float along = (2.0f * at.v + 1.0f - (float)lines.length) / (float)lines.length;
     const float across = (2.0f * (float)at.u + 1.0f - (float)lines.count) / (float)lines.count;
@@ -90,7 +90,7 @@ NR_FUNC float part_beside_face(const Lines& lines, const BoundaryEdge& edge, con
 NR_FUNC float gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
     if (at.inner_face < 0) return 0.0f;
     const float u = (float)at.u;
-    float own = 1.0f, joint = 1.0f;  // chords from the crossing on: of the face, and of both
+    float own = 1.0f, joint = 1.0f;  // chords from the crossing on: in the face, and in the face and its stand-ins
     const int before = lines.face(at.u, at.inner - edge.outward);
     bool shows = at.inner_face == edge.face, shows_before = false;  // the inner pixel, and the one before it
     if (!lines.perspective || edge.rz > 0.0f) {                     // otherwise the third corner is behind the camera
@@ -163,7 +163,7 @@ NR_FUNC int64 middle_of_face(const Lines& lines, int f) {
     return -1;
 }
 
-// The gain of both sides, each on its own.
+// The gain of both sides, estimated independently.
 NR_FUNC float gain_of_sides(
     const Lines& lines, const BoundaryEdge& edge, const Crossing& at, bool shows_own, bool shows_adjacent) {
     if (!(shows_own || shows_adjacent)) return 0.0f;

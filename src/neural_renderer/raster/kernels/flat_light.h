@@ -15,7 +15,7 @@ struct LitScene {
     const float* vertices;     // in the world, [meshes, vertices, 3]
     const float* ambient;      // colour of the ambient light, [ambients, 3]
     const float* directional;  // colour of the directional light, [directionals, 3]
-    const float* direction;    // towards it, [directions, 3]
+    const float* direction;    // direction towards the light, [directions, 3]
     int meshes, ambients, directionals, directions;
     int mirrored;  // whether the camera mirrors
 };
@@ -34,9 +34,9 @@ struct ImageLight {
 // The normal n of a face, along (v0 - v1) x (v2 - v1), as `face_normals` computes it.
 struct Normal {
     float p[3], q[3];  // edges from the second corner, scaled
-    float scale;       // of the corners
+    float scale;       // scale of the corners
     float n[3];
-    float length, floor, part;  // of n before its division by the larger of both; the inverse of this one
+    float length, floor, part;  // n is divided by the larger of length and floor; part is the inverse
     float toward;               // n . direction
     float facing;               // the same for side 0, which is the opposite one unless the camera mirrors
 
@@ -88,13 +88,13 @@ NR_FUNC void light_faces(const FlatLight& call, int task) {
 
 struct FlatLightBackward {
     LitScene scene;
-    Groups tasks;       // of each mesh in ``to_corners``
+    Groups tasks;       // groups of each mesh in ``to_corners``
     const float* grad;  // [images, 2, count, 3]
     int images;
     int targets;         // meshes in ``to_corners``; fewer than images where a task sums over the images
     float* to_corners;   // [targets, count, 3, 3]; null if ``to_vertices`` is given
     float* to_vertices;  // [meshes, vertices, 3], 0 before; on CUDA
-    float* sums;         // to ambient, directional and direction, [images, groups, 9]; null if not wanted
+    float* sums;         // gradients to ambient, directional and direction, [images, groups, 9]; null if not wanted
 };
 
 // The gradients of a group of faces in image b, added to those of earlier images if ``add``.

@@ -14,10 +14,10 @@
 
 namespace nr {
 
-// Screen units: four roundings of a coordinate near 1, the resolution of float32.
+// Least distance in screen units: four roundings of a coordinate near 1, the resolution of float32.
 constexpr float NARROWEST = 2.384185791015625e-07f;  // 2^-22
-// Pixels: an edge with a smaller extent across the scan lines has no slope. Float32 resolves such extents only near
-// pixel 0.
+// Least extent of an edge across the scan lines, in pixels; a shorter one has no slope. Float32 resolves such extents
+// only near pixel 0.
 constexpr float SHORTEST = 1.0e-9f;
 
 // The faces that an operator looks at.

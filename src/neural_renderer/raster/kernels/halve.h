@@ -8,7 +8,7 @@ namespace nr {
 struct Halve {
     float* image;     // [2 rows, 2 width]
     float* means;     // [rows, width]
-    int rows, width;  // of the means; rows of all images and channels
+    int rows, width;  // size of the means; rows of all images and channels
     int each;         // rows of a task
 };
 

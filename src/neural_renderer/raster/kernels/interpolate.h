@@ -7,7 +7,7 @@ namespace nr {
 
 struct Interpolate {
     Scene scene;
-    const float* attributes;  // at the corners, [owners, count, 3, channels]
+    const float* attributes;  // values at the corners, [owners, count, 3, channels]
     int owners;               // images of attributes: 1 if all share them
     int channels;
     int each;       // rows of a task
@@ -61,7 +61,7 @@ NR_FUNC void interpolate_pixels(const Interpolate& call, int task) {
 
 struct PullAttributes {
     Scene scene;
-    const float* attributes;  // at the corners, [owners, count, 3, channels]
+    const float* attributes;  // values at the corners, [owners, count, 3, channels]
     int owners;               // images of attributes: 1 if all share them
     int channels;
     const float* grad;     // [images, height, width, channels]
@@ -76,7 +76,7 @@ struct PullAttributes {
 struct PullCorners {
     const PullAttributes& call;
     const int channels;
-    const float* from;  // attributes of the corners
+    const float* from;  // attributes at the corners
     float* to;          // their gradient
     const bool alone;
     const Slopes slopes;

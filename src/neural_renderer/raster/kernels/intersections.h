@@ -20,7 +20,7 @@ namespace nr {
 
 struct Intersections {
     Scene scene;
-    Pictures pictures;    // with an image, and the gradient of each pixel
+    Pictures pictures;    // an image, and the gradient of each pixel
     const int* adjacent;  // faces across the edges, -1 for none, [images, count, 3]
     int* candidates;      // mask of faces that may intersect a neighbour, [images, count], 0 before; on the CPU
     int each;             // rows of a task
@@ -144,11 +144,11 @@ struct PixelPair {
 // The point between two pixels at which a face and another one have the same nearness.
 struct Intersection {
     bool exists;
-    float t;           // from the first pixel, in pixels
-    float lead;        // sum of the leads of both faces, each at its own pixel
-    vec3 terms;        // of the own face's nearness at the point, by corner
+    float t;           // distance from the first pixel, in pixels
+    float lead;        // sum of the leads of both faces, each at the own pixel
+    vec3 terms;        // terms of the own face's nearness at the point, by corner
     vec2 own_slope;    // change of the own face's nearness over a pixel to the right and up
-    vec2 other_slope;  // the same of the other face
+    vec2 other_slope;  // change of the other face's nearness
 };
 
 // Whether two faces have two corners in common: such faces meet at an edge and do not intersect.

@@ -76,7 +76,7 @@ NR_FUNC typename Lanes<F>::Mask mask_of(Test test) {
 // Numbers that lie side by side in memory.
 template <class V, class T>
 NR_FUNC V load(const T* from) {
-    if constexpr (sizeof(V) == sizeof(T)) return *from;  // with its alignment
+    if constexpr (sizeof(V) == sizeof(T)) return *from;  // keeps the alignment
     V result;
     memcpy(&result, from, sizeof(result));
     return result;

@@ -54,7 +54,7 @@ NR_FUNC void light_pixels(const LightPixels& call, int task) {
 }
 
 struct LightPixelsBackward {
-    LightPixels forward;  // what it was given; each and lit are not used
+    LightPixels forward;  // arguments of `LightPixels`; each and lit are not used
     const float* grad;    // [images, 3, height, width]
     int run;              // neighbouring pixels of a task; 0 for a whole image, in whose light no other task writes
     float* to_image;      // [images, 3, height, width]
@@ -64,7 +64,7 @@ struct LightPixelsBackward {
 // The pixels of a task.
 NR_FUNC void light_pixels_backward(const LightPixelsBackward& call, int task) {
     const Scene& scene = call.forward.scene;
-    const int tasks = call.run ? (scene.width + call.run - 1) / call.run : 1;  // of a row
+    const int tasks = call.run ? (scene.width + call.run - 1) / call.run : 1;  // tasks of a row
     const int first = call.run ? task / tasks : task * scene.height, last = call.run ? first + 1 : first + scene.height;
     const int left = task % tasks * call.run, right = call.run ? smaller(left + call.run, scene.width) : scene.width;
     for (int row = first; row < last; ++row)

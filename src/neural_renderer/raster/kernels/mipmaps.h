@@ -28,7 +28,7 @@ struct Samples {
 struct TexelPair {
     int texel[2];
     float part[2];
-    float slope;  // of the position by the coordinate, in texels
+    float slope;  // slope of the position by the coordinate, in texels
 
     NR_FUNC TexelPair(float at, int size, int repeat) {
         const float raw = at * (float)size - 0.5f, last = (float)(size - 1);
@@ -52,7 +52,7 @@ struct TexelBlock {
     int64 first;  // place of the level's first texel
     int64 width;  // texels of a row of the level
     TexelPair x, y;
-    float share;  // of the level in the sample
+    float share;  // share of the level in the sample
 
     NR_FUNC int64 texel(int down, int right) const { return first + y.texel[down] * width + x.texel[right]; }
 };
@@ -180,7 +180,7 @@ NR_FUNC void sample_mipmaps_backward(const SampleMipmapsBackward& call, int task
         if (call.samples.face_index[pixel] < 0) return;
         const float *image = call.maps.texels + call.maps.start(b), *pull = call.grad + pixel * channels;
         float* to = call.texels_too ? call.to_texels + call.maps.start(b) : nullptr;
-        vec2 to_uv = {0.0f, 0.0f};  // along rows of texels, which run down
+        vec2 to_uv = {0.0f, 0.0f};  // gradient along rows of texels, which run down
         for_each_level(call.maps, call.samples, pixel, i, j, [&](const TexelBlock& block) {
             if (channels == 3) blend_block_backward(block, image, 3, pull, to, to_uv);
             else blend_block_backward(block, image, channels, pull, to, to_uv);

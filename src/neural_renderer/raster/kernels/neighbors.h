@@ -27,11 +27,11 @@ struct Rings {
 };
 
 struct Neighbors {
-    Scene scene;    // without a face index
+    Scene scene;    // scene without a face index
     int two_sided;  // whether faces whose corners run clockwise on the screen are drawn
     int way;        // -1 to find faces on the other side of an edge, 1 for those on the same side, at a fold
     Rings rings;
-    int* table;     // of edges as 3 f + k + 1, [images, size], 0 before
+    int* table;     // edges as 3 f + k + 1, [images, size], 0 before
     int size;       // places of the table of an image, a power of two
     int lanes;      // tasks that fill the table of an image
     int* adjacent;  // result, [images, count, 3]; -1 for none, and for faces that are not drawn

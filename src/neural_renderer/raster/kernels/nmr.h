@@ -22,7 +22,7 @@
 
 namespace nr {
 
-// Keeps the quotient finite if a pixel lies on the edge and the corner's share is 0.
+// Least share of a corner in a divisor: a pixel may lie on the edge where the share is 0.
 constexpr float TINY = 1.0e-15f;
 // Zeros in front of each stored line, and after the last one: as many as the CPU reads at once.
 constexpr int PADDING = 16;
@@ -38,8 +38,8 @@ constexpr int MOST_LINES = 4, LINE_LANES = 8;
 struct ScanLines {
     float* rows;     // [images, height, planes, PADDING + width]
     float* columns;  // [images, width, planes, PADDING + height]
-    // From the first to the last pixel of a line that can pull an edge outward, [images, height + width]: the number of
-    // pixels from the first one to the end of the line, and from its start to the last one.
+    // (length - first, last + 1) of each line, [images, height + width], where first and last are the outermost pixels
+    // that can pull an edge.
     vec2i* spans;
     int planes;
 
@@ -57,10 +57,10 @@ struct ScanLines {
 struct NmrBackward {
     Scene scene;
     const float* image;  // [images, channels, height, width]; null for the silhouette
-    int channels;        // of the image
+    int channels;        // channels of the image
     ScanLines lines;
     const int* visible;  // mask of visible faces, [images, count + 1]; on the CPU
-    Queue queue;         // of visible faces; on CUDA
+    Queue queue;         // visible faces; on CUDA
     float eps;           // added to every distance, in screen units
     vec3* to_faces;      // gradient to the corners, [images, count, 3], 0 before
 };
@@ -91,9 +91,9 @@ NR_FUNC void add_ramps(const Travel& travel, F gain, F distance, EndSums<F>& sum
 
 // The colour that pixels of a scan line would get: that of the pixel across the edge.
 struct NewColor {
-    int channels;        // that have a gradient; 0 for a silhouette
+    int channels;        // channels with a gradient; 0 for a silhouette
     const float* first;  // the first channel's value
-    int64 area;          // from channel to channel
+    int64 area;          // numbers from channel to channel
     float red, green, blue;
 
     NR_FUNC NewColor(int channels, const float* first, int64 area)
@@ -157,7 +157,7 @@ NR_FUNC void add_shares(const EndSums<F>& sums, float share_p, float share_q, En
 
 // An edge p -> q that moves, of a counter-clockwise face with third corner r.
 struct MovingEdge : LineEdge {
-    int count, length;  // of the lines
+    int count, length;  // number and length of the lines
     bool placed;        // an edge with an end behind the camera gets no gradient, because this end has no projection
     bool bounded;       // whether r is in front of the camera
 

@@ -9,12 +9,12 @@ constexpr float NEAREST = 1.0e-6f;  // smallest |z| in the division of x and y b
 
 // What cameras see, and how. Any of the tensors may have 1 image, which all share.
 struct View {
-    const float* vertices;  // in the world, [images, count, 3]
+    const float* vertices;  // positions in the world, [images, count, 3]
     const float* rotation;  // the cameras' axes as rows, [images, 3, 3]
-    const float* origin;    // their positions, [images, 3]
+    const float* origin;    // the cameras' positions, [images, 3]
     // Tangent of half the field of view, or, without perspective, screen units per world unit, [images].
     const float* width;
-    int meshes, rotations, origins, widths;  // images of each of these
+    int meshes, rotations, origins, widths;  // images of each tensor above
     int count;                               // vertices of a mesh
     float aspect;                            // width / height of the image
     int perspective;
@@ -37,11 +37,11 @@ struct Pinhole {
 
 // A vertex seen by a camera.
 struct Projected {
-    float dx, dy, dz;  // from the camera, in the world
-    float x, y, z;     // along the camera's axes
+    float dx, dy, dz;  // vector from the camera, in the world
+    float x, y, z;     // coordinates along the camera's axes
     float near;        // z, no smaller than NEAREST
-    bool beside;       // on the camera's plane
-    float sx, sy;      // on the screen
+    bool beside;       // whether the vertex is on the camera's plane
+    float sx, sy;      // position on the screen
 
     NR_FUNC Projected(const Pinhole& camera, int64 i) {
         const float *v = camera.vertices + 3 * i, *o = camera.o, *r = camera.r;
@@ -58,7 +58,7 @@ struct Projected {
 
 // The gradient to a vertex, from the gradient g to its position (x, y, depth) on the screen.
 struct ProjectedGradient {
-    float along;                // g . (sx, sy): by the distance from the camera
+    float along;                // g . (sx, sy): change with the distance from the camera
     float to_x, to_y, to_z;     // along the camera's axes
     float to_dx, to_dy, to_dz;  // in the world
 
@@ -92,12 +92,12 @@ NR_FUNC void project_vertices(const Project& call, int task) {
 
 struct ProjectBackward {
     View view;
-    Groups tasks;       // of each mesh in ``to_vertices``
-    const float* grad;  // to the screen, [images, count, 3]
+    Groups tasks;       // groups of each mesh in ``to_vertices``
+    const float* grad;  // gradient to the screen, [images, count, 3]
     int images;
     int targets;         // meshes in ``to_vertices``; fewer than images where a task sums over the images
     float* to_vertices;  // [targets, count, 3]; written
-    float* sums;         // to rotation, origin and width, [images, groups, 13]; null if not wanted
+    float* sums;         // gradients to rotation, origin and width, [images, groups, 13]; null if not wanted
 };
 
 // The gradients of a group of vertices in image b, added to mesh ``own`` if ``add``.
@@ -135,8 +135,8 @@ NR_FUNC void project_vertices_backward(const ProjectBackward& call, int task) {
 struct ProjectCorners {
     View view;
     Triangles triangles;
-    float* corners;      // x, y on the screen and the depth, [images, count, 3, 3]; of the backward pass their gradient
-    float* to_vertices;  // [meshes, vertices, 3]; of the backward pass
+    float* corners;      // x, y on the screen and the depth, [images, count, 3, 3]; in the backward pass their gradient
+    float* to_vertices;  // gradient, [meshes, vertices, 3]; backward pass only
 };
 
 // Call each(camera, vertex, corner) for the corners of a task's face.

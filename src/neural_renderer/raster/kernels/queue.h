@@ -10,7 +10,7 @@ namespace nr {
 struct Queue {
     int64* entries;  // [faces, 2]: number of a face, counted over all images, and index of its first thread
     int64* total;    // [1]: number of threads in the lower 36 bits, of faces in the upper ones
-    int64 threads;   // of the launch that takes the work; 0 where there is no queue, and a task is a face
+    int64 threads;   // threads of the launch that takes the work; 0 where there is no queue, and a task is a face
 
     // A power of 2 that separates both counts of the total.
     static constexpr int64 FACE = (int64)1 << 36;

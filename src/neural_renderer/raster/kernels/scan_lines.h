@@ -12,7 +12,7 @@ namespace nr {
 // The lines of one axis: ``count`` lines of ``length`` pixels.
 struct ScanAxis {
     int axis, count, length;
-    int64 origin, across, along;  // in memory: pixel 0 of line 0, the steps to the next line and to the next pixel
+    int64 origin, across, along;  // place of pixel 0 of line 0, steps to the next line and pixel
 
     NR_FUNC ScanAxis(int axis, int height, int width)
         : axis(axis),

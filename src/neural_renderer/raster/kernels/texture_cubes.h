@@ -95,7 +95,7 @@ struct PullCube {
     const vec3* cube;
     const vec3 factor;
     vec3* to_cube;
-    const float* grads;  // of the image's first channel, less the place of the image in a map
+    const float* grads;  // gradient of the image's first channel, less the place of the image in a map
     const bool alone;
     const Slopes slopes;
     CornerSums<float> sums = {};

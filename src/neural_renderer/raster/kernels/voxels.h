@@ -21,7 +21,7 @@ struct Grids {
 
 struct MarkSurface {
     Grids grids;           // EMPTY before
-    const vec3* vertices;  // in voxels, [batch, vertex_count]
+    const vec3* vertices;  // positions in voxels, [batch, vertex_count]
     int vertex_count;
     const int* faces;  // vertices of each face, [face_count, 3]
     int face_count;
@@ -136,7 +136,7 @@ NR_FUNC void flood_line(const FloodLines& call, int task) {
 struct NearestOnLine {
     const float* lines;  // squared distance of each voxel along other axes, [lines, size]
     int size;            // voxels
-    float* nearest;      // the same along this axis, too, [lines, size]
+    float* nearest;      // squared distance along this axis, too, [lines, size]
 };
 
 // Find the least squared distance of each voxel of a line.

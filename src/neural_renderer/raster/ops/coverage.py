@@ -12,7 +12,7 @@ from ..warp.registration import fake, operator
 from .draw import Drawing, DrawingKernels
 from .visible_faces import keep_mask
 
-# With those of `downsample`, which every image needs, too: another module would take longer to compile.
+# One module with `downsample`, which every image needs, too: two modules would take longer to compile.
 KERNELS = Kernels(__name__, "coverage.h", fused=False)
 _NEAREST = DrawingKernels(KERNELS, "draw")
 _Silhouette = KERNELS.struct("Silhouette")

@@ -13,7 +13,7 @@ from ..warp.memory import empty
 from ..warp.native import Kernels
 from ..warp.queue import MOST_THREADS, empty_queue, queue_of
 
-_NO_FACE = 0x7FFFFFFF_FFFFFFFF  # a key greater than all
+_NO_FACE = 0x7FFFFFFF_FFFFFFFF  # key of no face, greater than all others
 _MOST_LANES = 32  # threads that share a row of a large face
 
 # Without fused multiply-adds the edge functions of a -> b and b -> a have exactly opposite signs at every pixel:

@@ -20,8 +20,8 @@ _LitScene, _FlatLight, _FlatLightBackward = map(_KERNELS.struct, ("LitScene", "F
 _light_faces = _KERNELS.kernel("light_faces", _FlatLight)
 _light_faces_backward = _KERNELS.kernel("light_faces_backward", _FlatLightBackward)
 
-LARGE = 1e4  # as in flat_light.h
-SMALLEST_SINE = 1e-5  # as in flat_light.h
+LARGE = 1e4  # LARGE of flat_light.h
+SMALLEST_SINE = 1e-5  # SMALLEST_SINE of flat_light.h
 _SUMS = 9  # partial sums of each group of faces: ambient, directional, direction
 _LEAST = 16  # groups of faces that are worth another thread
 
@@ -164,7 +164,7 @@ def _save_again(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
 
 
 def _to_first(ctx: Any, _: Tensor, light: Tensor) -> tuple[Any, ...]:
-    """Differentiate <light, gradient to it>, the change of the factors with the light."""
+    """Differentiate <light, its gradient>: the change of the factors with the light."""
     if ctx.needs_input_grad[1]:
         refuse_second("flat_light_backward")
     if not ctx.light_too:

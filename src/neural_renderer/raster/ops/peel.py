@@ -1,8 +1,8 @@
 """Depth peeling: the nearest faces of each pixel in order of depth (Everitt, "Interactive order-independent
 transparency", 2001).
 
-Each layer is drawn as in `coverage`, with only what lies behind the layer before. A module of its own, so that nothing
-of it is compiled for those who draw one layer.
+Each layer is drawn as in `coverage`, with only what lies behind the layer before. Its kernels have their own module, so
+that drawing one layer compiles none of them.
 """
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
@@ -16,7 +16,7 @@ from .draw import Drawing, DrawingKernels
 
 _BEHIND_LAYER = DrawingKernels(Kernels(__name__, "peel.h", fused=False), "peel")
 
-# A layer begins behind this multiple of the depth of the one before, 64 roundings of float32. So a centre on the edge
+# A layer begins behind this multiple of the depth of the layer before, 64 roundings of float32. So a centre on the edge
 # of two adjacent faces, whose depths differ by rounding, counts once; and so do two faces in the same place.
 _BEHIND = 1 + 2.0**-17
 

@@ -1,7 +1,7 @@
 """Rings of the edges that faces share, found by vertex indices once for each mesh.
 
 Edge k of face f runs from corner k to the next and has the number 3 f + k. The edges with the same two vertices form a
-ring: each names the next one, and the last names the first. An edge that no other face shares names itself.
+ring: each edge names the next one, and the last names the first. An edge that no other face shares names itself.
 """
 
 from __future__ import annotations
@@ -115,8 +115,7 @@ def _find_rings(faces: Tensor) -> Tensor:
     end = start.roll(-1, 2)
     low, high = torch.minimum(start, end), torch.maximum(start, end)
     own = torch.arange(3 * count, device=faces.device).expand(batch, -1)
-    # An edge from a vertex to itself has a name of its own; so have the edges of (-1, -1, -1), which is padding. Both
-    # vertices have 31 bits, whatever their number, which to read could be to wait for the device.
+    # Degenerate and padded edges get unique keys. Keys are 31 + 31 bits: reading V could synchronise with the GPU.
     name = torch.where(low == high, -1 - own.view(batch, count, 3), (low << 31) + high)
     name, order = name.flatten(1).sort(dim=1, stable=True)
     last = torch.cat((name[:, 1:] != name[:, :-1], torch.ones_like(name[:, :1], dtype=torch.bool)), 1)

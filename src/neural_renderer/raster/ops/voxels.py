@@ -21,7 +21,7 @@ _flood = _KERNELS.kernel("flood", _Grids)
 _flood_line = _KERNELS.kernel("flood_line", _FloodLines)
 _find_nearest_on_line = _KERNELS.kernel("find_nearest_on_line", _NearestOnLine)
 
-_OUTSIDE = 2  # of `Grids`
+_OUTSIDE = 2  # state OUTSIDE of `Grids`
 
 # Number of lines of voxels that are worth another CPU thread.
 _MANY_LINES = 2048
@@ -71,7 +71,7 @@ def _flood_by_sweeps(state: Tensor) -> None:
 
 
 def _flood_by_lines(state: Tensor) -> None:
-    """Do the same, one line of voxels for each task, until no new voxel is outside."""
+    """Mark the empty voxels outside; a task sweeps along one line, until no new voxel is outside."""
     batch, size = state.shape[:2]
     grids, device = _Grids(state=state, size=size), state.device
     changed = zeros((1,), device, torch.int32)

@@ -168,8 +168,8 @@ def add_edges(
         image: [B, C, H, W] float32; None for the silhouette.
         faces, face_index, perspective, seams, edge_hashes: As in `edge_gradient`.
         adjacent: As from `neighbors`.
-        folds: Faces that the surface folds back to, as from `neighbors`; an edge behind its fold has no gradient, for
-            the face in front has it. None: edges behind folds are hidden anyway.
+        folds: Faces that the surface folds back to, as from `neighbors`; where a surface folds, only the front
+            face receives the gradient. None: edges behind folds are hidden anyway.
         search: On CUDA, rings without edges that are alone, and ``two_sided``, to find ``adjacent``, which is written.
     """
     batch, height, width = face_index.shape

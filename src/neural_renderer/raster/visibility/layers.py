@@ -1,18 +1,18 @@
 """The derivative of a picture of several layers through the visibility of each: `edge_gradient` for transparency.
 
-Maths. Layer k shows the k-th nearest face of each pixel, and S is the picture of this layer and those behind it, of
-which the share T passes the layers in front. Where a face of layer k ends, the next one behind it becomes layer k of
-the next pixel, so the picture jumps by the jump of T S, as if it were opaque, and `edge` computes the gradient of each
-layer from T S and its faces. Nothing counts twice:
+Maths. Layer k shows the k-th nearest face of each pixel. Let S be the composite of layer k and all behind it, and T the
+transmittance of the layers in front. Where a face of layer k ends, the next face behind it becomes layer k of the next
+pixel, so the picture jumps by the jump of T S, as at an opaque face, and `edge` computes the gradient of each layer
+from T S and its faces. Nothing counts twice:
 
 - The faces behind move one layer up where a face ends, but none of them has an edge there.
-- Where two faces intersect, they change places; only in the layer of the nearer one does each lie in front at its own
-  pixel, as `intersections` requires.
+- Where two faces intersect, they change places. `intersections` requires that each face lies in front at its own
+  pixel, which is so in the layer of the nearer face only.
 - At the outline of a closed surface, its front and its back end at the same edge. The jump of the front's layer has
   both; the back's edge, which is behind a fold, is left out.
 
 Pitfalls. Those of `edge`; its "gaps narrower than a pixel" are here also those between the edges of two layers. Faces
-behind the last layer are taken for nothing.
+behind the last layer are ignored.
 """
 
 # The types of operators are read at run time, so no `from __future__ import annotations` here.

@@ -219,7 +219,7 @@ def _save(ctx: Any, inputs: Any, output: Any) -> None:
 
 def _backward(ctx: Any, grad: Tensor) -> Any:
     image, faces, face_index = ctx.saved_tensors
-    grad = grad.contiguous()  # once; earlier operators need it, too
+    grad = grad.contiguous()  # one copy, which earlier operators need, too
     to_image = to_faces = None
     if ctx.needs_input_grad[1]:
         to_faces, to_image = nmr_gradient_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided)

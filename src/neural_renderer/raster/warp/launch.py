@@ -172,7 +172,7 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
 
 
 def _enter(kernel: wp.Kernel) -> Callable[..., None]:
-    """Load a kernel for the CPU; returns a function of the number of tasks and the arguments that runs it."""
+    """Load a kernel for the CPU; return the function of tasks and arguments that runs it."""
     load_kernel(kernel, "cpu")
 
     def run(tasks: int, *arguments: Any) -> None:
@@ -185,7 +185,7 @@ def _enter(kernel: wp.Kernel) -> Callable[..., None]:
 
 
 def _direct(kernel: wp.Kernel) -> Callable[..., None]:
-    """Do the same by calling the compiled code. Warp's launch checks arguments for longer than a small scene takes."""
+    """Load a kernel as `_enter`, but call its compiled code: Warp's checks take longer than a small scene."""
     from warp._src.types import launch_bounds_t
 
     fields = [("first", ctypes.c_int32), ("call", kernel.adj.args[1].type)]
@@ -193,7 +193,7 @@ def _direct(kernel: wp.Kernel) -> Callable[..., None]:
     module: Any = kernel.module.load(wp.get_device("cpu"), 1)
     run_tasks = module.get_kernel_hooks(kernel).forward
 
-    bounds = lru_cache(maxsize=64)(launch_bounds_t)  # which kernels only read
+    bounds = lru_cache(maxsize=64)(launch_bounds_t)  # cached, because kernels only read them
 
     def run(tasks: int, first: int, call: Call, loaded: Any = module) -> None:  # keeps the module loaded
         run_tasks(ctypes.byref(bounds(tasks)), ctypes.byref(packed(first, call)))

@@ -1,4 +1,4 @@
-"""Layout: how the work of a launch is divided into tasks. This module alone decides what differs between devices.
+"""Layout: how the work of a launch is divided into tasks.
 
 On the CPU a task is long, and no two tasks write to one place. On CUDA a task is a short thread of many thousands;
 threads share sums by atomics, and reading a number would wait for the device.
@@ -15,8 +15,8 @@ PIECES = 4
 # Numbers of pixels, to scan or to draw and shade, for which it is worth waking another CPU thread.
 MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
 
-_ROWS = 16  # of a task on the CPU, where neighbouring rows share faces
-_MOST_TASKS = 2**31 - 1  # of one launch
+_ROWS = 16  # rows of a CPU task: neighbouring rows share faces
+_MOST_TASKS = 2**31 - 1  # most tasks of one launch
 
 # Tests set it, to run the layout of CUDA, and its code, on a processor; see `emulator` in `launch`.
 as_on_cuda = False
@@ -65,11 +65,11 @@ def group_tasks(count: int, device: torch.device, on_cpu: int, on_cuda: int = 1)
 
 
 def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
-    """Divide ``rows`` rows of pixels among tasks, which find theirs by `pixels_of_task` in `tasks.h`.
+    """Divide ``rows`` rows of pixels among tasks; `pixels_of_task` in `tasks.h` finds the pixels of a task.
 
     Returns:
-        The number of tasks, and the rows of each. 0 stands for a single pixel, as on CUDA, where the threads of a warp
-        then read and write side by side.
+        The number of tasks, and the rows of a task. 0 stands for a single pixel, as on CUDA, where the threads of a
+        warp then read and write side by side.
     """
     if not concurrent(device):
         return -(-rows // _ROWS), _ROWS
@@ -77,10 +77,10 @@ def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
 
 
 def run_tasks(rows: int, width: int) -> tuple[int, int]:
-    """Divide rows of pixels into runs of neighbours, one for each CUDA thread: the gradient of a run is added at once.
+    """Divide rows of pixels into runs, one per CUDA thread, which adds its sum with one atomic.
 
     Returns:
-        The number of tasks, and the pixels of each run: a sector of memory of 4 bytes for each.
+        The number of tasks, and the pixels of a run: 8, one sector of 32 bytes.
     """
     return rows * -(-width // 8), 8
 
@@ -88,7 +88,7 @@ def run_tasks(rows: int, width: int) -> tuple[int, int]:
 def face_lanes(faces: Tensor, pixels: int) -> int:
     """Compute the number of CUDA threads per face of ``faces`` [B, F, ...] in an image of ``pixels`` pixels.
 
-    It is larger where faces are few and large. It is one on the CPU, and one if torch asks for deterministic results:
+    Few and large faces get more threads. The number is one on the CPU, and if torch asks for deterministic results:
     several threads add their sums in any order.
     """
     if not in_any_order(faces.device):

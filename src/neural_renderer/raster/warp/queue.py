@@ -28,7 +28,7 @@ _Queue = struct("queue.h", "Queue")
 
 
 def queue_of(queue: tuple[Tensor, Tensor] | None, threads: int = 0) -> Call:
-    """Make the `Queue` of kernels; ``threads`` of a launch take work from it. Of null pointers if there is none."""
+    """Make the `Queue` of kernels; ``threads`` of a launch take work from it. Null pointers without a queue."""
     return _Queue(entries=queue[0], total=queue[1], threads=threads) if queue else _Queue()
 
 
