@@ -121,7 +121,7 @@ class Layers(OneLine):
         """Multiply each layer's picture by the share that passes the layers in front, [K, B, C, H, W]; no gradient."""
         share: Tensor | float = 1.0
         result = []
-        with torch.no_grad():  # as a decorator, it would end a compiled graph
+        with torch.no_grad():  # a block: the decorator would end a compiled graph
             for layer, picture, alpha in zip(self.layers, pictures, opacities, strict=True):
                 result.append(share * picture)
                 share = share * torch.where(layer.mask, 1 - alpha[..., 0], 1.0)[:, None]

@@ -93,7 +93,7 @@ def opendr_gradient_backward(
     pulls = []
     for axis, pixels in ((0, image.shape[3]), (1, image.shape[2])):
         slope = _slope(image, here, axis)
-        pulls.append(-(grad * slope).sum(1) * pixels / 2)  # for a motion by a screen unit
+        pulls.append(-(grad * slope).sum(1) * pixels / 2)  # gain of a motion by a screen unit
     pull = torch.stack(pulls, -1)[..., None, :] * here.weights[..., None].to(image.dtype)  # [B, H, W, 3, 2]
     pull = torch.where(here.drawn[..., None, None], pull, 0.0)
     own = face_index.clamp(min=0).long() + faces.shape[1] * torch.arange(len(faces), device=faces.device)[:, None, None]

@@ -73,7 +73,7 @@ class ShadowedLight:
             options: dict[str, Any] = {"near": near, "far": far, "anti_aliasing": False, "gradient": "nmr"}
             layers = fragments((vertices, faces), camera, size, layers=2, **options)
             front, back = (torch.where(layer.mask, layer.depth, math.inf) for layer in layers)
-            # At the border of a body both sides meet: there, half-way is too near for pixels beside it.
+            # Both sides meet at the border of a body, where half-way is too near for pixels beside it.
             wide = _STEEPEST * (self.softness + 0.5) * self._pixel_width(front, camera, size)
             depth = front + torch.maximum((back - front) / 2, wide).clamp(max=self.bias * extent)
             depth = torch.where(torch.isinf(front), front, depth)

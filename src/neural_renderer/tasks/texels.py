@@ -51,7 +51,7 @@ class Texels:
         Raises:
             TypeError, ValueError: ``size`` is out of range, or there are no faces.
         """
-        # With T = 2, the texel at a face's centre would be blended into the colours on its edges.
+        # T = 2 would blend the texel at a face's centre into the colours on its edges.
         size = validate.whole("texture_size", size, 3)
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")

@@ -67,7 +67,7 @@ def sampled(image: Tensor, uv: Tensor, face_index: Tensor | None, wrap: Wrap) ->
     height, width = image.shape[1:3]
     wraps = wrap_pair(wrap)
     if "mirror" in wraps:
-        # Between an image and its mirror image, bilinear sampling reads the border's texel twice, as "clamp" does.
+        # Bilinear sampling between an image and its mirror image reads the border's texel twice, as "clamp" does.
         folded = 1 - (uv % 2 - 1).abs()
         uv = torch.stack([(folded if w == "mirror" else uv)[..., axis] for axis, w in enumerate(wraps)], -1)
     repeats = [one == "repeat" for one in wraps]

@@ -166,7 +166,7 @@ class Frusta:
 def quaternion(axes: np.ndarray) -> np.ndarray:
     """Convert a rotation [3, 3] to a quaternion (w, x, y, z)."""
     m = axes
-    # Of four forms, the one that divides by the largest number.
+    # Choose the form, of four, that divides by the largest number.
     squares = np.array([np.trace(m), m[0, 0], m[1, 1], m[2, 2]]) * [1, 2, 2, 2] - [0, *[np.trace(m)] * 3] + 1
     w = [squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]
     x = [m[2, 1] - m[1, 2], squares[1], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]

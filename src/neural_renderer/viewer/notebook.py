@@ -32,7 +32,7 @@ def in_notebook() -> bool:
 
 
 def frame_of(viewer: Viewer) -> str:
-    """Make the HTML that shows the page; of a viewer without one, its address's place is empty."""
+    """Make the HTML that shows the page; without a page the address stays empty."""
     if viewer.url is None:
         return "<i>viewer without a page</i>"
     url = html.escape(viewer.url, quote=True)

@@ -90,7 +90,7 @@ def attribute_edge_hashes(values: Tensor) -> Tensor:
 
 
 def _along(corners: Tensor) -> Tensor:
-    """Combine hashes of corners, [..., F, 3], to those of edges in both directions, [..., F, 3, 2]."""
+    """Combine hashes of corners, [..., F, 3], to hashes of edges in both directions, [..., F, 3, 2]."""
     following = corners.roll(-1, -1)
     return torch.stack((corners * _THERE + following * _BACK, following * _THERE + corners * _BACK), -1)
 

@@ -27,7 +27,7 @@ def pyramid(image: Tensor) -> Tensor:
     while max(image.shape[2:]) > 1:
         half = (max(1, image.shape[2] // 2), max(1, image.shape[3] // 2))
         even = image.shape[2] == 2 * half[0] and image.shape[3] == 2 * half[1]
-        # For even sides the adaptive mean is equal, but much slower.
+        # The adaptive mean is equal for even sides, but much slower.
         image = functional.avg_pool2d(image, 2) if even else functional.adaptive_avg_pool2d(image, half)
         levels.append(image)
     return torch.cat([level.flatten(2).transpose(1, 2) for level in levels], 1)

@@ -63,7 +63,7 @@ NR_FUNC void gather_corners(const GatherCorners& call, int task) {
     });
 }
 
-// On the CPU a task has all faces of an image, because additions of several tasks would collide.
+// A CPU task has all faces of an image, because additions of several tasks would collide.
 NR_FUNC void gather_corners_backward(const GatherCorners& call, int task) {
     over_corners(call, task, [](float* vertex, const float* corner, int channels) {
         for (int c = 0; vertex && c < channels; ++c) atomic_add(vertex + c, corner[c]);

@@ -135,7 +135,7 @@ NR_FUNC float gain_of_outline(const Lines& lines, const BoundaryEdge& edge, cons
 // is subtracted from both sides leaves their difference as it is, so the mean colour of other faces nearby is
 // subtracted first. This removes most of the noise.
 //
-// To search the next scan lines, too, for pixels that show the face was tried: the noise at triangles of two pixels
+// Tried: a search of the next scan lines, too, for pixels that show the face. The noise at triangles of two pixels
 // falls from 0.8 to 0.45 of the gradient, but the estimate takes 1.4 to 1.6 times as long.
 
 NR_FUNC bool is_small(const Lines& lines, int f) {

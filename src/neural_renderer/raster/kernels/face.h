@@ -35,8 +35,8 @@ struct Face {
     vec3 v[3];
     float matrix[9];
     float inverse[3];  // 1 / z of each corner in perspective, else 1
-    bool front;        // in front of the camera; a visible face that is not crosses the camera's plane
-    bool known;        // weights by the matrix
+    bool front;        // whether it is in front of the camera; other visible faces cross the camera's plane
+    bool known;        // whether the matrix gives weights
     int perspective, height, width;
 
     NR_FUNC void set(const vec3* corners, const Scene& scene) {
@@ -67,8 +67,8 @@ struct Face {
 template <class F>
 struct Point {
     typedef typename Lanes<F>::Mask Mask;
-    F weights[3];   // in space; their sum is 1
-    F w[3], whole;  // on the screen, where the weights are w / whole
+    F weights[3];   // weights in space; their sum is 1
+    F w[3], whole;  // weights on the screen, w / whole
     F z;            // depth
 
     // The point by the face's matrix, for pixels x of row y. Where the result is true, the matrix gives no weights.

@@ -12,7 +12,7 @@ constexpr float SMALLEST_SINE = 1.0e-5f;
 // Meshes and lights. Any of the tensors may have 1 image, which all share.
 struct LitScene {
     Triangles triangles;
-    const float* vertices;     // in the world, [meshes, vertices, 3]
+    const float* vertices;     // positions in the world, [meshes, vertices, 3]
     const float* ambient;      // colour of the ambient light, [ambients, 3]
     const float* directional;  // colour of the directional light, [directionals, 3]
     const float* direction;    // direction towards the light, [directions, 3]
@@ -118,7 +118,7 @@ NR_FUNC void light_group_backward(const FlatLightBackward& call, int b, int task
             sum[3 + k] += lit[k] * fabsf(facing);
             gain += lit[k] * light.beam[k];
         }
-        // By n . direction: only one side is lit, and none if the light comes along the face.
+        // Only one side is lit, and none if the light comes along the face: n . direction tells.
         gain = facing > 0.0f ? gain : facing < 0.0f ? -gain : 0.0f;
         if (!scene.mirrored) gain = -gain;
         float to_n[3], to_v[9];

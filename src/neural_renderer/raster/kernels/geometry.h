@@ -79,7 +79,7 @@ NR_FUNC bool degenerate(const vec3* v) {
 }
 
 // Classify a face: 1 in front of the camera, 0 across the camera's plane, -1 if it cannot be drawn.
-// In orthographic projection every face is in front. Corners beyond 1e12 cannot be drawn, because their products
+// Every face is in front in orthographic projection. Corners beyond 1e12 cannot be drawn, because their products
 // overflow float32.
 NR_FUNC int in_front(const vec3* v, int perspective) {
     bool fits = true;

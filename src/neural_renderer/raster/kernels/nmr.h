@@ -459,7 +459,7 @@ NR_FUNC void store_pixel(const StoreLines& call, int image, int row, int i) {
         for (int c = 0; c < call.channels; ++c, value += area, pull += area / (half * half)) {
             const float by = share * pull[0];
             if (call.spread) call.spread[pixel + c * area] = by;
-            sum += value[0] * by;  // as in `LineWriter`
+            sum += value[0] * by;  // the sum of `LineWriter`
             in_row[(c + 1) * ScanLines::plane(across)] = in_column[(c + 1) * ScanLines::plane(down)] = by;
             pulls |= by != 0.0f;
         }

@@ -59,8 +59,8 @@ struct Projected {
 // The gradient to a vertex, from the gradient g to its position (x, y, depth) on the screen.
 struct ProjectedGradient {
     float along;                // g . (sx, sy): change with the distance from the camera
-    float to_x, to_y, to_z;     // along the camera's axes
-    float to_dx, to_dy, to_dz;  // in the world
+    float to_x, to_y, to_z;     // gradient along the camera's axes
+    float to_dx, to_dy, to_dz;  // gradient in the world
 
     NR_FUNC ProjectedGradient(const Pinhole& camera, const Projected& at, const float* g) {
         const float gx = g[0], gy = g[1], *r = camera.r;

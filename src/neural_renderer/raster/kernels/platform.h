@@ -19,8 +19,8 @@
 #define NR_RARE inline __attribute__((noinline))
 #endif
 
-// At the start of a function: its products and sums may be fused, across statements too, or are not fused, whatever the
-// module's option.
+// Macros at the start of a function: its products and sums may be fused, across statements too, or are not fused,
+// whatever the module's option.
 #if defined(__clang__)
 #define NR_FUSED _Pragma("clang fp contract(fast)")
 #define NR_UNFUSED _Pragma("clang fp contract(off)")

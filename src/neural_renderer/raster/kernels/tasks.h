@@ -14,7 +14,7 @@ struct Pixels {
 // The pixels of a task of ``each`` rows, 0 for a single pixel, in maps of ``rows`` rows; see `pixel_tasks`.
 NR_FUNC Pixels pixels_of_task(int task, int each, int rows, int width) {
     if (ON_CUDA && each == 0) return {task / width, task / width + 1, task % width, task % width + 1};
-    // On the CPU whole rows alone: compilers make better loops of them.
+    // CPU tasks have whole rows alone: compilers make better loops of them.
     const int first = task * each;
     return {first, first + each < rows ? first + each : rows, 0, width};
 }

@@ -12,7 +12,7 @@ NR_FUNC void mark_faces(int* mask, int count, const int* face_index, int64 pixel
 }
 
 struct Mark {
-    Scene scene;   // without corners
+    Scene scene;   // scene without corners
     int each;      // rows of a task
     int* visible;  // mask, [images, count + 1], 0 before
 };

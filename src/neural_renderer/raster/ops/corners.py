@@ -72,7 +72,7 @@ def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
         index = (torch.where(valid, faces, 0).flatten(1) + image).flatten()
         part = torch.where(valid[..., None], grad, 0.0)
         return result.flatten(0, 1).index_add_(0, index, part.flatten(0, 2)).view_as(result)
-    # On the CPU one task takes all faces of an image, because additions of several tasks would collide.
+    # One CPU task takes all faces of an image, because additions of several tasks would collide.
     groups, each = (grad.shape[1], 1) if concurrent(grad.device) else (1, grad.shape[1])
     call = _GatherCorners(
         triangles=triangles_of(faces, count),

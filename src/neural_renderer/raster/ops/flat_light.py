@@ -82,7 +82,7 @@ def flat_light_backward(
     if batch == 0:
         return zeros(vertices.shape, grad.device), grad.new_zeros((0, _SUMS))
     groups, each = group_tasks(count, grad.device, 512, 32 if light_too else 1)
-    # On the CPU, one task sums the gradient to faces that images share, image by image.
+    # One CPU task sums the gradient to faces that images share, image by image.
     own = batch if concurrent(grad.device) else images_of(vertices, faces)
     device, at_once = grad.device, in_any_order(grad.device)  # tasks add to the vertices at once
     to_vertices = zeros(vertices.shape, device) if at_once else empty((0, 0, 3), device)

@@ -70,7 +70,7 @@ def neighbors(
         most = most if alone is None else alone
     if most == 0:
         return result
-    # On the CPU one task fills an image's table. Several tasks fill it in any order, which decides which faces are
+    # One CPU task fills an image's table. Several tasks fill it in any order, which decides which faces are
     # ignored at an edge with more faces than are examined.
     lanes = max(count, 1) if in_any_order(faces.device) else 1
     size = 1 << (2 * most - 1).bit_length()

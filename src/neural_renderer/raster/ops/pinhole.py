@@ -75,7 +75,7 @@ def pinhole_backward(
     if batch == 0:
         return zeros(vertices.shape, grad.device), grad.new_zeros((0, _SUMS))
     groups, each = group_tasks(count, grad.device, 1024, 32)
-    # On the CPU, one task sums the gradient to vertices that images share, image by image.
+    # One CPU task sums the gradient to vertices that images share, image by image.
     own = batch if concurrent(grad.device) else len(vertices)
     to_vertices = empty((own, count, 3), grad.device)
     sums = torch.empty((batch, groups, _SUMS) if camera_too else (0, 0, _SUMS), device=grad.device)
@@ -138,7 +138,7 @@ def save_projection(ctx: Any, inputs: Sequence[Any], output: Tensor) -> None:
 
 
 def parts_of_camera(gradient: Tensor, camera: Sequence[Tensor], needed: Sequence[bool]) -> list[Tensor | None]:
-    """Split a gradient [B, 13] from `pinhole_backward` into those of the rotation, origin and width that are needed."""
+    """Split a gradient [B, 13] from `pinhole_backward` into the needed gradients of rotation, origin and width."""
     return [
         (own if len(tensor) == len(own) else own.sum(0)).reshape(tensor.shape) if needs else None
         for tensor, own, needs in zip(camera, gradient.split((9, 3, 1), 1), needed, strict=True)

@@ -75,7 +75,7 @@ def coverage_reference(
         found = faces_at_pixels(faces[b], height, width, perspective)
         side = sides(faces[b], perspective)[:, None, None]
         drawn = found.inside & (found.depth > near) & (found.depth < far) & ((side > 0) | two_sided)
-        # At equal depth the first face wins; back sides come after all front sides. Depths are compared as float32, so
+        # The first face wins at equal depth; back sides come after all front sides. Depths are compared as float32, so
         # that faces in one plane tie.
         depth = torch.where(drawn, found.depth.float(), math.inf)
         both = torch.cat((torch.where(side > 0, depth, math.inf), torch.where(side < 0, depth, math.inf)))

@@ -29,7 +29,7 @@ _intersect_pairs = _KERNELS.kernel("intersect_pairs", _Intersections, only_cuda=
 
 
 def pictures_of(image: Tensor | None, grad: Tensor, width: int) -> Call:
-    """Make the `Pictures` of kernels: images ``width`` pixels wide, and the gradient to them or to halved ones."""
+    """Make the `Pictures` of kernels: images ``width`` pixels wide, and the gradient to these or to halved images."""
     image = None if image is None else image.contiguous()
     grad = grad.contiguous()
     return _Pictures(image=image, grad=grad, channels=grad.shape[1], halved=int(grad.shape[3] < width))

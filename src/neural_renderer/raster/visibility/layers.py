@@ -11,7 +11,7 @@ from T S and its faces. Nothing counts twice:
 - At the outline of a closed surface, its front and its back end at the same edge. The jump of the front's layer has
   both; the back's edge, which is behind a fold, is left out.
 
-Pitfalls. Those of `edge`; its "gaps narrower than a pixel" are here also those between the edges of two layers. Faces
+Pitfalls. All of `edge` apply; its "gaps narrower than a pixel" include gaps between the edges of two layers. Faces
 behind the last layer are ignored.
 """
 

@@ -127,7 +127,7 @@ def nmr_gradient_backward(
             lines=stored,
             visible=None if visible is None else visible[here],
             queue=queue_of(queue, threads),
-            eps=max(eps, 1e-12),  # with 0, a pixel that touches the edge would divide by zero
+            eps=max(eps, 1e-12),  # 0 would divide by zero at a pixel that touches the edge
             to_faces=result[here],
         )
         launch(_nmr_backward, threads, [call], device, least)

@@ -1,6 +1,6 @@
 """Normal maps: tangents from texture coordinates, and normals from images in tangent space.
 
-Conventions are those of MikkTSpace (Mikkelsen, "Simulation of Wrinkled Surfaces Revisited", 2008) and glTF 2.0: each
+Conventions follow MikkTSpace (Mikkelsen, "Simulation of Wrinkled Surfaces Revisited", 2008) and glTF 2.0: each
 corner of a face has a unit tangent t towards larger u, orthogonal to its normal n, and a sign; the bitangent
 sign · n × t points to larger v, which is up in the image ("green up").
 """

@@ -70,7 +70,7 @@ def object_bounds(views: Views, misses: int = 0) -> tuple[Tensor, float]:
 def view_center(views: Views) -> tuple[Tensor, float]:
     """Find where the cameras look: the point [3] nearest to all optical axes, and how far around it to search."""
     eye, forward = views.eyes()
-    # For parallel axes, the ridge picks the point nearest to the origin.
+    # The ridge picks the point nearest to the origin if axes are parallel.
     across = torch.eye(3).to(eye) - forward[:, :, None] * forward[:, None, :]
     matrix = across.sum(0) + 1e-4 * len(views) * torch.eye(3).to(eye)
     center = torch.linalg.solve(matrix, torch.einsum("bij,bj->i", across, eye))

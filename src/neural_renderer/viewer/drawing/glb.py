@@ -84,7 +84,7 @@ def write_glb(parts: Sequence[Drawable]) -> bytes:
         elif part.image is not None and part.uv is not None:
             attributes["TEXCOORD_0"] = body.array(part.uv.astype(np.float32), "VEC2", _FLOAT, _VERTICES)
             mime = "image/png" if part.image.startswith(b"\x89PNG") else "image/jpeg"
-            # Without mipmaps, which would blend adjacent tiles of an atlas.
+            # Filters use no mipmaps, which would blend adjacent tiles of an atlas.
             across, down = (_WRAPS[part.wrap],) * 2 if isinstance(part.wrap, str) else (_WRAPS[w] for w in part.wrap)
             samplers.append({"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": across, "wrapT": down})
             textures.append({"source": len(images), "sampler": len(images)})

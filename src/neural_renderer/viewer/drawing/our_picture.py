@@ -140,7 +140,7 @@ def picture(
         camera = view.camera(place)
         images = draw(snapshot, camera, size, lit=lit)
         covers = images.alpha[0]
-        # At outlines, depth is a mean of samples on the mesh and of samples at the far plane.
+        # Depth at outlines is a mean of samples on the mesh and of samples at the far plane.
         beyond = (1 - covers) * _FARTHEST * _reach(snapshot, camera)
         own = torch.where(covers > 0, (images.depth[0] - beyond) / covers, math.inf)
         front = own <= depth

@@ -152,7 +152,7 @@ def _tile(size: int) -> np.ndarray:
 
 
 def _of_images(vertices: np.ndarray, faces: np.ndarray, mesh: UVMesh, look: Look) -> list[Drawable]:
-    """Show the images of a mesh, and the corner colours of faces without one."""
+    """Show the images of a mesh, and the corner colours of faces without an image."""
     found = []
     index = mesh.image_index.numpy()
     for number, (image, wrap) in enumerate(zip(mesh.images, mesh.wraps, strict=True)):

@@ -55,7 +55,7 @@ class Run:
                     del points[1:-1:2]
 
     def curves(self) -> dict[str, np.ndarray]:
-        """Return the points of the curves, [N, 2] each, without those that are not finite."""
+        """Return the finite points of the curves, [N, 2] each."""
         with self._lock:
             arrays = {name: np.array(points, np.float64) for name, points in self.numbers.items()}
         return {name: points[np.isfinite(points).all(1)] for name, points in arrays.items()}
@@ -91,7 +91,7 @@ class RunPanel:
         self._folder = gui.add_folder("Run", order=-2)
         with self._folder:
             self._status = gui.add_markdown("")
-            # Without icons: viser takes a fifth of a second to find one.
+            # Icons are left out: viser takes a fifth of a second to find one.
             self._pause = gui.add_button("Pause")
             hint = "End after this step, and keep the result"
             self._stop = gui.add_button("Stop and keep", color="red", hint=hint)
