@@ -9,7 +9,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.raster.ops.peel import peel
-from neural_renderer.raster.visibility.layers import layers_gradient
+from neural_renderer.raster.visibility.edge_of_layers import layers_gradient
 from tests.raster.reference.edge import edge_gradient_reference
 from tests.raster.scenes import FAR, NEAR, Scene
 from tests.raster.visibility.checks import ball, jittered

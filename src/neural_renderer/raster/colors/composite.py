@@ -9,14 +9,24 @@ from torch import Tensor
 from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty
-from ..warp.native import Kernels
+from ..warp.native import Call, Kernels
 from ..warp.registration import differentiable, fake, operator
-from .background import background_of
 
 _KERNELS = Kernels(__name__, "composite.h")
+_Background = _KERNELS.struct("Background")
 _Composite, _CompositeBackward = _KERNELS.struct("Composite"), _KERNELS.struct("CompositeBackward")
 _composite_pixels = _KERNELS.kernel("composite_pixels", _Composite)
 _composite_pixels_backward = _KERNELS.kernel("composite_pixels_backward", _CompositeBackward)
+
+
+def background_of(background: Tensor) -> Call:
+    """Make the `Background` of kernels: [B, C, H, W] float32 with any strides, which stays where it is in memory."""
+    if background.numel() == 0:
+        return _Background()
+    image, channel, row, column = background.stride()
+    # A view of the first number alone is contiguous.
+    first = background.as_strided((), ())
+    return _Background(values=first, image=image, channel=channel, row=row, column=column)
 
 
 @operator

@@ -15,10 +15,10 @@ from ..warp.registration import differentiable, fake, operator, refuse_second
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 _KERNELS = Kernels(__name__, "interpolate.h", fused=False)
-_Interpolate, _PullAttributes = _KERNELS.struct("Interpolate"), _KERNELS.struct("PullAttributes")
+_Interpolate, _InterpolateBackward = _KERNELS.struct("Interpolate"), _KERNELS.struct("InterpolateBackward")
 _interpolate_pixels = _KERNELS.kernel("interpolate_pixels", _Interpolate)
-_pull_attributes_of_face = _KERNELS.kernel("pull_attributes_of_face", _PullAttributes)
-_pull_attributes_of_run = _KERNELS.kernel("pull_attributes_of_run", _PullAttributes, only_cuda=True)
+_attributes_of_face_backward = _KERNELS.kernel("attributes_of_face_backward", _InterpolateBackward)
+_attributes_of_run_backward = _KERNELS.kernel("attributes_of_run_backward", _InterpolateBackward, only_cuda=True)
 
 
 @operator
@@ -77,12 +77,12 @@ def interpolate_backward(
     }
     if in_any_order(faces.device):
         tasks, run = run_tasks(batch * height, width)
-        launch(_pull_attributes_of_run, tasks, [_PullAttributes(run=run, **fields)], faces.device)
+        launch(_attributes_of_run_backward, tasks, [_InterpolateBackward(run=run, **fields)], faces.device)
     else:
         # One task sums the gradient to attributes that images share, image by image.
         tasks, least = min(len(attributes), batch) * count, face_tasks(faces, height * width)
-        call = _PullAttributes(visible=visible_faces(face_index, count), **fields)
-        launch(_pull_attributes_of_face, tasks, [call], faces.device, least)
+        call = _InterpolateBackward(visible=visible_faces(face_index, count), **fields)
+        launch(_attributes_of_face_backward, tasks, [call], faces.device, least)
     return to_attributes, to_faces
 
 

@@ -12,14 +12,16 @@ from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, wort
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
 from ..warp.registration import differentiable, fake, operator, refuse_second
-from .background import background_of
+from .composite import background_of
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 _KERNELS = Kernels(__name__, "texture_cubes.h", fused=False)
-_LitCubes, _SampleCubes, _PullCubes = (_KERNELS.struct(name) for name in ("LitCubes", "SampleCubes", "PullCubes"))
+_LitCubes, _SampleCubes, _SampleCubesBackward = (
+    _KERNELS.struct(name) for name in ("LitCubes", "SampleCubes", "SampleCubesBackward")
+)
 _sample_pixels = _KERNELS.kernel("sample_pixels", _SampleCubes)
-_pull_cubes_of_face = _KERNELS.kernel("pull_cubes_of_face", _PullCubes)
-_pull_cubes_of_run = _KERNELS.kernel("pull_cubes_of_run", _PullCubes, only_cuda=True)
+_cubes_of_face_backward = _KERNELS.kernel("cubes_of_face_backward", _SampleCubesBackward)
+_cubes_of_run_backward = _KERNELS.kernel("cubes_of_run_backward", _SampleCubesBackward, only_cuda=True)
 
 
 @operator
@@ -109,12 +111,12 @@ def sample_textures_backward(
     }
     if concurrently:
         tasks, run = run_tasks(batch * height, width)
-        launch(_pull_cubes_of_run, tasks, [_PullCubes(run=run, **fields)], faces.device)
+        launch(_cubes_of_run_backward, tasks, [_SampleCubesBackward(run=run, **fields)], faces.device)
     else:
         # One task sums the gradient to textures that images share, image by image.
         tasks, least = min(len(textures), batch) * faces.shape[1], face_tasks(faces, height * width)
-        call = _PullCubes(visible=visible_faces(face_index, faces.shape[1]), **fields)
-        launch(_pull_cubes_of_face, tasks, [call], faces.device, least)
+        call = _SampleCubesBackward(visible=visible_faces(face_index, faces.shape[1]), **fields)
+        launch(_cubes_of_face_backward, tasks, [call], faces.device, least)
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_faces
 
 

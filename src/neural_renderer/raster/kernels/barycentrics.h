@@ -51,7 +51,7 @@ NR_FUNC void weigh_pixels(const Weigh& call, int task) {
     over_rows<WeighRows::Nothing>(call.scene, task, call.each, WeighRows{call});
 }
 
-struct PullWeights {
+struct BarycentricsBackward {
     Scene scene;
     const vec3* grad_weights;  // [images, height, width]
     const float* grad_depth;   // [images, height, width]
@@ -60,8 +60,8 @@ struct PullWeights {
     vec3* to_faces;            // [images, count, 3], 0 before
 };
 
-struct PullFace {
-    const PullWeights& call;
+struct FaceBackward {
+    const BarycentricsBackward& call;
     const Slopes slopes;
     CornerSums<float> sums = {};
 #if NR_LANES
@@ -72,20 +72,20 @@ struct PullFace {
         floats8 to_weights[3], to_depth = load<floats8>(call.grad_depth + place.pixel);
         load(call.grad_weights + place.pixel, to_weights);
         for (int k = 0; k < 3; ++k) to_weights[k] = select(here, to_weights[k], floats8{});
-        sums_of_eights.pull(face, slopes, points, to_weights, select(here, to_depth, floats8{}), here);
+        sums_of_eights.add(face, slopes, points, to_weights, select(here, to_depth, floats8{}), here);
     }
     void finish_eights() { by_eights = true; }
     void restart() {}
 #endif
     NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
-        sums.pull(face, slopes, point, call.grad_weights[place.pixel].c, call.grad_depth[place.pixel], true);
+        sums.add(face, slopes, point, call.grad_weights[place.pixel].c, call.grad_depth[place.pixel], true);
     }
 };
 
-NR_FUNC void pull_face(const PullWeights& call, int image, int f, const Box& box, bool alone) {
+NR_FUNC void face_backward(const BarycentricsBackward& call, int image, int f, const Box& box, bool alone) {
     Face face;
     face.set(call.scene.corners(image, f), call.scene);
-    PullFace visitor = {call, Slopes(face)};
+    FaceBackward visitor = {call, Slopes(face)};
     over_face(call.scene, face, image, f, box, true, visitor);
     vec3* to = call.to_faces + ((int64)image * call.scene.count + f) * 3;
 #if NR_LANES
@@ -95,17 +95,17 @@ NR_FUNC void pull_face(const PullWeights& call, int image, int f, const Box& box
 }
 
 // The pixels that show one face of one image.
-NR_FUNC void pull_weights_of_face(const PullWeights& call, int task) {
+NR_FUNC void weights_of_face_backward(const BarycentricsBackward& call, int task) {
     const int image = task / call.scene.count, f = task % call.scene.count;
     if (call.visible[(int64)image * (call.scene.count + 1) + f] == 0) return;
     const Box box = box_of_face(call.scene, image, f);
-    if (box.left <= box.right) pull_face(call, image, f, box, true);
+    if (box.left <= box.right) face_backward(call, image, f, box, true);
 }
 
 // A few neighbouring pixels, face by face, on CUDA.
-NR_FUNC void pull_weights_of_run(const PullWeights& call, int task) {
+NR_FUNC void weights_of_run_backward(const BarycentricsBackward& call, int task) {
     for_each_run(call.scene, task, call.run, [&](int image, int f, int j, int first, int last) {
-        pull_face(call, image, f, Box{first, last, j, j}, false);
+        face_backward(call, image, f, Box{first, last, j, j}, false);
     });
 }
 

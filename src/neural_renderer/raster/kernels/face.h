@@ -149,7 +149,7 @@ struct CornerSums {
     //
     // At a fixed pixel, moving corner m by s on the screen changes the weight w_k by -w_m grad(w_k) . s. In
     // perspective, depth and the weights in space are computed from w_k / z_k, whose sum is 1 / depth.
-    NR_FUNC void pull(
+    NR_FUNC void add(
         const Face& face, const Slopes& slopes, const Point<F>& point, const F* to_weights, F to_depth, Mask here) {
         const F part = 1.0f / point.whole;
         const F same = to_weights[0] * point.weights[0] + to_weights[1] * point.weights[1]

@@ -59,7 +59,7 @@ NR_FUNC void interpolate_pixels(const Interpolate& call, int task) {
     over_rows<InterpolateRows::Nothing>(call.scene, task, call.each, InterpolateRows{call});
 }
 
-struct PullAttributes {
+struct InterpolateBackward {
     Scene scene;
     const float* attributes;  // values at the corners, [owners, count, 3, channels]
     int owners;               // images of attributes: 1 if all share them
@@ -73,8 +73,8 @@ struct PullAttributes {
 };
 
 // The pixels of one face.
-struct PullCorners {
-    const PullAttributes& call;
+struct CornersBackward {
+    const InterpolateBackward& call;
     const int channels;
     const float* from;  // attributes at the corners
     float* to;          // their gradient
@@ -83,7 +83,7 @@ struct PullCorners {
     CornerSums<float> sums = {};
 
 #if NR_LANES
-    // Eights give the same as `CornerSums::pull`, but are summed first. The gradients of weights are products of
+    // Eights give the same as `CornerSums::add`, but are summed first. The gradients of weights are products of
     // ``from`` and ``pull``. So the sums of weights[k] * pull suffice for the corners, and in perspective those of
     // weights[k] * color * pull.
     static constexpr int MOST = 8;  // channels
@@ -154,16 +154,16 @@ struct PullCorners {
                 to_weights[k] += from[k * channels + c] * pull[c];
                 add(to + k * channels + c, point.weights[k] * pull[c], alone);
             }
-        if (call.faces_too) sums.pull(face, slopes, point, to_weights.c, 0.0f, true);
+        if (call.faces_too) sums.add(face, slopes, point, to_weights.c, 0.0f, true);
     }
 };
 
 // The pixels of a box that show face f, with the attributes of image ``own``; ``alone``: no other task writes there.
-NR_FUNC void pull_corners(const PullAttributes& call, int image, int own, int f, const Box& box, bool alone) {
+NR_FUNC void corners_backward(const InterpolateBackward& call, int image, int own, int f, const Box& box, bool alone) {
     const int64 at = ((int64)own * call.scene.count + f) * 3 * call.channels;
     Face face;
     face.set(call.scene.corners(image, f), call.scene);
-    PullCorners visitor = {call, call.channels, call.attributes + at, call.to_attributes + at, alone, Slopes(face)};
+    CornersBackward visitor = {call, call.channels, call.attributes + at, call.to_attributes + at, alone, Slopes(face)};
     const bool few = call.channels <= 8;
 #if NR_LANES
     if (few) visitor.prepare();
@@ -177,16 +177,16 @@ NR_FUNC void pull_corners(const PullAttributes& call, int image, int own, int f,
 }
 
 // The pixels that show one face, in one image or in all.
-NR_FUNC void pull_attributes_of_face(const PullAttributes& call, int task) {
+NR_FUNC void attributes_of_face_backward(const InterpolateBackward& call, int task) {
     for_each_view(call.scene, call.visible, call.owners, task, [&](int image, int own, int f, const Box& box) {
-        pull_corners(call, image, own, f, box, true);
+        corners_backward(call, image, own, f, box, true);
     });
 }
 
 // A few neighbouring pixels, face by face, on CUDA.
-NR_FUNC void pull_attributes_of_run(const PullAttributes& call, int task) {
+NR_FUNC void attributes_of_run_backward(const InterpolateBackward& call, int task) {
     for_each_run(call.scene, task, call.run, [&](int image, int f, int j, int first, int last) {
-        pull_corners(call, image, smaller(image, call.owners - 1), f, Box{first, last, j, j}, false);
+        corners_backward(call, image, smaller(image, call.owners - 1), f, Box{first, last, j, j}, false);
     });
 }
 

@@ -75,7 +75,7 @@ NR_FUNC void sample_pixels(const SampleCubes& call, int task) {
     over_rows<SampleRows::Factors>(call.scene, task, call.each, SampleRows{call});
 }
 
-struct PullCubes {
+struct SampleCubesBackward {
     Scene scene;
     LitCubes textures;
     const float* grad;         // [images, 3, height, width]
@@ -87,7 +87,7 @@ struct PullCubes {
     vec3* to_faces;            // [images, count, 3], 0 before
 };
 
-struct PullCube {
+struct CubeBackward {
     const int size;
     const float eps;
     const bool light_too, faces_too;
@@ -113,7 +113,7 @@ struct PullCube {
         inside.scatter(sums_of_texels, pull);
         if (faces_too) {
             inside.slope(lit_cube, pull, to_weights);
-            sums_of_eights.pull(face, slopes, points, to_weights, floats8{}, here);
+            sums_of_eights.add(face, slopes, points, to_weights, floats8{}, here);
         }
     }
     void finish_eights() {
@@ -133,12 +133,12 @@ struct PullCube {
         if (light_too) lit += times(at.blend(cube), g);
         g = times(g, factor);
         at.scatter(to_cube, g, alone);
-        if (faces_too) sums.pull(face, slopes, point, at.slope(cube, g).c, 0.0f, true);
+        if (faces_too) sums.add(face, slopes, point, at.slope(cube, g).c, 0.0f, true);
     }
 };
 
 // The pixels of a box that show face f, whose cube is that of image ``own``; ``alone``: no other task writes to it.
-NR_FUNC void pull_cube(const PullCubes& call, int image, int own, int f, const Box& box, bool alone) {
+NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, int f, const Box& box, bool alone) {
     const Scene& scene = call.scene;
     const int64 volume = call.textures.volume(), at = ((int64)own * scene.count + f) * volume;
     Face face;
@@ -148,8 +148,9 @@ NR_FUNC void pull_cube(const PullCubes& call, int image, int own, int f, const B
     const float* grads = call.grad + 2 * image * scene.area();
     const bool light_too = call.light_too, faces_too = call.faces_too;
     const int size = call.textures.size;
-    PullCube visitor = {size,   call.textures.eps,     light_too, faces_too, scene.area(), call.textures.texels + at,
-                        factor, call.to_textures + at, grads,     alone,     Slopes(face)};
+    CubeBackward visitor = {
+        size,   call.textures.eps,     light_too, faces_too, scene.area(), call.textures.texels + at,
+        factor, call.to_textures + at, grads,     alone,     Slopes(face)};
     const bool small = size <= 2;
 #if NR_LANES
     for (int n = 0; small && n < volume; ++n) visitor.lit_cube[n] = times(visitor.cube[n], factor);
@@ -167,18 +168,18 @@ NR_FUNC void pull_cube(const PullCubes& call, int image, int own, int f, const B
 }
 
 // The pixels that show one face, in one image or in all. The task clears its cube: a pass over the memory less.
-NR_FUNC void pull_cubes_of_face(const PullCubes& call, int task) {
+NR_FUNC void cubes_of_face_backward(const SampleCubesBackward& call, int task) {
     const int64 volume = call.textures.volume();
     memset(call.to_textures + task * volume, 0, volume * sizeof(vec3));
     for_each_view(call.scene, call.visible, call.textures.cubes, task, [&](int image, int own, int f, const Box& box) {
-        pull_cube(call, image, own, f, box, true);
+        cube_backward(call, image, own, f, box, true);
     });
 }
 
 // A few neighbouring pixels, face by face, on CUDA.
-NR_FUNC void pull_cubes_of_run(const PullCubes& call, int task) {
+NR_FUNC void cubes_of_run_backward(const SampleCubesBackward& call, int task) {
     for_each_run(call.scene, task, call.run, [&](int image, int f, int j, int first, int last) {
-        pull_cube(call, image, smaller(image, call.textures.cubes - 1), f, Box{first, last, j, j}, false);
+        cube_backward(call, image, smaller(image, call.textures.cubes - 1), f, Box{first, last, j, j}, false);
     });
 }
 

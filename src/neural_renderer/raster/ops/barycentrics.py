@@ -15,10 +15,10 @@ from .visible_faces import scene_of, visible_faces
 
 # Without fused multiply-adds, weights by edge functions are the values that `coverage` computes.
 _KERNELS = Kernels(__name__, "barycentrics.h", fused=False)
-_Weigh, _PullWeights = _KERNELS.struct("Weigh"), _KERNELS.struct("PullWeights")
+_Weigh, _BarycentricsBackward = _KERNELS.struct("Weigh"), _KERNELS.struct("BarycentricsBackward")
 _weigh_pixels = _KERNELS.kernel("weigh_pixels", _Weigh)
-_pull_weights_of_face = _KERNELS.kernel("pull_weights_of_face", _PullWeights)
-_pull_weights_of_run = _KERNELS.kernel("pull_weights_of_run", _PullWeights, only_cuda=True)
+_weights_of_face_backward = _KERNELS.kernel("weights_of_face_backward", _BarycentricsBackward)
+_weights_of_run_backward = _KERNELS.kernel("weights_of_run_backward", _BarycentricsBackward, only_cuda=True)
 
 
 @operator
@@ -75,12 +75,12 @@ def barycentrics_backward(
     scene = scene_of(faces, face_index, perspective)
     if in_any_order(faces.device):
         tasks, run = run_tasks(batch * height, width)
-        launch(_pull_weights_of_run, tasks, [_PullWeights(scene=scene, run=run, **maps)], faces.device)
+        launch(_weights_of_run_backward, tasks, [_BarycentricsBackward(scene=scene, run=run, **maps)], faces.device)
     else:
         visible = visible_faces(face_index, faces.shape[1])
         least = face_tasks(faces, height * width)
-        call = _PullWeights(scene=scene, visible=visible, **maps)
-        launch(_pull_weights_of_face, batch * faces.shape[1], [call], faces.device, least)
+        call = _BarycentricsBackward(scene=scene, visible=visible, **maps)
+        launch(_weights_of_face_backward, batch * faces.shape[1], [call], faces.device, least)
     return result
 
 

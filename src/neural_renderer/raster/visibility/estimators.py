@@ -19,8 +19,8 @@ from ..ops.neighbors import neighbors
 from ..ops.rings import Rings
 from ..warp.layout import in_any_order
 from .edge import edge_gradient
+from .edge_of_layers import layers_gradient
 from .intersections import add_intersections
-from .layers import layers_gradient
 from .nmr import nmr_gradient
 
 
