@@ -9,18 +9,19 @@ from __future__ import annotations
 import collections
 import threading
 import weakref
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from ...one_line import OneLine
 from ..warp.launch import stream_of
 from ..warp.layout import readable
 from ..warp.registration import fake, is_plain, operator
 
 
-class Rings(NamedTuple):
+@dataclass(frozen=True, repr=False)
+class Rings(OneLine):
     """The rings of a mesh.
 
     Attributes:
@@ -91,7 +92,7 @@ def _known_rings(faces: Tensor) -> Rings:
         if same:
             # On CUDA read once, of a mesh that comes again; not while a graph is captured.
             if one.rings.alone < 0 and stream_of(faces.device) is not None:
-                one.rings = one.rings._replace(alone=int(_are_alone(one.rings.next).sum()))
+                one.rings = replace(one.rings, alone=int(_are_alone(one.rings.next).sum()))
             return one.rings
     following = _find_rings(faces if faces.dim() == 3 else faces[None])
     rings = Rings(following, int(_are_alone(following).sum()) if known_by_values else -1)

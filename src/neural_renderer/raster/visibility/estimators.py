@@ -58,10 +58,13 @@ class Estimator:
             of each layer.
 
     Example:
-        >>> class Straight(Estimator):  # no gradient through visibility
+        >>> from neural_renderer.raster.colors.downsample import averaged
+        >>> class NoGradient(Estimator):
         ...     def attach(self, image, drawn, seams=False, edge_hashes=None):
         ...         return averaged(image, drawn.face_index, drawn.halved)
-        >>> nr.rasterize_images(faces, 64, gradient=Straight())
+        >>> corners = nr.vertices_to_faces(*[part[None] for part in nr.icosphere(1)]) + torch.tensor([0.0, 0.0, 3.0])
+        >>> nr.rasterize_images(corners, 32, outputs="alpha", gradient=NoGradient()).alpha.shape
+        torch.Size([1, 32, 32])
     """
 
     differentiates_inside = False
