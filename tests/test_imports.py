@@ -25,7 +25,6 @@ ROOMS = [
     "textures",
     "camera",
     "meshes",
-    "layers",
     "deferred",
     "shading",
     "transparency",
@@ -63,20 +62,12 @@ RECONSTRUCTION = ["data", "networks", "evaluation", "training"]
 
 
 def imports(path: Path) -> Iterator[tuple[str, ...]]:
-    """Collect the paths of the modules that a file imports, without imports for type checkers."""
+    """Collect the paths of the modules that a file imports, those for type checkers, too."""
     # Imports by string are not seen. One of them runs upwards: `compat/old_modules.py` loads members of old modules at
     # their first use, from `interface`.
     package = path.relative_to(SOURCE).parent.parts
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    typing_only = {
-        inner
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-        for inner in ast.walk(node)
-    }
     for node in ast.walk(tree):
-        if node in typing_only:
-            continue
         if isinstance(node, ast.ImportFrom) and node.level:
             base = package[: len(package) - node.level + 1] + tuple(
                 (node.module or "").split(".") if node.module else ()

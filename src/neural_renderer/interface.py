@@ -10,9 +10,8 @@ from .compat.lighting import lighting
 from .compat.old_functions import cross
 from .compat.rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
 from .compat.renderer import Renderer
-from .deferred import Fragments, fragments
+from .deferred import Fragments, Layers, fragments
 from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
-from .layers import Layers
 from .meshes.batch import batch, join
 from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals

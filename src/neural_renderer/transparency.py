@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from .camera import Camera
-from .deferred import Fragments
-from .layers import Layers
+from .deferred import Fragments, Layers
 from .meshes.uv_mesh import UVMesh
 from .raster.colors.light_pixels import light_pixels
 from .raster.images import Images

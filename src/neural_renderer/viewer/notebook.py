@@ -5,23 +5,20 @@ from __future__ import annotations
 import html
 import sys
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
-
-if TYPE_CHECKING:
-    from .viewer import Viewer
 
 _HEIGHT = 560  # pixels
 
 
-def announce(viewer: Viewer) -> None:
-    """Show the page in the output of a notebook, or print its address."""
+def announce(url: str | None) -> None:
+    """Show the page at an address in the output of a notebook, or print the address."""
     if in_notebook():
         module: Any = import_module("IPython.display")
-        module.display(module.HTML(frame_of(viewer)))
+        module.display(module.HTML(frame_of(url)))
         return
-    Console().print(f"viewer: {viewer.url}", highlight=False, soft_wrap=True)
+    Console().print(f"viewer: {url}", highlight=False, soft_wrap=True)
 
 
 def in_notebook() -> bool:
@@ -31,11 +28,11 @@ def in_notebook() -> bool:
     return shell is not None and hasattr(shell, "kernel")
 
 
-def frame_of(viewer: Viewer) -> str:
-    """Make the HTML that shows the page; without a page the address stays empty."""
-    if viewer.url is None:
+def frame_of(url: str | None) -> str:
+    """Make the HTML that shows the page at an address; None stands for a viewer without a page."""
+    if url is None:
         return "<i>viewer without a page</i>"
-    url = html.escape(viewer.url, quote=True)
+    url = html.escape(url, quote=True)
     return (
         f'<div><iframe src="{url}" width="100%" height="{_HEIGHT}" style="border:1px solid #ddd;border-radius:6px" '
         f'allow="fullscreen"></iframe><small>If nothing appears, open <a href="{url}" target="_blank">{url}</a>; from '

@@ -53,5 +53,5 @@ def view(
     if viewer.url is not None:
         from .notebook import announce
 
-        announce(viewer)
+        announce(viewer.url)
     return viewer

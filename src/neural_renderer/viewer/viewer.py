@@ -426,7 +426,7 @@ class Viewer:
         """Show the page in a notebook."""
         from .notebook import frame_of
 
-        return frame_of(self)
+        return frame_of(self.url)
 
     def _open_page(self, host: str, port: int, title: str) -> None:
         """Listen for browsers."""

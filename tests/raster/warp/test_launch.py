@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.raster.warp import launch
 from tests.programs import run_python
 from tests.raster.scenes import FRONT, Scene
 
@@ -27,6 +28,15 @@ def everything(device="cpu", batch=1, seed=0):
 
 def equal(one, other):
     return all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_launched_by_warp_as_directly(monkeypatch):
+    """Versions of Warp that are not known are asked by their public function."""
+    expected = everything()
+    monkeypatch.setattr(launch, "_IS_KNOWN", not launch._IS_KNOWN)
+    monkeypatch.setattr(launch, "_entries", {})
+    found = everything()
+    assert launch._entries and equal(found, expected)
 
 
 @pytest.fixture

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
 
+from ...deferred import Fragments
 from ...meshes.uv_mesh import UVMesh
 from ...raster.warp.registration import is_plain
 from ...textures.material import Material, Texture
@@ -17,9 +18,6 @@ from ..phong import Phong
 from .normal_maps import bumped, corner_tangents
 from .planes import planar
 from .visible_surface import VisibleSurface, at_pixels
-
-if TYPE_CHECKING:
-    from ...deferred import Fragments
 
 _tangents_of_meshes: WeakKeyDictionary[UVMesh, tuple[Any, Tensor]] = WeakKeyDictionary()
 

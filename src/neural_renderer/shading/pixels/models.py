@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
 from ... import validate
 from ...camera import Camera
+from ...deferred import Fragments
 from ...meshes.uv_mesh import UVMesh
 from ...raster.colors.edge_hashes import attribute_edge_hashes, image_edge_hashes
 from ...textures.color_space import linear_to_srgb, srgb_to_linear
@@ -18,9 +19,6 @@ from ..phong import Phong, shade_diffuse, shade_phong
 from .material_maps import MaterialMaps
 from .planes import planar
 from .visible_surface import VisibleSurface
-
-if TYPE_CHECKING:
-    from ...deferred import Fragments
 
 MODELS = ("smooth", "phong", "pbr")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,14 +11,12 @@ from torch import Tensor
 from ... import validate
 from ...camera import Camera
 from ...constants import on_device
+from ...deferred import Fragments
 from ...meshes.batch import mesh_parts
 from ...meshes.normals import vertex_normals
 from ...one_line import OneLine
 from ...raster.faces import checked_faces, world_corners
 from .planes import planar, unit
-
-if TYPE_CHECKING:
-    from ...deferred import Fragments
 
 
 @dataclass(frozen=True, eq=False, repr=False)
