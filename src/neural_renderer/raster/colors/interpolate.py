@@ -52,7 +52,7 @@ def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspecti
 
 
 @fake("interpolate")
-def _(attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
+def _(attributes: Tensor, faces: Tensor, face_index: Tensor, *_: Any) -> Tensor:
     return faces.new_empty((*face_index.shape, attributes.shape[3]))
 
 

@@ -81,16 +81,7 @@ def sample_mipmaps(
 
 
 @fake("sample_mipmaps")
-def _(
-    texels: Tensor,
-    height: int,
-    width: int,
-    uv: Tensor,
-    face_index: Tensor,
-    mipmaps: bool,
-    repeat_u: bool,
-    repeat_v: bool,
-) -> Tensor:
+def _(texels: Tensor, height: int, width: int, uv: Tensor, face_index: Tensor, *_: Any) -> Tensor:
     return uv.new_empty((*face_index.shape, texels.shape[2]))
 
 

@@ -62,15 +62,7 @@ def sample_textures(
 
 
 @fake("sample_textures")
-def _(
-    textures: Tensor,
-    light: Tensor,
-    background: Tensor,
-    faces: Tensor,
-    face_index: Tensor,
-    eps: float,
-    perspective: bool,
-) -> Tensor:
+def _(textures: Tensor, light: Tensor, background: Tensor, faces: Tensor, face_index: Tensor, *_: Any) -> Tensor:
     batch, height, width = face_index.shape
     return faces.new_empty((batch, 3, height, width))
 

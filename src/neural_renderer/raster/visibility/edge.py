@@ -204,18 +204,7 @@ def add_edges(
 
 
 @fake("edge_gradient_backward")
-def _(
-    grad: Tensor,
-    image: Tensor | None,
-    faces: Tensor,
-    face_index: Tensor,
-    two_sided: bool,
-    perspective: bool,
-    seams: bool,
-    edge_hashes: Tensor | None = None,
-    rings: Tensor | None = None,
-    alone: int = -1,
-) -> Tensor:
+def _(grad: Tensor, image: Tensor | None, faces: Tensor, *_: Any) -> Tensor:
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 

@@ -107,18 +107,7 @@ def layers_gradient_backward(
 
 
 @fake("layers_gradient_backward")
-def _(
-    grad: Tensor,
-    pictures: Tensor,
-    faces: Tensor,
-    face_index: Tensor,
-    two_sided: bool,
-    perspective: bool,
-    seams: bool,
-    edge_hashes: Tensor | None = None,
-    rings: Tensor | None = None,
-    alone: int = -1,
-) -> Tensor:
+def _(grad: Tensor, pictures: Tensor, faces: Tensor, *_: Any) -> Tensor:
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 

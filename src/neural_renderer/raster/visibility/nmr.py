@@ -204,9 +204,7 @@ def store_lines(
 
 
 @fake("nmr_gradient_backward")
-def _(
-    grad: Tensor, image: Tensor | None, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool
-) -> tuple[Tensor, Tensor]:
+def _(grad: Tensor, image: Tensor | None, faces: Tensor, face_index: Tensor, *_: Any) -> tuple[Tensor, Tensor]:
     blocks = image is not None and grad.shape[2] < face_index.shape[1]
     to_image = grad.new_empty((0, 0, 0, 0) if image is None or not blocks else image.shape)
     return torch.empty_like(faces, memory_format=torch.contiguous_format), to_image
