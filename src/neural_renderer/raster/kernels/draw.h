@@ -82,7 +82,7 @@ NR_FUNC DrawnFace drawn_face(const Drawing& call, int image, int f, float low, f
 }
 
 // The depth at a pixel of a face across the camera's plane; 0 outside the face.
-NR_RARE float crossing_depth(const Drawing& call, const vec3* v, int i, int j) {
+NR_NOINLINE float crossing_depth(const Drawing& call, const vec3* v, int i, int j) {
     const vec3d a = homogeneous_weights(v, pixel_centre(i, call.width), pixel_centre(j, call.height));
     return a[0] >= 0.0 && a[1] >= 0.0 && a[2] >= 0.0 ? (float)(1.0 / (a[0] + a[1] + a[2])) : 0.0f;
 }
@@ -196,7 +196,7 @@ NR_FUNC void draw_box(const Drawing& call, int image, const DrawnFace& face, con
 }
 
 template <class Start>
-NR_RARE void draw_crossing(const Drawing& call, int image, const DrawnFace& face, const Box& box) {
+NR_NOINLINE void draw_crossing(const Drawing& call, int image, const DrawnFace& face, const Box& box) {
     for (int j = box.bottom; j <= box.top; ++j)
         for (int i = box.left; i <= box.right; ++i)
             draw_pixel<Start>(call, face, true, crossing_depth(call, face.v, i, j), call.row_start(image, j) + i);

@@ -304,7 +304,7 @@ NR_FUNC void move_edge(
 }
 
 // One face of one image, over the scan lines of a task.
-NR_FUNC void move_face(const EdgeBackward& call, const LineTask& task) {
+NR_NOINLINE void move_face(const EdgeBackward& call, const LineTask& task) {
     const Scene& scene = call.scene;
     const bool clockwise = facing(scene.corners(task.image, task.face), scene.perspective) < 0;
     const Lines rows(0, scene, call.pictures, call.neighbors.adjacent, task.image);

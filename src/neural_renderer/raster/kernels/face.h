@@ -15,7 +15,7 @@ namespace nr {
 constexpr float LEAST_AREA = 7.62939453125e-06f;  // 2^-17
 
 // The weights by the edge functions of `coverage`. At the pixels it drew, they have one sign and are not all 0.
-NR_RARE vec3 weights_by_edges(const vec3* v, float x, float y) {
+NR_NOINLINE vec3 weights_by_edges(const vec3* v, float x, float y) {
     const vec3 w = {
         (v[1][0] - x) * (v[2][1] - y) - (v[1][1] - y) * (v[2][0] - x),
         (v[2][0] - x) * (v[0][1] - y) - (v[2][1] - y) * (v[0][0] - x),

@@ -118,7 +118,7 @@ NR_FUNC Box box_of_face(const Scene& scene, int image, int face) {
 }
 
 // a_k = w_k / z_k at a screen position; in double, for corners near the camera's plane.
-NR_RARE vec3d homogeneous_weights(const vec3* v, float x, float y) {
+NR_NOINLINE vec3d homogeneous_weights(const vec3* v, float x, float y) {
     double e[3];
     for (int k = 0; k < 3; ++k) {
         const vec3 &a = v[(k + 1) % 3], &b = v[(k + 2) % 3];

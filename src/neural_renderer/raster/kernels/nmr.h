@@ -263,7 +263,7 @@ struct EdgeGradient {
 // ---- Section 3.3: the faces of an image ----
 
 // The edges of one face, along the pixels and scan lines of a task.
-NR_FUNC void move_edges_of_face(const NmrBackward& call, const LineTask& task) {
+NR_NOINLINE void move_edges_of_face(const NmrBackward& call, const LineTask& task) {
     const vec3* v = call.scene.corners(task.image, task.face);
     const bool clockwise = facing(v, 1) < 0;
     vec3 to[3] = {};

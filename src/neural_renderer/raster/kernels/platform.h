@@ -11,12 +11,13 @@
 #if defined(__CUDA_ARCH__)
 #define NR_ON_CUDA 1
 #define NR_FUNC __device__ inline
-#define NR_RARE __device__ inline
+#define NR_NOINLINE __device__ inline
 #else
 #define NR_ON_CUDA 0
 #define NR_FUNC inline
-// A function for rare cases. Inlined into a loop, it would take registers from the usual case.
-#define NR_RARE inline __attribute__((noinline))
+// On the CPU a function of its own: a rare case would take registers from the usual one in its loop, and a long
+// function that is called at two places would take twice the time to compile.
+#define NR_NOINLINE inline __attribute__((noinline))
 #endif
 
 // Macros at the start of a function: its products and sums may be fused, across statements too, or are not fused,
