@@ -21,7 +21,7 @@ from ..pictures.sheet import sheet
 from ..pictures.turntable import FIRST_AZIMUTH, turntable
 from ..tasks.fit import DescentSettings, ShapeFit, TextureFit, Views
 from .common import check_counts, choose_device, say
-from .options.demo import DemoOptions
+from .options import DemoOptions
 
 _AZIMUTHS = (FIRST_AZIMUTH, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, in degrees
 _ELEVATIONS, _DISTANCE, _VIEWING_ANGLE = (-25.0, 10.0, 40.0), 3.2, 25.0  # of the cameras of the fit

@@ -19,7 +19,7 @@ from ..tasks.editing.edit import Objective
 from ..tasks.editing.edit_pictures import preview
 from ..tasks.editing.paint import check_cubes, check_images
 from .common import check_counts, check_outputs, choose_device
-from .options.edit import EditOptions
+from .options import EditOptions
 from .reports.edit import RESULTS, report_edit, write_results
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching

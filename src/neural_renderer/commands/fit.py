@@ -37,7 +37,7 @@ from ..tasks.fit.fit_pictures import comparison, up_axis
 from ..tasks.fit.load import list_images
 from ..tasks.fit.result import Verdict, judge
 from .common import check_counts, check_most, check_outputs, choose_device, make_folder, say
-from .options.fit import FitOptions
+from .options import FitOptions
 from .reports.fit import CAMERAS, RESULTS, report_camera, report_mesh, write_cameras, write_mesh
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching

@@ -27,7 +27,7 @@ from ..rendering import render
 from ..shading.environments.light import EnvironmentLight
 from ..shading.lights import Light
 from .common import check_counts, check_outputs, choose_device, say
-from .options.render import RenderOptions
+from .options import RenderOptions
 from .render_outputs import check_saved, save_outputs
 
 _LAMP = (-0.4, 0.6, 0.7)  # right, up, backward; more frontal than `pictures.lamp.LAMP`: no visible face is dark

@@ -11,7 +11,7 @@ import torch
 from ..camera import Camera
 from ..io.values import VALUE_SUFFIXES, open_exr, save_output
 from ..rendering import render
-from .options.render import RenderOptions
+from .options import RenderOptions
 
 _PICTURES = {
     "rgb": (".png", ".jpg", ".jpeg"),

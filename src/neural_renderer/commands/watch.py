@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..tasks.observer import Knob, Observer
 from .common import say
-from .options.watch import WatchOptions
+from .options import WatchOptions
 
 if TYPE_CHECKING:
     from ..viewer.viewer import Viewer

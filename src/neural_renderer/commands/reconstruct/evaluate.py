@@ -25,7 +25,7 @@ from ...tasks.reconstruction.evaluation.tables import markdown, terminal
 from ...tasks.reconstruction.networks.checkpoint import load_model
 from ...version import __version__
 from ..common import check_counts, choose_device, say
-from ..options.reconstruct.evaluate import EvaluateOptions
+from .options import EvaluateOptions
 
 _LEAST_IOU = 0.35  # of the silhouettes of voxels and images; thin objects reach 0.5
 _FEATURES = "googlenet"

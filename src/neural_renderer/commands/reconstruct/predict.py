@@ -23,8 +23,8 @@ from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.networks.checkpoint import load_model
 from ...tasks.reconstruction.networks.make_network import Model
 from ..common import check_counts, check_outputs, choose_device, say
-from ..options.reconstruct.predict import PredictOptions
 from ..watch import Renamed, stay, watching
+from .options import PredictOptions
 
 if TYPE_CHECKING:
     from ...viewer.viewer import Viewer

@@ -21,9 +21,9 @@ from ...tasks.reconstruction.networks.checkpoint import BEST, HEADER, LAST, read
 from ...tasks.reconstruction.networks.configs import Config, make_config
 from ...tasks.reconstruction.networks.encoders import FeatureEncoder
 from ..common import check_counts, choose_device, interruption, make_folder, say
-from ..options.reconstruct.train import TrainOptions
-from ..options.watch import WatchOptions
+from ..options import WatchOptions
 from ..watch import stay, watching
+from .options import TrainOptions
 
 
 def run(options: TrainOptions) -> int:

@@ -15,7 +15,7 @@ from ...tasks.editing import MeshEdit
 from ...tasks.editing.edit_pictures import six_views, turn
 from ...version import __version__
 from ..common import say, say_finished
-from ..options.edit import EditOptions
+from ..options import EditOptions
 from ..task_runner import TaskRunner
 
 _PICTURES, _TURNTABLES = ("preview.png", "views.png", "loss.png"), ("turntable.mp4", "turntable.gif")

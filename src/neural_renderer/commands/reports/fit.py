@@ -17,7 +17,7 @@ from ...tasks.fit import CameraFit, FitResult, MeshFit, Views
 from ...tasks.fit.fit_pictures import comparison, upright
 from ...version import __version__
 from ..common import say, say_finished
-from ..options.fit import FitOptions
+from ..options import FitOptions
 from ..task_runner import TaskRunner
 
 _TURNTABLE_SIZE = 256  # pixels
