@@ -17,7 +17,7 @@ from torch import Tensor
 
 from .cubes import check_size
 from .files import existing, fits_float32, read_bytes, reason, short, warn
-from .gltf.container import prepared
+from .gltf.reader import prepared
 from .named_files import find_file
 from .obj import obj_surface_colors
 from .obj.parse import read_obj

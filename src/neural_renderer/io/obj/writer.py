@@ -19,7 +19,7 @@ from PIL import Image, PngImagePlugin
 from ..atlas import build_atlas
 from ..atomic_write import replacing
 from ..files import mesh_to_write
-from .mtl_writer import statements
+from .mtl import statements
 
 
 class Part(NamedTuple):
