@@ -15,8 +15,7 @@ from ..camera.files import CameraFile, find_camera_file, read_camera_file
 from ..io import save_image
 from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
-from ..meshes.unwrapping.charts import load_xatlas
-from ..meshes.unwrapping.unwrap import LEAST_SIZE, MOST_SIZE
+from ..meshes.unwrap import LEAST_SIZE, MOST_SIZE, load_xatlas
 from ..tasks.fit import (
     CameraFit,
     CameraSettings,

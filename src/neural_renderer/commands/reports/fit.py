@@ -10,7 +10,7 @@ from torch import Tensor
 from ...camera.files.opencv import save_cameras
 from ...io import save_animation, save_image
 from ...io.atomic_write import write_file
-from ...meshes.unwrapping.unwrap import unwrap
+from ...meshes.unwrap import unwrap
 from ...pictures.curve import curve
 from ...pictures.turntable import turntable
 from ...tasks.fit import CameraFit, FitResult, MeshFit, Views

@@ -12,15 +12,12 @@ from ... import validate
 from ...one_line import OneLine
 from ..batch import mesh_parts
 from .closest_points import FaceTree
-from .collapse import collapse_short
 from .edges import Edges, area_vectors
-from .flip import flip_edges
-from .relax import move_safely, relax
-from .split import split_long
+from .operations import collapse_short, flip_edges, move_safely, relax, split_long
 from .surface import Surface
 
-_MOST_SPLITS = 12  # times all edges are halved before the first pass
-_PROJECTED = 2  # the last passes, in which vertices return to the surface
+_MOST_SPLITS = 12  # number of times that all edges may be halved before the first pass
+_PROJECTED = 2  # number of last passes in which vertices return to the surface
 _MOST_FACES = 20_000_000
 
 
