@@ -53,12 +53,7 @@ def make_folder(option: str, folder: Path) -> None:
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
-    """Raise ValueError if an output file is an input, or a file that an input names, such as a texture.
-
-    Args:
-        outputs: Files that will be written.
-        inputs: Files that will be read; None for inputs that are not given.
-    """
+    """Raise ValueError if an output file is an input, or a file that it names, such as a texture; None is skipped."""
     given = [path for path in inputs if path is not None and path.is_file()]
     read = {(status.st_dev, status.st_ino) for status in map(Path.stat, given)}
     for output in filter(Path.exists, outputs):

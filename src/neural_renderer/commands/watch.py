@@ -16,17 +16,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def watching(options: WatchOptions) -> Iterator[Viewer | None]:
-    """Open a viewer if the options ask for one, and close it at the end, with a sentence about the record.
-
-    Args:
-        options: The options of the command.
-
-    Yields:
-        The viewer, or None.
-
-    Raises:
-        As `Viewer`.
-    """
+    """Open a viewer if the options ask for one, and close it at the end, with a sentence about the record."""
     if not options.view and options.record is None:
         yield None
         return
@@ -81,12 +71,7 @@ class Renamed:
 
 
 def stay(viewer: Viewer | None, wanted: bool) -> None:
-    """Keep a viewer open after the run, while a browser shows its page, until Ctrl-C.
-
-    Args:
-        viewer: The viewer, or None.
-        wanted: False after Ctrl-C, which ends the viewer, too.
-    """
+    """Keep a viewer open after the run, while a browser shows its page, until Ctrl-C; not after Ctrl-C in the run."""
     if viewer is None:
         return
     viewer.finish("**done**" if wanted else "**interrupted**")
