@@ -40,15 +40,7 @@ def check_size(faces: int, size: int) -> None:
 
 
 def bake_corners(values: Tensor, size: int) -> Tensor:
-    """Bake values at the corners of faces into texture cubes that interpolate them; differentiable.
-
-    Args:
-        values: [F, 3 corners, C] floating, such as colours.
-        size: T, texels along a cube's edge.
-
-    Returns:
-        [F, T, T, T, C], of the same dtype.
-    """
+    """Bake values [F, 3 corners, C] into texture cubes [F, T, T, T, C] that interpolate them; differentiable."""
     weights = torch.from_numpy(barycentric_grid(size)).to(values)
     return torch.einsum("gk,fkc->fgc", weights, values).reshape(len(values), size, size, size, values.shape[2])
 

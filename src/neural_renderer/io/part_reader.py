@@ -14,11 +14,9 @@ from .surface_colors import SurfaceColors, linear_to_srgb, srgb_to_linear
 
 
 class PartReader:
-    """Reader of the surface colours and materials of the parts of a file.
+    """Reader of the surface colours of the parts of a file, and with ``materials`` of materials, normals and uv1.
 
-    Args:
-        tree: JSON of a glTF file; empty for other formats.
-        materials: Whether to read materials, normals and second texture coordinates.
+    ``tree`` is the JSON of a glTF file; empty for other formats.
     """
 
     def __init__(self, tree: dict[str, Any], materials: bool) -> None:
@@ -29,13 +27,9 @@ class PartReader:
     def surface_colors(
         self, part: Any, corners: np.ndarray, order: list[int], matrix: np.ndarray
     ) -> SurfaceColors | None:
-        """Collect the colours of one part, or None if it has none.
+        """Collect the colours of one part, a mesh of trimesh with faces ``corners`` [F, 3], or None if it has none.
 
-        Args:
-            part: Mesh of trimesh.
-            corners: [F, 3] int64, its faces.
-            order: Order of the corners in the result.
-            matrix: [3, 3], linear part of its transform.
+        The corners of each face are put into ``order``; ``matrix`` [3, 3] is the linear part of the transform.
         """
         surface = SurfaceColors.plain(len(corners), 1.0)
         own = corners[:, order]

@@ -70,15 +70,10 @@ def unwrap(mesh: Mesh, size: int = 1024, *, gutter: int = 4, uv: Tensor | None =
 
 @torch.no_grad()
 def bake(textures: Tensor, uv: Tensor, size: int) -> Tensor:
-    """Draw texture cubes into an image.
+    """Draw texture cubes [F, T, T, T, 3] into an image, [size, size, 3] float32, row 0 at the top.
 
-    Args:
-        textures: [F, T, T, T, 3] floating.
-        uv: [F, 3, 2], texture coordinates of the faces' corners in [0, 1], v up. Faces do not overlap.
-        size: Side of the image in pixels.
-
-    Returns:
-        [size, size, 3] float32, row 0 at the top. Texels that no face covers continue the colours around them.
+    Texture coordinates [F, 3, 2] of the faces' corners are in [0, 1], v up, and faces do not overlap. Texels that no
+    face covers continue the colours around them.
     """
     corners = functional.pad(2 * uv - 1, (0, 1), value=1.0)
     fine = (size * _SAMPLES, size * _SAMPLES)
@@ -110,19 +105,10 @@ def load_xatlas() -> Any:
 
 
 def chart_coordinates(vertices: Tensor, faces: Tensor, size: int, gutter: int) -> Tensor:
-    """Cut a surface into charts and pack them into a square.
+    """Cut a surface into charts and pack them into a square: [F, 3, 2] float32 in [0, 1], of the faces' corners.
 
-    Args:
-        vertices: [V, 3] floating.
-        faces: [F, 3] integer.
-        size: Side of the image in pixels, for which the gutters are chosen.
-        gutter: Least pixels between two charts.
-
-    Returns:
-        Texture coordinates [F, 3, 2] float32 of the faces' corners, in [0, 1].
-
-    Raises:
-        ModuleNotFoundError: xatlas is not installed.
+    Two charts are at least ``gutter`` pixels apart in an image of ``size`` pixels a side. Raises ModuleNotFoundError
+    without xatlas.
     """
     xatlas = load_xatlas()
     atlas = xatlas.Atlas()

@@ -16,15 +16,8 @@ FIRST_AZIMUTH = 145.0
 
 
 def turntable(mesh: Mesh | UVMesh, frames: int, first_azimuth: float = FIRST_AZIMUTH, **view: Any) -> Iterator[Tensor]:
-    """Photograph a mesh during one turn.
+    """Photograph a mesh in about [-1, 1]³ during one turn around the y axis; ``view`` goes to `photograph`.
 
-    Args:
-        mesh: Mesh in about [-1, 1]³, with its vertical axis along y.
-        frames: Number of pictures.
-        first_azimuth: Position of the camera in the first picture, in degrees.
-        view: Further arguments of `photograph`.
-
-    Returns:
-        Pictures [3, H, W] float32 in [0, 1], on the CPU, one at a time.
+    Returns pictures [3, H, W] float32 in [0, 1], on the CPU, one at a time.
     """
     return (photograph(mesh, first_azimuth + 360 * index / frames, **view).cpu() for index in range(frames))

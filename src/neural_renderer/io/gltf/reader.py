@@ -95,12 +95,7 @@ class Slot(NamedTuple):
 
 
 class GltfMaterial:
-    """A material of a file.
-
-    Args:
-        tree: JSON of the file.
-        number: Number of the material.
-    """
+    """A material in the JSON of a file, by its number."""
 
     def __init__(self, tree: dict[str, Any], number: int) -> None:
         self._tree, self.number = tree, number
@@ -121,9 +116,8 @@ class GltfMaterial:
     def arguments(self, image: Callable[[str, int], np.ndarray | None]) -> dict[str, Any]:
         """Collect the arguments of a `Material`, with a `FileTexture` in place of each texture.
 
-        Args:
-            image: Function that returns the image [H, W, channels] of a texture by its name in glTF, or None if it has
-                none: the alpha channel for one channel.
+        ``image`` returns the image [H, W, channels] of a texture by its name in glTF, or None: the alpha channel if it
+        is asked for one channel.
         """
         material, pbr = self._material, self._pbr
         emissive = _numbers(material, "emissiveFactor", (0.0, 0.0, 0.0), most=1.0)

@@ -25,12 +25,9 @@ _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
 def glb_bytes(points: np.ndarray, corners: np.ndarray, surface: SurfaceColors) -> bytes:
-    """Encode a mesh as GLB: a primitive for each pair of a base colour's image and a material.
+    """Encode a mesh of vertices [V, 3] and faces [F, 3] as GLB: a primitive for each base colour's image and material.
 
-    Args:
-        points: [V, 3] vertices.
-        corners: [F, 3] faces.
-        surface: Colours and materials; colours beyond [0, 1] are clamped.
+    Colours beyond [0, 1] are clamped.
     """
     writer = _Writer(surface)
     material = np.full(len(corners), -1) if surface.material is None else surface.material

@@ -149,11 +149,8 @@ def material_arguments(
 ) -> dict[str, Any]:
     """Collect the arguments of a `Material`, with a `FileTexture` in place of each texture.
 
-    Args:
-        name: Name of the material.
-        material: Content of the MTL file.
-        base: Image of the diffuse colour, whose scale and offset the mesh's texture coordinates have; or None.
-        image: Function that loads an image, [H, W, 3 or 4]; None if it is missing.
+    ``base`` is the image of the diffuse colour, whose scale and offset the mesh's texture coordinates have, or None.
+    ``image`` loads an image, [H, W, 3 or 4]; None if it is missing.
     """
     numbers, colors, maps = material.numbers, material.colors, material.maps
     opacity = numbers.get("opacity", 1.0)
@@ -256,18 +253,14 @@ def _normals(heights: np.ndarray, factor: float) -> np.ndarray:
 def statements(
     name: str, own: dict[str, Any], color: np.ndarray, picture: str | None, clamp: bool, images: str
 ) -> tuple[str, dict[str, np.ndarray]]:
-    """Format a material.
+    """Format a material: return the statements, and images by file name, [H, W, 1 or 3] each, but that of the colour.
 
     Args:
         name: Name of the material.
         own: Arguments of a `Material`, with a `FileTexture` for each texture.
         color: [3], colour of faces without an image, sRGB.
-        picture: Name of the image of the diffuse colour, or None.
-        clamp: Whether this image is clamped.
+        picture, clamp: Name of the image of the diffuse colour, or None; and whether it is clamped.
         images: Beginning of the names of the other images.
-
-    Returns:
-        The statements, and the other images by file name, [H, W, 1 or 3] each.
     """
     base = np.asarray(own.get("base_color", (1.0, 1.0, 1.0)), dtype=np.float64).clip(0, 1)
     diffuse = linear_to_srgb(base) * color

@@ -94,23 +94,16 @@ def obj_surface_colors(
     materials: dict[str, Material] | None = None,
     with_materials: bool = False,
 ) -> SurfaceColors | None:
-    """Collect the surface colours of an OBJ file. Faces without a colour are grey 0.5.
+    """Collect the surface colours of an OBJ file read with ``with_uv``. Faces without a colour are grey 0.5.
 
     Args:
-        obj: File read with ``with_uv=True``.
-        wrapping: Wrapping of texture coordinates outside [0, 1].
-        allow_outside: Read materials and images outside the file's folder, too.
+        wrapping, allow_outside: As in `load_obj`.
         materials: Materials by name, in place of those in the file's material files.
         with_materials: Collect materials and normals, too.
 
     Returns:
-        The colours, or None if the file has neither colours nor material files.
-
-    Raises:
-        ValueError: As `load_obj`.
-
-    Warns:
-        UserWarning: A material file, a material, an image or texture coordinates are missing.
+        The colours, or None if the file has neither colours nor material files. Errors and warnings are those of
+        `load_obj`.
     """
     if wrapping not in _WRAPS:
         raise ValueError(f"texture_wrapping: expected one of {', '.join(_WRAPS)}, got {wrapping!r}")

@@ -26,15 +26,9 @@ def split_long(surface: Surface) -> Surface:
 
 
 def split(surface: Surface, edges: Edges, chosen: Tensor) -> Surface:
-    """Split edges at their midpoints.
+    """Split the chosen edges [E] bool, any set of them, at their midpoints.
 
-    Args:
-        surface: The mesh.
-        edges: Its edges.
-        chosen: [E] bool, the edges to split. Any set will do.
-
-    Returns:
-        The mesh; a face with one, two or three split edges becomes two, three or four. The old vertices come first.
+    A face with one, two or three split edges becomes two, three or four. The old vertices come first.
     """
     if not bool(chosen.any()):
         return surface
@@ -60,18 +54,11 @@ def split(surface: Surface, edges: Edges, chosen: Tensor) -> Surface:
 
 
 def collapse_short(surface: Surface, rounds: int = 4) -> Surface:
-    """Collapse edges that are too short to their midpoints.
+    """Collapse edges that are too short to their midpoints, in a number of rounds at most; drop unused vertices.
 
     In each round, edges are collapsed that are shorter than all candidates within one edge of their ends. The others
     wait for the next round. An edge stays if its collapse would change the topology, turn a face over, make a sliver,
     or make an edge that is too long.
-
-    Args:
-        surface: The mesh.
-        rounds: Largest number of rounds.
-
-    Returns:
-        The mesh, without unused vertices.
     """
     refused = surface.faces.new_empty(0)
     for _ in range(rounds):
@@ -163,17 +150,10 @@ def _collapse(surface: Surface, edges: Edges, chosen: Tensor) -> Surface:
 
 
 def flip_edges(surface: Surface, rounds: int = 4) -> Surface:
-    """Flip edges where that brings the four vertices around nearer to six neighbours.
+    """Flip edges where that brings the four vertices around nearer to six neighbours, in a number of rounds at most.
 
     In each round, edges are flipped that gain more than all other candidates with a vertex in common. An edge stays if
     the surface would become sharper there, or if the other two vertices are connected already.
-
-    Args:
-        surface: The mesh.
-        rounds: Largest number of rounds.
-
-    Returns:
-        The mesh; its vertices are the same.
     """
     faces = surface.faces
     for _ in range(rounds):
@@ -230,14 +210,9 @@ def _is_allowed(vertices: Tensor, quads: Tensor) -> Tensor:
 
 
 def relax(surface: Surface, strength: float = 0.5) -> Surface:
-    """Move vertices along the surface, without turning faces over.
+    """Move vertices along the surface, without turning faces over; those at borders stay.
 
-    Args:
-        surface: The mesh.
-        strength: How far, in (0, 1]: 1 is all the way to the mean of the neighbours.
-
-    Returns:
-        The mesh, with the same faces. Vertices at borders stay.
+    A ``strength`` of 1 is all the way to the mean of the neighbours.
     """
     vertices, faces = surface.vertices, surface.faces
     edges = Edges.of(faces, len(vertices))

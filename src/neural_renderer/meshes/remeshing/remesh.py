@@ -111,17 +111,7 @@ def remesh(
 
 
 def remesh_once(surface: Surface, tree: FaceTree | None = None, rounds: int = 4, strength: float = 0.5) -> Surface:
-    """Take one pass: split, collapse, flip, smooth, and return to the surface of ``tree``.
-
-    Args:
-        surface: The mesh.
-        tree: The surface to return to, or None.
-        rounds: Largest number of rounds of collapses and of flips.
-        strength: Strength of the smoothing.
-
-    Returns:
-        The mesh.
-    """
+    """Take one pass: split, collapse, flip (at most ``rounds`` times), smooth, and return to the surface of a tree."""
     surface = relax(flip_edges(collapse_short(split_long(surface), rounds), rounds), strength)
     if tree is None:
         return surface

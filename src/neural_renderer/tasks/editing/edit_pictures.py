@@ -24,16 +24,7 @@ _MARGIN = 1.03  # factor on the least distance at which the whole mesh is in the
 
 
 def six_views(before: Mesh | UVMesh, after: Mesh | UVMesh, size: int = 320) -> Tensor:
-    """Draw a mesh before and after an edit from six sides, in two rows as in the paper.
-
-    Args:
-        before: The mesh before.
-        after: The mesh after, with the same faces.
-        size: Side of a picture in pixels.
-
-    Returns:
-        [2 · size, 6 · size, 3] uint8.
-    """
+    """Draw a mesh before and after an edit from six sides, in two rows: [2 · size, 6 · size, 3] uint8."""
     pair = [normalized_like(mesh, before) for mesh in (before, after)]
     angles = [_FRONT + 60 * index for index in range(6)]
     return sheet([[picture.cpu() for picture in photographs(mesh, angles, size)] for mesh in pair])

@@ -45,14 +45,7 @@ class Paint(Protocol):
 
 
 class FacePaint:
-    """Texels of texture cubes.
-
-    Args:
-        mesh: The mesh.
-        corners: [F, 3], faces as indices of merged vertices.
-        size: T, texels along the edge of a cube.
-        seamless: Whether adjacent faces share the texels on their edges.
-    """
+    """Texels of texture cubes, for faces [F, 3] as indices of merged vertices."""
 
     def __init__(self, mesh: Mesh, corners: Tensor, size: int, seamless: bool) -> None:
         check_cubes(len(corners), size)
@@ -78,9 +71,7 @@ class FacePaint:
 class ImagePaint:
     """Pixels of a mesh's texture images, slightly blurred, and corner colours of faces without an image.
 
-    Args:
-        mesh: The mesh.
-        corners: [F, 3], faces as indices of merged vertices. Faces without an image share equal colours at a vertex.
+    Faces ``corners`` [F, 3] are indices of merged vertices. Faces without an image share equal colours at a vertex.
     """
 
     def __init__(self, mesh: UVMesh, corners: Tensor) -> None:

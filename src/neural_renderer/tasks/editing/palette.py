@@ -40,16 +40,10 @@ class Palette:
         return cls(mean, axes / (variance.clamp(min=0) + _LEAST**2).sqrt())
 
     def excess(self, colors: Tensor) -> Tensor:
-        """Compute by how many standard deviations colours are outside the free ellipsoid.
+        """Compute by how many standard deviations colours [..., 3] are outside the free ellipsoid, [...]; 0 inside.
 
         The loss is linear far outside: squares would have such large gradients for distant initial colours that Adam's
         steps would stay small for a long time.
-
-        Args:
-            colors: [..., 3] RGB.
-
-        Returns:
-            [...], 0 inside.
         """
         distance = ((colors - self.mean) @ self.whiten).square().sum(-1)
         beyond = distance.clamp(min=_WITHIN**2).sqrt() - _WITHIN

@@ -22,11 +22,8 @@ _SOFT_FROM, _SOFT_WIDTH = 0.6, 0.8  # alpha rises from 0 to 1 between 0.6 and 1.
 def plain_background_mask(image: Tensor) -> Tensor:
     """Separate an object from a plain background, such as a wall or paper in uneven light.
 
-    The background is a quadratic function of position, fitted to the border of the picture. Up to a third of the
-    border may show the object.
-
-    Args:
-        image: [H, W, 3 or 4] in [0, 1], as `load_image` returns it; alpha is ignored.
+    The background is a quadratic function of position, fitted to the border of the picture [H, W, 3 or 4], whose alpha
+    is ignored. Up to a third of the border may show the object.
 
     Returns:
         [H, W] in [0, 1], 1 on the object, soft at its outline.

@@ -28,11 +28,8 @@ def assemble(
 ) -> None:
     """Combine finished objects into the files of the published format, and write dataset.json.
 
-    Args:
-        folder: Folder of the data set. Its classes and splits that are not in ``splits`` stay.
-        splits: Split → class → models, in order.
-        settings: Settings of the data set.
-        broken: Error messages by "category/name", for dataset.json.
+    Other classes and splits of the data set stay. ``splits`` maps split → class → models, in order; ``broken`` maps
+    "category/name" to an error message, for dataset.json.
     """
     names: dict[str, dict[str, list[str]]] = {split: {} for split in SPLITS} | existing_names(folder)
     for split, classes in splits.items():

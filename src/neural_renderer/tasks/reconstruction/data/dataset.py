@@ -60,16 +60,9 @@ class Settings:
 def render_views(
     vertices: Tensor, faces: Tensor, textures: Tensor | None = None, settings: Settings = Settings()
 ) -> Tensor:
-    """Render the views of an object.
+    """Render the views of an object in the reconstruction frame: [K, 4, S, S] uint8, RGBA.
 
-    Args:
-        vertices: [V, 3] floating, in the reconstruction frame.
-        faces: [F, 3] integer.
-        textures: [F, T, T, T, 3], or None for grey.
-        settings: Settings of the data set.
-
-    Returns:
-        [K, 4, S, S] uint8, RGBA; colours are not multiplied by alpha.
+    Vertices are [V, 3], faces [F, 3], textures [F, T, T, T, 3] or None for grey. Colours are not multiplied by alpha.
     """
     if textures is None:
         textures = torch.full((len(faces), 2, 2, 2, 3), _GREY)
@@ -91,11 +84,6 @@ def render_views(
 
 def make_object(path: Path, settings: Settings = Settings(), allow_outside: bool = False) -> tuple[Tensor, Tensor]:
     """Render and voxelise a model file, scaled to a longest side of 1.
-
-    Args:
-        path: Mesh file.
-        settings: Settings of the data set.
-        allow_outside: As in `load_mesh`.
 
     Returns:
         Views [K, 4, S, S] uint8 (see `render_views`) and voxels (see `voxels.voxelize_model`).
@@ -123,15 +111,8 @@ def make_objects(
 ) -> Iterator[tuple[Model, str | None, list[str]]]:
     """Render and voxelise models, one file per model in ``folder``; finished models are skipped.
 
-    Args:
-        models: Models to process.
-        folder: Folder of the data set.
-        settings: Settings of the data set.
-        processes: Number of worker processes; 0 for none.
-        allow_outside: As in `load_mesh`.
-
-    Yields:
-        Each model when it is finished, with an error message or None, and warnings.
+    With 0 ``processes``, this process does the work. Yields each model when it is finished, with an error message or
+    None, and warnings.
     """
     waiting: dict[Model, str] = {}
     for model, key in _keys(models, settings, allow_outside).items():
@@ -156,12 +137,7 @@ def make_objects(
 def _make_in_pool(
     waiting: dict[Model, str], folder: Path, settings: Settings, processes: int, allow_outside: bool
 ) -> Iterator[tuple[Model, str | None, list[str]]]:
-    """Make objects in worker processes until all are finished or a worker dies.
-
-    Args:
-        waiting: Model → key; finished models are removed.
-        folder: See `make_objects`, like the other arguments.
-    """
+    """Make objects in worker processes until all are finished, and no longer in ``waiting``, or a worker dies."""
     with _pool(processes) as pool:
         futures = {
             pool.submit(_make_file, model, folder, settings, key, allow_outside): model

@@ -45,12 +45,7 @@ def scale_to_unit(vertices: Tensor) -> Tensor:
 
 
 def view_camera(views: Tensor, count: int = VIEWS) -> Camera:
-    """Make the cameras of views, in the reconstruction frame.
-
-    Args:
-        views: [B], numbers of views from 0 to ``count`` − 1; fractions lie between two views.
-        count: Number of views around an object.
-    """
+    """Make the cameras of views [B] of ``count`` around an object; fractions lie between two views."""
     azimuth = -360.0 / count * views.to(torch.get_default_dtype())
     distance, elevation = torch.full_like(azimuth, DISTANCE), torch.full_like(azimuth, ELEVATION)
     eye = get_points_from_angles(distance, elevation, azimuth)

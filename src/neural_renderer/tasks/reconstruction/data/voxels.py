@@ -51,7 +51,6 @@ def voxelize_model(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
     Args:
         vertices: [V, 3] floating, in the reconstruction frame.
         faces: [F, 3] int32 or int64, clockwise seen from outside, because the frame is mirrored.
-        size: Voxels along each axis.
 
     Returns:
         [size, size, size] bool, with the axes of `voxelize`.
@@ -93,19 +92,12 @@ def voxel_iou(predicted: Tensor, target: Tensor) -> Tensor:
 
 
 def chamfer(predicted: Tensor, target: Tensor) -> Tensor:
-    """Compute the chamfer distance between the surfaces of voxels.
+    """Compute the chamfer distance [B] between the surfaces of voxels [B or 1, S, S, S], in the reconstruction frame.
 
     The surface is the set of filled voxels with an empty neighbour or at the border of the grid. The distance is the
     mean distance from each surface voxel to the nearest one of the other surface, summed over both directions (Fan, Su
     and Guibas, "A point set generation network", 2017, without squares). It is √3, the diagonal of the box, if one of
     the two is empty.
-
-    Args:
-        predicted: [B, S, S, S] bool, or a batch of 1.
-        target: [B, S, S, S] bool, or a batch of 1.
-
-    Returns:
-        [B] float32, in units of the reconstruction frame.
     """
     size = predicted.shape[-1]
     first, second = _shell(predicted), _shell(target)
@@ -141,14 +133,10 @@ def _published_axes(filled: Tensor) -> Tensor:
 
 
 def voxel_surface(voxels: Tensor) -> tuple[Tensor, Tensor]:
-    """Make a mesh of the squares between filled and empty voxels.
+    """Make a mesh of the squares between filled and empty voxels [S, S, S] bool, in the published axes.
 
-    Args:
-        voxels: [S, S, S] bool, in the published axes.
-
-    Returns:
-        Vertices [V, 3] float32 in the reconstruction frame, and outward faces [F, 3] int64. A square has two faces and
-        four vertices; squares share no vertices.
+    Returns vertices [V, 3] float32 in the reconstruction frame, and outward faces [F, 3] int64. A square has two faces
+    and four vertices; squares share no vertices.
     """
     size = len(voxels)
     padded = torch.zeros((size + 2,) * 3, dtype=torch.bool, device=voxels.device)

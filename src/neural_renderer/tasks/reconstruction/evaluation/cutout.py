@@ -53,15 +53,12 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
 
 
 def frame_object(rgba: Tensor, extent: float = EXTENT) -> Tensor:
-    """Scale and move a cut-out object to the size and place of objects in the training data.
+    """Scale and move a cut-out object to the size and place of objects in the training data: [4, 64, 64] uint8.
 
     Args:
         rgba: [4, H, W] in [0, 1], as `cut_out` returns it.
         extent: Length of the object's longer side in pixels. In the training data it is 30 to 59, depending on the
             shape (see `predict.best_frame`).
-
-    Returns:
-        [4, 64, 64] uint8.
 
     Raises:
         ValueError: The object is smaller than 8 pixels.

@@ -55,16 +55,7 @@ def evaluate(
 ) -> Iterator[tuple[str, str, dict[str, float]]]:
     """Predict each object of a split from each of its views, and measure the predictions.
 
-    Args:
-        predict: The method.
-        split: Split with images and voxels.
-        device: Device to compute on.
-
-    Yields:
-        Class, object and measures (see `Scores`) of each object.
-
-    Raises:
-        FileNotFoundError: A class has no voxels.
+    Yields class, object and measures (see `Scores`) of each object. Raises FileNotFoundError if a class has no voxels.
     """
     for name in split.classes:
         if name not in split.voxels:

@@ -87,16 +87,7 @@ def refine_meshes(
 
 @torch.no_grad()
 def best_matching_views(network: MeshNetwork, vertices: Tensor, masks: Tensor) -> Tensor:
-    """Find the view of each mesh that matches its mask best.
-
-    Args:
-        network: The network of the prediction.
-        vertices: [B, 642, 3] floating.
-        masks: [B, 64, 64] in [0, 1].
-
-    Returns:
-        [B] int64, the view of largest IoU.
-    """
+    """Find the view [B] int64 in which each mesh [B, 642, 3] has the largest IoU with its mask [B, 64, 64]."""
     iou = []
     for view in range(VIEWS):
         alpha = network.silhouettes(vertices, torch.full((len(vertices),), view, device=vertices.device))

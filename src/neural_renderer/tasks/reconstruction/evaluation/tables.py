@@ -21,15 +21,9 @@ TITLES = {
 def blocks(
     methods: Mapping[str, Scores], measure: str = "voxel_iou", columns_each: int = _COLUMNS
 ) -> list[list[list[str]]]:
-    """Lay out a table.
+    """Lay out a table in blocks of classes; each has rows of cells: a header, then a row per method.
 
-    Args:
-        methods: Scores by method.
-        measure: Measure to show.
-        columns_each: Classes per block.
-
-    Returns:
-        Blocks of rows of cells: a header, then a row per method. The best value of a column is marked with ``**``.
+    The best value of a column is marked with ``**``.
     """
     classes = list(next(iter(methods.values())).objects)
     columns = [(name, {label: scores.of_class(name, measure) for label, scores in methods.items()}) for name in classes]

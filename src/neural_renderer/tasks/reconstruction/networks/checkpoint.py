@@ -35,10 +35,7 @@ VERSION = 1
 def header(model: Model, classes: Sequence[str], weights: str) -> dict[str, Any]:
     """Make the header of a checkpoint: everything that `load_model` needs besides the weights.
 
-    Args:
-        model: The network.
-        classes: Names of the classes it was trained on.
-        weights: Prefix of the network's tensors in the checkpoint's "state_dict".
+    ``weights`` is the prefix of the network's tensors in the checkpoint's "state_dict".
     """
     encoder = model.encoder
     features = {"features": encoder.features.plan} if isinstance(encoder, FeatureEncoder) else {}
@@ -53,17 +50,7 @@ def header(model: Model, classes: Sequence[str], weights: str) -> dict[str, Any]
 
 
 def save_model(path: str | os.PathLike[str], model: Model, classes: Sequence[str], **facts: float) -> None:
-    """Write a network without the state of its training.
-
-    Args:
-        path: File to write.
-        model: The network.
-        classes: Names of the classes it was trained on.
-        **facts: Numbers to record in the header.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
+    """Write a network, with the classes it was trained on and further numbers, without the state of its training."""
     content = {HEADER: header(model, classes, "") | {"facts": facts}, "state_dict": model.state_dict()}
     file = io.BytesIO()  # torch.save to a path does not report why it cannot write
     torch.save(content, file)

@@ -13,16 +13,7 @@ NETWORKS: dict[str, type[MeshNetwork] | type[VoxelNetwork]] = {"mesh": MeshNetwo
 
 
 def make_network(kind: str, config: Config, features: FeatureNetwork | None = None) -> Model:
-    """Make a network with random weights.
-
-    Args:
-        kind: "mesh" or "voxel".
-        config: Configuration of the network.
-        features: Recognition network of the encoder "features".
-
-    Raises:
-        ValueError: ``kind`` is unknown, or ``features`` does not fit.
-    """
+    """Make a network, "mesh" or "voxel", with random weights; ``features`` is the network of the encoder "features"."""
     if kind not in NETWORKS:
         raise ValueError(f"model: expected one of {', '.join(NETWORKS)}, got {kind!r}")
     return NETWORKS[kind](config, features)

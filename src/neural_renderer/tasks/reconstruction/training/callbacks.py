@@ -26,11 +26,8 @@ class Checkpoints(lightning.Callback):
     """Writes checkpoints after each round, and ends the training in all processes at once.
 
     "last.ckpt" is the state from which a training resumes. "best.ckpt" is the network with the best silhouette IoU on
-    the validation split, or the last network if there is no such split.
-
-    Args:
-        folder: Folder to write to.
-        interrupted: The training ends when this list is not empty.
+    the validation split, or the last network if there is no such split. The training ends when the list ``interrupted``
+    is not empty.
     """
 
     def __init__(self, folder: Path, interrupted: list[int]) -> None:
@@ -68,11 +65,7 @@ class Checkpoints(lightning.Callback):
 
 
 class Log(lightning.Callback):
-    """Writes numbers to "log.csv" and TensorBoard, pictures to "pictures", and shows a progress bar.
-
-    Args:
-        folder: Folder to write to.
-    """
+    """Writes numbers to "log.csv" and TensorBoard, pictures to "pictures", and shows a progress bar."""
 
     _COLUMNS = ("step", "seconds", "rate", "loss", "iou", "val_iou")
 

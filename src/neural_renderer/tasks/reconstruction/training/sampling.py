@@ -27,16 +27,9 @@ class Batches(Dataset[dict[str, Tensor]]):
     and with ``config.augment`` also "flip" bool [n] and "color" float32 [n, 3, 4], an affine map of RGB.
 
     Args:
-        split: Training data.
-        config: Configuration of the training.
-        seed: Seed of the batches.
-        first: First step.
-        last: Step after the last one.
-        rank: Number of this process.
-        world: Number of processes.
-
-    Raises:
-        ValueError: The number of objects in a batch is not divisible by the number of processes.
+        split, config, seed: Data and configuration of the training, and seed of the batches.
+        first, last: First step, and the step after the last one.
+        rank, world: Number of this process, and number of processes, which must divide that of objects in a batch.
     """
 
     def __init__(

@@ -220,12 +220,7 @@ class Training(lightning.LightningModule):
 
 
 def schedule(name: str, progress: float) -> float:
-    """Compute the factor on the learning rate.
-
-    Args:
-        name: "step" or "cosine" (see `Config`).
-        progress: Finished fraction of the training, in [0, 1].
-    """
+    """Compute the factor on the learning rate at a fraction of the training, for "step" or "cosine" (see `Config`)."""
     if name == "step":
         return 1.0 if progress < _DROP_AT else _DROP_TO
     if progress < _WARM_UP:

@@ -20,12 +20,7 @@ _VIEW = 2  # of the 24 of an object
 
 
 class Watch(lightning.Callback):
-    """Shows the steps of a training to an observer, and does what it asks for.
-
-    Args:
-        observer: The observer.
-        interrupted: The training ends when this list is not empty.
-    """
+    """Shows the steps of a training to an observer, and does what it asks for; a stop is appended to ``interrupted``."""
 
     def __init__(self, observer: Observer, interrupted: list[int]) -> None:
         self._observer, self._interrupted = observer, interrupted
