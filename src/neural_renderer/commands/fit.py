@@ -20,7 +20,7 @@ from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.unwrap import LEAST_SIZE, MOST_SIZE, load_xatlas, unwrap
 from ..pictures.curve import curve
-from ..pictures.turntable import turntable
+from ..pictures.photograph import turntable
 from ..tasks.fit import (
     CameraFit,
     CameraSettings,

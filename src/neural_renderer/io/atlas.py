@@ -16,7 +16,7 @@ _LARGEST = 8192  # pixels: all viewers and GPUs accept textures of this width
 _GOOD_WIDTH = 1024  # pixels: tiles grow as long as the picture stays this narrow
 _LEAST_SPAN, _MOST_SPAN = 12, 48  # pixels of n, unless the picture would be wider than `_LARGEST`
 _BORDER = 3  # pixels of a tile besides n
-_COLOR_BITS = 5  # of each channel, in the order of tiles
+_COLOR_BITS = 5  # bits of each channel that decide the order of tiles
 _TRIANGLE = np.array([[0, 0], [0, 1], [1, 1]])  # (x, y down) of the corners in units of n
 
 

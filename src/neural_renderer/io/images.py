@@ -24,7 +24,7 @@ from .files import existing, reason
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
-_MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535}  # along a side
+_MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535}  # pixels of a side
 _JPEG_QUALITY = 95
 _MP4_QUALITY = "10"  # constant rate factor of H.264: 0 is lossless, 51 the worst
 

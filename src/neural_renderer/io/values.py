@@ -14,7 +14,7 @@ from .files import existing
 from .images import save_image
 
 VALUE_SUFFIXES = (".npy", ".exr")
-_MOST = 65535  # of 16 bits
+_MOST = 65535  # largest number of 16 bits
 
 
 def save_values(path: Path, values: np.ndarray, name: str) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-_INKS = (196, 78, 62), (52, 110, 180)  # of the left and of the right curve
+_INKS = (196, 78, 62), (52, 110, 180)  # colours of the left and the right curve
 _LINES, _TEXT = (200, 200, 200), (120, 120, 120)
 _FONT_SIZE = 14
 

@@ -18,9 +18,9 @@ from ..deferred import Fragments
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..raster import Images
-from .turntable import turntable
+from .photograph import turntable
 
-_MOST_IMAGES = 8  # of a batch
+_MOST_IMAGES = 8  # images of a batch that are shown
 _LEAST_SIDE, _MOST_WIDTH = 128, 1024  # pixels: small images are enlarged, wide rows are reduced
 _FRAMES, _FRAME_SIZE, _FRAME_MILLISECONDS = 20, 192, 120
 _MANY_FACES = 200_000  # a turntable of a larger mesh would take many seconds; one picture is shown instead

@@ -27,7 +27,7 @@ from ...version import __version__
 from ..common import check_counts, choose_device, say
 from .options import EvaluateOptions
 
-_LEAST_IOU = 0.35  # of the silhouettes of voxels and images; thin objects reach 0.5
+_LEAST_IOU = 0.35  # least IoU of the silhouettes of voxels and images; thin objects reach 0.5
 _FEATURES = "googlenet"
 
 

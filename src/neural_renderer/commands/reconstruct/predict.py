@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ...io import load_image, save_animation, save_image, save_mesh
 from ...pictures.clay import clay_mesh
-from ...pictures.turntable import turntable
+from ...pictures.photograph import turntable
 from ...tasks.observer import goes_on
 from ...tasks.reconstruction.data.drawing import MESH_COLOR
 from ...tasks.reconstruction.data.framing import SIZE
@@ -20,8 +20,7 @@ from ...tasks.reconstruction.evaluation.cutout import cut_out
 from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshes, prediction_picture
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
 from ...tasks.reconstruction.evaluation.refine import refine_steps
-from ...tasks.reconstruction.networks.checkpoint import load_model
-from ...tasks.reconstruction.networks.make_network import Model
+from ...tasks.reconstruction.networks.checkpoint import Model, load_model
 from ..common import check_counts, check_outputs, choose_device, say
 from ..watch import Renamed, stay, watching
 from .options import PredictOptions

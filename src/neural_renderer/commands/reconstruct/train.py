@@ -38,8 +38,8 @@ def run(options: TrainOptions) -> int:
     checkpoint = _check_checkpoint(options, config, data, features)
     make_folder("OUT", options.out)
     # Lightning takes seconds to import.
+    from ...tasks.reconstruction.training.callbacks import STOPPED
     from ...tasks.reconstruction.training.train import train
-    from ...tasks.reconstruction.training.watch import STOPPED
 
     with watching(_watch_options(options)) as viewer:
         with _quiet(), interruption() as interrupted:

@@ -12,7 +12,7 @@ import numpy as np
 from ..files import fits_float32, read_text, short
 from .polygons import triangulate
 
-_MOST = 2**31  # of indices
+_MOST = 2**31  # bound of indices
 
 
 @dataclass

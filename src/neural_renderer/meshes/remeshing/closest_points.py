@@ -13,7 +13,7 @@ from ..normals import face_normals
 from ..sample_points import SurfacePoints
 
 _AT_ONCE = 32768  # points; limits memory
-_BITS = 10  # of each coordinate in the order of faces along a space-filling curve
+_BITS = 10  # bits of each coordinate in the order of faces along a space-filling curve
 
 
 def closest_points(mesh: Any, points: Tensor) -> SurfacePoints:

@@ -12,9 +12,8 @@ from torch import Tensor
 from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
-from ...pictures.photograph import photograph
+from ...pictures.photograph import photograph, turntable
 from ...pictures.sheet import sheet
-from ...pictures.turntable import turntable
 from .edit import MeshEdit
 
 _FRONT = 150.0  # azimuth of the first picture, in degrees

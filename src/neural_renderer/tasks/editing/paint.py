@@ -14,8 +14,8 @@ from ...meshes.uv_mesh import UVMesh
 from ...textures.gutters import fill_gutters
 from ..texels import Texels
 
-_MOST_BYTES = 2 * 2**30  # of the colours; gradients, Adam's moments and temporary copies are several times as large
-_BYTES = 12  # of an RGB colour in float32
+_MOST_BYTES = 2 * 2**30  # memory of colours; gradients, Adam's moments and temporary copies take several times as much
+_BYTES = 12  # bytes of an RGB colour in float32
 
 
 class Paint(Protocol):

@@ -17,7 +17,7 @@ from .deformation import Deformation
 from .palette import Palette
 
 _LARGEST = 2048  # side of a square painting in pixels; a network needs some gigabytes for it
-_MARGIN, _STRIDE = 16, 8  # of the window that the network sees, in pixels: around the objects, and of its borders
+_MARGIN, _STRIDE = 16, 8  # pixels around objects in the window that the network sees, and step of its borders
 _LEAST_SIDE, _MOST_ASPECT = 16, 16  # limits of a painting's shape, in pixels and as a ratio
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .resize import limit_size, resize
+from .operations import limit_size, resize
 
 _MOST_SEARCHED = 640  # the background is fitted to a picture scaled down to this larger side in pixels
 
 # A plain background: a quadratic function of position, fitted robustly to the border of the picture.
 _BORDER = 0.02  # width of the border, relative to the shorter side
-_BACKGROUND_SHARE = 0.65  # at least this share of the border is background; the rest may be object
-_ITERATIONS = 8  # of fitting to the pixels that fit best so far
+_BACKGROUND_SHARE = 0.65  # least share of background in the border; the rest may be object
+_ITERATIONS = 8  # fits to the pixels that fit best so far
 _LEAST_RESIDUAL = 0.02  # residuals below this always count as background
 _LEAST_THRESHOLD, _NOISES = 0.06, 5  # the object's distance from the background: an absolute limit, and in noise levels
 _MOST_THRESHOLD, _MOST_OUTSIDE = 0.25, 0.34  # a noisier background, or more border outside of it, is not plain

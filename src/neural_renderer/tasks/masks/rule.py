@@ -10,9 +10,8 @@ from torch import Tensor
 
 from ... import validate
 from ...io import load_image
-from .morphology import dilate, erode, opened
+from .operations import dilate, erode, fill_holes, opened, remove_specks
 from .plain_background import plain_background_mask
-from .specks import fill_holes, remove_specks
 
 _CLEAR = 0.99  # an alpha channel that is nowhere below this tells nothing
 

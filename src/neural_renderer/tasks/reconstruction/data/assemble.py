@@ -7,7 +7,6 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 import torch
@@ -72,11 +71,7 @@ def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
                     f"{path}: expected a finished object, got a broken file; delete it to make the object again"
                 ) from error
             if index == 0:
-                _write_header(member, array, len(objects))
+                shape = (len(objects), *array.shape)
+                header = {"descr": array.dtype.str, "fortran_order": False, "shape": shape}
+                np.lib.format.write_array_header_1_0(member, header)
             member.write(np.ascontiguousarray(array).tobytes())
-
-
-def _write_header(member: IO[bytes], array: np.ndarray, count: int) -> None:
-    """Write the npy header of ``count`` arrays like ``array``."""
-    header = {"descr": array.dtype.str, "fortran_order": False, "shape": (count, *array.shape)}
-    np.lib.format.write_array_header_1_0(member, header)

@@ -34,7 +34,7 @@ from .voxels import voxelize_model
 _GREY = 0.75  # colour of models without colours
 _DARKEST = 0.08  # colours are mapped to [0.08, 1]: pure black would hide the shape
 _DIRECTIONAL = 0.56  # intensity of the light from over the shoulder
-_MOST_TEXELS = 4_000_000  # of a model
+_MOST_TEXELS = 4_000_000  # texels of a model
 _MOST_TEXTURE_SIZE = 16  # texels along the edge of a face's cube
 _RECIPE = 1  # version of finished objects; objects of another version are rendered again
 

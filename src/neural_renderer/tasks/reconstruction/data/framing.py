@@ -17,7 +17,7 @@ from ....meshes.bounds import bounding_box
 DISTANCE = 2.732
 ELEVATION = 30.0
 VIEWING_ANGLE = 15.0
-VIEWS = 24  # per object
+VIEWS = 24  # views per object
 SIZE = 64  # side of the images in pixels
 GRID = 32  # voxels along each axis
 

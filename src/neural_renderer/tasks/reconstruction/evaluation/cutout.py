@@ -7,9 +7,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ...masks.operations import limit_size, remove_specks, resize
 from ...masks.plain_background import plain_background_mask
-from ...masks.resize import limit_size, resize
-from ...masks.specks import remove_specks
 from ..data.framing import SIZE
 
 EXTENT = 44  # mean length of the object's longer side in the training data, in pixels

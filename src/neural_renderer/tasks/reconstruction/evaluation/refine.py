@@ -13,11 +13,11 @@ from torch import Tensor
 
 from ....losses import laplacian, silhouette_iou_loss
 from ..data.framing import VIEWS
-from ..networks.make_network import Model
+from ..networks.checkpoint import Model
 from ..networks.mesh_network import MeshNetwork, smoothing_matrix
 
-_RATE, _BETAS = 0.01, (0.7, 0.9)  # of Adam; displacements are in units of the object's longest side
-_BLUR, _LAPLACIAN = 3.0, 3.0  # as in the configuration "best"
+_RATE, _BETAS = 0.01, (0.7, 0.9)  # settings of Adam; displacements are in units of the object's longest side
+_BLUR, _LAPLACIAN = 3.0, 3.0  # strength and weight as in the configuration "best"
 
 
 def refine_steps(model: Model, requested: int | None) -> int:

@@ -1,4 +1,4 @@
-"""Checkpoint files of trained networks."""
+"""Networks by name, and their checkpoint files."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ....features import features_like
+from ....features import FeatureNetwork, features_like
 from ....features.network import Plan
 from ....io.atomic_write import write_file
 from ....io.files import load_tensors, reason, short
 from ....version import __version__
 from .configs import Config
 from .encoders import FEATURES, FeatureEncoder
-from .make_network import Model, make_network
+from .mesh_network import MeshNetwork
+from .voxel_network import VoxelNetwork
 
 HEADER = "reconstruction"
 """Key of the `header` in a checkpoint."""
@@ -30,6 +31,17 @@ BEST, LAST = "best.ckpt", "last.ckpt"
 
 VERSION = 1
 """Version of networks and header. Increase it when a change gives older weights another meaning."""
+
+Model = MeshNetwork | VoxelNetwork
+
+NETWORKS: dict[str, type[MeshNetwork] | type[VoxelNetwork]] = {"mesh": MeshNetwork, "voxel": VoxelNetwork}
+
+
+def make_network(kind: str, config: Config, features: FeatureNetwork | None = None) -> Model:
+    """Make a network, "mesh" or "voxel", with random weights; ``features`` is the network of the encoder "features"."""
+    if kind not in NETWORKS:
+        raise ValueError(f"model: expected one of {', '.join(NETWORKS)}, got {kind!r}")
+    return NETWORKS[kind](config, features)
 
 
 def header(model: Model, classes: Sequence[str], weights: str) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from ..data.framing import SIZE, view_camera
 from .configs import Config
 from .encoders import FEATURES, make_encoder, published_init
 
-_SHIFT_SCALE = 0.1  # of the global bias, as in the published code
+_SHIFT_SCALE = 0.1  # factor of the global bias, as in the published code
 
 
 class MeshNetwork(nn.Module):

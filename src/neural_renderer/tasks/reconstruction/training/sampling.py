@@ -16,7 +16,7 @@ from ..data.arrays import Split
 from ..data.framing import VIEWS
 from ..networks.configs import Config
 
-_GREY_CHANCE = 0.3  # of an object whose colours are mixed with grey
+_GREY_CHANCE = 0.3  # share of objects whose colours are mixed with grey
 _MIX, _GAIN, _OFFSET = 0.15, 0.2, 0.08  # standard deviations of channel mixing, log gain and offset
 
 

@@ -13,10 +13,9 @@ from ....features import FeatureNetwork
 from ...observer import Observer
 from ..data.arrays import Split
 from ..networks.configs import Config
-from .callbacks import Checkpoints, Log
+from .callbacks import Checkpoints, Log, Watch
 from .sampling import Batches
 from .training import Training
-from .watch import Watch
 
 
 def train(
