@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, overload
 
 import torch
@@ -292,6 +292,12 @@ def fragments(
     if layers is None:
         return visible_fragments(corners, faces, vertices.shape[-2], settings, 8)
     return visible_layers(corners, faces, vertices.shape[-2], settings, validate.whole("layers", layers, 1))
+
+
+def for_shading(fragments: Fragments) -> Fragments:
+    """Detach the corners unless the gradient is "edge", which alone differentiates shading inside faces."""
+    edge = fragments.settings.gradient == "edge"
+    return fragments if edge else replace(fragments, corners=fragments.corners.detach())
 
 
 def visible_fragments(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -12,7 +11,7 @@ from torch import Tensor
 from . import validate
 from .camera import Camera
 from .camera.screen import causes, scene_camera, screen_corners
-from .deferred import Fragments, visible_fragments, visible_layers
+from .deferred import Fragments, for_shading, visible_fragments, visible_layers
 from .meshes.batch import batch, mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
@@ -162,9 +161,7 @@ def _shaded(
     background: Any,
 ) -> tuple[Tensor, Callable[[], Tensor]]:
     """Colour an image with light in each pixel; results as in `cube_colors`."""
-    # Only "edge" differentiates shading inside faces.
-    edge = visible.settings.gradient == "edge"
-    inside = visible if edge else replace(visible, corners=visible.corners.detach())
+    inside = for_shading(visible)
     if isinstance(mesh, UVMesh):
         albedo = mesh.shade(inside)
     else:
@@ -180,9 +177,7 @@ def _image_colors(
     visible: Fragments, mesh: UVMesh, light: Tensor | None, background: Any
 ) -> tuple[Tensor, Callable[[], Tensor]]:
     """Colour an image by a mesh's texture images; arguments and results as in `cube_colors`."""
-    still = replace(visible, corners=visible.corners.detach())
-    # Only "edge" differentiates shading inside faces.
-    color = mesh.shade(visible if visible.settings.gradient == "edge" else still)
+    color = mesh.shade(for_shading(visible))
     behind = background_image(background, len(color), 3, visible.settings, color.device)
     rgb = composite(color, behind, visible.face_index)
     if light is not None:

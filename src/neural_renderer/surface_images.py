@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from .camera import Camera
-from .deferred import Fragments, visible_fragments
+from .deferred import Fragments, for_shading, visible_fragments
 from .meshes.batch import mesh_parts
 from .meshes.normals import face_normals
 from .meshes.uv_mesh import UVMesh
@@ -46,8 +46,7 @@ def surface_images(
             centres = visible_fragments(visible.corners, visible.triangles, visible.num_vertices, one_sample, 4)
         images["face_index"] = centres.face_index.clone()
         images["barycentric"] = centres.weights.movedim(3, 1).contiguous()
-    # Only "edge" differentiates shading inside faces.
-    inside = visible if settings.gradient == "edge" else replace(visible, corners=visible.corners.detach())
+    inside = for_shading(visible)
     values: dict[str, Tensor] = {}
     if "normal" in names or "position" in names:
         surface = VisibleSurface.of(inside, mesh, camera)

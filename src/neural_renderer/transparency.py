@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from .camera import Camera
-from .deferred import Fragments
+from .deferred import Fragments, for_shading
 from .layers import Layers
 from .meshes.uv_mesh import UVMesh
 from .raster.colors.light_pixels import light_pixels
@@ -77,10 +76,9 @@ def layered_images(
     outputs: Collection[str],
 ) -> Images:
     """Shade and blend layers; arguments as in `render`, with the light on faces for flat shading (``model`` None)."""
-    edge = layers[0].settings.gradient == "edge"
     opacity, colors = [], []
     for layer in layers:
-        inside = layer if edge else replace(layer, corners=layer.corners.detach())
+        inside = for_shading(layer)
         opacity.append(surface_opacity(inside, mesh, mirrored=camera.mirrored))
         if "rgb" in outputs:
             colors.append(_colors(inside, mesh, camera, lights, model, factors))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 from collections.abc import Iterable, Iterator
@@ -39,6 +40,13 @@ def check_most(options: Any, **most: int) -> None:
         value = getattr(options, name)
         if value is not None and value > limit:
             raise ValueError(f"--{name.replace('_', '-')}: expected at most {limit}, got {value}")
+
+
+def check_between(name: str, value: float, low: float, high: float) -> None:
+    """Raise ValueError if an option is not above ``low`` and below ``high``."""
+    if not low < value < high:
+        limit = f" and below {high}" if math.isfinite(high) else ""
+        raise ValueError(f"--{name}: expected a number above {low}{limit}, got {value}")
 
 
 def make_folder(option: str, folder: Path) -> None:

@@ -326,12 +326,7 @@ def _report_mesh(
 
 
 def _report_camera(
-    options: FitOptions,
-    runner: TaskRunner,
-    fit: CameraFit,
-    views: Views,
-    shape: tuple[Tensor, ...],
-    finished: bool,
+    options: FitOptions, runner: TaskRunner, fit: CameraFit, views: Views, shape: tuple[Tensor, ...], finished: bool
 ) -> None:
     """Write a picture and the report of a fitted camera, and print a summary; ``shape`` is the known mesh."""
     save_image(options.output / "comparison.png", comparison(views, shape))

@@ -27,7 +27,7 @@ from ..raster.settings import image_size
 from ..rendering import render
 from ..shading.environments.light import EnvironmentLight
 from ..shading.lights import Light
-from .common import check_counts, check_outputs, choose_device, say
+from .common import check_between, check_counts, check_outputs, choose_device, say
 from .options import RenderOptions
 
 _LAMP = (-0.4, 0.6, 0.7)  # right, up, backward; more frontal than `pictures.lamp.LAMP`: no visible face is dark
@@ -40,13 +40,7 @@ _PLANES = 0.05  # distance of the near and far planes from the mesh, in its exte
 _FRAMES = 60  # pictures of a turntable by default
 _DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
 _PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
-_PICTURES_OF = {
-    "rgb": _PICTURES,
-    "alpha": _PICTURES,
-    "depth": (".png",),
-    "normal": (".png",),
-    "barycentric": (".png",),
-}
+_PICTURES_OF = {"rgb": _PICTURES, "alpha": _PICTURES, "depth": (".png",), "normal": (".png",), "barycentric": (".png",)}
 
 
 def run(options: RenderOptions) -> int:
@@ -120,14 +114,14 @@ def _check(options: RenderOptions) -> None:
         raise ValueError(f"--layers: expected --mode rgb, got {options.mode}")
     if options.size is not None:
         image_size("size", options.size)
-    _check_between("fps", options.fps, 0, math.inf)
-    _check_between("depth-scale", options.depth_scale, 0, math.inf)
-    _check_between("viewing-angle", options.viewing_angle, 0, 90)
-    _check_between("elevation", options.elevation, -90, 90)
+    check_between("fps", options.fps, 0, math.inf)
+    check_between("depth-scale", options.depth_scale, 0, math.inf)
+    check_between("viewing-angle", options.viewing_angle, 0, 90)
+    check_between("elevation", options.elevation, -90, 90)
     if not math.isfinite(options.azimuth):
         raise ValueError(f"--azimuth: expected a finite number of degrees, got {options.azimuth}")
     if options.distance is not None:
-        _check_between("distance", options.distance, 0, math.inf)
+        check_between("distance", options.distance, 0, math.inf)
     if options.background is not None and options.mode in ("silhouettes", "depth"):
         raise ValueError(f"--background: expected --mode rgb or normals, got {options.mode} (always on black)")
     if options.background == "transparent" and suffix != ".png":
@@ -138,13 +132,6 @@ def _check(options: RenderOptions) -> None:
         raise ValueError("--background environment: expected --environment with an image, got none")
     if isinstance(options.background, tuple) and not all(0 <= value <= 1 for value in options.background):
         raise ValueError(f"--background: expected three numbers from 0 to 1, got {options.background}")
-
-
-def _check_between(name: str, value: float, low: float, high: float) -> None:
-    """Raise ValueError if an option is not above ``low`` and below ``high``."""
-    if not low < value < high:
-        limit = f" and below {high}" if math.isfinite(high) else ""
-        raise ValueError(f"--{name}: expected a number above {low}{limit}, got {value}")
 
 
 def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, tuple[int, int]]:
@@ -250,12 +237,7 @@ def draw(
 
 
 def _draw_normals(
-    mesh: Mesh | UVMesh,
-    camera: Camera,
-    size: tuple[int, int],
-    background: Any,
-    near: float,
-    far: float,
+    mesh: Mesh | UVMesh, camera: Camera, size: tuple[int, int], background: Any, near: float, far: float
 ) -> tuple[Tensor, Tensor]:
     """Draw normals in camera space as colours [3, H, W], and the silhouette [H, W]."""
     fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size, near=near, far=far)

@@ -10,8 +10,7 @@ from rich.table import Table
 
 from ...io import save_image
 from ...tasks.reconstruction.data.arrays import SPLITS, open_split
-from ...tasks.reconstruction.data.assemble import assemble, existing_names
-from ...tasks.reconstruction.data.dataset import Settings, make_objects
+from ...tasks.reconstruction.data.dataset import Settings, assemble, existing_names, make_objects
 from ...tasks.reconstruction.data.framing import SIZE, VIEWS
 from ...tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
 from ...tasks.reconstruction.evaluation.check_axes import check_axes

@@ -21,7 +21,7 @@ from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshe
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
 from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.networks.checkpoint import Model, load_model
-from ..common import check_counts, check_outputs, choose_device, say
+from ..common import check_between, check_counts, check_outputs, choose_device, say
 from ..watch import Renamed, stay, watching
 from .options import PredictOptions
 
@@ -74,8 +74,7 @@ def _predict(options: PredictOptions, targets: dict[Path, Path], model: Model, v
 def _check(options: PredictOptions) -> dict[Path, Path]:
     """Check the options; return the mesh file of each picture."""
     check_counts(options, turntable=0, refine=0)
-    if not 0 < options.threshold < 1:
-        raise ValueError(f"--threshold: expected a number above 0 and below 1, got {options.threshold}")
+    check_between("threshold", options.threshold, 0, 1)
     mask, count = options.mask, len(options.images)
     targets = _targets(options)
     extras = [_beside(target, name) for target in targets.values() for name in ("sheet.png", "turntable.gif")]

@@ -197,11 +197,7 @@ def _item(tree: dict[str, Any], name: str, number: Any) -> Any:
 
 
 def _numbers(
-    owner: dict[str, Any],
-    name: str,
-    default: tuple[float, ...],
-    least: float | None = 0.0,
-    most: float | None = None,
+    owner: dict[str, Any], name: str, default: tuple[float, ...], least: float | None = 0.0, most: float | None = None
 ) -> Any:
     """Read a number, or a list of as many as ``default`` has; numbers out of range become the nearest in it."""
     value = owner.get(name, default)

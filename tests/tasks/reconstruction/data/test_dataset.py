@@ -20,8 +20,7 @@ import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.metrics import silhouette_iou
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
-from neural_renderer.tasks.reconstruction.data.assemble import assemble
-from neural_renderer.tasks.reconstruction.data.dataset import Settings, make_object, make_objects
+from neural_renderer.tasks.reconstruction.data.dataset import Settings, assemble, make_object, make_objects
 from neural_renderer.tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
 from neural_renderer.tasks.reconstruction.evaluation.check_axes import check_axes
 from neural_renderer.tasks.reconstruction.evaluation.sheets import data_sheet

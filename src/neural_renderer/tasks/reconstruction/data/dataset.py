@@ -1,4 +1,4 @@
-"""Data sets from 3D models: rendered views and voxels."""
+"""Data sets from 3D models: rendered views and voxels, and their assembly into files of the published format."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 import warnings
+import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -24,10 +25,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....io import load_mesh
-from ....io.atomic_write import replacing
+from ....io.atomic_write import replacing, write_file
 from ....rendering import render
+from ....version import __version__
+from .arrays import DESCRIPTION, SPLITS
 from .drawing import shoulder_light
-from .framing import GRID, SIZE, VIEWS, mirror, scale_to_unit, view_camera
+from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirror, scale_to_unit, view_camera
 from .models_folder import Model, is_mesh
 from .voxels import voxelize_model
 
@@ -234,3 +237,58 @@ def _make_file(
     with replacing(target) as fresh, open(fresh, "wb") as file:
         np.savez_compressed(file, key=np.array(key), **arrays)
     return None, notes
+
+
+def assemble(
+    folder: Path, splits: dict[str, dict[str, list[Model]]], settings: Settings, broken: dict[str, str]
+) -> None:
+    """Combine finished objects into the files of the published format, and write dataset.json.
+
+    Other classes and splits of the data set stay. ``splits`` maps split → class → models, in order; ``broken`` maps
+    "category/name" to an error message, for dataset.json.
+    """
+    names: dict[str, dict[str, list[str]]] = {split: {} for split in SPLITS} | existing_names(folder)
+    for split, classes in splits.items():
+        for name, models in classes.items():
+            for kind in ("images", "voxels"):
+                _write_npz(folder / f"{name}_{split}_{kind}.npz", [object_file(m, folder) for m in models], kind)
+            names[split][name] = [model.name for model in models]
+    frame = {"distance": DISTANCE, "elevation": ELEVATION, "viewing_angle": VIEWING_ANGLE, "longest_side": 1.0}
+    description = {
+        "names": names,
+        "settings": asdict(settings) | frame | {"azimuth": f"-360 k / {settings.views} of view k"},
+        "voxel_axes": "(y, x, -z) of the frame of the views, which is (y, -z, x) of the model, y up",
+        "versions": {"neural_renderer": __version__, "torch": torch.__version__, "numpy": np.__version__},
+        "broken": broken,
+    }
+    write_file(folder / DESCRIPTION, json.dumps(description, indent=1) + "\n")
+
+
+def existing_names(folder: Path) -> dict[str, dict[str, list[str]]]:
+    """Read the names of the objects in a data set: split → class → names; empty if there is none."""
+    try:
+        return json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["names"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return {}
+
+
+def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
+    """Write one array of all objects. Objects are read one at a time."""
+    with (
+        replacing(target) as fresh,
+        zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive,
+        archive.open("arr_0.npy", "w", force_zip64=True) as member,
+    ):
+        for index, path in enumerate(objects):
+            try:
+                with np.load(path) as arrays:
+                    array = arrays[kind]
+            except Exception as error:  # numpy and zipfile raise errors of many classes for damaged files
+                raise ValueError(
+                    f"{path}: expected a finished object, got a broken file; delete it to make the object again"
+                ) from error
+            if index == 0:
+                shape = (len(objects), *array.shape)
+                header = {"descr": array.dtype.str, "fortran_order": False, "shape": shape}
+                np.lib.format.write_array_header_1_0(member, header)
+            member.write(np.ascontiguousarray(array).tobytes())
