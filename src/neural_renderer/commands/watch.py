@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ..tasks.observer import Knob, Observer
 from .common import say
 from .options import WatchOptions
 
@@ -37,37 +36,6 @@ def watching(options: WatchOptions) -> Iterator[Viewer | None]:
         text = viewer.close()
         if text is not None:
             say(text)
-
-
-class Renamed:
-    """An observer that shows the mesh of a task under a name of its own, beside those of earlier tasks."""
-
-    def __init__(self, observer: Observer, name: str) -> None:
-        self._observer, self._name = observer, name
-
-    @property
-    def paused(self) -> bool:
-        """Whether the task is to wait."""
-        return self._observer.paused
-
-    @property
-    def stopped(self) -> bool:
-        """Whether the task is to end."""
-        return self._observer.stopped
-
-    def observe(
-        self, phase: str, step: int, steps: int, numbers: Mapping[str, float], mesh: Callable[[], Any], /
-    ) -> None:
-        """See a step."""
-        self._observer.observe(f"{self._name}: {phase}", step, steps, numbers, lambda: {self._name: mesh()})
-
-    def offer(self, knobs: Sequence[Knob], /) -> None:
-        """Learn which settings may change."""
-        self._observer.offer(knobs)
-
-    def changes(self) -> dict[str, float | str]:
-        """Return the settings that were changed."""
-        return self._observer.changes()
 
 
 def stay(viewer: Viewer | None, wanted: bool) -> None:

@@ -22,7 +22,7 @@ from ...tasks.reconstruction.evaluation.predictors import Predictor, network_pre
 from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.networks.checkpoint import Model, load_model
 from ..common import check_between, check_counts, check_outputs, choose_device, say
-from ..watch import Renamed, stay, watching
+from ..watch import stay, watching
 from .options import PredictOptions
 
 if TYPE_CHECKING:
@@ -57,10 +57,10 @@ def _predict(options: PredictOptions, targets: dict[Path, Path], model: Model, v
     for path in track(options.images, "Meshes", console=console, transient=True, disable=alone):
         if not goes_on(viewer):
             break
-        observer = None if viewer is None else Renamed(viewer, path.stem)
         try:
             picture, image = _load(options, path, predict, device)
-            [(vertices, faces)] = predict_meshes(model, image[None].to(device), options.threshold, refine, observer)
+            pixels = image[None].to(device)
+            [(vertices, faces)] = predict_meshes(model, pixels, options.threshold, refine, viewer, path.stem)
         except (ValueError, OSError) as error:
             failures.append(_failure(path, error))
             continue

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from .... import validate
+from ....metrics import silhouette_iou
 from ....raster.ops.inside import inside
 from ....raster.ops.voxels import distances, fill
 from .framing import GRID
@@ -72,23 +73,8 @@ def voxelize_model(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
 
 
 def voxel_iou(predicted: Tensor, target: Tensor) -> Tensor:
-    """Compute the IoU [B] float32 of voxels [B, ...] bool; it is 1 if both are empty.
-
-    Raises:
-        TypeError, ValueError: A type does not fit, or the shapes differ.
-    """
-    for name, value in (("predicted", predicted), ("target", target)):
-        if not isinstance(value, Tensor) or value.dtype != torch.bool:
-            got = validate.shape_of(value) if isinstance(value, Tensor) else type(value).__name__
-            raise TypeError(f"{name}: expected a tensor of bool, got {got}")
-    if predicted.shape != target.shape or predicted.ndim < 2:
-        raise ValueError(
-            f"predicted and target: expected the same shape [B, ...], got {list(predicted.shape)} and "
-            f"{list(target.shape)}"
-        )
-    predicted, target = predicted.flatten(1), target.flatten(1)
-    union = (predicted | target).sum(1)
-    return torch.where(union > 0, (predicted & target).sum(1) / union.clamp(min=1), 1.0)
+    """Compute the IoU [B] float32 of voxels [B, S, S, S] bool; it is 1 if both are empty."""
+    return silhouette_iou(predicted.flatten(2), target.flatten(2))
 
 
 def chamfer(predicted: Tensor, target: Tensor) -> Tensor:

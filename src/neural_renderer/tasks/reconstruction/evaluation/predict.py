@@ -47,7 +47,12 @@ def best_frame(predict: Predictor, rgba: Tensor, device: torch.device | str = "c
 
 @torch.no_grad()
 def predict_meshes(
-    model: Any, images: Tensor, threshold: float = 0.5, refine: int = 0, observer: Observer | None = None
+    model: Any,
+    images: Tensor,
+    threshold: float = 0.5,
+    refine: int = 0,
+    observer: Observer | None = None,
+    name: str | None = None,
 ) -> list[tuple[Tensor, Tensor]]:
     """Predict meshes from images.
 
@@ -57,6 +62,7 @@ def predict_meshes(
         threshold: Probability at the surface, for a voxel network: an isosurface of the interpolated probabilities.
         refine: Steps of test-time refinement, for a mesh network (see `refine.refine_meshes`).
         observer: Sees the steps of the refinement of the first mesh, and may pause and stop it; or None.
+        name: Name of this mesh for the observer, beside those of other calls; or None.
 
     Returns:
         Vertices [V, 3] and outward faces [F, 3] of each image, in the frame of the models, on the CPU.
@@ -69,9 +75,13 @@ def predict_meshes(
         faces = model.faces.flip(1).cpu()
 
         def observe(step: int, loss: float, vertices: Callable[[], Tensor]) -> bool:
+            def shown() -> Any:
+                mesh = mirror(vertices()[0].cpu()), faces
+                return mesh if name is None else {name: mesh}
+
             if observer is not None:
-                numbers = {"loss": loss}
-                observer.observe("refinement", step, refine, numbers, lambda: (mirror(vertices()[0].cpu()), faces))
+                phase = "refinement" if name is None else f"{name}: refinement"
+                observer.observe(phase, step, refine, {"loss": loss}, shown)
             return goes_on(observer)
 
         meshes = refine_meshes(model, model.vertices(pixels), pixels, refine, None if observer is None else observe)
