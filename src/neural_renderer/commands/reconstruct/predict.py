@@ -13,6 +13,7 @@ from torch import Tensor
 from ...io import load_image, save_animation, save_image, save_mesh
 from ...pictures.clay import clay_mesh
 from ...pictures.photograph import turntable
+from ...tasks.masks.rule import mask_in_file
 from ...tasks.observer import goes_on
 from ...tasks.reconstruction.data.drawing import MESH_COLOR
 from ...tasks.reconstruction.data.framing import SIZE
@@ -108,7 +109,7 @@ def _load(options: PredictOptions, path: Path, predict: Predictor, device: torch
     picture = load_image(path, upright=True)
     mask = None
     if options.mask is not None:
-        mask = _to_mask(load_image(_mask_file(options.mask, path), upright=True))
+        mask = mask_in_file(_mask_file(options.mask, path), upright=True)
     elif picture.shape == (SIZE, SIZE, 4) and float(picture[..., 3].min()) < 0.5 < float(picture[..., 3].max()):
         return picture, (picture.permute(2, 0, 1) * 255 + 0.5).to(torch.uint8)
     return picture, best_frame(predict, cut_out(picture, mask), device)
@@ -140,12 +141,6 @@ def _write(
 def _beside(target: Path, name: str) -> Path:
     """Return the path of an additional file of a mesh: ``chair.obj`` → ``chair_sheet.png``."""
     return target.with_name(f"{target.stem}_{name}")
-
-
-def _to_mask(image: Tensor) -> Tensor:
-    """Convert a picture to a mask [H, W]: its alpha channel if it has transparent pixels, else its brightness."""
-    transparent = image.shape[2] == 4 and float(image[..., 3].min()) < 1
-    return image[..., 3] if transparent else image[..., :3].mean(2)
 
 
 def _failure(path: Path, error: Exception) -> str:

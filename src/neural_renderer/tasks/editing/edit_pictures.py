@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
+from ...meshes.pieces import used_vertices
 from ...meshes.uv_mesh import UVMesh
 from ...pictures.photograph import photograph, turntable
 from ...pictures.sheet import sheet
@@ -44,10 +45,9 @@ def turn(mesh: Mesh | UVMesh, frames: int = 36, size: int = 320) -> list[Tensor]
 @torch.no_grad()
 def normalized_like(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
     """Transform ``mesh`` as ``other``, a mesh with the same faces, is scaled to [-1, 1]³; drop unused vertices."""
-    used, faces = torch.unique(mesh.faces, return_inverse=True)
+    used, faces = used_vertices(mesh.faces)
     center, half = bounding_box(other.vertices[used])
     vertices = (mesh.vertices[used] - center) / half
-    faces = faces.to(mesh.faces.dtype)
     if isinstance(mesh, UVMesh):
         return replace(mesh, vertices=vertices, faces=faces)
     return Mesh(vertices, faces, mesh.textures)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ....camera import Camera, get_points_from_angles
-from ....meshes.bounds import bounding_box
+from ....meshes.bounds import centered
 
 DISTANCE = 2.732
 ELEVATION = 30.0
@@ -32,16 +32,8 @@ def mirror(vertices: Tensor) -> Tensor:
 
 
 def scale_to_unit(vertices: Tensor) -> Tensor:
-    """Move and scale vertices [V, 3]: the bounding box is centred at the origin, and its longest side is 1.
-
-    Raises:
-        ValueError: All vertices coincide.
-    """
-    exact = vertices.double()
-    center, half = bounding_box(exact)
-    if half == 0:
-        raise ValueError(f"vertices: expected a shape with an extent, got {len(vertices)} vertices that all coincide")
-    return ((exact - center) / (2 * half)).to(vertices)
+    """Move and scale vertices [V, 3]: the bounding box is centred at the origin, and its longest side is 1."""
+    return (centered(vertices) / 2).to(vertices)
 
 
 def view_camera(views: Tensor, count: int = VIEWS) -> Camera:

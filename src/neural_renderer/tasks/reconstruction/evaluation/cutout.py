@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...masks.operations import limit_size, remove_specks, resize
-from ...masks.plain_background import plain_background_mask
+from ...masks.rule import plain_background_mask, transparency
 from ..data.framing import SIZE
 
 EXTENT = 44  # mean length of the object's longer side in the training data, in pixels
@@ -40,10 +40,9 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
                 f"mask: expected the shape of the image, {width} x {height}, got {mask.shape[1]} x {mask.shape[0]}"
             )
         alpha = resize(mask[None], (height, width))[0]
-    elif image.shape[2] == 4 and float(image[..., 3].min()) < 0.99:
-        alpha = image[..., 3]
     else:
-        alpha = plain_background_mask(image)
+        own = transparency(image)
+        alpha = plain_background_mask(image) if own is None else own
     if float(alpha.max()) < 0.5:
         raise ValueError("expected an object, got a picture without one")
     if float(alpha.min()) > 0.5:
