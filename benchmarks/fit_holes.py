@@ -18,7 +18,7 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer.tasks.fit import MeshFit, Views
-from neural_renderer.tasks.masks.specks import fill_holes
+from neural_renderer.tasks.masks.operations import fill_holes
 
 from .fit_quality import around
 

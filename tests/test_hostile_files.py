@@ -33,8 +33,7 @@ from neural_renderer.features import load_features
 from neural_renderer.tasks.fit import load_views
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
 from neural_renderer.tasks.reconstruction.data.models_folder import read_splits
-from neural_renderer.tasks.reconstruction.networks.checkpoint import load_model, save_model
-from neural_renderer.tasks.reconstruction.networks.make_network import make_network
+from neural_renderer.tasks.reconstruction.networks.checkpoint import load_model, make_network, save_model
 from tests.mutations import archive, damage, glb, plain, png
 from tests.tasks.editing.networks import vgg_weights
 from tests.tasks.reconstruction.synthetic import SMALL

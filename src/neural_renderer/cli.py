@@ -17,7 +17,7 @@ from rich.text import Text
 
 from .version import __version__
 
-# Command → summary. The options of the command `render` are the class `RenderOptions` in `commands.options.render`; the
+# Command → summary. The options of the command `render` are the class `RenderOptions` in `commands.options`; the
 # function `run(options)` in `commands.render` returns the exit code, and likewise for other commands. A command is
 # imported when it runs, so that help and messages about wrong options do not wait for the import of torch.
 COMMANDS = {
@@ -31,7 +31,6 @@ COMMANDS = {
     "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
 _EXTRAS = {"lightning": "reconstruction", "tensorboard": "reconstruction"}  # packages that commands import
-_PAIRS = {"--save": "SAVED"}  # options of names and files in turn, and where their module lists the names
 _GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
 
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
@@ -81,34 +80,33 @@ def _parse(
     if name in _GROUPS:
         group = _load(module)
         return _parse(arguments[1:] or ["--help"], group.COMMANDS, f"{module}.", f"{prog} {name}", group.DESCRIPTION)
-    choices: dict[str, Any] = {command: _placeholder(summary) for command, summary in commands.items()}
     if name in commands:
-        options = _load(f"options.{module}")
-        _check_pairs(arguments, options)
-        choices[name] = getattr(options, f"{name.capitalize()}Options")
-    given = tyro.extras.subcommand_cli_from_dict(choices, prog=prog, description=description, args=arguments)
-    return module, given
+        known = _load(f"{package}options")
+        if name == "render":
+            _check_save(arguments, known.SAVED)
+        options = getattr(known, f"{name.capitalize()}Options")
+        return module, tyro.cli(options, prog=f"{prog} {name}", args=arguments[1:])
+    choices: dict[str, Any] = {command: _placeholder(summary) for command, summary in commands.items()}
+    return module, tyro.extras.subcommand_cli_from_dict(choices, prog=prog, description=description, args=arguments)
 
 
-def _check_pairs(arguments: list[str], module: Any) -> None:
-    """End with a message unless options of names and files are given once, with known names, each with a file."""
-    for option, names in _PAIRS.items():
-        places = [place for place, argument in enumerate(arguments) if argument.partition("=")[0] == option]
-        if not places:
-            continue
-        if len(places) > 1:
-            problem = f"expected at most once, with all its values, got it {len(places)} times"
-        else:
-            words = list(itertools.takewhile(lambda word: not word.startswith("-"), arguments[places[0] + 1 :]))
-            known = getattr(module, names, ())
-            wrong = [word for word in words[::2] if word not in known]
-            if not known or (words and not len(words) % 2 and not wrong):
-                continue
-            problem = f"expected names and files in turn, such as {known[0]} {known[0]}.png, got {' '.join(words)!r}"
-            if wrong:
-                problem = f"expected each name to be one of {', '.join(known)}, got {wrong[0]!r}"
-        _say(f"{option}: {problem}", "red")
-        raise SystemExit(2)
+def _check_save(arguments: list[str], known: tuple[str, ...]) -> None:
+    """End with a message unless --save is given once at most, with known names, each followed by a file."""
+    places = [place for place, argument in enumerate(arguments) if argument.partition("=")[0] == "--save"]
+    if not places:
+        return
+    words = list(itertools.takewhile(lambda word: not word.startswith("-"), arguments[places[0] + 1 :]))
+    wrong = [word for word in words[::2] if word not in known]
+    if len(places) > 1:
+        problem = f"expected at most once, with all its values, got it {len(places)} times"
+    elif wrong:
+        problem = f"expected each name to be one of {', '.join(known)}, got {wrong[0]!r}"
+    elif not words or len(words) % 2:
+        problem = f"expected names and files in turn, such as {known[0]} {known[0]}.png, got {' '.join(words)!r}"
+    else:
+        return
+    _say(f"--save: {problem}", "red")
+    raise SystemExit(2)
 
 
 def _load(module: str) -> Any:

@@ -16,16 +16,10 @@ _numbers = WeakTensorKeyDictionary()
 
 
 def constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor | None:
-    """Return a tensor of numbers that others share, so it must not be changed or handed out.
+    """Return a tensor of a number or nested lists of them, which others share: it must not be changed or handed out.
 
-    Args:
-        value: A number, or lists or tuples of them, nested.
-        dtype: Dtype of the result.
-        device: Device of the result.
-
-    Returns:
-        The tensor, of finite numbers. None for other values, values beyond float16, and under torch.compile, torch.func
-        or a dispatch mode.
+    None for other values, values beyond float16, and under torch.compile, torch.func or a dispatch mode, where tensors
+    have other types.
     """
     if (
         torch.compiler.is_compiling()

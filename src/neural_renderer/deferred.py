@@ -443,14 +443,10 @@ def fragments(
 def visible_fragments(
     corners: Tensor, faces: Tensor, count: int | None, settings: Settings, channels: int
 ) -> Fragments:
-    """Find the visible faces.
+    """Find the visible faces of corners in screen space [B, F, 3, 3].
 
-    Args:
-        corners: Corners of faces in screen space, [B, F, 3, 3].
-        faces: Vertex indices, checked already.
-        count: Number of vertices; None if it is not known.
-        settings: How to draw.
-        channels: Most channels of an image; their memory is checked.
+    ``faces`` are checked vertex indices of ``count`` vertices, None if that is not known; the memory of images of
+    ``channels`` is checked.
     """
     corners = settings.corners(corners, channels)
     rings = settings.rings(corners, faces)

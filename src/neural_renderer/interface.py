@@ -19,7 +19,7 @@ from .meshes.primitives import cube, icosphere, torus
 from .meshes.remeshing.closest_points import closest_points
 from .meshes.remeshing.remesh import Remeshed, remesh
 from .meshes.sample_points import SurfacePoints, sample_points
-from .meshes.unwrapping.unwrap import unwrap
+from .meshes.unwrap import unwrap
 from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces

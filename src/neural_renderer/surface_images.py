@@ -33,17 +33,9 @@ def surface_outputs(outputs: Collection[str], mesh: Any, has_camera: bool) -> li
 def surface_images(
     names: Collection[str], visible: Fragments, mesh: Any, camera: Camera, smooth: bool
 ) -> dict[str, Tensor]:
-    """Make images of the visible surface; `Images` explains each.
+    """Make images of the visible surface, by name, some of `SURFACE`; `Images` explains each.
 
-    Args:
-        names: Some of `SURFACE`.
-        visible: Fragments of the mesh.
-        mesh: As in `render`.
-        camera: The camera of the fragments.
-        smooth: Whether normals are smooth, else those of faces.
-
-    Returns:
-        The images, by name.
+    Normals are ``smooth`` or those of faces.
     """
     settings = visible.settings
     images: dict[str, Tensor] = {}

@@ -91,13 +91,8 @@ def checked_together(function: Callable[P, R]) -> Callable[P, R]:
 def postponed(value: Tensor, flag: Callable[[], Tensor], check: Callable[[], None]) -> bool:
     """Postpone a check to the end of the call, if it is one `checked_together` and reading the tensor would wait.
 
-    Args:
-        value: Tensor to check.
-        flag: Computes a bool [] on its device, which may not be False if the check fails.
-        check: Raises the error, if there is one.
-
-    Returns:
-        Whether it is postponed; if not, the caller has to check now.
+    ``flag`` computes a bool [] on its device, which may not be False if the check fails; ``check`` raises the error, if
+    there is one. If the result is False, the caller has to check now.
     """
     checks = getattr(_calls, "checks", None)
     if checks is None or value.device.type == "cpu":

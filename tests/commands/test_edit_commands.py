@@ -24,9 +24,8 @@ FILES = (*MESH, "views.png", "loss.png", "turntable.mp4", "turntable.gif")
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, module in {"preview": "edit", "six_views": "reports.edit", "turn": "reports.edit"}.items():
-        small = partial(getattr(edit_pictures, name), size=48)
-        monkeypatch.setattr(f"neural_renderer.commands.{module}.{name}", small)
+    for name in ("preview", "six_views", "turn"):
+        monkeypatch.setattr(f"neural_renderer.commands.edit.{name}", partial(getattr(edit_pictures, name), size=48))
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.commands.options.watch import WatchOptions
+from neural_renderer.commands.options import WatchOptions
 from neural_renderer.commands.task_runner import TaskRunner
 from neural_renderer.commands.watch import watching
 from neural_renderer.tasks.fit import MeshFit, Views

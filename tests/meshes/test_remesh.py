@@ -11,11 +11,9 @@ import trimesh
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer.meshes.remeshing.collapse import collapse_short
 from neural_renderer.meshes.remeshing.edges import Edges, area_vectors, lengths
-from neural_renderer.meshes.remeshing.flip import flip_edges
+from neural_renderer.meshes.remeshing.operations import collapse_short, flip_edges, split, split_long
 from neural_renderer.meshes.remeshing.remesh import remesh_once
-from neural_renderer.meshes.remeshing.split import split, split_long
 from neural_renderer.meshes.remeshing.surface import Surface
 from neural_renderer.tasks.components import connected_components
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 
 import neural_renderer as nr
-from neural_renderer.pictures.photograph import photograph
-from neural_renderer.pictures.turntable import turntable
+from neural_renderer.pictures.photograph import photograph, turntable
 
 
 def test_one_turn() -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from neural_renderer.tasks.masks.morphology import dilate, erode, opened
+from neural_renderer.tasks.masks.operations import dilate, erode, fill_holes, opened
 from neural_renderer.tasks.masks.rule import MaskRule
-from neural_renderer.tasks.masks.specks import fill_holes
 
 
 @pytest.mark.parametrize("radius", [0, 1, 3, 7])

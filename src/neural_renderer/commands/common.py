@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 from collections.abc import Iterable, Iterator
@@ -41,6 +42,13 @@ def check_most(options: Any, **most: int) -> None:
             raise ValueError(f"--{name.replace('_', '-')}: expected at most {limit}, got {value}")
 
 
+def check_between(name: str, value: float, low: float, high: float) -> None:
+    """Raise ValueError if an option is not above ``low`` and below ``high``."""
+    if not low < value < high:
+        limit = f" and below {high}" if math.isfinite(high) else ""
+        raise ValueError(f"--{name}: expected a number above {low}{limit}, got {value}")
+
+
 def make_folder(option: str, folder: Path) -> None:
     """Make the folder of an option if it is missing. Raises OSError if that fails, or if it is not writable."""
     try:
@@ -53,12 +61,7 @@ def make_folder(option: str, folder: Path) -> None:
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
-    """Raise ValueError if an output file is an input, or a file that an input names, such as a texture.
-
-    Args:
-        outputs: Files that will be written.
-        inputs: Files that will be read; None for inputs that are not given.
-    """
+    """Raise ValueError if an output file is an input, or a file that it names, such as a texture; None is skipped."""
     given = [path for path in inputs if path is not None and path.is_file()]
     read = {(status.st_dev, status.st_ino) for status in map(Path.stat, given)}
     for output in filter(Path.exists, outputs):

@@ -16,17 +16,16 @@ from ..meshes.demo_models import duck, knot
 from ..meshes.mesh import Mesh
 from ..meshes.primitives import icosphere
 from ..pictures.clay import clay_mesh
-from ..pictures.photograph import lowest_point, photograph
+from ..pictures.photograph import FIRST_AZIMUTH, lowest_point, photograph, turntable
 from ..pictures.sheet import sheet
-from ..pictures.turntable import FIRST_AZIMUTH, turntable
 from ..tasks.fit import DescentSettings, ShapeFit, TextureFit, Views
 from .common import check_counts, choose_device, say
-from .options.demo import DemoOptions
+from .options import DemoOptions
 
 _AZIMUTHS = (FIRST_AZIMUTH, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, in degrees
-_ELEVATIONS, _DISTANCE, _VIEWING_ANGLE = (-25.0, 10.0, 40.0), 3.2, 25.0  # of the cameras of the fit
-_STAGES = 24  # of the fit, in the animation
-_RATE, _SMOOTH = 0.02, 1.0  # of the fit of the shape
+_ELEVATIONS, _DISTANCE, _VIEWING_ANGLE = (-25.0, 10.0, 40.0), 3.2, 25.0  # cameras of the fit
+_STAGES = 24  # stages of the fit in the animation
+_RATE, _SMOOTH = 0.02, 1.0  # settings of the shape fit
 _TEXTURE_SIZE, _TEXTURE_STEPS, _BATCH = 8, 20, 8
 _RESULTS = {
     "turntable.gif": "a lit, textured mesh (.mp4 too)",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..tasks.editing import PUBLISHED_DREAM, Dream, DreamWeights
 from .common import make_folder
 from .edit import Preset, check_options, load_initial_mesh, load_network, loss_weights, run_edit
-from .options.dream import DreamOptions
+from .options import DreamOptions
 
 _PRESETS = {
     "paper": Preset(1000, 5e-5, 1e-2, 0.0, (-10.0, 30.0), 2.5, None, "mesh", True),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -10,22 +11,27 @@ import torch
 
 from .. import validate
 from ..features import FeatureNetwork, load_features
-from ..io import load_mesh, save_image
+from ..io import load_mesh, save_animation, save_image
+from ..io.atomic_write import write_file
 from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
+from ..pictures.curve import curve
 from ..tasks.editing import DreamWeights, MeshEdit, RandomViews, StyleWeights
 from ..tasks.editing.edit import Objective
-from ..tasks.editing.edit_pictures import preview
+from ..tasks.editing.edit_pictures import preview, six_views, turn
 from ..tasks.editing.paint import check_cubes, check_images
-from .common import check_counts, check_outputs, choose_device
-from .options.edit import EditOptions
-from .reports.edit import RESULTS, report_edit, write_results
+from ..version import __version__
+from .common import check_counts, check_outputs, choose_device, say, say_finished
+from .options import EditOptions
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching
 
 _MAY_DIFFER = ("output", "iterations", "preview", "turntable", "allow_outside", "resume", "force", "device", "watch")
 """Options that may differ when an edit is resumed."""
+_PICTURES, _TURNTABLES = ("preview.png", "views.png", "loss.png"), ("turntable.mp4", "turntable.gif")
+RESULTS = ("mesh.obj", "mesh.glb", *_PICTURES, *_TURNTABLES, "report.json")
+"""Files that a run writes."""
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
 
@@ -50,16 +56,7 @@ class Preset:
 
 
 def check_options(options: EditOptions, *inputs: Path) -> None:
-    """Check options before anything is read or downloaded.
-
-    Args:
-        options: The options.
-        *inputs: Input files besides the mesh and the weights.
-
-    Raises:
-        ValueError: An option is out of range, or an output file is an input.
-        FileExistsError: An output file belongs to another program, and --force is not given.
-    """
+    """Check options, with input files besides the mesh and the weights, before anything is read or downloaded."""
     check_counts(options, batch=1, size=32, texture_size=1, preview=1, turntable=0, seed=0, iterations=1, uv=16)
     check_outputs([options.output / name for name in RESULTS], [options.mesh, options.weights, *inputs])
     if not options.force:
@@ -103,18 +100,14 @@ def run_edit(
     preset: Preset,
     weights: StyleWeights | DreamWeights,
 ) -> int:
-    """Edit a mesh, and write results and report.
+    """Edit a mesh, and write results and report; return the exit code: 0, or 130 after Ctrl-C.
 
     Args:
         options: The options of the command.
-        mesh: The mesh.
-        colored: Whether the mesh has colours; see `load_initial_mesh`.
+        mesh, colored: As from `load_initial_mesh`.
         objective: The objective.
         preset: Default values of options.
         weights: Loss weights of the objective, for the report.
-
-    Returns:
-        The exit code: 0, or 130 after Ctrl-C.
     """
     chosen = preset.fill(options)
     if chosen["init"] == "mesh" and not colored:
@@ -152,7 +145,45 @@ def run_edit(
         )
         with validate.called(steps="--iterations"):
             finished = runner.run(options.resume)
-        write_results(options, edit, mesh, runner.history)
-        report_edit(options.output, edit, runner, mesh, settings, finished)
+        _write(options, edit, mesh, runner, settings)
         stay(viewer, finished or runner.stopped)
     return 0 if finished or runner.stopped else 130
+
+
+def _write(
+    options: EditOptions, edit: MeshEdit, before: Mesh | UVMesh, runner: TaskRunner, settings: dict[str, Any]
+) -> None:
+    """Write the edited mesh, pictures of it and ``report.json``, and print a summary."""
+    folder, mesh, history = options.output, edit.mesh(), runner.history
+    mesh.save(folder / "mesh.obj", overwrite=options.force)
+    mesh.save(folder / "mesh.glb")
+    save_image(folder / "views.png", six_views(before, mesh))
+    if options.turntable:
+        pictures = turn(mesh, options.turntable)
+        for name in _TURNTABLES:
+            save_animation(folder / name, pictures, fps=15)
+    main = next(name for name in history[-1] if name not in ("phase", "loss")) if history else "loss"
+    save_image(folder / "loss.png", curve(history, main, "loss", logarithmic=main == "style"))
+    after, moved = edit.measure(), edit.displacement()
+    total = max(sum(edit.seconds.values()), 1e-9)
+    report = {
+        "version": __version__,
+        "finished": edit.done,
+        "steps": edit.step,
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "inputs": {
+            name: str(settings[name].resolve()) for name in ("mesh", "painting") if settings.get(name) is not None
+        },
+        "settings": settings,
+        "held_out": {"before": edit.before, "after": after},
+        "moved": moved,
+        "seconds": round(runner.seconds, 1),
+        "share_of_time": {name: round(part / total, 4) for name, part in edit.seconds.items()},
+        "changes": runner.changes,
+        "history": history,
+    }
+    write_file(folder / "report.json", json.dumps(report, indent=1, default=str) + "\n")
+    change = f"{edit.before:.4g} → {after:.4g} on held-out views, mean displacement {moved['mean']:.2%}"
+    say(f"[bold]{change}[/bold] of the mesh's longest side", markup=True)
+    say_finished(runner.seconds, folder, None if edit.done else edit.step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import zlib
 from collections.abc import Callable
@@ -12,16 +13,20 @@ from typing import TYPE_CHECKING, Any, Literal
 from torch import Tensor
 
 from ..camera.files import CameraFile, find_camera_file, read_camera_file
-from ..io import save_image
+from ..camera.files.opencv import save_cameras
+from ..io import save_animation, save_image
+from ..io.atomic_write import write_file
 from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
-from ..meshes.unwrapping.charts import load_xatlas
-from ..meshes.unwrapping.unwrap import LEAST_SIZE, MOST_SIZE
+from ..meshes.unwrap import LEAST_SIZE, MOST_SIZE, load_xatlas, unwrap
+from ..pictures.curve import curve
+from ..pictures.photograph import turntable
 from ..tasks.fit import (
     CameraFit,
     CameraSettings,
     DescentSettings,
     DetailSettings,
+    FitResult,
     MapFormat,
     MaskRule,
     MeshFit,
@@ -33,12 +38,12 @@ from ..tasks.fit import (
     load_views,
 )
 from ..tasks.fit.agreement import REFINED_MARGIN
-from ..tasks.fit.fit_pictures import comparison, up_axis
+from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import list_images
 from ..tasks.fit.result import Verdict, judge
-from .common import check_counts, check_most, check_outputs, choose_device, make_folder, say
-from .options.fit import FitOptions
-from .reports.fit import CAMERAS, RESULTS, report_camera, report_mesh, write_cameras, write_mesh
+from ..version import __version__
+from .common import check_counts, check_most, check_outputs, choose_device, make_folder, say, say_finished
+from .options import FitOptions
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching
 
@@ -50,6 +55,25 @@ _MAY_DIFFER = (
     *("allow_outside", "resume", "force", "device", "watch"),
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
+_TURNTABLE_SIZE = 256  # side of the pictures in pixels
+_NAMES = {
+    "fitted": "fitted",
+    "held_out": "held-out",
+    "held_out_located": "held-out (with cameras located on the result)",
+    "held_out_exposed": "held-out (with exposure matched to the result)",
+}
+_CAMERAS = "cameras.json"
+_RESULTS = (
+    "mesh.obj",
+    "mesh.glb",
+    "preview.png",
+    "comparison.png",
+    "loss.png",
+    "turntable.gif",
+    "report.json",
+    _CAMERAS,
+)
+"""Files that a fit may write."""
 _PREVIEW_COLUMNS = 4
 _MOST_CELLS = 512
 _EXIT_CODES: dict[Verdict, int] = {"match": 0, "mismatch": 3}
@@ -82,7 +106,7 @@ def run(options: FitOptions) -> int:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
     if options.recover != "camera" and not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
-    outputs = [options.output / name for name in (*RESULTS, *[CAMERAS] * options.refine_cameras)]
+    outputs = [options.output / name for name in _RESULTS]
     if options.recover == "camera" and options.mesh is not None:
         check_outputs(outputs, [options.images, options.mesh])
         return _fit_camera(options, options.mesh)
@@ -152,11 +176,11 @@ def _run_mesh_fit(
     images = fitted.masks, fitted.photos, fitted.normals, fitted.depth, *camera
     runner = _runner(options, fit, images, lambda: (fit.views, fit.shape), viewer, fit.mesh)
     finished = runner.run(options.resume)
-    write_mesh(options, fit, fitted)
+    _write_mesh(options, fit, fitted)
     if options.refine_cameras:
-        write_cameras(options, fit, names)
+        _write_cameras(options, fit, names)
     result = fit.result(held_out)
-    report_mesh(options, runner, fit, result, finished, names)
+    _report_mesh(options, runner, fit, result, finished, names)
     stay(viewer, finished or runner.stopped)
     return _exit_code(finished or runner.stopped, result.verdict, result.advice)
 
@@ -195,7 +219,7 @@ def _fit_camera(options: FitOptions, file: Path) -> int:
         views, known = state()
         if viewer is not None:
             viewer.show_cameras(views.camera, views.photos, views.masks)
-        report_camera(options, runner, fit, views, known, finished)
+        _report_camera(options, runner, fit, views, known, finished)
         stay(viewer, finished or runner.stopped)
     _, verdict, advice = judge(views.quality(shape[:2])["iou"])
     return _exit_code(finished or runner.stopped, verdict, advice)
@@ -228,15 +252,9 @@ def _runner(
     viewer: Viewer | None,
     mesh: Callable[[], Any],
 ) -> TaskRunner:
-    """Make the runner of a fit.
+    """Make the runner of a fit, identified by the values of the tensors among ``images``.
 
-    Args:
-        options: The options of the command.
-        fit: The fit.
-        images: Tensors that identify the fit by their values. Other values are ignored.
-        state: Returns the views and the shape for previews.
-        viewer: Shows the fit, or None.
-        mesh: Makes the mesh to show.
+    ``state`` returns the views and the shape for previews, ``mesh`` the mesh to show.
     """
     settings = {name: setting_value(value) for name, value in asdict(options).items() if name not in _MAY_DIFFER}
     settings["images"] = f"#{_checksum(images):08x}"
@@ -268,3 +286,88 @@ def _split(count: int, every: int) -> tuple[list[int], list[int]]:
     if not rows:
         raise ValueError(f"--held-out: expected at most {count}, the number of views, got {every}")
     return [index for index in range(count) if index not in rows], rows
+
+
+def _write_mesh(options: FitOptions, fit: MeshFit, views: Views) -> None:
+    """Write a fitted mesh and pictures of it; ``views`` are in the world of the mesh."""
+    folder, mesh = options.output, fit.mesh()
+    written = unwrap(mesh, options.unwrap) if options.unwrap else mesh
+    written.save(folder / "mesh.obj", overwrite=options.force)
+    written.save(folder / "mesh.glb")
+    save_image(folder / "comparison.png", comparison(fit.views, fit.shape))
+    if options.turntable:
+        pictures = turntable(upright(mesh, views, options.up), options.turntable, size=_TURNTABLE_SIZE)
+        save_animation(folder / "turntable.gif", pictures, fps=15)
+
+
+def _write_cameras(options: FitOptions, fit: MeshFit, names: list[str]) -> None:
+    """Write the refined cameras of the images with these names, but parallel and fisheye ones."""
+    camera = fit.cameras()
+    if camera.perspective and not camera.is_fisheye:
+        save_cameras(options.output / _CAMERAS, camera, names, fit.views.size)
+
+
+def _report_mesh(
+    options: FitOptions, runner: TaskRunner, fit: MeshFit, result: FitResult, finished: bool, names: list[str]
+) -> None:
+    """Write the figures of a fit of the images with these names to ``report.json``, and print a summary."""
+    mesh, gains = result.mesh, fit.views.gains
+    results: dict[str, Any] = {"views": len(fit.views), "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    if gains is not None:
+        rows = [[round(gain, 4) for gain in row] for row in gains.tolist()]
+        results["gains"] = dict(zip(names, rows, strict=True))
+    for name in _NAMES:
+        if figures := getattr(result, name):
+            results[name] = {
+                measure: {"mean": round(values.mean().item(), 4), "least": round(values.min().item(), 4)}
+                for measure, values in figures.items()
+            }
+    _report(options, runner, results, finished)
+
+
+def _report_camera(
+    options: FitOptions, runner: TaskRunner, fit: CameraFit, views: Views, shape: tuple[Tensor, ...], finished: bool
+) -> None:
+    """Write a picture and the report of a fitted camera, and print a summary; ``shape`` is the known mesh."""
+    save_image(options.output / "comparison.png", comparison(views, shape))
+    eye, forward = views.eyes()
+    results = {
+        "camera": {
+            "eye": eye[0].tolist(),
+            "direction": forward[0].tolist(),
+            "up": views.camera.rotation[0, 1].tolist(),
+            "viewing_angle": options.viewing_angle,
+        },
+        "fitted": {"iou": {"mean": round(views.quality(shape[:2])["iou"].item(), 4)}},
+        "starts": [round(value, 4) for value in fit.losses().tolist()],
+    }
+    _report(options, runner, results, finished)
+
+
+def _report(options: FitOptions, runner: TaskRunner, results: dict[str, Any], finished: bool) -> None:
+    """Write ``report.json`` and the curve of the losses, and print a summary."""
+    report = {
+        "version": __version__,
+        "recover": options.recover,
+        "inputs": {
+            "images": str(options.images.resolve()),
+            "mesh": None if options.mesh is None else str(options.mesh.resolve()),
+            "photos": options.photos,
+            "maps": options.maps,
+            "background": options.background,
+        },
+        "gradient": options.gradient,
+        "finished": finished,
+        "seconds": round(runner.seconds, 1),
+        **results,
+        "changes": runner.changes,
+        "history": runner.history,
+    }
+    write_file(options.output / "report.json", json.dumps(report, indent=1) + "\n")
+    if runner.history:
+        save_image(options.output / "loss.png", curve(runner.history, "loss", "iou"))
+    for name in _NAMES:
+        if name in results:
+            numbers = ", ".join(f"{measure} {value['mean']:.4f}" for measure, value in results[name].items())
+            say(f"{_NAMES[name]} views: [bold]{numbers}[/bold]", markup=True)
+    say_finished(runner.seconds, options.output, None if finished else len(runner.history))

@@ -16,7 +16,7 @@ from ..meshes.primitives import icosphere
 from ..raster import rasterize_images, vertices_to_faces
 from ..raster.reference.operators import coverage_reference, nmr_gradient_reference
 from ..version import __version__
-from .options.info import InfoOptions
+from .options import InfoOptions
 
 # Two test cases of the first package. Each has the corners (x, y) of a triangle, a pixel (row, column) of its 64 × 64
 # silhouette, the target of the loss |I − target| at this pixel, and the gradient of the loss in the corners.

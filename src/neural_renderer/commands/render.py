@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from .. import deferred
 from ..camera import Camera, get_points_from_angles
 from ..camera.files.load import load_cameras
 from ..io import load_image, load_mesh, save_animation, save_image
+from ..io.values import VALUE_SUFFIXES, open_exr, save_output
 from ..meshes.batch import join
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
@@ -26,20 +27,20 @@ from ..raster.settings import image_size
 from ..rendering import render
 from ..shading.environments.light import EnvironmentLight
 from ..shading.lights import Light
-from .common import check_counts, check_outputs, choose_device, say
-from .options.render import RenderOptions
-from .render_outputs import check_saved, save_outputs
+from .common import check_between, check_counts, check_outputs, choose_device, say
+from .options import RenderOptions
 
 _LAMP = (-0.4, 0.6, 0.7)  # right, up, backward; more frontal than `pictures.lamp.LAMP`: no visible face is dark
 _AMBIENT, _DIRECTIONAL = 0.4, 0.65
 _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours
 _MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the picture
-_SIZE = 512  # of pictures by default
+_SIZE = 512  # side of pictures by default
 _PLANES = 0.05  # distance of the near and far planes from the mesh, in its extent in depth
-_FRAMES = 60  # of a turntable by default
+_FRAMES = 60  # pictures of a turntable by default
 _DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
 _PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
+_PICTURES_OF = {"rgb": _PICTURES, "alpha": _PICTURES, "depth": (".png",), "normal": (".png",), "barycentric": (".png",)}
 
 
 def run(options: RenderOptions) -> int:
@@ -65,7 +66,7 @@ def run(options: RenderOptions) -> int:
     if options.save:
         near, far = _planes(options, mesh, cameras)
         look = _look(options, cameras, size, background, surroundings)
-        save_outputs(options, mesh, cameras, size, **look, near=near, far=far)
+        _save_outputs(options, mesh, cameras, size, **look, near=near, far=far)
     for path in outputs:
         say(str(path))
     return 0
@@ -106,21 +107,21 @@ def _check(options: RenderOptions) -> None:
         raise ValueError("--turntable: expected a turntable or --camera, got both")
     if options.save and suffix in _ANIMATIONS:
         raise ValueError(f"--save: expected a picture beside it, got the animation {name!r}")
-    check_saved(options.save)
+    _check_saved(options.save)
     if options.layers is not None and options.texture_size is not None:
         raise ValueError("--layers: expected the materials of the file, without --texture-size")
     if options.layers is not None and options.mode != "rgb":
         raise ValueError(f"--layers: expected --mode rgb, got {options.mode}")
     if options.size is not None:
         image_size("size", options.size)
-    _check_between("fps", options.fps, 0, math.inf)
-    _check_between("depth-scale", options.depth_scale, 0, math.inf)
-    _check_between("viewing-angle", options.viewing_angle, 0, 90)
-    _check_between("elevation", options.elevation, -90, 90)
+    check_between("fps", options.fps, 0, math.inf)
+    check_between("depth-scale", options.depth_scale, 0, math.inf)
+    check_between("viewing-angle", options.viewing_angle, 0, 90)
+    check_between("elevation", options.elevation, -90, 90)
     if not math.isfinite(options.azimuth):
         raise ValueError(f"--azimuth: expected a finite number of degrees, got {options.azimuth}")
     if options.distance is not None:
-        _check_between("distance", options.distance, 0, math.inf)
+        check_between("distance", options.distance, 0, math.inf)
     if options.background is not None and options.mode in ("silhouettes", "depth"):
         raise ValueError(f"--background: expected --mode rgb or normals, got {options.mode} (always on black)")
     if options.background == "transparent" and suffix != ".png":
@@ -131,13 +132,6 @@ def _check(options: RenderOptions) -> None:
         raise ValueError("--background environment: expected --environment with an image, got none")
     if isinstance(options.background, tuple) and not all(0 <= value <= 1 for value in options.background):
         raise ValueError(f"--background: expected three numbers from 0 to 1, got {options.background}")
-
-
-def _check_between(name: str, value: float, low: float, high: float) -> None:
-    """Raise ValueError if an option is not above ``low`` and below ``high``."""
-    if not low < value < high:
-        limit = f" and below {high}" if math.isfinite(high) else ""
-        raise ValueError(f"--{name}: expected a number above {low}{limit}, got {value}")
 
 
 def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, tuple[int, int]]:
@@ -223,19 +217,7 @@ def draw(
     background: Any,
     surroundings: EnvironmentLight | None = None,
 ) -> Tensor:
-    """Draw one view.
-
-    Args:
-        options: The options of the command.
-        mesh: The mesh.
-        camera: One camera.
-        size: Height and width in pixels.
-        background: As in `render`.
-        surroundings: The environment, or None.
-
-    Returns:
-        [3, H, W] in [0, 1]; [4, H, W] with a transparent background; [H, W] for silhouettes and depth.
-    """
+    """Draw one view: [3, H, W] in [0, 1]; [4, H, W] with a transparent background; [H, W] for silhouettes and depth."""
     near, far = _planes(options, mesh, camera)
     if options.mode in ("silhouettes", "depth"):
         shape = mesh.vertices, mesh.faces
@@ -255,12 +237,7 @@ def draw(
 
 
 def _draw_normals(
-    mesh: Mesh | UVMesh,
-    camera: Camera,
-    size: tuple[int, int],
-    background: Any,
-    near: float,
-    far: float,
+    mesh: Mesh | UVMesh, camera: Camera, size: tuple[int, int], background: Any, near: float, far: float
 ) -> tuple[Tensor, Tensor]:
     """Draw normals in camera space as colours [3, H, W], and the silhouette [H, W]."""
     fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size, near=near, far=far)
@@ -280,3 +257,36 @@ def _shade_depth(depth: Tensor, alpha: Tensor, far: float) -> Tensor:
     low, high = own[covered].min(), own[covered].max()
     grey = 1 - _DEPTH_CONTRAST * (own - low) / (high - low).clamp(min=1e-6)
     return torch.where(covered, grey * alpha, 0.0)
+
+
+def _check_saved(save: Sequence[tuple[str, Path]]) -> None:
+    """Raise ValueError for files whose suffix does not fit the output, ModuleNotFoundError if a writer is missing."""
+    for name, path in save:
+        suffixes = (*_PICTURES_OF.get(name, ()), *VALUE_SUFFIXES)
+        if path.suffix.lower() not in suffixes:
+            raise ValueError(f"--save {name}: expected a name that ends in {', '.join(suffixes)}, got {path.name!r}")
+        if path.suffix.lower() == ".exr":
+            open_exr(path)
+
+
+@torch.no_grad()
+def _save_outputs(options: RenderOptions, mesh: Any, camera: Camera, size: tuple[int, int], **scene: Any) -> None:
+    """Draw the outputs of ``--save`` from one camera, with the other arguments of `render`, and write them."""
+    names = dict(options.save)  # each once
+    smooth = [name for name in names if name in ("rgb", "alpha")]
+    plain = [name for name in names if name not in smooth]
+    images: dict[str, Any] = {}
+    if smooth:
+        drawn = render(mesh, camera, size, outputs=smooth, **scene)
+        images |= {name: getattr(drawn, name)[0] for name in smooth}
+    if plain:
+        geometry = {name: scene[name] for name in ("near", "far")}
+        drawn = render(
+            mesh, camera, size, outputs=(*plain, "alpha"), anti_aliasing=False, shading="smooth", light=None, **geometry
+        )
+        images |= {name: getattr(drawn, name)[0] for name in plain}
+        if "depth" in images:
+            images["depth"] = images["depth"] * drawn.alpha[0]  # 0 in place of the far plane
+    for name, path in options.save:
+        image = images[name].cpu()
+        save_output(path, (image.movedim(0, 2) if image.dim() == 3 else image).numpy(), name, options.depth_scale)

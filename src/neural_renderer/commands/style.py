@@ -7,7 +7,7 @@ from ..io.files import warn
 from ..tasks.editing import PUBLISHED_STYLE, Style, StyleWeights
 from .common import choose_device, make_folder
 from .edit import Preset, check_options, load_initial_mesh, load_network, loss_weights, run_edit
-from .options.style import StyleOptions
+from .options import StyleOptions
 
 _PRESETS = {
     "paper": Preset(5000, 2.5e-4, 5e-2, 0.3, (20.0, 40.0), 2.732, (0.75, 0.5), "mesh", True),

@@ -19,7 +19,7 @@ from ..tasks.observer import Knob, Observer, goes_on
 from ..version import __version__
 from .common import interruption, say
 
-_SECONDS = 4.0  # between two previews and checkpoints, unless their number of steps is given
+_SECONDS = 4.0  # seconds between two previews and checkpoints, unless a number of steps is given
 
 
 class Task(Protocol):

@@ -9,7 +9,7 @@ from ..viewer.records.replay import Record
 from ..viewer.results import Results, read_results
 from ..viewer.viewer import Viewer
 from .common import check_outputs, say
-from .options.view import ViewOptions
+from .options import ViewOptions
 
 
 def run(options: ViewOptions) -> int:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ..tasks.observer import Knob, Observer
 from .common import say
-from .options.watch import WatchOptions
+from .options import WatchOptions
 
 if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
@@ -16,17 +15,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def watching(options: WatchOptions) -> Iterator[Viewer | None]:
-    """Open a viewer if the options ask for one, and close it at the end, with a sentence about the record.
-
-    Args:
-        options: The options of the command.
-
-    Yields:
-        The viewer, or None.
-
-    Raises:
-        As `Viewer`.
-    """
+    """Open a viewer if the options ask for one, and close it at the end, with a sentence about the record."""
     if not options.view and options.record is None:
         yield None
         return
@@ -49,44 +38,8 @@ def watching(options: WatchOptions) -> Iterator[Viewer | None]:
             say(text)
 
 
-class Renamed:
-    """An observer that shows the mesh of a task under a name of its own, beside those of earlier tasks."""
-
-    def __init__(self, observer: Observer, name: str) -> None:
-        self._observer, self._name = observer, name
-
-    @property
-    def paused(self) -> bool:
-        """Whether the task is to wait."""
-        return self._observer.paused
-
-    @property
-    def stopped(self) -> bool:
-        """Whether the task is to end."""
-        return self._observer.stopped
-
-    def observe(
-        self, phase: str, step: int, steps: int, numbers: Mapping[str, float], mesh: Callable[[], Any], /
-    ) -> None:
-        """See a step."""
-        self._observer.observe(f"{self._name}: {phase}", step, steps, numbers, lambda: {self._name: mesh()})
-
-    def offer(self, knobs: Sequence[Knob], /) -> None:
-        """Learn which settings may change."""
-        self._observer.offer(knobs)
-
-    def changes(self) -> dict[str, float | str]:
-        """Return the settings that were changed."""
-        return self._observer.changes()
-
-
 def stay(viewer: Viewer | None, wanted: bool) -> None:
-    """Keep a viewer open after the run, while a browser shows its page, until Ctrl-C.
-
-    Args:
-        viewer: The viewer, or None.
-        wanted: False after Ctrl-C, which ends the viewer, too.
-    """
+    """Keep a viewer open after the run, while a browser shows its page, until Ctrl-C; not after Ctrl-C in the run."""
     if viewer is None:
         return
     viewer.finish("**done**" if wanted else "**interrupted**")

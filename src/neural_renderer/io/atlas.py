@@ -16,21 +16,19 @@ _LARGEST = 8192  # pixels: all viewers and GPUs accept textures of this width
 _GOOD_WIDTH = 1024  # pixels: tiles grow as long as the picture stays this narrow
 _LEAST_SPAN, _MOST_SPAN = 12, 48  # pixels of n, unless the picture would be wider than `_LARGEST`
 _BORDER = 3  # pixels of a tile besides n
-_COLOR_BITS = 5  # of each channel, in the order of tiles
+_COLOR_BITS = 5  # bits of each channel that decide the order of tiles
 _TRIANGLE = np.array([[0, 0], [0, 1], [1, 1]])  # (x, y down) of the corners in units of n
 
 
 def build_atlas(textures: np.ndarray, tile: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Draw the texture cubes of a mesh into one image.
+    """Draw the texture cubes of a mesh, [F, T, T, T, 3] float32 in [0, 1], into one image.
 
-    Args:
-        textures: [F, T, T, T, 3] float32 in [0, 1].
-        tile: Width of a tile in pixels, ≥ 4. None chooses about 15; up to 50 if the picture is at most 1024 wide; fewer
-            for meshes of more than 290,000 faces, because the picture would be wider than 8192.
+    A tile is ``tile`` ≥ 4 pixels wide; None chooses about 15, up to 50 if the picture is at most 1024 wide, and fewer
+    for meshes of more than 290,000 faces, because the picture would be wider than 8192.
 
     Returns:
-        The picture, [H, W, 3] uint8, row 0 at the top, and the pixel positions of the faces' corners, [F, 3, 2] float64
-        (x right, y down; pixel 0 has its centre at 0).
+        The picture, [H, W, 3] uint8, row 0 at the top, and the pixel positions of the faces' corners, [F, 3, 2]
+        float64 (x right, y down; pixel 0 has its centre at 0).
 
     Raises:
         ValueError: The mesh has too many faces.

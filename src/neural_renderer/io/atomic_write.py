@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-_PREFIX = ".neural_renderer-"  # of temporary folders
+_PREFIX = ".neural_renderer-"  # beginning of the names of temporary folders
 _LONGEST_REASON = 120  # characters
 
 

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from .. import validate
 
-WRAPPINGS = ("REPEAT", "MIRRORED_REPEAT", "CLAMP_TO_EDGE", "CLAMP_TO_BORDER")
 _MOST_BYTES = 8 * 2**30
 _SAMPLES_AT_ONCE = 2**20
 _BORDER = 1e-5  # texture coordinates this close to 0 or 1 count as 0 or 1, because files and sums are rounded
@@ -41,15 +40,7 @@ def check_size(faces: int, size: int) -> None:
 
 
 def bake_corners(values: Tensor, size: int) -> Tensor:
-    """Bake values at the corners of faces into texture cubes that interpolate them; differentiable.
-
-    Args:
-        values: [F, 3 corners, C] floating, such as colours.
-        size: T, texels along a cube's edge.
-
-    Returns:
-        [F, T, T, T, C], of the same dtype.
-    """
+    """Bake values [F, 3 corners, C] into texture cubes [F, T, T, T, C] that interpolate them; differentiable."""
     weights = torch.from_numpy(barycentric_grid(size)).to(values)
     return torch.einsum("gk,fkc->fgc", weights, values).reshape(len(values), size, size, size, values.shape[2])
 
@@ -58,7 +49,7 @@ def bake_image(
     image: np.ndarray,
     uv: np.ndarray,
     size: int,
-    wrapping: str | tuple[str, str] = "REPEAT",
+    wrap: str | tuple[str, str] = "repeat",
     bilinear: bool = True,
     pixel_centers: bool = False,
 ) -> np.ndarray:
@@ -69,9 +60,8 @@ def bake_image(
         uv: [N, 3, 2] float64, finite, texture coordinates of the faces' corners: u to the right, v **up**, the image
             over [0, 1]².
         size: T, texels along a cube's edge.
-        wrapping: Wrapping outside [0, 1], one of `WRAPPINGS`, or a pair of them for u and v. ``"CLAMP_TO_BORDER"``
-            gives black, and is no part of a pair. With ``"REPEAT"``, exactly 1 is the far border of the image, unless
-            the face begins there.
+        wrap: Wrapping outside [0, 1]: "repeat", "mirror", "clamp", or a pair of them for u and v; or "border", which is
+            black. With "repeat", exactly 1 is the far border of the image, unless the face begins there.
         bilinear: Interpolate between the four nearest pixels; otherwise take the nearest one.
         pixel_centers: Whether u = 0 and 1 are the borders of the image, as in glTF and OpenGL. Otherwise they are the
             centres of the outermost pixels, as the first packages read OBJ files.
@@ -79,7 +69,7 @@ def bake_image(
     Returns:
         [N, T, T, T, 3] float32.
     """
-    repeat = _axes(wrapping, "REPEAT")
+    repeat = _axes(wrap, "repeat")
     if repeat.any():
         # Shift faces outside by whole images, so that they start in the first one and may end exactly at 1.
         low, high = uv.min(axis=1, keepdims=True), uv.max(axis=1, keepdims=True)
@@ -89,22 +79,22 @@ def bake_image(
     step = max(1, _SAMPLES_AT_ONCE // len(grid))
     for start in range(0, len(uv), step):
         samples = np.einsum("gk,nkc->ngc", grid, uv[start : start + step])
-        cubes[start : start + step] = _sample(image, samples, wrapping, bilinear, pixel_centers)
+        cubes[start : start + step] = _sample(image, samples, wrap, bilinear, pixel_centers)
     return cubes.reshape(-1, size, size, size, 3)
 
 
-def _axes(wrapping: str | tuple[str, str], mode: str) -> np.ndarray:
+def _axes(wrap: str | tuple[str, str], mode: str) -> np.ndarray:
     """Test for u and v whether they wrap in a mode, [2] bool."""
-    return np.array([one == mode for one in ((wrapping, wrapping) if isinstance(wrapping, str) else wrapping)])
+    return np.array([one == mode for one in ((wrap, wrap) if isinstance(wrap, str) else wrap)])
 
 
 def _sample(
-    image: np.ndarray, uv: np.ndarray, wrapping: str | tuple[str, str], bilinear: bool, pixel_centers: bool
+    image: np.ndarray, uv: np.ndarray, wrap: str | tuple[str, str], bilinear: bool, pixel_centers: bool
 ) -> np.ndarray:
     """Sample an image at texture coordinates [..., 2]; arguments as `bake_image`. Returns [..., 3]."""
     height, width = image.shape[:2]
     outside = (uv < -_BORDER) | (uv > 1 + _BORDER)
-    repeat, mirror = _axes(wrapping, "REPEAT"), _axes(wrapping, "MIRRORED_REPEAT")
+    repeat, mirror = _axes(wrap, "repeat"), _axes(wrap, "mirror")
     if repeat.any():
         uv = np.where(repeat & outside, uv - np.floor(uv), uv)
     if mirror.any():
@@ -123,7 +113,7 @@ def _sample(
         colors = upper * (1 - down) + (image[bottom, left] * (1 - along) + image[bottom, right] * along) * down
     else:
         colors = image[(y + 0.5).astype(np.int64), (x + 0.5).astype(np.int64)]
-    if wrapping == "CLAMP_TO_BORDER":
+    if wrap == "border":
         colors = np.where(outside.any(axis=-1, keepdims=True), np.float32(0), colors)
     return colors
 

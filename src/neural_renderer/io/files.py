@@ -104,10 +104,16 @@ def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.n
     return vertices.float().numpy(), faces.long().numpy(), textures
 
 
-def _on_host(name: str, value: Any) -> Any:
-    """Convert an array or a tensor to a detached tensor on the CPU; return other values unchanged."""
+def as_tensor(value: Any) -> Any:
+    """Convert an array to a tensor; return other values unchanged."""
     if isinstance(value, np.ndarray):
         value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
+    return value
+
+
+def _on_host(name: str, value: Any) -> Any:
+    """Convert an array or a tensor to a detached tensor on the CPU; return other values unchanged."""
+    value = as_tensor(value)
     return validate.has_numbers(name, value).detach().cpu().resolve_neg() if isinstance(value, Tensor) else value
 
 

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from .cubes import check_size
 from .files import existing, fits_float32, read_bytes, reason, short, warn
-from .gltf.container import prepared
+from .gltf.reader import prepared
 from .named_files import find_file
 from .obj import obj_surface_colors
 from .obj.parse import read_obj
@@ -79,11 +79,7 @@ def load_mesh(
 def read_mesh(
     path: str | os.PathLike[str], allow_outside: bool = False, materials: bool = False
 ) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None, bool]:
-    """Read a mesh file without baking; arguments and errors as `load_mesh`.
-
-    Args:
-        path, allow_outside: As in `load_mesh`.
-        materials: Read materials, normals and second texture coordinates, too.
+    """Read a mesh file without baking, as `load_mesh`; with ``materials``, also materials, normals and uv1.
 
     Returns:
         Vertices [V, 3] float64, faces [F, 3] int64, surface colours or None, and ``pixel_centers`` of `bake_image`.

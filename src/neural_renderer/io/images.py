@@ -24,7 +24,7 @@ from .files import existing, reason
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
-_MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535}  # along a side
+_MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535}  # pixels of a side
 _JPEG_QUALITY = 95
 _MP4_QUALITY = "10"  # constant rate factor of H.264: 0 is lossless, 51 the worst
 
@@ -59,16 +59,9 @@ def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor
 
 
 def unpack(where: str, file: Image.Image, *, upright: bool = False, transparency: bool = True) -> np.ndarray:
-    """Decode an open image to the array of `load_image`.
+    """Decode an open image to the array of `load_image`; messages call it ``where``.
 
-    Args:
-        where: Name of the image, for messages.
-        file: Image.
-        upright: As in `load_image`.
-        transparency: Whether to keep an alpha channel.
-
-    Raises:
-        ValueError: The image is damaged or too large.
+    Without ``transparency``, an alpha channel is dropped. Raises ValueError if the image is damaged or too large.
     """
     if file.format == "EPS":  # Pillow would run another program to draw it
         raise ValueError(f"{where}: expected a picture of pixels, got PostScript")

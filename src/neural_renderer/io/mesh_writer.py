@@ -106,7 +106,7 @@ def _parts(surface: SurfaceColors) -> list[Part]:
         colors = surface.colors[faces].clip(0, 1)
         if image >= 0:
             pixels = as_bytes(surface.images[image])
-            clamp = surface.wrapping[image] == "CLAMP_TO_EDGE"
+            clamp = surface.wraps[image] in ("clamp", ("clamp", "clamp"))
             part = _part(faces, surface.uv[faces], pixels, clamp)
         elif material and (colors == colors[0, 0]).all():
             red, green, blue = colors[0, 0].tolist()

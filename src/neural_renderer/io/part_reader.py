@@ -8,18 +8,15 @@ import numpy as np
 from PIL import Image
 
 from .files import fits_float32
-from .gltf.container import KEPT
-from .gltf.materials import GltfMaterial
+from .gltf.reader import KEPT, GltfMaterial
 from .images import unpack
-from .surface_colors import SurfaceColors
+from .surface_colors import SurfaceColors, linear_to_srgb, srgb_to_linear
 
 
 class PartReader:
-    """Reader of the surface colours and materials of the parts of a file.
+    """Reader of the surface colours of the parts of a file, and with ``materials`` of materials, normals and uv1.
 
-    Args:
-        tree: JSON of a glTF file; empty for other formats.
-        materials: Whether to read materials, normals and second texture coordinates.
+    ``tree`` is the JSON of a glTF file; empty for other formats.
     """
 
     def __init__(self, tree: dict[str, Any], materials: bool) -> None:
@@ -30,13 +27,9 @@ class PartReader:
     def surface_colors(
         self, part: Any, corners: np.ndarray, order: list[int], matrix: np.ndarray
     ) -> SurfaceColors | None:
-        """Collect the colours of one part, or None if it has none.
+        """Collect the colours of one part, a mesh of trimesh with faces ``corners`` [F, 3], or None if it has none.
 
-        Args:
-            part: Mesh of trimesh.
-            corners: [F, 3] int64, its faces.
-            order: Order of the corners in the result.
-            matrix: [3, 3], linear part of its transform.
+        The corners of each face are put into ``order``; ``matrix`` [3, 3] is the linear part of the transform.
         """
         surface = SurfaceColors.plain(len(corners), 1.0)
         own = corners[:, order]
@@ -51,13 +44,14 @@ class PartReader:
 
     def _paint(self, surface: SurfaceColors, part: Any, corners: np.ndarray) -> GltfMaterial | bool | None:
         """Set colours and images. Returns the part's material if it has one, else whether it has colours, or None."""
-        visual, linear = part.visual, bool(self.tree)
+        visual = part.visual
+        srgb = linear_to_srgb if self.tree else np.asarray  # glTF has linear colours
         kind = visual.kind if visual is not None and visual.defined else None
         if kind == "vertex":
-            surface.colors[:] = _srgb(visual.vertex_colors[:, :3] / 255, linear)[corners]
+            surface.colors[:] = srgb(visual.vertex_colors[:, :3] / 255)[corners]
             return True
         if kind == "face":
-            surface.colors[:] = _srgb(visual.face_colors[:, :3] / 255, linear)[:, None]
+            surface.colors[:] = srgb(visual.face_colors[:, :3] / 255)[:, None]
             return True
         if kind != "texture":
             return None
@@ -75,17 +69,18 @@ class PartReader:
             uv = uv if slot is None else slot.base.transformed(np.asarray(uv, dtype=np.float64))
             surface.uv[:] = np.where(fits_float32(uv), uv, 0)[corners]
         if image is not None and uv is not None:
-            wrapping = "REPEAT" if slot is None else _wrapping(slot.base.wrap)
-            surface.paint(np.arange(len(corners)), self._image(image, 3, factor), surface.uv.copy(), wrapping)
+            u, v = ("repeat", "repeat") if slot is None else slot.base.wrap
+            wrap = u if u == v else (u, v)
+            surface.paint(np.arange(len(corners)), self._image(image, 3, factor), surface.uv.copy(), wrap)
             return slot or True
-        if not linear and not hasattr(material, "baseColorFactor"):
+        if not self.tree and not hasattr(material, "baseColorFactor"):
             factor = np.asarray(material.main_color, dtype=np.float64)[:3] / 255
-        surface.colors[:] = _srgb(factor, linear)
+        surface.colors[:] = srgb(factor)
         shades = getattr(visual, "vertex_attributes", {}).get("color")
-        if linear and isinstance(shades, np.ndarray) and shades.ndim == 2 and shades.shape[1] in (3, 4):
+        if self.tree and isinstance(shades, np.ndarray) and shades.ndim == 2 and shades.shape[1] in (3, 4):
             full = np.iinfo(shades.dtype).max if shades.dtype.kind in "iu" else 1.0
             shades = np.nan_to_num(shades[:, :3].astype(np.float64) / full).clip(0, 1)
-            surface.colors[:] = _srgb(shades * factor, linear)[corners]
+            surface.colors[:] = srgb(shades * factor)[corners]
         return slot or True
 
     def _image(self, image: Any, channels: int, factor: np.ndarray | None = None) -> np.ndarray:
@@ -97,7 +92,7 @@ class PartReader:
             if channels == 1:
                 pixels = pixels[..., 3:] if pixels.shape[2] == 4 else np.ones_like(pixels[..., :1])
             elif (factor < 1).any():
-                pixels = _srgb(_unsrgb(pixels) * factor, True).astype(np.float32)
+                pixels = linear_to_srgb(srgb_to_linear(pixels) * factor).astype(np.float32)
             self._pixels[key] = pixels
         return self._pixels[key]
 
@@ -150,24 +145,3 @@ def _unit(directions: np.ndarray) -> np.ndarray:
         length = np.linalg.norm(directions, axis=-1, keepdims=True)
         unit = directions / np.where(length > 0, length, 1)
     return np.where(np.isfinite(unit), unit, 0)
-
-
-_WRAPPINGS = {"repeat": "REPEAT", "clamp": "CLAMP_TO_EDGE", "mirror": "MIRRORED_REPEAT"}
-
-
-def _wrapping(wrap: tuple[str, str]) -> str | tuple[str, str]:
-    """Convert the modes of u and v to those of `SurfaceColors`, one if they are equal."""
-    u, v = (_WRAPPINGS[mode] for mode in wrap)
-    return u if u == v else (u, v)
-
-
-def _srgb(colors: np.ndarray, linear: bool) -> np.ndarray:
-    """Convert linear colours to sRGB; return others unchanged."""
-    if not linear:
-        return colors
-    return np.where(colors <= 0.0031308, colors * 12.92, 1.055 * np.maximum(colors, 1e-9) ** (1 / 2.4) - 0.055)
-
-
-def _unsrgb(colors: np.ndarray) -> np.ndarray:
-    """Convert sRGB colours to linear ones."""
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)

@@ -11,6 +11,16 @@ import torch
 from .cubes import bake_corners, bake_image, check_size
 
 
+def srgb_to_linear(colors: np.ndarray) -> np.ndarray:
+    """Convert display values to linear light, as `textures.color_space`."""
+    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(colors: np.ndarray) -> np.ndarray:
+    """Convert linear light to display values, as `textures.color_space`."""
+    return np.where(colors <= 0.0031308, colors * 12.92, 1.055 * np.maximum(colors, 1e-9) ** (1 / 2.4) - 0.055)
+
+
 class FileTexture(NamedTuple):
     """A texture of a material, with the attributes of `Texture`; the image is an array."""
 
@@ -31,7 +41,7 @@ class SurfaceColors:
         image: [F] int, index into ``images``; −1 for a face without an image.
         uv: [F, 3, 2] float64, texture coordinates of the corners: u to the right, v up, the image over [0, 1]².
         images: [H, W, 3] float32 each, row 0 at the top.
-        wrapping: One of `cubes.WRAPPINGS` for each image, or a pair of them, for u and v.
+        wraps: Wrapping of each image, as in `bake_image`.
         materials: Arguments of a `Material` each, with a `FileTexture` for each texture; empty if they were not read.
         material: [F] int, index into ``materials``; −1 for none.
         normals: [F, 3, 3], of the corners, or None.
@@ -44,7 +54,7 @@ class SurfaceColors:
     image: np.ndarray
     uv: np.ndarray
     images: list[np.ndarray] = field(default_factory=list)
-    wrapping: list[Any] = field(default_factory=list)
+    wraps: list[Any] = field(default_factory=list)
     materials: list[dict[str, Any]] = field(default_factory=list)
     material: np.ndarray | None = None
     normals: np.ndarray | None = None
@@ -68,9 +78,7 @@ class SurfaceColors:
         begin = 0
         for part in parts:
             end = begin + len(part.image)
-            numbers = [
-                surface._number(image, wrapping) for image, wrapping in zip(part.images, part.wrapping, strict=True)
-            ]
+            numbers = [surface._number(image, wrap) for image, wrap in zip(part.images, part.wraps, strict=True)]
             surface.image[begin:end] = np.array([*numbers, -1])[part.image]  # −1 reads the last entry
             begin = end
         surface._join_materials(parts)
@@ -98,9 +106,9 @@ class SurfaceColors:
             index.append(numbers[np.full(len(part.image), -1) if part.material is None else part.material])
         self.material = np.concatenate(index)
 
-    def paint(self, faces: np.ndarray, image: np.ndarray, uv: np.ndarray, wrapping: Any = "REPEAT") -> None:
+    def paint(self, faces: np.ndarray, image: np.ndarray, uv: np.ndarray, wrap: Any = "repeat") -> None:
         """Assign an image [H, W, 3] and texture coordinates [n, 3, 2] to faces [n]. An array is stored once."""
-        self.image[faces] = self._number(image, wrapping)
+        self.image[faces] = self._number(image, wrap)
         self.uv[faces] = uv
 
     def opaque(self, image: np.ndarray) -> np.ndarray:
@@ -111,12 +119,12 @@ class SurfaceColors:
             self._opaque[id(image)] = image, np.ascontiguousarray(image[..., :3])
         return self._opaque[id(image)][1]
 
-    def _number(self, image: np.ndarray, wrapping: Any) -> int:
+    def _number(self, image: np.ndarray, wrap: Any) -> int:
         """Return the index of an image; append it if it is new."""
-        number = self._numbers.setdefault((id(image), wrapping), len(self.images))
+        number = self._numbers.setdefault((id(image), wrap), len(self.images))
         if number == len(self.images):
             self.images.append(image)
-            self.wrapping.append(wrapping)
+            self.wraps.append(wrap)
         return number
 
     def bake(self, size: int, bilinear: bool = True, pixel_centers: bool = False) -> np.ndarray:
@@ -126,7 +134,7 @@ class SurfaceColors:
         flat = (self.colors == self.colors[:, :1]).all(axis=(1, 2))
         cubes[flat] = self.colors[flat, 0][:, None, None, None]
         cubes[~flat] = bake_corners(torch.from_numpy(self.colors[~flat]), size).numpy()
-        for number, (image, wrapping) in enumerate(zip(self.images, self.wrapping, strict=True)):
+        for number, (image, wrap) in enumerate(zip(self.images, self.wraps, strict=True)):
             chosen = self.image == number
-            cubes[chosen] = bake_image(image, self.uv[chosen], size, wrapping, bilinear, pixel_centers)
+            cubes[chosen] = bake_image(image, self.uv[chosen], size, wrap, bilinear, pixel_centers)
         return cubes

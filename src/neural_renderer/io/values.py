@@ -14,7 +14,7 @@ from .files import existing
 from .images import save_image
 
 VALUE_SUFFIXES = (".npy", ".exr")
-_MOST = 65535  # of 16 bits
+_MOST = 65535  # largest number of 16 bits
 
 
 def save_values(path: Path, values: np.ndarray, name: str) -> None:
@@ -43,10 +43,7 @@ def save_values(path: Path, values: np.ndarray, name: str) -> None:
 
 
 def read_exr(path: Path) -> np.ndarray:
-    """Read the colours of an OpenEXR picture.
-
-    Returns:
-        [H, W, 3] float32 RGB, or grey three times; row 0 at the top.
+    """Read the colours of an OpenEXR picture: [H, W, 3] float32 RGB, or grey three times; row 0 at the top.
 
     Raises:
         FileNotFoundError: The file does not exist.

@@ -17,12 +17,7 @@ _YELLOW, _ORANGE, _BLACK = (1.0, 0.78, 0.12), (0.96, 0.42, 0.07), (0.07, 0.06, 0
 
 
 def duck(steps: int = 56, texture_size: int = 4) -> Mesh:
-    """Make a closed rubber duck in [-1, 1]³ that looks along +z.
-
-    Args:
-        steps: Grid cells along each axis; the mesh has about 6 · steps² faces.
-        texture_size: T, texels along the edge of a face's texture cube.
-    """
+    """Make a closed rubber duck in [-1, 1]³ that looks along +z, with about 6 · steps² faces."""
 
     def field(p: np.ndarray) -> np.ndarray:
         return _blend(_blend(_plumage(p), _beak(p), 0.04), _tail(p), 0.25)
@@ -80,13 +75,7 @@ def _blend(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
 
 
 def knot(segments: int = 320, sides: int = 28, texture_size: int = 4) -> Mesh:
-    """Make a trefoil knot in [-1, 1]³ with a helical pattern.
-
-    Args:
-        segments: Segments along the knot.
-        sides: Segments around the tube.
-        texture_size: T, texels along the edge of a face's texture cube.
-    """
+    """Make a trefoil knot in [-1, 1]³ with a helical pattern, of segments along it and sides around the tube."""
     around = torch.arange(segments) * (2 * math.pi / segments)
     across = torch.arange(sides) * (2 * math.pi / sides)
 

@@ -15,15 +15,7 @@ def isosurface(field: Field, steps: int, half: float = 1.15) -> tuple[Tensor, Te
     """Extract the surface field = 0 inside [−half, half]³ by naive surface nets on steps³ cells.
 
     A cell with a sign change gets one vertex, at the mean of the crossings of its edges. A crossed edge gets a quad
-    that connects the vertices of its four cells.
-
-    Args:
-        field: Maps points [..., 3] to values [...], negative inside, like a signed distance.
-        steps: Number of cells along each axis.
-        half: Half the side of the sampled cube, in world units.
-
-    Returns:
-        Vertices [V, 3] float32 and outward faces [F, 3] int64.
+    that connects the vertices of its four cells. Returns vertices [V, 3] float32 and outward faces [F, 3] int64.
     """
     n = steps + 1
     grid = np.moveaxis(np.indices((n, n, n)), 0, -1).astype(np.float64)

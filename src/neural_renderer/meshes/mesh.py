@@ -6,12 +6,12 @@ import copy
 import os
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from .. import validate
 from ..io.cubes import bake_corners, noise_cubes, white_cubes
+from ..io.files import as_tensor
 from ..io.formats import load_mesh
 from ..io.mesh_writer import save_mesh
 from ..io.obj import load_obj
@@ -368,13 +368,6 @@ class Mesh(nn.Module):
     def __repr__(self) -> str:
         device = self.vertices.device
         return f"Mesh({self.num_vertices} vertices, {self.num_faces} faces, textures of {self.texture_size}³, {device})"
-
-
-def as_tensor(value: Any) -> Any:
-    """Convert an array to a tensor; return other values unchanged."""
-    if isinstance(value, np.ndarray):
-        value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
-    return value
 
 
 def _textures(vertex_colors: Any, face_colors: Any, vertices: Tensor, faces: Tensor, size: int) -> Tensor | None:

@@ -19,15 +19,10 @@ _CHILDREN = ((_A, _AB, _CA), (_AB, _B, _BC), (_CA, _BC, _C), (_AB, _BC, _CA))
 
 
 def split_faces(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Split each face into four at the midpoints of its edges.
+    """Split faces [F, 3] int64 of ``count`` vertices V into four each, at the midpoints of their edges.
 
-    Args:
-        faces: [F, 3] int64.
-        count: Number of vertices V.
-
-    Returns:
-        The edges [E, 2], in ascending order, whose midpoints are the new vertices V, V + 1, …; and the faces [4 F, 3],
-        the four of each face one after the other.
+    Returns the edges [E, 2], in ascending order, whose midpoints are the new vertices V, V + 1, …; and the faces [4 F,
+    3], the four of each face one after the other.
     """
     sides = torch.stack((faces, faces.roll(-1, 1)), -1)  # ab, bc, ca
     keys, midpoints = torch.unique(sides.amin(-1) * count + sides.amax(-1), return_inverse=True)

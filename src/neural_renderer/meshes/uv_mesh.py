@@ -14,17 +14,16 @@ from torch.nn import functional
 
 from .. import validate
 from ..constants import read_once
+from ..io.files import as_tensor
 from ..io.formats import read_mesh
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
 from ..raster.visible import VisibleFaces
 from ..textures.albedo import has_negative, sampled_albedo, tinted_by_materials
-from ..textures.file_materials import arrays_of_materials, materials_of_file, wrap_of, wrapping
 from ..textures.gutters import fill_gutters
-from ..textures.material import Material
+from ..textures.material import Material, arrays_of_materials, materials_of_file
 from ..textures.sample_texture import Wrap, checked_wrap
 from .bounds import centered
-from .mesh import as_tensor
 from .pieces import chosen_faces, merged_vertices, used_vertices
 from .subdivision import checked_levels, split_corners, subdivided
 
@@ -160,10 +159,9 @@ class UVMesh:
             surface.colors[:] = grey
         uv = torch.from_numpy(surface.uv).float()
         index = torch.from_numpy(surface.image).long()
-        wraps = tuple(map(wrap_of, surface.wrapping))
         images = [
             fill_gutters(torch.from_numpy(image).float(), uv[index == number], wrap=wrap)
-            for number, (image, wrap) in enumerate(zip(surface.images, wraps, strict=True))
+            for number, (image, wrap) in enumerate(zip(surface.images, surface.wraps, strict=True))
         ]
         corners: dict[str, Any] = {name: _tensor(getattr(surface, name)) for name in _CORNER_ATTRIBUTES}
         return cls(
@@ -173,7 +171,7 @@ class UVMesh:
             image_index=index,
             images=tuple(images),
             colors=torch.from_numpy(surface.colors),
-            wraps=wraps,
+            wraps=tuple(surface.wraps),
             materials=materials_of_file(surface.materials),
             material_index=None if surface.material is None else torch.from_numpy(surface.material).long(),
             **corners,
@@ -212,7 +210,7 @@ class UVMesh:
             self.image_index.long().cpu().numpy(),
             self.uv.detach().double().cpu().numpy(),
             [image.detach().float().cpu().numpy() for image in self.images],
-            [wrapping(wrap) for wrap in self.wraps],
+            list(self.wraps),
             materials=arrays_of_materials(self.materials),
             material=None if index is None else index.long().cpu().numpy(),
             **corners,

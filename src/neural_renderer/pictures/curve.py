@@ -22,17 +22,10 @@ def curve(
     logarithmic: bool = True,
     size: tuple[int, int] = (420, 720),
 ) -> np.ndarray:
-    """Plot two numbers over the steps of a run. Vertical lines separate phases.
+    """Plot two numbers over the steps of a run: [H, W, 3] uint8. Vertical lines separate phases.
 
-    Args:
-        history: A row per step, with its "phase" and numbers by name. A number may be missing in some rows.
-        left: Name of the number on the left axis.
-        right: Name of the number on the right axis.
-        logarithmic: Whether the left axis is logarithmic.
-        size: Height and width in pixels.
-
-    Returns:
-        [H, W, 3] uint8.
+    A row of the history has the "phase" of a step and numbers by name, some of which may be missing. ``logarithmic`` is
+    about the left axis.
     """
     height, width = size
     image = Image.new("RGB", (width, height), "white")

@@ -18,7 +18,7 @@ from ..deferred import Fragments
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..raster import Images
-from .turntable import turntable
+from .photograph import turntable
 
 _MOST_IMAGES = 8  # most images shown of a batch
 _LEAST_SIDE, _MOST_WIDTH = 128, 1024  # pixels: small images are enlarged, wide rows are reduced

@@ -1,9 +1,12 @@
-"""Pictures of meshes with smooth shading, a highlight, a soft shadow and a plain backdrop.
+"""Pictures and turntables of meshes with smooth shading, a highlight, a soft shadow and a plain backdrop.
 
 The renderer draws colours and normals; the light on them is arithmetic on these two images.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -17,6 +20,8 @@ from ..meshes.uv_mesh import UVMesh
 from ..rendering import render
 from .lamp import lamp_direction
 
+FIRST_AZIMUTH = 145.0
+"""Azimuth of the first picture of a turntable in degrees: a front view, turned a little."""
 _BACKDROP_TOP, _BACKDROP_BOTTOM = (0.94, 0.945, 0.955), (0.80, 0.82, 0.85)
 _AMBIENT, _SKY, _DIFFUSE = 0.34, 0.20, 0.62  # light from everywhere, from above, and from the lamp
 _WRAP = 0.25  # cosine by which the lamp's light reaches beyond the terminator
@@ -66,6 +71,14 @@ def photograph(
     ground = lowest_point(mesh) if floor is None else floor
     backdrop = _backdrop(size).to(rgb) * (1 - _SHADOW * _shadow(mesh, camera, lamp, ground, size))
     return (_shade(rgb, alpha, normal, lamp, forward) + backdrop * (1 - alpha)).clamp(0, 1)
+
+
+def turntable(mesh: Mesh | UVMesh, frames: int, first_azimuth: float = FIRST_AZIMUTH, **view: Any) -> Iterator[Tensor]:
+    """Photograph a mesh in about [-1, 1]³ during one turn around the y axis; ``view`` goes to `photograph`.
+
+    Returns pictures [3, H, W] float32 in [0, 1], on the CPU, one at a time.
+    """
+    return (photograph(mesh, first_azimuth + 360 * index / frames, **view).cpu() for index in range(frames))
 
 
 def lowest_point(mesh: Mesh | UVMesh) -> float:

@@ -14,14 +14,9 @@ _LEAST_FONT = 10  # pixels
 
 
 def sheet(rows: Sequence[Sequence[Tensor]], labels: Sequence[str] = ()) -> Tensor:
-    """Arrange pictures in rows.
+    """Arrange pictures [3, H, W] in [0, 1] in rows of equal length: [rows · H, columns · W, 3] uint8, on the CPU.
 
-    Args:
-        rows: Rows of equally many pictures [3, H, W] in [0, 1], all of one size.
-        labels: Text for the upper left corner of each row; may be shorter than ``rows``.
-
-    Returns:
-        [rows · H, columns · W, 3] uint8, on the CPU.
+    Labels stand in the upper left corners of the first rows.
     """
     whole = torch.cat([torch.cat(list(row), dim=2) for row in rows], dim=1).cpu()
     pixels = (whole.permute(1, 2, 0) * 255 + 0.5).to(torch.uint8).numpy()

@@ -7,15 +7,9 @@ from torch import Tensor
 
 
 def connected_components(groups: Tensor, count: int) -> Tensor:
-    """Label the nodes of a graph by connected component.
+    """Label ``count`` nodes of a graph by the lowest index in their connected component, [count] int64.
 
-    Args:
-        groups: [N, K] int64: K nodes that are connected with each other, such as the ends of an edge or the corners of
-            a face.
-        count: Number of nodes.
-
-    Returns:
-        [count] int64, the lowest node index in the component of each node.
+    Each of the groups [N, K] has K connected nodes, such as the ends of an edge or the corners of a face.
     """
     label = torch.arange(count, device=groups.device)
     while True:  # lower labels spread to the group, to the nodes that the group's labels name, and along chains

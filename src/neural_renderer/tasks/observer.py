@@ -82,12 +82,7 @@ class Observer(Protocol):
 
 
 def goes_on(observer: Observer | None, interrupted: Sequence[int] = ()) -> bool:
-    """Wait while a task is paused; tell whether it goes on.
-
-    Args:
-        observer: Its observer, or None.
-        interrupted: Ends the pause when it is not empty, as after Ctrl-C.
-    """
+    """Wait while a task is paused; tell whether it goes on. A number in ``interrupted``, as of Ctrl-C, ends that."""
     if observer is None:
         return True
     while observer.paused and not observer.stopped and not interrupted:

@@ -40,16 +40,9 @@ class Texels:
 
     @classmethod
     def shared(cls, faces: Tensor, size: int) -> Texels:
-        """Place texels on a triangular lattice on each face; adjacent faces share those on corners and edges.
+        """Place T ≥ 3 texels a side on a triangular lattice on each face; neighbours share those on corners and edges.
 
         The colours on an edge depend on its own texels only, so that the texture is continuous over the mesh.
-
-        Args:
-            faces: [F, 3] integer.
-            size: T ≥ 3, lattice points along an edge.
-
-        Raises:
-            TypeError, ValueError: ``size`` is out of range, or there are no faces.
         """
         # T = 2 would blend the texel at a face's centre into the colours on its edges.
         size = validate.whole("texture_size", size, 3)
@@ -93,14 +86,9 @@ class Texels:
         return total / shares.clamp(min=1)[:, None]
 
     def fill_unknown(self, values: Tensor, known: Tensor) -> Tensor:
-        """Replace unknown values by means over adjacent faces, spreading from the known ones.
+        """Replace values [count, C] that are not ``known`` [count] by means over adjacent faces, from known ones on.
 
-        Args:
-            values: [count, C].
-            known: [count] bool. A connected component without known texels keeps its values.
-
-        Returns:
-            [count, C].
+        A connected component without known texels keeps its values.
         """
         unfinished = self.index  # faces with unknown texels
         while True:

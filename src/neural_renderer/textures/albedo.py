@@ -67,16 +67,15 @@ def sampled_albedo(
 def tinted_by_materials(
     albedo: Tensor, materials: Sequence[Material], material_index: Tensor | None, face_index: Tensor
 ) -> Tensor:
-    """Multiply the albedo of pixels by the base colours of their materials, in linear light.
+    """Multiply the albedo [B, H, W, 3] of pixels by the base colours of materials, in linear light; differentiable.
 
     Args:
-        albedo: Display values [B, H, W, 3].
-        materials: Materials of a mesh.
-        material_index: [F] or [B, F], index into the materials, −1 for none; None: all faces have the only material.
+        material_index: [F] or [B, F], index into the materials, −1 for none; None: all faces have the only
+            material.
         face_index: [B, H, W], the visible face of each pixel, −1 for none.
 
     Returns:
-        Display values [B, H, W, 3], differentiable; the same tensor if all base colours are 1.
+        Display values [B, H, W, 3]; the same tensor if all base colours are 1.
     """
     if not any(material.is_tinted for material in materials):
         return albedo

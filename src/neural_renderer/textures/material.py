@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from .. import validate
 from ..constants import read_once
+from ..io.surface_colors import FileTexture
 from ..one_line import OneLine
 from ..raster.warp.registration import is_plain
 from .sample_texture import Wrap, checked_wrap, sample_texture
@@ -222,6 +225,33 @@ class Material(OneLine):
             >>> gold = nr.Material("gold", metallic=1.0).to("cpu")
         """
         return _moved(self, device)
+
+
+def materials_of_file(materials: Sequence[dict[str, Any]]) -> tuple[Material, ...]:
+    """Convert the materials of `SurfaceColors`."""
+    images: dict[int, Tensor] = {}  # so that textures that share an array share a tensor
+
+    def value(part: Any) -> Any:
+        if not isinstance(part, FileTexture):
+            return part
+        image = images.setdefault(id(part.image), torch.from_numpy(part.image).float())
+        return Texture(image, *part[1:])
+
+    return tuple(Material(**{name: value(part) for name, part in one.items()}) for one in materials)
+
+
+def arrays_of_materials(materials: Sequence[Material]) -> list[dict[str, Any]]:
+    """Convert materials to those of `SurfaceColors`."""
+    images: dict[int, np.ndarray] = {}
+
+    def value(part: Any) -> Any:
+        if isinstance(part, Texture):
+            image = images.setdefault(id(part.image), part.image.detach().float().cpu().numpy())
+            offset, scale = (tuple(pair.tolist()) for pair in (part.offset, part.scale))
+            return FileTexture(image, part.wrap, offset, scale, float(part.rotation), part.uv_set)
+        return part.detach().cpu().tolist() if isinstance(part, Tensor) else part
+
+    return [{one.name: value(getattr(material, one.name)) for one in fields(material)} for material in materials]
 
 
 _FACTORS = {

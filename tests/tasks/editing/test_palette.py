@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from neural_renderer.tasks.editing.palette import Palette
+from neural_renderer.tasks.editing.style import Palette
 from tests.rounding import relative
 
 # A mean of positive numbers: two roundings make a share of each, and then there is their sum.

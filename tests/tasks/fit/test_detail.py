@@ -15,7 +15,7 @@ from PIL import Image
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer.commands.render_outputs import save_output
+from neural_renderer.io.values import save_output
 from neural_renderer.tasks.fit import DetailFit, DetailWeights, MeshFit, Views, load_views
 from neural_renderer.tasks.fit.detail.adaptive_descent import AdaptiveDescent
 from neural_renderer.tasks.fit.detail.maps import to_world

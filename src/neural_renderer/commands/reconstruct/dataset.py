@@ -10,14 +10,13 @@ from rich.table import Table
 
 from ...io import save_image
 from ...tasks.reconstruction.data.arrays import SPLITS, open_split
-from ...tasks.reconstruction.data.assemble import assemble, existing_names
-from ...tasks.reconstruction.data.dataset import Settings, make_objects
+from ...tasks.reconstruction.data.dataset import Settings, assemble, existing_names, make_objects
 from ...tasks.reconstruction.data.framing import SIZE, VIEWS
 from ...tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
 from ...tasks.reconstruction.evaluation.check_axes import check_axes
 from ...tasks.reconstruction.evaluation.sheets import data_sheet
 from ..common import check_counts, make_folder, say
-from ..options.reconstruct.dataset import DatasetOptions
+from .options import DatasetOptions
 
 Splits = dict[str, dict[str, list[Model]]]
 """Split → class → models."""

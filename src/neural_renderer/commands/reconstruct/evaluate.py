@@ -17,17 +17,16 @@ from ...io.atomic_write import write_file
 from ...tasks.reconstruction.data.arrays import Split, open_split
 from ...tasks.reconstruction.data.framing import VIEWS
 from ...tasks.reconstruction.evaluation.check_axes import check_axes
-from ...tasks.reconstruction.evaluation.evaluate import Scores, evaluate
+from ...tasks.reconstruction.evaluation.evaluate import Scores, evaluate, markdown, terminal
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
 from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.evaluation.sheets import prediction_sheet
-from ...tasks.reconstruction.evaluation.tables import markdown, terminal
 from ...tasks.reconstruction.networks.checkpoint import load_model
 from ...version import __version__
-from ..common import check_counts, choose_device, say
-from ..options.reconstruct.evaluate import EvaluateOptions
+from ..common import check_between, check_counts, choose_device, say
+from .options import EvaluateOptions
 
-_LEAST_IOU = 0.35  # of the silhouettes of voxels and images; thin objects reach 0.5
+_LEAST_IOU = 0.35  # least IoU of the silhouettes of voxels and images; thin objects reach 0.5
 _FEATURES = "googlenet"
 
 
@@ -62,8 +61,7 @@ def run(options: EvaluateOptions) -> int:
 
 def _check_options(options: EvaluateOptions) -> None:
     """Raise ValueError for options that are out of range or do not fit each other."""
-    if not 0 < options.threshold < 1:
-        raise ValueError(f"--threshold: expected a number above 0 and below 1, got {options.threshold}")
+    check_between("threshold", options.threshold, 0, 1)
     check_counts(options, refine=0)
     if options.checkpoint == "none" and not (options.also or options.baseline):
         raise ValueError("checkpoint: expected a network or --baseline retrieval, got neither")

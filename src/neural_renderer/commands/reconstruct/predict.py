@@ -12,7 +12,8 @@ from torch import Tensor
 
 from ...io import load_image, save_animation, save_image, save_mesh
 from ...pictures.clay import clay_mesh
-from ...pictures.turntable import turntable
+from ...pictures.photograph import turntable
+from ...tasks.masks.rule import mask_in_file
 from ...tasks.observer import goes_on
 from ...tasks.reconstruction.data.drawing import MESH_COLOR
 from ...tasks.reconstruction.data.framing import SIZE
@@ -20,11 +21,10 @@ from ...tasks.reconstruction.evaluation.cutout import cut_out
 from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshes, prediction_picture
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
 from ...tasks.reconstruction.evaluation.refine import refine_steps
-from ...tasks.reconstruction.networks.checkpoint import load_model
-from ...tasks.reconstruction.networks.make_network import Model
-from ..common import check_counts, check_outputs, choose_device, say
-from ..options.reconstruct.predict import PredictOptions
-from ..watch import Renamed, stay, watching
+from ...tasks.reconstruction.networks.checkpoint import Model, load_model
+from ..common import check_between, check_counts, check_outputs, choose_device, say
+from ..watch import stay, watching
+from .options import PredictOptions
 
 if TYPE_CHECKING:
     from ...viewer.viewer import Viewer
@@ -58,10 +58,10 @@ def _predict(options: PredictOptions, targets: dict[Path, Path], model: Model, v
     for path in track(options.images, "Meshes", console=console, transient=True, disable=alone):
         if not goes_on(viewer):
             break
-        observer = None if viewer is None else Renamed(viewer, path.stem)
         try:
             picture, image = _load(options, path, predict, device)
-            [(vertices, faces)] = predict_meshes(model, image[None].to(device), options.threshold, refine, observer)
+            pixels = image[None].to(device)
+            [(vertices, faces)] = predict_meshes(model, pixels, options.threshold, refine, viewer, path.stem)
         except (ValueError, OSError) as error:
             failures.append(_failure(path, error))
             continue
@@ -75,8 +75,7 @@ def _predict(options: PredictOptions, targets: dict[Path, Path], model: Model, v
 def _check(options: PredictOptions) -> dict[Path, Path]:
     """Check the options; return the mesh file of each picture."""
     check_counts(options, turntable=0, refine=0)
-    if not 0 < options.threshold < 1:
-        raise ValueError(f"--threshold: expected a number above 0 and below 1, got {options.threshold}")
+    check_between("threshold", options.threshold, 0, 1)
     mask, count = options.mask, len(options.images)
     targets = _targets(options)
     extras = [_beside(target, name) for target in targets.values() for name in ("sheet.png", "turntable.gif")]
@@ -110,7 +109,7 @@ def _load(options: PredictOptions, path: Path, predict: Predictor, device: torch
     picture = load_image(path, upright=True)
     mask = None
     if options.mask is not None:
-        mask = _to_mask(load_image(_mask_file(options.mask, path), upright=True))
+        mask = mask_in_file(_mask_file(options.mask, path), upright=True)
     elif picture.shape == (SIZE, SIZE, 4) and float(picture[..., 3].min()) < 0.5 < float(picture[..., 3].max()):
         return picture, (picture.permute(2, 0, 1) * 255 + 0.5).to(torch.uint8)
     return picture, best_frame(predict, cut_out(picture, mask), device)
@@ -142,12 +141,6 @@ def _write(
 def _beside(target: Path, name: str) -> Path:
     """Return the path of an additional file of a mesh: ``chair.obj`` → ``chair_sheet.png``."""
     return target.with_name(f"{target.stem}_{name}")
-
-
-def _to_mask(image: Tensor) -> Tensor:
-    """Convert a picture to a mask [H, W]: its alpha channel if it has transparent pixels, else its brightness."""
-    transparent = image.shape[2] == 4 and float(image[..., 3].min()) < 1
-    return image[..., 3] if transparent else image[..., :3].mean(2)
 
 
 def _failure(path: Path, error: Exception) -> str:

@@ -20,17 +20,17 @@ from ...tasks.reconstruction.data.arrays import Split, open_split
 from ...tasks.reconstruction.networks.checkpoint import BEST, HEADER, LAST, read_checkpoint
 from ...tasks.reconstruction.networks.configs import Config, make_config
 from ...tasks.reconstruction.networks.encoders import FeatureEncoder
-from ..common import check_counts, choose_device, interruption, make_folder, say
-from ..options.reconstruct.train import TrainOptions
-from ..options.watch import WatchOptions
+from ..common import check_between, check_counts, choose_device, interruption, make_folder, say
+from ..options import WatchOptions
 from ..watch import stay, watching
+from .options import TrainOptions
 
 
 def run(options: TrainOptions) -> int:
     """Train a network; return the exit code: 0, or 130 after Ctrl-C."""
     check_counts(options, every=1, seed=0, devices=1, nodes=1, workers=0, steps=1)
-    if options.minutes is not None and not 0 < options.minutes < math.inf:
-        raise ValueError(f"--minutes: expected a number above 0, got {options.minutes}")
+    if options.minutes is not None:
+        check_between("minutes", options.minutes, 0, math.inf)
     choose_device(options.device)
     data, val = _open_data(options)
     config = _make_config(options, data)
@@ -38,8 +38,8 @@ def run(options: TrainOptions) -> int:
     checkpoint = _check_checkpoint(options, config, data, features)
     make_folder("OUT", options.out)
     # Lightning takes seconds to import.
+    from ...tasks.reconstruction.training.callbacks import STOPPED
     from ...tasks.reconstruction.training.train import train
-    from ...tasks.reconstruction.training.watch import STOPPED
 
     with watching(_watch_options(options)) as viewer:
         with _quiet(), interruption() as interrupted:

@@ -11,10 +11,9 @@ import numpy as np
 from PIL import Image
 
 from ..obj.writer import as_bytes
-from ..surface_colors import FileTexture, SurfaceColors
+from ..surface_colors import FileTexture, SurfaceColors, srgb_to_linear
 
 _MODES = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
-_WRAPS = {"REPEAT": "repeat", "CLAMP_TO_EDGE": "clamp", "CLAMP_TO_BORDER": "clamp", "MIRRORED_REPEAT": "mirror"}
 _MATT: dict[str, Any] = {"metallic": 0.0, "roughness": 1.0, "double_sided": True}
 _TEXTURES = {
     "emissive_texture": "emissiveTexture",
@@ -26,12 +25,9 @@ _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
 def glb_bytes(points: np.ndarray, corners: np.ndarray, surface: SurfaceColors) -> bytes:
-    """Encode a mesh as GLB: a primitive for each pair of a base colour's image and a material.
+    """Encode a mesh of vertices [V, 3] and faces [F, 3] as GLB: a primitive for each base colour's image and material.
 
-    Args:
-        points: [V, 3] vertices.
-        corners: [F, 3] faces.
-        surface: Colours and materials; colours beyond [0, 1] are clamped.
+    Colours beyond [0, 1] are clamped.
     """
     writer = _Writer(surface)
     material = np.full(len(corners), -1) if surface.material is None else surface.material
@@ -61,7 +57,7 @@ class _Writer:
         color = np.ones(3)
         attributes = {"TEXCOORD_0": surface.uv[faces] * [1, -1] + [0, 1]}
         if image < 0:
-            colors = _linear(surface.colors[faces].astype(np.float64).clip(0, 1))
+            colors = srgb_to_linear(surface.colors[faces].astype(np.float64).clip(0, 1))
             if (colors == colors[0, 0]).all():
                 color = colors[0, 0]
             else:
@@ -116,8 +112,7 @@ class _Writer:
         wrap: Any = None if alpha is None else alpha.wrap
         pixels = None
         if image >= 0:
-            pixels, wrapping = self._surface.images[image], self._surface.wrapping[image]
-            wrap = _WRAPS[wrapping] if isinstance(wrapping, str) else tuple(_WRAPS[one] for one in wrapping)
+            pixels, wrap = self._surface.images[image], self._surface.wraps[image]
         if wrap is not None:
             pbr["baseColorTexture"] = self._texture(pixels, wrap, None if alpha is None else alpha.image)
         if own.get("metallic_roughness_texture") is not None:
@@ -215,8 +210,3 @@ class _Writer:
 def _picture(pixels: np.ndarray) -> Image.Image:
     """Convert an image [H, W, 1 or 3] to one of Pillow."""
     return Image.fromarray(as_bytes(pixels))
-
-
-def _linear(colors: np.ndarray) -> np.ndarray:
-    """Convert sRGB colours to linear ones."""
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)

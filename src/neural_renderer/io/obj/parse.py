@@ -12,7 +12,7 @@ import numpy as np
 from ..files import fits_float32, read_text, short
 from .polygons import triangulate
 
-_MOST = 2**31  # of indices
+_MOST = 2**31  # bound of indices
 
 
 @dataclass
@@ -45,13 +45,11 @@ class ObjFile:
 def read_obj(path: Path, with_uv: bool) -> ObjFile:
     """Read an OBJ file and triangulate its polygons. Points, lines, curves and groups are ignored.
 
-    Args:
-        path: Path of the file.
-        with_uv: Read texture coordinates and normals. Otherwise they are ignored, even if they are invalid.
+    Without ``with_uv``, texture coordinates and normals are ignored, even if they are invalid.
 
     Raises:
-        ValueError: A statement is invalid, a vertex is not finite in float32, a face has fewer than three corners, an
-            index is out of range (the message names file and line), or there are no faces.
+        ValueError: A statement is invalid, a vertex is not finite in float32, a face has fewer than three corners,
+            an index is out of range (the message names file and line), or there are no faces.
     """
     parser = _Parser(path)
     text = read_text(path)

@@ -11,14 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..cubes import WRAPPINGS
 from ..files import existing, fits_float32, short, warn
 from ..images import load_image
 from ..named_files import find_file
 from ..surface_colors import SurfaceColors
-from .materials import material_arguments
-from .mtl import Map, Material, read_mtl
+from .mtl import Map, Material, material_arguments, read_mtl
 from .parse import ObjFile, read_obj
+
+_WRAPS = {"REPEAT": "repeat", "MIRRORED_REPEAT": "mirror", "CLAMP_TO_EDGE": "clamp", "CLAMP_TO_BORDER": "border"}
 
 
 def load_obj(
@@ -94,26 +94,19 @@ def obj_surface_colors(
     materials: dict[str, Material] | None = None,
     with_materials: bool = False,
 ) -> SurfaceColors | None:
-    """Collect the surface colours of an OBJ file. Faces without a colour are grey 0.5.
+    """Collect the surface colours of an OBJ file read with ``with_uv``. Faces without a colour are grey 0.5.
 
     Args:
-        obj: File read with ``with_uv=True``.
-        wrapping: Wrapping of texture coordinates outside [0, 1].
-        allow_outside: Read materials and images outside the file's folder, too.
+        wrapping, allow_outside: As in `load_obj`.
         materials: Materials by name, in place of those in the file's material files.
         with_materials: Collect materials and normals, too.
 
     Returns:
-        The colours, or None if the file has neither colours nor material files.
-
-    Raises:
-        ValueError: As `load_obj`.
-
-    Warns:
-        UserWarning: A material file, a material, an image or texture coordinates are missing.
+        The colours, or None if the file has neither colours nor material files. Errors and warnings are those of
+        `load_obj`.
     """
-    if wrapping not in WRAPPINGS:
-        raise ValueError(f"texture_wrapping: expected one of {', '.join(WRAPPINGS)}, got {wrapping!r}")
+    if wrapping not in _WRAPS:
+        raise ValueError(f"texture_wrapping: expected one of {', '.join(_WRAPS)}, got {wrapping!r}")
     surface = SurfaceColors.plain(len(obj.faces), 0.5)
     materials = _materials(obj, allow_outside) if materials is None else materials
     load = functools.cache(_pixels)  # materials may share an image
@@ -144,7 +137,7 @@ def obj_surface_colors(
 
         pixels = None if base is None else image(base)
         if base is not None and pixels is not None:
-            _paint(surface, chosen, base, obj, pixels, wrapping)
+            _paint(surface, chosen, base, obj, pixels, _WRAPS[wrapping])
             has_color = True
         if with_materials:
             if pixels is None:
@@ -167,9 +160,7 @@ def _pixels(path: Path) -> np.ndarray:
     return load_image(path).numpy()
 
 
-def _paint(
-    surface: SurfaceColors, chosen: np.ndarray, used: Map, obj: ObjFile, image: np.ndarray, wrapping: str
-) -> None:
+def _paint(surface: SurfaceColors, chosen: np.ndarray, used: Map, obj: ObjFile, image: np.ndarray, wrap: str) -> None:
     """Assign a material's image to the chosen faces that have texture coordinates."""
     with np.errstate(over="ignore", invalid="ignore"):
         uv = obj.uv[chosen] * used.scale + used.offset
@@ -178,7 +169,7 @@ def _paint(
         missing, name = int((~placed).sum()), short(used.image)
         warn(f"{obj.path}: {missing} faces have no texture coordinates for the image {name}")
     image = surface.opaque(image)
-    surface.paint(chosen[placed], image, uv[placed], "CLAMP_TO_EDGE" if used.clamp else wrapping)
+    surface.paint(chosen[placed], image, uv[placed], "clamp" if used.clamp else wrap)
 
 
 def _materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:

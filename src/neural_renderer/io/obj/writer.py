@@ -19,7 +19,7 @@ from PIL import Image, PngImagePlugin
 from ..atlas import build_atlas
 from ..atomic_write import replacing
 from ..files import mesh_to_write
-from .mtl_writer import statements
+from .mtl import statements
 
 
 class Part(NamedTuple):
@@ -94,15 +94,9 @@ def save_cubes(path: Path, vertices: Any, faces: Any, textures: Any, texture: st
 def write_obj(
     path: Path, points: np.ndarray, corners: np.ndarray, parts: list[Part], texture: str, overwrite: bool
 ) -> None:
-    """Write an OBJ, its MTL, and a PNG for each part. Errors as `save_obj`.
+    """Write an OBJ, its MTL, and a PNG for each part; errors as `save_obj`. Without parts there is neither MTL nor PNG.
 
-    Args:
-        path: Path of the OBJ.
-        points: [V, 3] vertices.
-        corners: [F, 3] faces.
-        parts: Faces by image; without parts, neither MTL nor PNG are written.
-        texture: Name of the image without suffix; several images are called ``{texture}_1.png`` and so on.
-        overwrite: Replace foreign MTL and PNG files.
+    ``texture`` is the name of the image without suffix; several images are called ``{texture}_1.png`` and so on.
     """
     if parts and (not path.stem.isprintable() or "\\" in path.stem):  # such a name breaks the line of `mtllib`
         raise ValueError(f"path: expected a name that an OBJ file can hold, got {path.name!r}")
@@ -181,12 +175,9 @@ def _note(path: Path) -> str:
 
 
 def check_own(path: Path, files: Iterable[Path] | None, advice: str) -> None:
-    """Raise FileExistsError if a file exists that was not written with the OBJ at ``path``.
+    """Raise FileExistsError, ending in ``advice``, if a file exists that was not written with the OBJ at ``path``.
 
-    Args:
-        path: Path of the OBJ.
-        files: Files to check; None means all MTL and PNG files that `save_mesh` or `UVMesh.save` could write.
-        advice: End of the message.
+    None stands for all MTL and PNG files that `save_mesh` or `UVMesh.save` could write.
     """
     if files is None:
         names = (f"{glob.escape(path.stem)}_texture{number}.png" for number in ("", "_*"))

@@ -57,12 +57,7 @@ def closest_points(mesh: Any, points: Tensor) -> SurfacePoints:
 
 
 class FaceTree:
-    """Binary tree of boxes around the faces of a mesh.
-
-    Args:
-        vertices: [V, 3] floating.
-        faces: [F, 3] int64, F ≥ 1.
-    """
+    """Binary tree of boxes around the faces [F, 3] int64, F ≥ 1, of a mesh."""
 
     def __init__(self, vertices: Tensor, faces: Tensor) -> None:
         self._vertices, self._indices = vertices, faces

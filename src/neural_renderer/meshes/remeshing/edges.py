@@ -68,9 +68,3 @@ def area_vectors(corners: Tensor) -> Tensor:
 def lengths(vertices: Tensor, ends: Tensor) -> Tensor:
     """Compute the lengths [E] of edges [E, 2]."""
     return (vertices[ends[:, 0]] - vertices[ends[:, 1]]).norm(dim=1)
-
-
-def least_of_neighbors(values: Tensor, ends: Tensor) -> Tensor:
-    """Compute the least value among each vertex and its neighbours, from values [V]."""
-    a, b = ends.unbind(1)
-    return values.scatter_reduce(0, a, values[b], "amin").scatter_reduce(0, b, values[a], "amin")

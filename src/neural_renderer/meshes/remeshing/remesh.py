@@ -12,11 +12,8 @@ from ... import validate
 from ...one_line import OneLine
 from ..batch import mesh_parts
 from .closest_points import FaceTree
-from .collapse import collapse_short
 from .edges import Edges, area_vectors
-from .flip import flip_edges
-from .relax import move_safely, relax
-from .split import split_long
+from .operations import collapse_short, flip_edges, move_safely, relax, split_long
 from .surface import Surface
 
 _MOST_SPLITS = 12  # most halvings of all edges before the first pass
@@ -114,17 +111,7 @@ def remesh(
 
 
 def remesh_once(surface: Surface, tree: FaceTree | None = None, rounds: int = 4, strength: float = 0.5) -> Surface:
-    """Take one pass: split, collapse, flip, smooth, and return to the surface of ``tree``.
-
-    Args:
-        surface: The mesh.
-        tree: The surface to return to, or None.
-        rounds: Largest number of rounds of collapses and of flips.
-        strength: Strength of the smoothing.
-
-    Returns:
-        The mesh.
-    """
+    """Take one pass: split, collapse, flip (at most ``rounds`` times), smooth, and return to the surface of a tree."""
     surface = relax(flip_edges(collapse_short(split_long(surface), rounds), rounds), strength)
     if tree is None:
         return surface

@@ -11,10 +11,10 @@ from torch import Tensor
 
 from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
+from ...meshes.pieces import used_vertices
 from ...meshes.uv_mesh import UVMesh
-from ...pictures.photograph import photograph
+from ...pictures.photograph import photograph, turntable
 from ...pictures.sheet import sheet
-from ...pictures.turntable import turntable
 from .edit import MeshEdit
 
 _FRONT = 150.0  # azimuth of the first picture, in degrees
@@ -24,16 +24,7 @@ _MARGIN = 1.03  # factor on the least distance at which the whole mesh is in the
 
 
 def six_views(before: Mesh | UVMesh, after: Mesh | UVMesh, size: int = 320) -> Tensor:
-    """Draw a mesh before and after an edit from six sides, in two rows as in the paper.
-
-    Args:
-        before: The mesh before.
-        after: The mesh after, with the same faces.
-        size: Side of a picture in pixels.
-
-    Returns:
-        [2 · size, 6 · size, 3] uint8.
-    """
+    """Draw a mesh before and after an edit from six sides, in two rows: [2 · size, 6 · size, 3] uint8."""
     pair = [normalized_like(mesh, before) for mesh in (before, after)]
     angles = [_FRONT + 60 * index for index in range(6)]
     return sheet([[picture.cpu() for picture in photographs(mesh, angles, size)] for mesh in pair])
@@ -54,10 +45,9 @@ def turn(mesh: Mesh | UVMesh, frames: int = 36, size: int = 320) -> list[Tensor]
 @torch.no_grad()
 def normalized_like(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
     """Transform ``mesh`` as ``other``, a mesh with the same faces, is scaled to [-1, 1]³; drop unused vertices."""
-    used, faces = torch.unique(mesh.faces, return_inverse=True)
+    used, faces = used_vertices(mesh.faces)
     center, half = bounding_box(other.vertices[used])
     vertices = (mesh.vertices[used] - center) / half
-    faces = faces.to(mesh.faces.dtype)
     if isinstance(mesh, UVMesh):
         return replace(mesh, vertices=vertices, faces=faces)
     return Mesh(vertices, faces, mesh.textures)

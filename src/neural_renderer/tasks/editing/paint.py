@@ -14,8 +14,8 @@ from ...meshes.uv_mesh import UVMesh
 from ...textures.gutters import fill_gutters
 from ..texels import Texels
 
-_MOST_BYTES = 2 * 2**30  # of the colours; gradients, Adam's moments and temporary copies are several times as large
-_BYTES = 12  # of an RGB colour in float32
+_MOST_BYTES = 2 * 2**30  # memory of colours; gradients, Adam's moments and temporary copies take several times as much
+_BYTES = 12  # bytes of an RGB colour in float32
 
 
 class Paint(Protocol):
@@ -45,14 +45,7 @@ class Paint(Protocol):
 
 
 class FacePaint:
-    """Texels of texture cubes.
-
-    Args:
-        mesh: The mesh.
-        corners: [F, 3], faces as indices of merged vertices.
-        size: T, texels along the edge of a cube.
-        seamless: Whether adjacent faces share the texels on their edges.
-    """
+    """Texels of texture cubes, for faces [F, 3] as indices of merged vertices."""
 
     def __init__(self, mesh: Mesh, corners: Tensor, size: int, seamless: bool) -> None:
         check_cubes(len(corners), size)
@@ -78,9 +71,7 @@ class FacePaint:
 class ImagePaint:
     """Pixels of a mesh's texture images, slightly blurred, and corner colours of faces without an image.
 
-    Args:
-        mesh: The mesh.
-        corners: [F, 3], faces as indices of merged vertices. Faces without an image share equal colours at a vertex.
+    Faces ``corners`` [F, 3] are indices of merged vertices. Faces without an image share equal colours at a vertex.
     """
 
     def __init__(self, mesh: UVMesh, corners: Tensor) -> None:

@@ -13,7 +13,7 @@ from ...camera import Camera, get_points_from_angles
 from ...shading.lights import Light
 
 _NEAREST, _FURTHEST = 1.8, 50.0  # limits of the distance: outside the object, and near enough to see it
-_LIGHT_TILT = math.radians(30)  # between the light and the vertical, as in the published code
+_LIGHT_TILT = math.radians(30)  # angle of the light to the vertical, as in the published code
 
 
 @dataclass(frozen=True)

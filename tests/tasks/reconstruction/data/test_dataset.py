@@ -20,8 +20,7 @@ import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.metrics import silhouette_iou
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
-from neural_renderer.tasks.reconstruction.data.assemble import assemble
-from neural_renderer.tasks.reconstruction.data.dataset import Settings, make_object, make_objects
+from neural_renderer.tasks.reconstruction.data.dataset import Settings, assemble, make_object, make_objects
 from neural_renderer.tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
 from neural_renderer.tasks.reconstruction.evaluation.check_axes import check_axes
 from neural_renderer.tasks.reconstruction.evaluation.sheets import data_sheet
@@ -166,7 +165,7 @@ def test_the_command_and_its_second_run(models: Path, tmp_path: Path, capsys: py
     out = tmp_path / "out"
     assert command(models, out, "--splits", str(table)) == 0
     told = capsys.readouterr()
-    assert "broken.obj" in told.err and "flat.obj: vertices: expected a shape with an extent" in told.err
+    assert "broken.obj" in told.err and "flat.obj: vertices: expected a mesh to normalise" in told.err
     assert "3 models are left out" in told.out and "1 models are not in" in told.out
     description = json.loads((out / "dataset.json").read_text())
     assert description["names"] == {

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from neural_renderer.metrics import silhouette_iou
-from neural_renderer.tasks.masks.specks import label_components, remove_specks
+from neural_renderer.tasks.masks.operations import label_components, remove_specks
 from neural_renderer.tasks.reconstruction.evaluation.cutout import cut_out, frame_object
 
 

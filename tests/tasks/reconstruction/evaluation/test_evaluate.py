@@ -22,7 +22,7 @@ from neural_renderer.tasks.reconstruction.data.arrays import Split, open_split
 from neural_renderer.tasks.reconstruction.data.dataset import Settings, render_views
 from neural_renderer.tasks.reconstruction.data.framing import scale_to_unit
 from neural_renderer.tasks.reconstruction.data.voxels import chamfer, voxelize, voxelize_model
-from neural_renderer.tasks.reconstruction.evaluation.evaluate import Scores, evaluate
+from neural_renderer.tasks.reconstruction.evaluation.evaluate import Scores, blocks, evaluate, markdown, terminal
 from neural_renderer.tasks.reconstruction.evaluation.predictors import (
     MeshPredictions,
     VoxelPredictions,
@@ -30,7 +30,6 @@ from neural_renderer.tasks.reconstruction.evaluation.predictors import (
 )
 from neural_renderer.tasks.reconstruction.evaluation.retrieval import Retrieval, feature_layer, image_features
 from neural_renderer.tasks.reconstruction.evaluation.sheets import prediction_sheet
-from neural_renderer.tasks.reconstruction.evaluation.tables import blocks, markdown, terminal
 from neural_renderer.tasks.reconstruction.networks.configs import Config
 from tests.rounding import EPS
 

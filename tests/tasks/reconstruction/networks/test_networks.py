@@ -11,9 +11,9 @@ import neural_renderer as nr
 from neural_renderer.features import googlenet, vgg
 from neural_renderer.meshes.topology import Topology
 from neural_renderer.tasks.reconstruction.data.framing import view_camera
+from neural_renderer.tasks.reconstruction.networks.checkpoint import make_network
 from neural_renderer.tasks.reconstruction.networks.configs import Config, make_config
 from neural_renderer.tasks.reconstruction.networks.encoders import FeatureEncoder, LightEncoder, PaperEncoder
-from neural_renderer.tasks.reconstruction.networks.make_network import make_network
 from neural_renderer.tasks.reconstruction.networks.mesh_network import (
     MeshDecoder,
     MeshNetwork,

@@ -17,9 +17,13 @@ import torch
 
 from neural_renderer.features import googlenet, load_features
 from neural_renderer.tasks.reconstruction.networks import configs
-from neural_renderer.tasks.reconstruction.networks.checkpoint import load_model, read_checkpoint, save_model
+from neural_renderer.tasks.reconstruction.networks.checkpoint import (
+    load_model,
+    make_network,
+    read_checkpoint,
+    save_model,
+)
 from neural_renderer.tasks.reconstruction.networks.configs import Config
-from neural_renderer.tasks.reconstruction.networks.make_network import make_network
 from neural_renderer.tasks.reconstruction.training.callbacks import Checkpoints
 from neural_renderer.tasks.reconstruction.training.train import train
 from neural_renderer.tasks.reconstruction.training.training import Training, schedule

@@ -12,8 +12,8 @@ import torch
 
 from neural_renderer.tasks.observer import Knob
 from neural_renderer.tasks.reconstruction.evaluation.predict import predict_meshes
-from neural_renderer.tasks.reconstruction.networks.make_network import make_network
-from neural_renderer.tasks.reconstruction.training.watch import STOPPED
+from neural_renderer.tasks.reconstruction.networks.checkpoint import make_network
+from neural_renderer.tasks.reconstruction.training.callbacks import STOPPED
 from tests.tasks.reconstruction.synthetic import SMALL
 from tests.tasks.reconstruction.training.test_training import small_training
 

@@ -62,15 +62,10 @@ class Split:
 
 
 def open_split(folder: str | os.PathLike[str], split: str, classes: Sequence[str] | None = None) -> Split:
-    """Open a split of a data set.
+    """Open a split, "train", "val" or "test", with some of its classes or, by default, all.
 
     Files are unpacked at first use: beside the npz, or in the user's cache folder if that is not writable. Several
     processes may do this at the same time.
-
-    Args:
-        folder: Folder of the data set.
-        split: "train", "val" or "test".
-        classes: Names of classes; by default all.
 
     Raises:
         FileNotFoundError: The folder, or the images of a class, do not exist.

@@ -1,4 +1,4 @@
-"""Data sets from 3D models: rendered views and voxels."""
+"""Data sets from 3D models: rendered views and voxels, and their assembly into files of the published format."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 import warnings
+import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -24,17 +25,19 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....io import load_mesh
-from ....io.atomic_write import replacing
+from ....io.atomic_write import replacing, write_file
 from ....rendering import render
+from ....version import __version__
+from .arrays import DESCRIPTION, SPLITS
 from .drawing import shoulder_light
-from .framing import GRID, SIZE, VIEWS, mirror, scale_to_unit, view_camera
+from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirror, scale_to_unit, view_camera
 from .models_folder import Model, is_mesh
 from .voxels import voxelize_model
 
 _GREY = 0.75  # colour of models without colours
 _DARKEST = 0.08  # colours are mapped to [0.08, 1]: pure black would hide the shape
 _DIRECTIONAL = 0.56  # intensity of the light from over the shoulder
-_MOST_TEXELS = 4_000_000  # of a model
+_MOST_TEXELS = 4_000_000  # texels of a model
 _MOST_TEXTURE_SIZE = 16  # texels along the edge of a face's cube
 _RECIPE = 1  # version of finished objects; objects of another version are rendered again
 
@@ -60,16 +63,9 @@ class Settings:
 def render_views(
     vertices: Tensor, faces: Tensor, textures: Tensor | None = None, settings: Settings = Settings()
 ) -> Tensor:
-    """Render the views of an object.
+    """Render the views of an object in the reconstruction frame: [K, 4, S, S] uint8, RGBA.
 
-    Args:
-        vertices: [V, 3] floating, in the reconstruction frame.
-        faces: [F, 3] integer.
-        textures: [F, T, T, T, 3], or None for grey.
-        settings: Settings of the data set.
-
-    Returns:
-        [K, 4, S, S] uint8, RGBA; colours are not multiplied by alpha.
+    Vertices are [V, 3], faces [F, 3], textures [F, T, T, T, 3] or None for grey. Colours are not multiplied by alpha.
     """
     if textures is None:
         textures = torch.full((len(faces), 2, 2, 2, 3), _GREY)
@@ -91,11 +87,6 @@ def render_views(
 
 def make_object(path: Path, settings: Settings = Settings(), allow_outside: bool = False) -> tuple[Tensor, Tensor]:
     """Render and voxelise a model file, scaled to a longest side of 1.
-
-    Args:
-        path: Mesh file.
-        settings: Settings of the data set.
-        allow_outside: As in `load_mesh`.
 
     Returns:
         Views [K, 4, S, S] uint8 (see `render_views`) and voxels (see `voxels.voxelize_model`).
@@ -123,15 +114,8 @@ def make_objects(
 ) -> Iterator[tuple[Model, str | None, list[str]]]:
     """Render and voxelise models, one file per model in ``folder``; finished models are skipped.
 
-    Args:
-        models: Models to process.
-        folder: Folder of the data set.
-        settings: Settings of the data set.
-        processes: Number of worker processes; 0 for none.
-        allow_outside: As in `load_mesh`.
-
-    Yields:
-        Each model when it is finished, with an error message or None, and warnings.
+    With 0 ``processes``, this process does the work. Yields each model when it is finished, with an error message or
+    None, and warnings.
     """
     waiting: dict[Model, str] = {}
     for model, key in _keys(models, settings, allow_outside).items():
@@ -156,12 +140,7 @@ def make_objects(
 def _make_in_pool(
     waiting: dict[Model, str], folder: Path, settings: Settings, processes: int, allow_outside: bool
 ) -> Iterator[tuple[Model, str | None, list[str]]]:
-    """Make objects in worker processes until all are finished or a worker dies.
-
-    Args:
-        waiting: Model → key; finished models are removed.
-        folder: See `make_objects`, like the other arguments.
-    """
+    """Make objects in worker processes until all are finished, and no longer in ``waiting``, or a worker dies."""
     with _pool(processes) as pool:
         futures = {
             pool.submit(_make_file, model, folder, settings, key, allow_outside): model
@@ -258,3 +237,58 @@ def _make_file(
     with replacing(target) as fresh, open(fresh, "wb") as file:
         np.savez_compressed(file, key=np.array(key), **arrays)
     return None, notes
+
+
+def assemble(
+    folder: Path, splits: dict[str, dict[str, list[Model]]], settings: Settings, broken: dict[str, str]
+) -> None:
+    """Combine finished objects into the files of the published format, and write dataset.json.
+
+    Other classes and splits of the data set stay. ``splits`` maps split → class → models, in order; ``broken`` maps
+    "category/name" to an error message, for dataset.json.
+    """
+    names: dict[str, dict[str, list[str]]] = {split: {} for split in SPLITS} | existing_names(folder)
+    for split, classes in splits.items():
+        for name, models in classes.items():
+            for kind in ("images", "voxels"):
+                _write_npz(folder / f"{name}_{split}_{kind}.npz", [object_file(m, folder) for m in models], kind)
+            names[split][name] = [model.name for model in models]
+    frame = {"distance": DISTANCE, "elevation": ELEVATION, "viewing_angle": VIEWING_ANGLE, "longest_side": 1.0}
+    description = {
+        "names": names,
+        "settings": asdict(settings) | frame | {"azimuth": f"-360 k / {settings.views} of view k"},
+        "voxel_axes": "(y, x, -z) of the frame of the views, which is (y, -z, x) of the model, y up",
+        "versions": {"neural_renderer": __version__, "torch": torch.__version__, "numpy": np.__version__},
+        "broken": broken,
+    }
+    write_file(folder / DESCRIPTION, json.dumps(description, indent=1) + "\n")
+
+
+def existing_names(folder: Path) -> dict[str, dict[str, list[str]]]:
+    """Read the names of the objects in a data set: split → class → names; empty if there is none."""
+    try:
+        return json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))["names"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return {}
+
+
+def _write_npz(target: Path, objects: Sequence[Path], kind: str) -> None:
+    """Write one array of all objects. Objects are read one at a time."""
+    with (
+        replacing(target) as fresh,
+        zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive,
+        archive.open("arr_0.npy", "w", force_zip64=True) as member,
+    ):
+        for index, path in enumerate(objects):
+            try:
+                with np.load(path) as arrays:
+                    array = arrays[kind]
+            except Exception as error:  # numpy and zipfile raise errors of many classes for damaged files
+                raise ValueError(
+                    f"{path}: expected a finished object, got a broken file; delete it to make the object again"
+                ) from error
+            if index == 0:
+                shape = (len(objects), *array.shape)
+                header = {"descr": array.dtype.str, "fortran_order": False, "shape": shape}
+                np.lib.format.write_array_header_1_0(member, header)
+            member.write(np.ascontiguousarray(array).tobytes())

@@ -27,18 +27,7 @@ def shoulder_light(camera: Camera, directional: float = 0.6) -> Light:
 def draw_mesh(
     vertices: Tensor, faces: Tensor, view: float, color: tuple[float, float, float] = MESH_COLOR, size: int = SIZE
 ) -> Tensor:
-    """Draw a mesh in the reconstruction frame.
-
-    Args:
-        vertices: [V, 3] floating.
-        faces: [F, 3] integer.
-        view: Number of the view; a fraction lies between two views.
-        color: RGB of the mesh.
-        size: Side of the picture in pixels.
-
-    Returns:
-        [3, size, size] in [0, 1].
-    """
+    """Draw a mesh in the reconstruction frame, [3, size, size] in [0, 1]. A fractional view lies between two views."""
     camera = view_camera(torch.tensor([view], device=vertices.device))
     mesh = vertices, faces, plain_texture(faces, color)
     rgb = render(mesh, camera, size, light=shoulder_light(camera), background=(PAPER,) * 3, outputs="rgb").rgb

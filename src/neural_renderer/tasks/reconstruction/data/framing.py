@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 
 from ....camera import Camera, get_points_from_angles
-from ....meshes.bounds import bounding_box
+from ....meshes.bounds import centered
 
 DISTANCE = 2.732
 ELEVATION = 30.0
 VIEWING_ANGLE = 15.0
-VIEWS = 24  # per object
+VIEWS = 24  # views per object
 SIZE = 64  # side of the images in pixels
 GRID = 32  # voxels along each axis
 
@@ -32,25 +32,12 @@ def mirror(vertices: Tensor) -> Tensor:
 
 
 def scale_to_unit(vertices: Tensor) -> Tensor:
-    """Move and scale vertices [V, 3]: the bounding box is centred at the origin, and its longest side is 1.
-
-    Raises:
-        ValueError: All vertices coincide.
-    """
-    exact = vertices.double()
-    center, half = bounding_box(exact)
-    if half == 0:
-        raise ValueError(f"vertices: expected a shape with an extent, got {len(vertices)} vertices that all coincide")
-    return ((exact - center) / (2 * half)).to(vertices)
+    """Move and scale vertices [V, 3]: the bounding box is centred at the origin, and its longest side is 1."""
+    return (centered(vertices) / 2).to(vertices)
 
 
 def view_camera(views: Tensor, count: int = VIEWS) -> Camera:
-    """Make the cameras of views, in the reconstruction frame.
-
-    Args:
-        views: [B], numbers of views from 0 to ``count`` − 1; fractions lie between two views.
-        count: Number of views around an object.
-    """
+    """Make the cameras of views [B] of ``count`` around an object; fractions lie between two views."""
     azimuth = -360.0 / count * views.to(torch.get_default_dtype())
     distance, elevation = torch.full_like(azimuth, DISTANCE), torch.full_like(azimuth, ELEVATION)
     eye = get_points_from_angles(distance, elevation, azimuth)

@@ -128,12 +128,9 @@ def read_splits(path: Path) -> dict[tuple[str, str], str]:
 
 
 def default_splits(models: list[Model]) -> dict[tuple[str, str], str]:
-    """Assign models to splits: 70 % train, 10 % val, 20 % test of each category.
+    """Assign models to splits by (category, name): 70 % train, 10 % val, 20 % test of each category.
 
     The choice depends on names only, so that it is the same on every machine.
-
-    Returns:
-        (category, model) → split.
     """
     splits = {}
     for category in {model.category for model in models}:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from .... import validate
+from ....metrics import silhouette_iou
 from ....raster.ops.inside import inside
 from ....raster.ops.voxels import distances, fill
 from .framing import GRID
@@ -51,7 +52,6 @@ def voxelize_model(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
     Args:
         vertices: [V, 3] floating, in the reconstruction frame.
         faces: [F, 3] int32 or int64, clockwise seen from outside, because the frame is mirrored.
-        size: Voxels along each axis.
 
     Returns:
         [size, size, size] bool, with the axes of `voxelize`.
@@ -73,39 +73,17 @@ def voxelize_model(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
 
 
 def voxel_iou(predicted: Tensor, target: Tensor) -> Tensor:
-    """Compute the IoU [B] float32 of voxels [B, ...] bool; it is 1 if both are empty.
-
-    Raises:
-        TypeError, ValueError: A type does not fit, or the shapes differ.
-    """
-    for name, value in (("predicted", predicted), ("target", target)):
-        if not isinstance(value, Tensor) or value.dtype != torch.bool:
-            got = validate.shape_of(value) if isinstance(value, Tensor) else type(value).__name__
-            raise TypeError(f"{name}: expected a tensor of bool, got {got}")
-    if predicted.shape != target.shape or predicted.ndim < 2:
-        raise ValueError(
-            f"predicted and target: expected the same shape [B, ...], got {list(predicted.shape)} and "
-            f"{list(target.shape)}"
-        )
-    predicted, target = predicted.flatten(1), target.flatten(1)
-    union = (predicted | target).sum(1)
-    return torch.where(union > 0, (predicted & target).sum(1) / union.clamp(min=1), 1.0)
+    """Compute the IoU [B] float32 of voxels [B, S, S, S] bool; it is 1 if both are empty."""
+    return silhouette_iou(predicted.flatten(2), target.flatten(2))
 
 
 def chamfer(predicted: Tensor, target: Tensor) -> Tensor:
-    """Compute the chamfer distance between the surfaces of voxels.
+    """Compute the chamfer distance [B] between the surfaces of voxels [B or 1, S, S, S], in the reconstruction frame.
 
     The surface is the set of filled voxels with an empty neighbour or at the border of the grid. The distance is the
     mean distance from each surface voxel to the nearest one of the other surface, summed over both directions (Fan, Su
     and Guibas, "A point set generation network", 2017, without squares). It is √3, the diagonal of the box, if one of
     the two is empty.
-
-    Args:
-        predicted: [B, S, S, S] bool, or a batch of 1.
-        target: [B, S, S, S] bool, or a batch of 1.
-
-    Returns:
-        [B] float32, in units of the reconstruction frame.
     """
     size = predicted.shape[-1]
     first, second = _shell(predicted), _shell(target)
@@ -141,14 +119,10 @@ def _published_axes(filled: Tensor) -> Tensor:
 
 
 def voxel_surface(voxels: Tensor) -> tuple[Tensor, Tensor]:
-    """Make a mesh of the squares between filled and empty voxels.
+    """Make a mesh of the squares between filled and empty voxels [S, S, S] bool, in the published axes.
 
-    Args:
-        voxels: [S, S, S] bool, in the published axes.
-
-    Returns:
-        Vertices [V, 3] float32 in the reconstruction frame, and outward faces [F, 3] int64. A square has two faces and
-        four vertices; squares share no vertices.
+    Returns vertices [V, 3] float32 in the reconstruction frame, and outward faces [F, 3] int64. A square has two faces
+    and four vertices; squares share no vertices.
     """
     size = len(voxels)
     padded = torch.zeros((size + 2,) * 3, dtype=torch.bool, device=voxels.device)

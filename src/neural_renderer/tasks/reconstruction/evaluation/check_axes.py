@@ -20,17 +20,12 @@ _MARGIN = 0.05  # other axes must fit better by this much
 def check_axes(split: Split, name: str, most: int = 4) -> tuple[float, str | None]:
     """Compare the silhouettes of voxels and images, for all permutations and reversals of the voxels' axes.
 
-    The IoU is computed at 32 pixels, from four views of each object. Thin objects reach about 0.5, because voxels are
-    coarse. Axes that are symmetries of the objects cannot be told apart.
-
-    Args:
-        split: Split with images and voxels.
-        name: Name of a class.
-        most: Number of objects to compare.
+    The IoU is computed at 32 pixels, from four views of each of up to ``most`` objects. Thin objects reach about 0.5,
+    because voxels are coarse. Axes that are symmetries of the objects cannot be told apart.
 
     Returns:
-        The mean IoU; and the axes that fit clearly better, or None. "(2, 1, -0)" means: the last axis first, the first
-        axis reversed and last.
+        The mean IoU; and the axes that fit clearly better, or None. "(2, 1, -0)" means: the last axis first, the
+        first axis reversed and last.
     """
     selected = evenly_spaced(len(split.images[name]), most)
     axes = list(product(permutations(range(3)), product((1, -1), repeat=3)))

@@ -7,9 +7,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...masks.plain_background import plain_background_mask
-from ...masks.resize import limit_size, resize
-from ...masks.specks import remove_specks
+from ...masks.operations import limit_size, remove_specks, resize
+from ...masks.rule import plain_background_mask, transparency
 from ..data.framing import SIZE
 
 EXTENT = 44  # mean length of the object's longer side in the training data, in pixels
@@ -41,10 +40,9 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
                 f"mask: expected the shape of the image, {width} x {height}, got {mask.shape[1]} x {mask.shape[0]}"
             )
         alpha = resize(mask[None], (height, width))[0]
-    elif image.shape[2] == 4 and float(image[..., 3].min()) < 0.99:
-        alpha = image[..., 3]
     else:
-        alpha = plain_background_mask(image)
+        own = transparency(image)
+        alpha = plain_background_mask(image) if own is None else own
     if float(alpha.max()) < 0.5:
         raise ValueError("expected an object, got a picture without one")
     if float(alpha.min()) > 0.5:
@@ -53,15 +51,12 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
 
 
 def frame_object(rgba: Tensor, extent: float = EXTENT) -> Tensor:
-    """Scale and move a cut-out object to the size and place of objects in the training data.
+    """Scale and move a cut-out object to the size and place of objects in the training data: [4, 64, 64] uint8.
 
     Args:
         rgba: [4, H, W] in [0, 1], as `cut_out` returns it.
         extent: Length of the object's longer side in pixels. In the training data it is 30 to 59, depending on the
             shape (see `predict.best_frame`).
-
-    Returns:
-        [4, 64, 64] uint8.
 
     Raises:
         ValueError: The object is smaller than 8 pixels.

@@ -26,15 +26,10 @@ _AROUND, _COLUMNS = 16, 6  # views of the mesh in a picture of a prediction, and
 
 @torch.no_grad()
 def best_frame(predict: Predictor, rgba: Tensor, device: torch.device | str = "cpu") -> Tensor:
-    """Frame a cut-out object at the size of the best prediction.
+    """Frame a cut-out object [4, H, W], as from `cutout.cut_out`, at the size of the best prediction.
 
     The size of an object in the training data depends on its unknown shape. This function tries several sizes and
     compares the silhouettes of the predictions, from all views, with the object's. The best size is used.
-
-    Args:
-        predict: The method.
-        rgba: [4, H, W] in [0, 1], as `cutout.cut_out` returns it.
-        device: Device to compute on.
 
     Returns:
         [4, 64, 64] uint8, on the CPU.
@@ -52,17 +47,22 @@ def best_frame(predict: Predictor, rgba: Tensor, device: torch.device | str = "c
 
 @torch.no_grad()
 def predict_meshes(
-    model: Any, images: Tensor, threshold: float = 0.5, refine: int = 0, observer: Observer | None = None
+    model: Any,
+    images: Tensor,
+    threshold: float = 0.5,
+    refine: int = 0,
+    observer: Observer | None = None,
+    name: str | None = None,
 ) -> list[tuple[Tensor, Tensor]]:
     """Predict meshes from images.
 
     Args:
         model: Trained network.
         images: [B, 4, 64, 64] uint8, as `cutout.frame_object` returns them.
-        threshold: Probability at the surface, for a voxel network. The mesh is an isosurface of the interpolated
-            probabilities.
+        threshold: Probability at the surface, for a voxel network: an isosurface of the interpolated probabilities.
         refine: Steps of test-time refinement, for a mesh network (see `refine.refine_meshes`).
         observer: Sees the steps of the refinement of the first mesh, and may pause and stop it; or None.
+        name: Name of this mesh for the observer, beside those of other calls; or None.
 
     Returns:
         Vertices [V, 3] and outward faces [F, 3] of each image, in the frame of the models, on the CPU.
@@ -75,9 +75,13 @@ def predict_meshes(
         faces = model.faces.flip(1).cpu()
 
         def observe(step: int, loss: float, vertices: Callable[[], Tensor]) -> bool:
+            def shown() -> Any:
+                mesh = mirror(vertices()[0].cpu()), faces
+                return mesh if name is None else {name: mesh}
+
             if observer is not None:
-                numbers = {"loss": loss}
-                observer.observe("refinement", step, refine, numbers, lambda: (mirror(vertices()[0].cpu()), faces))
+                phase = "refinement" if name is None else f"{name}: refinement"
+                observer.observe(phase, step, refine, {"loss": loss}, shown)
             return goes_on(observer)
 
         meshes = refine_meshes(model, model.vertices(pixels), pixels, refine, None if observer is None else observe)
@@ -106,15 +110,7 @@ def _voxel_mesh(occupancy: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
 def prediction_picture(picture: Tensor, image: Tensor, vertices: Tensor, faces: Tensor, size: int = 128) -> Tensor:
     """Draw the given picture, the input of the network, and 16 views of the mesh, in three rows of six.
 
-    Args:
-        picture: [H, W, 3 or 4] in [0, 1], the given picture.
-        image: [4, 64, 64] uint8, the input of the network.
-        vertices: [V, 3], as `predict_meshes` returns them.
-        faces: [F, 3].
-        size: Side of each picture in pixels.
-
-    Returns:
-        [3, 3 · size, 6 · size] in [0, 1].
+    The given picture is [H, W, 3 or 4] in [0, 1], the input [4, 64, 64] uint8. The result is [3, 3 · size, 6 · size].
     """
     height, width = picture.shape[:2]
     alpha = picture[..., 3:] if picture.shape[2] == 4 else torch.ones(height, width, 1)

@@ -96,10 +96,7 @@ class VoxelPredictions:
 def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Predictor:
     """Wrap a trained network as a `Predictor`.
 
-    Args:
-        model: The network.
-        threshold: Probability above which voxels are filled, for a voxel network.
-        refine: Steps of test-time refinement, for a mesh network (see `refine.refine_meshes`).
+    Voxels are filled above the probability ``threshold``; meshes are refined by ``refine`` steps of `refine_meshes`.
     """
 
     @torch.no_grad()

@@ -13,11 +13,11 @@ from torch import Tensor
 
 from ....losses import laplacian, silhouette_iou_loss
 from ..data.framing import VIEWS
-from ..networks.make_network import Model
+from ..networks.checkpoint import Model
 from ..networks.mesh_network import MeshNetwork, smoothing_matrix
 
-_RATE, _BETAS = 0.01, (0.7, 0.9)  # of Adam; displacements are in units of the object's longest side
-_BLUR, _LAPLACIAN = 3.0, 3.0  # as in the configuration "best"
+_RATE, _BETAS = 0.01, (0.7, 0.9)  # settings of Adam; displacements are in units of the object's longest side
+_BLUR, _LAPLACIAN = 3.0, 3.0  # strength and weight as in the configuration "best"
 
 
 def refine_steps(model: Model, requested: int | None) -> int:
@@ -87,16 +87,7 @@ def refine_meshes(
 
 @torch.no_grad()
 def best_matching_views(network: MeshNetwork, vertices: Tensor, masks: Tensor) -> Tensor:
-    """Find the view of each mesh that matches its mask best.
-
-    Args:
-        network: The network of the prediction.
-        vertices: [B, 642, 3] floating.
-        masks: [B, 64, 64] in [0, 1].
-
-    Returns:
-        [B] int64, the view of largest IoU.
-    """
+    """Find the view [B] int64 in which each mesh [B, 642, 3] has the largest IoU with its mask [B, 64, 64]."""
     iou = []
     for view in range(VIEWS):
         alpha = network.silhouettes(vertices, torch.full((len(vertices),), view, device=vertices.device))

@@ -46,12 +46,7 @@ def image_features(network: FeatureNetwork, images: Tensor) -> Tensor:
 class Retrieval:
     """Nearest-neighbour search among the training images. Features are cached in files per network and class.
 
-    Args:
-        split: Training split with voxels.
-        network: Feature network, on the device to compute on.
-
-    Raises:
-        FileNotFoundError: A class has no voxels.
+    Raises FileNotFoundError if a class of the split has no voxels. The network stays on its device.
     """
 
     def __init__(self, split: Split, network: FeatureNetwork) -> None:
@@ -64,11 +59,7 @@ class Retrieval:
         self._known: list[tuple[str, int]] = []  # class and object of each row of features
 
     def prepare(self) -> Iterator[int]:
-        """Compute the features that are not cached.
-
-        Yields:
-            The number of finished images.
-        """
+        """Compute the features that are not cached; yield the number of finished images."""
         done = 0
         stamp = _fingerprint(self._network)
         for name in self._split.classes:

@@ -19,16 +19,9 @@ _INK = 40  # grey level of titles, of 255
 
 
 def data_sheet(split: Split, name: str, most: int = 48, columns: int = 8) -> Tensor:
-    """Draw objects of a class, one per row: views, then the voxels from two of them.
+    """Draw up to ``most`` objects of a class, one per row: views, then the voxels, if there are any, from two of them.
 
-    Args:
-        split: Split with images and, optionally, voxels.
-        name: Name of the class.
-        most: Number of objects.
-        columns: Number of views.
-
-    Returns:
-        [3, rows · 64, columns · 64] in [0, 1].
+    Returns [3, rows · 64, columns · 64] in [0, 1].
     """
     rows = []
     for index in evenly_spaced(len(split.images[name]), most):
@@ -52,15 +45,8 @@ def prediction_sheet(
 ) -> Tensor:
     """Draw some objects of each class, one per row: the input, the predictions of each method, and the true voxels.
 
-    Args:
-        predictors: Methods by name.
-        split: Split with images and voxels.
-        each: Objects per class.
-        size: Side of each picture in pixels.
-        turns: Views to draw, relative to that of the input.
-
-    Returns:
-        [3, 20 + rows · size, columns · size] in [0, 1]; the first 20 rows of pixels are titles.
+    ``turns`` are the views to draw, relative to that of the input. The result is [3, 20 + rows · size, columns · size];
+    the first 20 rows of pixels are titles.
     """
     rows = []
     for number, name in enumerate(split.classes):
@@ -81,14 +67,8 @@ def prediction_sheet(
 def training_sheet(predict: Predictor, split: Split, most: int = 13, turns: tuple[int, ...] = (0, 6, 15)) -> Tensor:
     """Draw the first object of each class, one per row: the input, the prediction, and the object's own images.
 
-    Args:
-        predict: The method.
-        split: Split with images; voxels are not needed.
-        most: Number of classes.
-        turns: Views to draw, relative to that of the input.
-
-    Returns:
-        [3, rows · 64, (1 + 2 · len(turns)) · 64] in [0, 1].
+    ``turns`` are the views to draw, relative to that of the input. The result is [3, rows · 64, (1 + 2 · len(turns)) ·
+    64].
     """
     rows = []
     for number, name in enumerate(split.classes[:most]):

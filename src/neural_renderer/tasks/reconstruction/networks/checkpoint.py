@@ -1,4 +1,4 @@
-"""Checkpoint files of trained networks."""
+"""Networks by name, and their checkpoint files."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ....features import features_like
+from ....features import FeatureNetwork, features_like
 from ....features.network import Plan
 from ....io.atomic_write import write_file
 from ....io.files import load_tensors, reason, short
 from ....version import __version__
 from .configs import Config
 from .encoders import FEATURES, FeatureEncoder
-from .make_network import Model, make_network
+from .mesh_network import MeshNetwork
+from .voxel_network import VoxelNetwork
 
 HEADER = "reconstruction"
 """Key of the `header` in a checkpoint."""
@@ -31,14 +32,22 @@ BEST, LAST = "best.ckpt", "last.ckpt"
 VERSION = 1
 """Version of networks and header. Increase it when a change gives older weights another meaning."""
 
+Model = MeshNetwork | VoxelNetwork
+
+NETWORKS: dict[str, type[MeshNetwork] | type[VoxelNetwork]] = {"mesh": MeshNetwork, "voxel": VoxelNetwork}
+
+
+def make_network(kind: str, config: Config, features: FeatureNetwork | None = None) -> Model:
+    """Make a network, "mesh" or "voxel", with random weights; ``features`` is the network of the encoder "features"."""
+    if kind not in NETWORKS:
+        raise ValueError(f"model: expected one of {', '.join(NETWORKS)}, got {kind!r}")
+    return NETWORKS[kind](config, features)
+
 
 def header(model: Model, classes: Sequence[str], weights: str) -> dict[str, Any]:
     """Make the header of a checkpoint: everything that `load_model` needs besides the weights.
 
-    Args:
-        model: The network.
-        classes: Names of the classes it was trained on.
-        weights: Prefix of the network's tensors in the checkpoint's "state_dict".
+    ``weights`` is the prefix of the network's tensors in the checkpoint's "state_dict".
     """
     encoder = model.encoder
     features = {"features": encoder.features.plan} if isinstance(encoder, FeatureEncoder) else {}
@@ -53,17 +62,7 @@ def header(model: Model, classes: Sequence[str], weights: str) -> dict[str, Any]
 
 
 def save_model(path: str | os.PathLike[str], model: Model, classes: Sequence[str], **facts: float) -> None:
-    """Write a network without the state of its training.
-
-    Args:
-        path: File to write.
-        model: The network.
-        classes: Names of the classes it was trained on.
-        **facts: Numbers to record in the header.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
+    """Write a network, with the classes it was trained on and further numbers, without the state of its training."""
     content = {HEADER: header(model, classes, "") | {"facts": facts}, "state_dict": model.state_dict()}
     file = io.BytesIO()  # torch.save to a path does not report why it cannot write
     torch.save(content, file)

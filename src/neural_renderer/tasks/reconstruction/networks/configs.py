@@ -102,34 +102,21 @@ _BEST = Config(
 
 _CONFIGS = {"paper": Config(), "best": _BEST, "small": replace(_BEST, steps=4_000)}
 
-# Published numbers of steps for networks of a single class, by the name or ShapeNet's id of the class.
+# Published numbers of steps for networks of a single class, by the name and ShapeNet's id of the class.
 _STEPS = {
-    "airplane": 200_000,
-    "bench": 100_000,
-    "cabinet": 40_000,
-    "car": 50_000,
-    "chair": 250_000,
-    "display": 20_000,
-    "lamp": 20_000,
-    "loudspeaker": 40_000,
-    "rifle": 130_000,
-    "sofa": 40_000,
-    "table": 90_000,
-    "telephone": 30_000,
-    "watercraft": 90_000,
-    "02691156": 200_000,
-    "02828884": 100_000,
-    "02933112": 40_000,
-    "02958343": 50_000,
-    "03001627": 250_000,
-    "03211117": 20_000,
-    "03636649": 20_000,
-    "03691459": 40_000,
-    "04090263": 130_000,
-    "04256520": 40_000,
-    "04379243": 90_000,
-    "04401088": 30_000,
-    "04530566": 90_000,
+    ("airplane", "02691156"): 200_000,
+    ("bench", "02828884"): 100_000,
+    ("cabinet", "02933112"): 40_000,
+    ("car", "02958343"): 50_000,
+    ("chair", "03001627"): 250_000,
+    ("display", "03211117"): 20_000,
+    ("lamp", "03636649"): 20_000,
+    ("loudspeaker", "03691459"): 40_000,
+    ("rifle", "04090263"): 130_000,
+    ("sofa", "04256520"): 40_000,
+    ("table", "04379243"): 90_000,
+    ("telephone", "04401088"): 30_000,
+    ("watercraft", "04530566"): 90_000,
 }
 
 
@@ -154,5 +141,6 @@ def make_config(name: ConfigName, classes: Sequence[str]) -> Config:
     """
     config = _CONFIGS[name]
     if name == "paper" and len(classes) == 1:
-        config = replace(config, smoothness=1e-3, steps=_STEPS.get(classes[0], 100_000))
+        steps = next((steps for names, steps in _STEPS.items() if classes[0] in names), 100_000)
+        config = replace(config, smoothness=1e-3, steps=steps)
     return config

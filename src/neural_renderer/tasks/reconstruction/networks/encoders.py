@@ -119,16 +119,7 @@ class _Block(nn.Module):
 
 
 def make_encoder(name: EncoderName, width: int = 32, features: FeatureNetwork | None = None) -> nn.Module:
-    """Make an encoder.
-
-    Args:
-        name: "paper", "light" or "features".
-        width: Channels of "light" at its first layer.
-        features: Recognition network of "features".
-
-    Raises:
-        ValueError: ``features`` is missing, or lacks the layer.
-    """
+    """Make the encoder "paper", "light", with ``width`` channels at its first layer, or "features", of a network."""
     if name != "features":
         return PaperEncoder() if name == "paper" else LightEncoder(width)
     if features is None:

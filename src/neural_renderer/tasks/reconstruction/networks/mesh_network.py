@@ -14,7 +14,7 @@ from ..data.framing import SIZE, view_camera
 from .configs import Config
 from .encoders import FEATURES, make_encoder, published_init
 
-_SHIFT_SCALE = 0.1  # of the global bias, as in the published code
+_SHIFT_SCALE = 0.1  # factor of the global bias, as in the published code
 
 
 class MeshNetwork(nn.Module):
@@ -134,12 +134,7 @@ class MeshNetwork(nn.Module):
 
 
 class MeshDecoder(nn.Module):
-    """Decoder from features [B, 512] to local biases [B, V, 3] and a global bias [B, 3], b and c in the paper.
-
-    Args:
-        vertices: V, number of vertices.
-        hidden: Widths of the hidden layers.
-    """
+    """Decoder from features [B, 512] to local biases [B, V, 3] and a global bias [B, 3], b and c in the paper."""
 
     def __init__(self, vertices: int, hidden: tuple[int, ...] = (1024, 2048)) -> None:
         super().__init__()

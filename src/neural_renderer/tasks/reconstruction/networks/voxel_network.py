@@ -69,17 +69,9 @@ class VoxelDecoder(nn.Sequential):
 
 
 def rays(device: torch.device, size: int = GRID, depths: int = GRID) -> Tensor:
-    """Compute sample positions on the rays of all 24 views.
+    """Compute sample positions on the rays of all 24 views, [24, depths, size, size, 3], for `grid_sample`.
 
     Depths span the circumscribed ball of the cube [-½, ½]³. The centres of the outermost voxels are its corners.
-
-    Args:
-        device: Device of the result.
-        size: Rays along each side of an image.
-        depths: Samples on each ray.
-
-    Returns:
-        [24, depths, size, size, 3], in the form of `torch.nn.functional.grid_sample`.
     """
     place = (torch.arange(size) + 0.5) / size * 2 - 1
     depth = DISTANCE + math.sqrt(3) / 2 * ((torch.arange(depths) + 0.5) / depths * 2 - 1)

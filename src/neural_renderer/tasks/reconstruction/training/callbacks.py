@@ -1,4 +1,4 @@
-"""Lightning callbacks: checkpoints, logs, pictures, the progress bar, and the end of a training."""
+"""Lightning callbacks: checkpoints, logs, pictures, the progress bar, observers, and the end of a training."""
 
 from __future__ import annotations
 
@@ -12,25 +12,30 @@ import lightning
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
+from torch import Tensor
 
 from ....io import save_image
 from ....io.atomic_write import replacing, writing
+from ...observer import LEAST_RATE, Knob, Observer, goes_on
+from ..data.arrays import Split
+from ..evaluation.predict import predict_meshes
 from ..evaluation.predictors import network_predictor
 from ..evaluation.sheets import training_sheet
 from ..networks.checkpoint import BEST, LAST, save_model
 
-_LOG_EVERY = 10  # steps
+STOPPED = 0
+"""Appended to the list of interruptions when the observer stops a training; Ctrl-C appends another number."""
+_MOST = 4  # predictions shown
+_VIEW = 2  # number of the view shown, of the 24 of an object
+_LOG_EVERY = 10  # steps between two rows of the log
 
 
 class Checkpoints(lightning.Callback):
     """Writes checkpoints after each round, and ends the training in all processes at once.
 
     "last.ckpt" is the state from which a training resumes. "best.ckpt" is the network with the best silhouette IoU on
-    the validation split, or the last network if there is no such split.
-
-    Args:
-        folder: Folder to write to.
-        interrupted: The training ends when this list is not empty.
+    the validation split, or the last network if there is no such split. The training ends when the list ``interrupted``
+    is not empty.
     """
 
     def __init__(self, folder: Path, interrupted: list[int]) -> None:
@@ -68,11 +73,7 @@ class Checkpoints(lightning.Callback):
 
 
 class Log(lightning.Callback):
-    """Writes numbers to "log.csv" and TensorBoard, pictures to "pictures", and shows a progress bar.
-
-    Args:
-        folder: Folder to write to.
-    """
+    """Writes numbers to "log.csv" and TensorBoard, pictures to "pictures", and shows a progress bar."""
 
     _COLUMNS = ("step", "seconds", "rate", "loss", "iou", "val_iou")
 
@@ -159,3 +160,50 @@ def _duration(seconds: float) -> str:
     """Format a duration as hours:minutes:seconds."""
     hours, rest = divmod(int(seconds), 3600)
     return f"{hours}:{rest // 60:02d}:{rest % 60:02d}"
+
+
+class Watch(lightning.Callback):
+    """Shows the steps of a training to an observer, and does what it asks for; a stop goes into ``interrupted``."""
+
+    def __init__(self, observer: Observer, interrupted: list[int]) -> None:
+        self._observer, self._interrupted = observer, interrupted
+        self._images: dict[str, Tensor] = {}
+
+    def on_train_start(self, trainer: lightning.Trainer, module: Any) -> None:
+        """Choose the pictures, and offer the learning rate."""
+        if trainer.is_global_zero:
+            self._images = some_images(module.val_split or module.train_split)
+            self._observer.offer([Knob("rate", module.config.rate, LEAST_RATE)])
+
+    def on_train_batch_end(self, trainer: lightning.Trainer, module: Any, *_: Any) -> None:
+        """Show a step."""
+        if not trainer.is_global_zero:
+            return
+        numbers = {name: float(module.latest[name]) for name in ("loss", "iou", "val_iou") if name in module.latest}
+        steps = module.config.steps
+        self._observer.observe("training", module.steps_done, steps, numbers, lambda: self._predict(module))
+        rate = self._observer.changes().get("rate")
+        if rate is not None:
+            module.rate_factor = float(rate) / module.config.rate
+        if not self._interrupted and not goes_on(self._observer, self._interrupted):
+            self._interrupted.append(STOPPED)
+
+    def _predict(self, module: Any) -> dict[str, tuple[Tensor, Tensor]]:
+        """Predict a mesh for each of the pictures."""
+        model, found = module.model, {}
+        was_training = model.training
+        model.eval()
+        try:
+            for name, image in self._images.items():
+                try:
+                    [found[name]] = predict_meshes(model, image[None].to(module.device))
+                except ValueError:  # voxels, all of which are empty: at the start of a training
+                    continue
+        finally:
+            model.train(was_training)
+        return found
+
+
+def some_images(split: Split) -> dict[str, Tensor]:
+    """Choose a picture [4, 64, 64] uint8 of each class, up to four, by name."""
+    return {name: torch.from_numpy(split.images[name][0][_VIEW].copy()) for name in split.classes[:_MOST]}

@@ -16,7 +16,7 @@ from ..data.arrays import Split
 from ..data.framing import VIEWS
 from ..networks.configs import Config
 
-_GREY_CHANCE = 0.3  # of an object whose colours are mixed with grey
+_GREY_CHANCE = 0.3  # share of objects whose colours are mixed with grey
 _MIX, _GAIN, _OFFSET = 0.15, 0.2, 0.08  # standard deviations of channel mixing, log gain and offset
 
 
@@ -27,16 +27,9 @@ class Batches(Dataset[dict[str, Tensor]]):
     and with ``config.augment`` also "flip" bool [n] and "color" float32 [n, 3, 4], an affine map of RGB.
 
     Args:
-        split: Training data.
-        config: Configuration of the training.
-        seed: Seed of the batches.
-        first: First step.
-        last: Step after the last one.
-        rank: Number of this process.
-        world: Number of processes.
-
-    Raises:
-        ValueError: The number of objects in a batch is not divisible by the number of processes.
+        split, config, seed: Data and configuration of the training, and seed of the batches.
+        first, last: First step, and the step after the last one.
+        rank, world: Number of this process, and number of processes, which must divide that of objects in a batch.
     """
 
     def __init__(

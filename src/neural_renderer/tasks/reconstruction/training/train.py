@@ -13,10 +13,9 @@ from ....features import FeatureNetwork
 from ...observer import Observer
 from ..data.arrays import Split
 from ..networks.configs import Config
-from .callbacks import Checkpoints, Log
+from .callbacks import Checkpoints, Log, Watch
 from .sampling import Batches
 from .training import Training
-from .watch import Watch
 
 
 def train(
@@ -42,24 +41,18 @@ def train(
     """Train a network until it is done or interrupted.
 
     Args:
-        kind: "mesh" or "voxel".
-        config: Configuration of the network and its training.
+        kind, config, minutes, every, seed, workers, features: As in `Training`.
         data: Training split.
         val: Validation split, or None.
         out: Folder for checkpoints, logs and pictures.
-        minutes: See `Training`.
-        every: See `Training`.
-        seed: See `Training`.
-        workers: See `Training`.
         devices: Processes on each machine; all processes share each batch, by DDP.
         nodes: Machines.
         device: "cpu", "cuda" or "auto".
         low_precision: Whether to compute networks in bfloat16 if `has_bfloat16`.
         checkpoint: A "last.ckpt" to resume from.
-        features: Recognition network of the encoder "features".
         interrupted: The training ends when this list is not empty.
-        observer: Sees the steps, with predictions for a few pictures, and may pause and stop the training and change
-            its learning rate; or None. Only the first process asks it.
+        observer: Sees the steps, with predictions for a few pictures, and may pause and stop the training and
+            change its learning rate; or None. Only the first process asks it.
 
     Returns:
         The training after its last step.

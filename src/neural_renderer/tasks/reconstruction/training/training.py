@@ -18,14 +18,13 @@ from ....features import FeatureNetwork
 from ....losses import silhouette_iou_loss
 from ..data.arrays import Split
 from ..data.framing import VIEWS
-from ..networks.checkpoint import HEADER, header
+from ..networks.checkpoint import HEADER, Model, header, make_network
 from ..networks.configs import Config
-from ..networks.make_network import Model, make_network
 from ..networks.mesh_network import MeshNetwork
 from .sampling import Batches, prepare_batch
 
 _VALIDATED = 40  # objects of a class at each validation
-_STRIDE, _APART = 7, 11  # of the two input views in a validation: from object to object, and from each other
+_STRIDE, _APART = 7, 11  # distances of input views in a validation: from object to object, and of the two
 _BIAS_SLOWDOWN = 10  # the learning rate of the global bias is smaller by this factor in the published code
 _ADAMW_BETAS = (0.9, 0.99)
 _DROP_AT, _DROP_TO = 0.95, 0.1  # schedule "step": progress and factor
@@ -220,12 +219,7 @@ class Training(lightning.LightningModule):
 
 
 def schedule(name: str, progress: float) -> float:
-    """Compute the factor on the learning rate.
-
-    Args:
-        name: "step" or "cosine" (see `Config`).
-        progress: Finished fraction of the training, in [0, 1].
-    """
+    """Compute the factor on the learning rate at a fraction of the training, for "step" or "cosine" (see `Config`)."""
     if name == "step":
         return 1.0 if progress < _DROP_AT else _DROP_TO
     if progress < _WARM_UP:

@@ -1,4 +1,4 @@
-"""Connected components of masks."""
+"""Operations on masks: resizing, dilation and erosion by a disc, specks and holes."""
 
 from __future__ import annotations
 
@@ -9,11 +9,60 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..components import connected_components
-from .resize import limit_size
 
 _MOST_SEARCHED = 640  # largest side, in pixels, of masks in which specks are found
 _MOST_FILLED = 1280  # largest side, in pixels, of masks in which holes are found
 _SPECK = 0.02  # size, relative to the largest component, below which components are dropped
+
+
+def limit_size(image: Tensor, most: int) -> Tensor:
+    """Shrink an image [H, W, C] to at most ``most`` pixels a side; colours are weighted by alpha, if there is any."""
+    height, width = image.shape[:2]
+    scale = most / max(height, width)
+    if scale >= 1:
+        return image
+    weighted = image if image.shape[2] < 4 else torch.cat((image[..., :3] * image[..., 3:], image[..., 3:]), 2)
+    size = (max(1, round(scale * height)), max(1, round(scale * width)))
+    small = resize(weighted.permute(2, 0, 1), size).permute(1, 2, 0)
+    if image.shape[2] < 4:
+        return small
+    return torch.cat((small[..., :3] / small[..., 3:].clamp(min=1e-6), small[..., 3:]), 2)
+
+
+def resize(image: Tensor, size: tuple[int, int]) -> Tensor:
+    """Resize an image [C, H, W]."""
+    if tuple(image.shape[1:]) == size:
+        return image
+    return F.interpolate(image[None], size, mode="bilinear", antialias=True, align_corners=False)[0].clamp(0, 1)
+
+
+def dilate(mask: Tensor, radius: int) -> Tensor:
+    """Grow a mask [H, W] bool by a disc of this radius in pixels."""
+    if radius <= 0:
+        return mask
+    tall = [mask]  # the mask, grown by 0, 1, … pixels upwards and downwards
+    for _ in range(radius):
+        taller = tall[-1].clone()
+        taller[1:] |= tall[-1][:-1]
+        taller[:-1] |= tall[-1][1:]
+        tall.append(taller)
+    grown, width = torch.zeros_like(mask), mask.shape[1]
+    for across in range(-radius, radius + 1):  # the columns of the disc
+        column = tall[math.isqrt(radius * radius - across * across)]
+        left, right = max(across, 0), width + min(across, 0)
+        if left < right:
+            grown[:, left:right] |= column[:, left - across : right - across]
+    return grown
+
+
+def erode(mask: Tensor, radius: int) -> Tensor:
+    """Shrink a mask [H, W] bool by a disc of this radius in pixels; outside of the image counts as object."""
+    return ~dilate(~mask, radius)
+
+
+def opened(mask: Tensor, radius: int) -> Tensor:
+    """Remove parts of a mask [H, W] bool that are thinner than a disc: erosion, then dilation."""
+    return dilate(erode(mask, radius), radius)
 
 
 def remove_specks(alpha: Tensor) -> Tensor:

@@ -1,7 +1,14 @@
-"""Reading of materials of glTF: factors, textures, samplers and texture transforms."""
+"""The JSON of a glTF or GLB file: changed so that trimesh keeps what materials need, and its materials.
+
+trimesh reads the geometry and the images. It keeps the name of a material and vertex attributes whose names start with
+an underscore. So materials are named by their numbers, and normals, tangents and the second texture coordinates are
+given a second name.
+"""
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -10,8 +17,56 @@ import numpy as np
 from ..files import fits_float32, short
 from ..surface_colors import FileTexture
 
+# Attributes of vertices, and the names under which trimesh keeps them.
+KEPT = {"NORMAL": "_NR_NORMAL", "TANGENT": "_NR_TANGENT", "TEXCOORD_0": "_NR_UV0", "TEXCOORD_1": "_NR_UV1"}
+_JSON = 0x4E4F534A
+_HEADER, _CHUNK = 12, 8  # bytes
 WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 _MODES = ("OPAQUE", "MASK", "BLEND")
+_NAMES = {
+    "metallicRoughnessTexture": "metallic_roughness_texture",
+    "emissiveTexture": "emissive_texture",
+    "occlusionTexture": "occlusion_texture",
+    "normalTexture": "normal_texture",
+}
+
+
+def prepared(data: bytes, is_binary: bool) -> tuple[bytes, dict[str, Any]]:
+    """Change the content of a file as described above; return it and the JSON as it was.
+
+    Raises:
+        Errors of many classes if the file is damaged.
+    """
+    text, rest = data, b""
+    if is_binary:
+        length, kind = struct.unpack_from("<II", data, _HEADER)
+        if kind != _JSON:
+            raise ValueError("its first chunk is not JSON")
+        begin = _HEADER + _CHUNK
+        text, rest = data[begin : begin + length], data[begin + length :]
+    tree = json.loads(text)
+    original = json.loads(text)
+    if not isinstance(tree, dict):
+        raise ValueError("its JSON is not an object")
+    for number, material in enumerate(_dicts(tree, "materials")):
+        material["name"] = str(number)
+    for mesh in _dicts(tree, "meshes"):
+        for primitive in _dicts(mesh, "primitives"):
+            attributes = primitive.get("attributes")
+            if isinstance(attributes, dict):
+                attributes |= {KEPT[name]: attributes[name] for name in KEPT if name in attributes}
+    changed = json.dumps(tree).encode()
+    if not is_binary:
+        return changed, original
+    changed += b" " * (-len(changed) % 4)
+    length = _HEADER + _CHUNK + len(changed) + len(rest)
+    return data[:8] + struct.pack("<III", length, len(changed), _JSON) + changed + rest, original
+
+
+def _dicts(tree: dict[str, Any], name: str) -> list[dict[str, Any]]:
+    """Return the objects of a list in a JSON object; empty if it is none."""
+    values = tree.get(name)
+    return [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
 
 
 class Slot(NamedTuple):
@@ -40,12 +95,7 @@ class Slot(NamedTuple):
 
 
 class GltfMaterial:
-    """A material of a file.
-
-    Args:
-        tree: JSON of the file.
-        number: Number of the material.
-    """
+    """A material in the JSON of a file, by its number."""
 
     def __init__(self, tree: dict[str, Any], number: int) -> None:
         self._tree, self.number = tree, number
@@ -66,9 +116,8 @@ class GltfMaterial:
     def arguments(self, image: Callable[[str, int], np.ndarray | None]) -> dict[str, Any]:
         """Collect the arguments of a `Material`, with a `FileTexture` in place of each texture.
 
-        Args:
-            image: Function that returns the image [H, W, channels] of a texture by its name in glTF, or None if it has
-                none: the alpha channel for one channel.
+        ``image`` returns the image [H, W, channels] of a texture by its name in glTF, or None: the alpha channel if it
+        is asked for one channel.
         """
         material, pbr = self._material, self._pbr
         emissive = _numbers(material, "emissiveFactor", (0.0, 0.0, 0.0), most=1.0)
@@ -133,14 +182,6 @@ class GltfMaterial:
         )
 
 
-_NAMES = {
-    "metallicRoughnessTexture": "metallic_roughness_texture",
-    "emissiveTexture": "emissive_texture",
-    "occlusionTexture": "occlusion_texture",
-    "normalTexture": "normal_texture",
-}
-
-
 def _object(value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ValueError(f"expected an object in its JSON, got {short(value)}")
@@ -156,11 +197,7 @@ def _item(tree: dict[str, Any], name: str, number: Any) -> Any:
 
 
 def _numbers(
-    owner: dict[str, Any],
-    name: str,
-    default: tuple[float, ...],
-    least: float | None = 0.0,
-    most: float | None = None,
+    owner: dict[str, Any], name: str, default: tuple[float, ...], least: float | None = 0.0, most: float | None = None
 ) -> Any:
     """Read a number, or a list of as many as ``default`` has; numbers out of range become the nearest in it."""
     value = owner.get(name, default)

@@ -1,17 +1,19 @@
-"""`unwrap`: a mesh with texture cubes becomes one with a texture image."""
+"""`unwrap`: a mesh with texture cubes becomes one with a texture image, in charts by the library xatlas."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ... import validate
-from ...raster.rasterize import rasterize_images
-from ...textures.gutters import pull_push
-from ..mesh import Mesh
-from ..uv_mesh import UVMesh
-from .charts import chart_coordinates
+from .. import validate
+from ..raster.rasterize import rasterize_images
+from ..textures.gutters import pull_push
+from .mesh import Mesh
+from .uv_mesh import UVMesh
 
 LEAST_SIZE, MOST_SIZE = 16, 8192
 """Pixels of a side of the image."""
@@ -68,15 +70,10 @@ def unwrap(mesh: Mesh, size: int = 1024, *, gutter: int = 4, uv: Tensor | None =
 
 @torch.no_grad()
 def bake(textures: Tensor, uv: Tensor, size: int) -> Tensor:
-    """Draw texture cubes into an image.
+    """Draw texture cubes [F, T, T, T, 3] into an image, [size, size, 3] float32, row 0 at the top.
 
-    Args:
-        textures: [F, T, T, T, 3] floating.
-        uv: [F, 3, 2], texture coordinates of the faces' corners in [0, 1], v up. Faces do not overlap.
-        size: Side of the image in pixels.
-
-    Returns:
-        [size, size, 3] float32, row 0 at the top. Texels that no face covers continue the colours around them.
+    Texture coordinates [F, 3, 2] of the faces' corners are in [0, 1], v up, and faces do not overlap. Texels that no
+    face covers continue the colours around them.
     """
     corners = functional.pad(2 * uv - 1, (0, 1), value=1.0)
     fine = (size * _SAMPLES, size * _SAMPLES)
@@ -95,3 +92,38 @@ def bake(textures: Tensor, uv: Tensor, size: int) -> Tensor:
     share = functional.avg_pool2d(drawn.alpha[:, None], _SAMPLES)
     image = functional.avg_pool2d(drawn.rgb * drawn.alpha[:, None], _SAMPLES) / share.clamp(min=1e-6)
     return pull_push(image, (share > 0).float())[0].permute(1, 2, 0).clamp(0, 1).contiguous()
+
+
+def load_xatlas() -> Any:
+    """Import xatlas; raise ModuleNotFoundError with the command that installs it."""
+    try:
+        import xatlas
+    except ModuleNotFoundError:
+        install = "pip install 'neural-renderer[unwrap]'"
+        raise ModuleNotFoundError(f"expected xatlas to be installed to make charts ({install})") from None
+    return xatlas
+
+
+def chart_coordinates(vertices: Tensor, faces: Tensor, size: int, gutter: int) -> Tensor:
+    """Cut a surface into charts and pack them into a square: [F, 3, 2] float32 in [0, 1], of the faces' corners.
+
+    Two charts are at least ``gutter`` pixels apart in an image of ``size`` pixels a side. Raises ModuleNotFoundError
+    without xatlas.
+    """
+    xatlas = load_xatlas()
+    atlas = xatlas.Atlas()
+    positions = vertices.detach().cpu().double().numpy()
+    low = positions.min(0)
+    longest = max(float((positions.max(0) - low).max()), 1e-30)
+    # Of one size: the library takes tiny faces for degenerate.
+    atlas.add_mesh(((positions - low) / longest * 100).astype(np.float32), faces.cpu().numpy().astype(np.uint32))
+    options = xatlas.PackOptions()
+    options.resolution, options.padding = size, gutter
+    atlas.generate(xatlas.ChartOptions(), options)
+    if atlas.atlas_count != 1:  # what does not fit goes to a second image: pack once more, with any side
+        options.resolution, options.texels_per_unit = 0, 0.9 * atlas.texels_per_unit
+        atlas.generate(xatlas.ChartOptions(), options)
+    _, corners, uv = atlas[0]
+    side = max(atlas.width, atlas.height)  # the image is square
+    scaled = uv * np.array([atlas.width / side, atlas.height / side], dtype=np.float32)
+    return torch.from_numpy(scaled[corners.astype(np.int64)]).float().to(vertices.device)

@@ -1,1 +1,0 @@
-"""Options of the subcommands of `neural-renderer reconstruct`."""

@@ -1,1 +1,0 @@
-"""Results of the commands: files, sheets of pictures and numbers."""

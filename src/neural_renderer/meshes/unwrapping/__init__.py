@@ -1,1 +1,0 @@
-"""Unwrapping of a surface onto one image: charts, and the colours of their texels."""
