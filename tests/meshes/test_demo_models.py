@@ -7,14 +7,9 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.commands import demo_models
 from neural_renderer.meshes.demo_models import duck, knot
 from neural_renderer.meshes.isosurface import isosurface
 from neural_renderer.meshes.topology import Topology
-
-
-def test_the_path_of_version_2_0() -> None:
-    assert (demo_models.duck, demo_models.knot) == (duck, knot)
 
 
 @pytest.mark.parametrize(("mesh", "characteristic"), [(duck(24, 2), 2), (knot(96, 12, 2), 0)], ids=["duck", "knot"])
