@@ -6,7 +6,7 @@ import torch
 from PIL import Image
 
 from neural_renderer import Mesh
-from neural_renderer.commands.demo import around, ball
+from neural_renderer.commands.demo import make_cameras, sphere_fit
 from neural_renderer.meshes.demo_models import duck, knot
 from neural_renderer.pictures.clay import clay_mesh
 from neural_renderer.pictures.photograph import lowest_point, photograph
@@ -19,8 +19,8 @@ SIDE = 256
 def main() -> None:
     """Sculpt the duck as the demo does, photograph its stages, and a turn of the knot below them."""
     target, ring = duck(), knot(texture_size=8)
-    cameras = around(24, torch.device("cpu"))
-    fit = ball(Views.of(target, cameras, 96), 300)
+    cameras = make_cameras(24, torch.device("cpu"))
+    fit = sphere_fit(Views.of(target, cameras, 96), 300)
     stages = [clay_mesh(*fit.shape[:2])]
     while not fit.done:
         fit.advance()

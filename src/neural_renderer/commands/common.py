@@ -61,7 +61,7 @@ def make_folder(option: str, folder: Path) -> None:
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
-    """Raise ValueError if an output file is an input, or a file that it names, such as a texture; None is skipped."""
+    """Raise ValueError if an output file is an input, or is named by one, such as a texture; None is skipped."""
     given = [path for path in inputs if path is not None and path.is_file()]
     read = {(status.st_dev, status.st_ino) for status in map(Path.stat, given)}
     for output in filter(Path.exists, outputs):

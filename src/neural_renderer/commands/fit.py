@@ -82,7 +82,7 @@ _EXIT_CODES: dict[Verdict, int] = {"match": 0, "mismatch": 3}
 def run(options: FitOptions) -> int:
     """Fit and write the results; return the exit code: 0, 3 if outlines do not match the masks, 130 after Ctrl-C."""
     check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, starts=1)
-    check_counts(options, camera_steps=1, turntable=0, seed=0)
+    check_counts(options, camera_steps=1, detail_steps=0, turntable=0, seed=0)
     check_most(options, cells=_MOST_CELLS)
     if options.unwrap:
         check_counts(options, unwrap=LEAST_SIZE)
@@ -98,8 +98,6 @@ def run(options: FitOptions) -> int:
             raise ValueError(f"{name}: expected --recover {' or '.join(phases)}, got --recover {options.recover}")
         if is_given and not options.photos:
             raise ValueError(f"{name}: expected the colours of photos, got --no-photos")
-    if options.detail_steps is not None:
-        check_counts(options, detail_steps=0)
     if options.up is not None and not 0 < math.hypot(*options.up) < math.inf:
         raise ValueError(f"--up: expected a direction, got {' '.join(map(str, options.up))}")
     if options.recover != "shape" and options.mesh is None:

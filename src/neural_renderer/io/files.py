@@ -28,11 +28,11 @@ def warn(message: str) -> None:
     warnings.warn(message, stacklevel=level)
 
 
-def existing(path: str | os.PathLike[str]) -> Path:
-    """Return ``path`` if it is a file; raise FileNotFoundError otherwise."""
+def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
+    """Return ``path`` if it is a file; raise FileNotFoundError otherwise, which calls it ``what``."""
     if not Path(path).is_file():
         found = "a folder" if Path(path).is_dir() else "nothing there"
-        raise FileNotFoundError(f"{path}: expected a file, got {found}")
+        raise FileNotFoundError(f"{path}: expected {what}, got {found}")
     return Path(path)
 
 

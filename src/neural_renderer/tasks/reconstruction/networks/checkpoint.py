@@ -7,7 +7,6 @@ import math
 import os
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -16,7 +15,7 @@ from torch import Tensor
 from ....features import FeatureNetwork, features_like
 from ....features.network import Plan
 from ....io.atomic_write import write_file
-from ....io.files import load_tensors, reason, short
+from ....io.files import existing, load_tensors, reason, short
 from ....version import __version__
 from .configs import Config
 from .encoders import FEATURES, FeatureEncoder
@@ -124,11 +123,7 @@ def _check_size(kind: str, config: Config, features: Plan, weights: dict[str, Te
 
 def read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read the content of a checkpoint onto the CPU. Errors: see `load_model`."""
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"{path}: expected a checkpoint, got {'a folder' if path.is_dir() else 'nothing there'}"
-        )
+    path = existing(path, "a checkpoint")
     try:
         content = load_tensors(path)
     except Exception as error:  # torch raises errors of many classes for files that are not checkpoints, or truncated
