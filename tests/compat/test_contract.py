@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import inspect
 import pickle
 
@@ -11,6 +12,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.constants import old_device
 
 CAMERA = "K=None R=None t=None dist_coeffs=None orig_size=None"
 RASTER = "image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001"
@@ -204,6 +206,66 @@ def test_shapes_dtypes_and_gradients(device, mode, anti_aliasing):
             assert image.requires_grad or leaf is None or (leaf == "textures" and name != "rgb")
             assert not image.requires_grad or leaf == "vertices" or (leaf == "textures" and mode in (None, "rgb"))
     assert all(part.is_contiguous() for part in bottom_up(device))
+
+
+def made(folder):
+    """All tensors that old names make of files and numbers."""
+    nr.save_obj(folder / "m.obj", *nr.cube(), torch.rand(12, 2, 2, 2, 3))
+    vertices, faces, textures = nr.load_obj(folder / "m.obj", load_texture=True)
+    noise, loaded = (nr.Mesh.fromobj(folder / "m.obj", load_texture=own, texture_size=2) for own in (False, True))
+    module = importlib.import_module("neural_renderer.load_obj")
+    renderer = nr.Renderer(K=np.eye(3), R=PINHOLE["R"], t=np.zeros((1, 3)))
+    return {
+        "load_obj": (vertices, faces, textures),
+        "load_textures": (module.load_textures(folder / "m.obj", folder / "m.mtl", 2),),
+        "Mesh.fromobj": (noise.vertices, noise.faces, noise.textures, loaded.vertices, loaded.textures),
+        "Mesh": tuple(nr.Mesh(str(folder / "m.obj"), 2).get_batch(1)),
+        "Renderer": (renderer.K, renderer.R, renderer.t, renderer.dist_coeffs),
+    }
+
+
+def test_old_names_make_tensors_on_cuda_where_there_is_one(device, tmp_path):
+    """As the first packages, which knew no other device. Modern names make them on the CPU."""
+    for name, tensors in made(tmp_path).items():
+        assert {tensor.device.type for tensor in tensors} == {device}, name
+    modern = nr.Mesh.load(tmp_path / "m.obj"), nr.UVMesh.load(tmp_path / "m.obj"), nr.Mesh.icosphere(1)
+    assert {mesh.vertices.device.type for mesh in modern} == {"cpu"}
+    assert (
+        nr.load_mesh(tmp_path / "m.obj")[0].device.type == nr.get_points_from_angles([1, 2], 0, 0).device.type == "cpu"
+    )
+
+
+@pytest.mark.parametrize("available", [True, False])
+def test_the_default_device_of_torch_wins(monkeypatch, available):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: available)
+    assert old_device().type == ("cuda" if available else "cpu")
+    for chosen in ("cpu", "meta"):
+        with torch.device(chosen):
+            assert old_device().type == chosen
+        torch.set_default_device(chosen)
+        try:
+            assert old_device().type == chosen
+        finally:
+            torch.set_default_device(None)
+
+
+def test_a_first_program_with_its_calls_of_cuda(device, tmp_path):
+    """The first example of the port, which moves what it makes and nothing that `load_obj` gives."""
+
+    def moved(tensor):
+        return tensor.cuda() if device == "cuda" else tensor
+
+    nr.save_obj(tmp_path / "m.obj", *nr.cube(), torch.rand(12, 2, 2, 2, 3))
+    vertices, faces = nr.load_obj(tmp_path / "m.obj")
+    vertices, faces = vertices[None, :, :], faces[None, :, :]
+    textures = moved(torch.ones(1, faces.shape[1], 2, 2, 2, 3, dtype=torch.float32))
+    renderer = nr.Renderer(camera_mode="look_at", image_size=16)
+    for azimuth in (0, 120):
+        renderer.eye = nr.get_points_from_angles(2.732, 0, azimuth)
+        images, _, _ = renderer(vertices, faces, textures)
+        assert images.detach().cpu().numpy()[0].transpose((1, 2, 0)).max() > 0.25
+    mesh = nr.Mesh.fromobj(tmp_path / "m.obj", load_texture=True)
+    assert renderer(mesh.vertices[None], mesh.faces[None], mesh.textures[None])[2].max() == 1
 
 
 VECTORS = ["eye", "camera_direction", "camera_up", "light_color_ambient", "light_color_directional", "light_direction"]

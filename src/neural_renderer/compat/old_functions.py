@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import camera, validate
+from .. import camera, constants, validate
 from ..camera.view import point_from_angles
 from ..io.atlas import build_atlas
 from ..io.cubes import check_size
@@ -67,12 +67,12 @@ def load_textures(
     texture_wrapping: str = "REPEAT",
     use_bilinear: bool = True,
 ) -> Tensor:
-    """Bake the materials of an MTL file into textures [F, T, T, T, 3] of an OBJ file; see `load_obj`."""
+    """Bake the materials of an MTL file into textures [F, T, T, T, 3] of an OBJ file, on the device of `load_obj`."""
     obj = read_obj(existing(filename_obj), with_uv=True)
     check_size(len(obj.faces), texture_size)
     surface = obj_surface_colors(obj, texture_wrapping, materials=read_mtl(existing(filename_mtl)))
     surface = surface or SurfaceColors.plain(len(obj.faces), 0.5)
-    return torch.from_numpy(surface.bake(texture_size, use_bilinear))
+    return torch.from_numpy(surface.bake(texture_size, use_bilinear)).to(constants.old_device())
 
 
 def create_texture_image(textures: Tensor, texture_size_out: int = 16) -> tuple[np.ndarray, np.ndarray]:
