@@ -183,6 +183,12 @@ def test_answers(device, name):
     torch.testing.assert_close(found, torch.tensor(expected, dtype=torch.float32), rtol=1e-6, atol=1e-6)
 
 
+def test_points_of_plain_numbers_are_tuples():
+    """Programs unpack, compare and stack them."""
+    eye = nr.get_points_from_angles(2, np.float64(0), 0)
+    assert type(eye) is tuple and eye == (0, 0, -2) and torch.tensor([eye, eye]).shape == (2, 3)
+
+
 SHAPES = {
     None: [("rgb", (2, 3, 4, 4)), ("depth", (2, 4, 4)), ("alpha", (2, 4, 4))],
     "rgb": [("rgb", (2, 3, 4, 4))],

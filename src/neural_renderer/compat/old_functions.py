@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-from numbers import Real
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from .. import camera, constants, validate
-from ..camera.view import point_from_angles
+from .. import constants, validate
 from ..io.atlas import build_atlas
 from ..io.cubes import check_size
 from ..io.files import existing
@@ -41,13 +39,6 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
     """
     validate.floating("a", a, ("N", 3))
     return torch.linalg.cross(a, validate.floating("b", b, (len(a), 3)))
-
-
-def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees: bool = True) -> Any:
-    """Convert spherical to Cartesian coordinates: a tuple of three floats for numbers, else a tensor [B, 3]."""
-    if all(isinstance(value, Real) for value in (distance, elevation, azimuth)):
-        return point_from_angles(distance, elevation, azimuth, degrees)
-    return camera.get_points_from_angles(distance, elevation, azimuth, degrees)
 
 
 def load_mtl(filename_mtl: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
