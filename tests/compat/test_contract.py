@@ -379,11 +379,37 @@ def test_state_is_what_is_a_parameter(device):
     assert list(renderer.state_dict()) == ["eye"]
     renderer(*square(device))[1].sum().backward()
     assert renderer.eye.grad.any()
-    mesh = nr.Mesh(*nr.cube(), texture_size=2)
-    assert set(mesh.state_dict()) == {"vertices", "faces", "textures"}
-    again = nr.Mesh(*nr.cube(), texture_size=2)
-    again.load_state_dict(mesh.state_dict())
-    assert torch.equal(again.textures, mesh.textures)
+
+
+def test_a_mesh_in_a_network_adds_no_keys(device, tmp_path):
+    """In the port it is no module: its tensors are those that it was given, and textures of noise are a leaf."""
+    nr.save_obj(tmp_path / "m.obj", *nr.cube())
+    network = torch.nn.Linear(2, 2)
+    before = set(network.state_dict())
+    network.template = nr.Mesh.fromobj(tmp_path / "m.obj")
+    network.other = nr.Mesh(*nr.cube(), texture_size=2)
+    assert set(network.state_dict()) == before == {name for name, _ in network.named_parameters()}
+    noise = network.to(device).template.textures
+    assert noise.is_leaf and noise.requires_grad
+    plain()(network.template.vertices[None], network.template.faces[None], noise[None])[0].sum().backward()
+    assert noise.grad is not None
+    chain = nr.Mesh(str(tmp_path / "m.obj"), 2)  # of the Chainer package: a link with two parameters
+    assert set(chain.state_dict()) == {"vertices", "textures"}
+
+
+def test_gradients_flow_through_a_mesh_to_what_it_is_given(device):
+    vertices, faces = (part.to(device) for part in nr.cube())
+    x, colors = torch.ones_like(vertices, requires_grad=True), torch.rand(12, 1, 1, 1, 3, device=device)
+    colors.requires_grad_()
+    mesh = nr.Mesh(x * vertices, faces, colors * 0.5)
+    mesh.vertices.sum().backward(retain_graph=True)
+    assert x.grad.any()
+    renderer = nr.Renderer(16, camera_mode="look_at")
+    renderer(mesh.vertices[None], mesh.faces[None], mesh.textures[None])[0].sum().backward()
+    assert colors.grad.any()
+    mesh.vertices = x * 2
+    mesh.textures = torch.nn.Parameter(colors.detach())
+    assert mesh.vertices.grad_fn is not None and list(mesh.state_dict()) == ["textures"]
 
 
 def test_pickles_of_the_first_packages(device):
@@ -421,7 +447,7 @@ def test_wrong_numbers_are_told_unless_asked_not_to(device, vertices, faces, sen
 
 def test_chainers_names(device):
     """Of the Chainer package, with torch's tensors and optimisers."""
-    mesh = nr.Mesh(*nr.cube(0.7), texture_size=2).to(device)
+    mesh = nr.Mesh(*nr.cube(0.7), texture_size=2).to(device).trainable()
     mesh.set_lr(0.5, 2.0)
     vertices, faces, textures = mesh.get_batch(3)
     assert vertices.shape == (3, 8, 3) and faces.shape == (3, 12, 3) and textures.shape == (3, 12, 2, 2, 2, 3)
