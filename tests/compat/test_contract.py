@@ -13,6 +13,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.constants import old_device
+from tests.paths import ROOT
 
 CAMERA = "K=None R=None t=None dist_coeffs=None orig_size=None"
 RASTER = "image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001"
@@ -443,6 +444,28 @@ def test_wrong_numbers_are_told_unless_asked_not_to(device, vertices, faces, sen
     finally:
         nr.check_values(True)
     assert alpha.sum() < 16 and depth.isfinite().all() and rgb.isfinite().all()
+
+
+def test_names_of_forks_have_an_answer(device):
+    """The rows of docs/compatibility.md for what changed copies of the port have."""
+    corners = upper(device)
+    code = (
+        (ROOT / "docs" / "compatibility.md").read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
+    )
+    names = {"torch": torch, "corners": corners}
+    exec(code, names)
+    mesh = names["clip"], names["triangles"]
+    found = nr.fragments(mesh, None, 4, anti_aliasing=False, two_sided=False)
+    assert (found.face_index[0].cpu() >= 0).tolist() == [[True] * 4] * 2 + [[False] * 4] * 2
+    # The two triangles meet on the diagonal from the lower left to the upper right.
+    assert found.face_index[0, 0, 0] == 1 and found.face_index[0, 1, 3] == 0
+    torch.testing.assert_close(found.weights.sum(-1).cpu(), (found.face_index.cpu() >= 0).float())
+    with pytest.raises(ValueError, match="expected 0 <= near < far"):
+        nr.rasterize_silhouettes(corners, 4, near=-100)
+    inside = nr.rasterize_silhouettes(corners, 4, near=0, far=1000)
+    assert torch.equal(inside, nr.rasterize_silhouettes(corners, 4))
+    wide = nr.Renderer((2, 4), camera_mode="none"), nr.Renderer(camera_mode="none", image_width=4, image_height=2)
+    assert all(renderer(*square(device)[:2], mode="silhouettes").shape == (1, 2, 4) for renderer in wide)
 
 
 def test_chainers_names(device):
