@@ -91,6 +91,14 @@ def native_kernels(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
         monkeypatch.setattr("torch.get_num_threads", lambda: 4)
 
 
+@pytest.fixture(autouse=True)
+def old_names_on_the_cpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Old names make tensors on the CPU, where a test can compare them, unless it asks for CUDA among old programs."""
+    device = getattr(getattr(request.node, "callspec", None), "params", {}).get("device")
+    if device != "cuda" or "compat" not in request.path.parts:
+        monkeypatch.setattr("neural_renderer.constants.old_device", lambda: torch.device("cpu"))
+
+
 @pytest.fixture
 def deterministic() -> Iterator[None]:
     """Sums in one order on every device, for tests that compare gradients bit for bit."""
@@ -126,6 +134,7 @@ def pytest_runtest_setup() -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Every test that takes ``device`` runs on the CPU, and on CUDA where there is one."""
+    """Every test that takes ``device`` runs on the CPU, and on CUDA where there is one; old programs always on both."""
     if "device" in metafunc.fixturenames:
-        metafunc.parametrize("device", ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"])
+        on_cuda = torch.cuda.is_available() or "compat" in metafunc.definition.path.parts
+        metafunc.parametrize("device", ["cpu", "cuda"] if on_cuda else ["cpu"])

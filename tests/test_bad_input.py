@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import torch
@@ -230,6 +232,19 @@ def test_images_without_faces(device):
         mesh = nr.UVMesh(VERTICES.to(device), none, empty[0][..., :2], empty[1], images, empty[0], ("repeat",) * count)
         found = nr.render(mesh, camera, 8, background=(0.1, 0.2, 0.3))
         assert not found.alpha.any() and torch.equal(found.rgb[0, :, 4, 4].cpu(), torch.tensor([0.1, 0.2, 0.3]))
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.float64])
+@pytest.mark.parametrize("value", [NAN, INF, -INF])
+def test_one_texture_coordinate_that_is_not_finite(device, value, dtype):
+    """With mipmaps and without, in each way to wrap, among few pixels and among many."""
+    for side in (4, 80):
+        uv = torch.full((1, side, side, 2), 0.5, dtype=dtype, device=device)
+        uv[0, 1, 2, 1] = value
+        seen = torch.zeros(1, side, side, dtype=torch.int32, device=device)
+        for index, wrap in itertools.product((None, seen), ("repeat", "clamp", "mirror")):
+            with pytest.raises(ValueError, match=r"^uv: expected finite numbers, got 1 that are NaN or infinite"):
+                nr.sample_texture(torch.rand(4, 4, 3, device=device), uv, index, wrap=wrap)
 
 
 def test_what_is_interpolated_or_sampled_has_to_be_finite(device):

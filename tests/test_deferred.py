@@ -122,7 +122,7 @@ def test_seams_between_faces_of_different_colour(device):
 
 def test_meshes_of_different_sizes(device):
     """A list is drawn as each mesh alone, and all that follows takes what `batch` makes."""
-    meshes = [nr.Mesh.icosphere(1, 0.8).to(device), nr.Mesh.icosphere(2).to(device)]
+    meshes = [mesh.to(device).trainable() for mesh in (nr.Mesh.icosphere(1, 0.8), nr.Mesh.icosphere(2))]
     camera = nr.Camera.look_at((0.3, 1.0, -2.5), viewing_angle=30).to(device)
     fragments = nr.fragments(meshes, camera, 24)
     vertices, _, _ = nr.batch(meshes)

@@ -74,7 +74,7 @@ def test_anti_aliasing() -> None:
 
 @pytest.mark.parametrize("gradient", ["nmr", "edge"])
 def test_gradients_are_those_of_deferred_shading(gradient) -> None:
-    mesh, weight = nr.Mesh.icosphere(2), torch.rand(2, 3, 24, 24)
+    mesh, weight = nr.Mesh.icosphere(2).trainable(), torch.rand(2, 3, 24, 24)
     position = nr.render(mesh, CAMERA, 24, outputs=("position", "face_index"), gradient=gradient).position
     (found,) = torch.autograd.grad((position * weight).sum(), mesh.vertices)
     fragments = nr.fragments(mesh, CAMERA, 24, gradient=gradient)

@@ -1,6 +1,6 @@
 """Draw meshes in PyTorch, and send gradients from the images back to the scene. CPU and CUDA.
 
-    mesh = nr.Mesh.load("bunny.obj")                                    # vertices, faces, textures
+    mesh = nr.Mesh.load("bunny.obj").trainable()                        # vertices, faces, textures
     camera = nr.Camera.look_at((0.0, 1.0, -2.5), viewing_angle=30)      # one camera, or a batch of them
     images = nr.render(mesh, camera, 256)                               # images.rgb, images.alpha, images.depth
     nr.losses.silhouette_iou_loss(images.alpha, target).backward()      # fills mesh.vertices.grad

@@ -8,6 +8,8 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.overrides import _get_current_function_mode_stack
+from torch.utils._device import DeviceContext
 from torch.utils.weak import WeakTensorKeyDictionary
 
 _LARGEST = torch.finfo(torch.float16).max
@@ -32,6 +34,12 @@ def constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor | N
         return None if numbers is None else _constant(numbers, dtype, device)
     except ValueError:  # lists of different lengths
         return None
+
+
+def old_device() -> torch.device:
+    """Choose where names of the first packages make tensors: torch's default device if one is set, else CUDA or CPU."""
+    chosen = [mode.device for mode in _get_current_function_mode_stack() if isinstance(mode, DeviceContext)]
+    return chosen[-1] if chosen else torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def on_device(tensor: Tensor, like: Tensor) -> Tensor:

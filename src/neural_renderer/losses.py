@@ -159,7 +159,7 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "m
             checked, also a face index out of range or a vertex that is not finite.
 
     Example:
-        >>> sphere = nr.Mesh.icosphere(2)
+        >>> sphere = nr.Mesh.icosphere(2).trainable()
         >>> laplacian(sphere.vertices, sphere.faces).backward()
     """
     vertices, topology = _prepared(vertices, faces)

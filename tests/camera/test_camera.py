@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 import torch
-from neural_renderer.get_points_from_angles import get_points_from_angles
 from torch.autograd import gradcheck
 
 import neural_renderer.camera as nr
@@ -75,12 +74,11 @@ def test_vertices_of_the_caller_stay_as_they_are():
 
 
 def test_get_points_from_angles():
-    torch.testing.assert_close(nr.get_points_from_angles(2, 0, 0), torch.tensor([0.0, 0, -2]))
-    torch.testing.assert_close(nr.get_points_from_angles(2, 30.0, np.int64(90)), torch.tensor([math.sqrt(3), 1, 0]))
-    tuples = get_points_from_angles(2, 30.0, 90)
-    np.testing.assert_allclose(tuples, (math.sqrt(3), 1, 0), atol=1e-12)
-    assert type(tuples) is tuple and all(type(v) is float for v in get_points_from_angles(2, np.float32(30), 0))
-    assert get_points_from_angles(2, torch.zeros(3), 0).shape == (3, 3)
+    assert nr.get_points_from_angles(2, 0, 0) == (0, 0, -2)
+    np.testing.assert_allclose(nr.get_points_from_angles(2, 30.0, np.int64(90)), (math.sqrt(3), 1, 0), atol=1e-12)
+    tuples = nr.get_points_from_angles(2, np.float32(30), 0)
+    assert type(tuples) is tuple and all(type(v) is float for v in tuples)
+    assert nr.get_points_from_angles(2, torch.zeros(3), 0).shape == (3, 3)
     azimuth = torch.tensor([0.0, 0.5 * math.pi], dtype=torch.float64, requires_grad=True)
     found = nr.get_points_from_angles(2, np.zeros(1), azimuth, degrees=False)
     np.testing.assert_allclose(found.detach(), [(0, 0, -2), (2, 0, 0)], atol=1e-12)

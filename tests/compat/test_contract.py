@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import inspect
 import pickle
 
@@ -11,6 +12,8 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.constants import old_device
+from tests.paths import ROOT
 
 CAMERA = "K=None R=None t=None dist_coeffs=None orig_size=None"
 RASTER = "image_size=256 anti_aliasing=True near=0.1 far=100 eps=0.0001"
@@ -181,6 +184,12 @@ def test_answers(device, name):
     torch.testing.assert_close(found, torch.tensor(expected, dtype=torch.float32), rtol=1e-6, atol=1e-6)
 
 
+def test_points_of_plain_numbers_are_tuples():
+    """Programs unpack, compare and stack them."""
+    eye = nr.get_points_from_angles(2, np.float64(0), 0)
+    assert type(eye) is tuple and eye == (0, 0, -2) and torch.tensor([eye, eye]).shape == (2, 3)
+
+
 SHAPES = {
     None: [("rgb", (2, 3, 4, 4)), ("depth", (2, 4, 4)), ("alpha", (2, 4, 4))],
     "rgb": [("rgb", (2, 3, 4, 4))],
@@ -204,6 +213,66 @@ def test_shapes_dtypes_and_gradients(device, mode, anti_aliasing):
             assert image.requires_grad or leaf is None or (leaf == "textures" and name != "rgb")
             assert not image.requires_grad or leaf == "vertices" or (leaf == "textures" and mode in (None, "rgb"))
     assert all(part.is_contiguous() for part in bottom_up(device))
+
+
+def made(folder):
+    """All tensors that old names make of files and numbers."""
+    nr.save_obj(folder / "m.obj", *nr.cube(), torch.rand(12, 2, 2, 2, 3))
+    vertices, faces, textures = nr.load_obj(folder / "m.obj", load_texture=True)
+    noise, loaded = (nr.Mesh.fromobj(folder / "m.obj", load_texture=own, texture_size=2) for own in (False, True))
+    module = importlib.import_module("neural_renderer.load_obj")
+    renderer = nr.Renderer(K=np.eye(3), R=PINHOLE["R"], t=np.zeros((1, 3)))
+    return {
+        "load_obj": (vertices, faces, textures),
+        "load_textures": (module.load_textures(folder / "m.obj", folder / "m.mtl", 2),),
+        "Mesh.fromobj": (noise.vertices, noise.faces, noise.textures, loaded.vertices, loaded.textures),
+        "Mesh": tuple(nr.Mesh(str(folder / "m.obj"), 2).get_batch(1)),
+        "Renderer": (renderer.K, renderer.R, renderer.t, renderer.dist_coeffs),
+    }
+
+
+def test_old_names_make_tensors_on_cuda_where_there_is_one(device, tmp_path):
+    """As the first packages, which knew no other device. Modern names make them on the CPU."""
+    for name, tensors in made(tmp_path).items():
+        assert {tensor.device.type for tensor in tensors} == {device}, name
+    modern = nr.Mesh.load(tmp_path / "m.obj"), nr.UVMesh.load(tmp_path / "m.obj"), nr.Mesh.icosphere(1)
+    assert {mesh.vertices.device.type for mesh in modern} == {"cpu"}
+    assert (
+        nr.load_mesh(tmp_path / "m.obj")[0].device.type == nr.get_points_from_angles([1, 2], 0, 0).device.type == "cpu"
+    )
+
+
+@pytest.mark.parametrize("available", [True, False])
+def test_the_default_device_of_torch_wins(monkeypatch, available):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: available)
+    assert old_device().type == ("cuda" if available else "cpu")
+    for chosen in ("cpu", "meta"):
+        with torch.device(chosen):
+            assert old_device().type == chosen
+        torch.set_default_device(chosen)
+        try:
+            assert old_device().type == chosen
+        finally:
+            torch.set_default_device(None)
+
+
+def test_a_first_program_with_its_calls_of_cuda(device, tmp_path):
+    """The first example of the port, which moves what it makes and nothing that `load_obj` gives."""
+
+    def moved(tensor):
+        return tensor.cuda() if device == "cuda" else tensor
+
+    nr.save_obj(tmp_path / "m.obj", *nr.cube(), torch.rand(12, 2, 2, 2, 3))
+    vertices, faces = nr.load_obj(tmp_path / "m.obj")
+    vertices, faces = vertices[None, :, :], faces[None, :, :]
+    textures = moved(torch.ones(1, faces.shape[1], 2, 2, 2, 3, dtype=torch.float32))
+    renderer = nr.Renderer(camera_mode="look_at", image_size=16)
+    for azimuth in (0, 120):
+        renderer.eye = nr.get_points_from_angles(2.732, 0, azimuth)
+        images, _, _ = renderer(vertices, faces, textures)
+        assert images.detach().cpu().numpy()[0].transpose((1, 2, 0)).max() > 0.25
+    mesh = nr.Mesh.fromobj(tmp_path / "m.obj", load_texture=True)
+    assert renderer(mesh.vertices[None], mesh.faces[None], mesh.textures[None])[2].max() == 1
 
 
 VECTORS = ["eye", "camera_direction", "camera_up", "light_color_ambient", "light_color_directional", "light_direction"]
@@ -311,11 +380,37 @@ def test_state_is_what_is_a_parameter(device):
     assert list(renderer.state_dict()) == ["eye"]
     renderer(*square(device))[1].sum().backward()
     assert renderer.eye.grad.any()
-    mesh = nr.Mesh(*nr.cube(), texture_size=2)
-    assert set(mesh.state_dict()) == {"vertices", "faces", "textures"}
-    again = nr.Mesh(*nr.cube(), texture_size=2)
-    again.load_state_dict(mesh.state_dict())
-    assert torch.equal(again.textures, mesh.textures)
+
+
+def test_a_mesh_in_a_network_adds_no_keys(device, tmp_path):
+    """In the port it is no module: its tensors are those that it was given, and textures of noise are a leaf."""
+    nr.save_obj(tmp_path / "m.obj", *nr.cube())
+    network = torch.nn.Linear(2, 2)
+    before = set(network.state_dict())
+    network.template = nr.Mesh.fromobj(tmp_path / "m.obj")
+    network.other = nr.Mesh(*nr.cube(), texture_size=2)
+    assert set(network.state_dict()) == before == {name for name, _ in network.named_parameters()}
+    noise = network.to(device).template.textures
+    assert noise.is_leaf and noise.requires_grad
+    plain()(network.template.vertices[None], network.template.faces[None], noise[None])[0].sum().backward()
+    assert noise.grad is not None
+    chain = nr.Mesh(str(tmp_path / "m.obj"), 2)  # of the Chainer package: a link with two parameters
+    assert set(chain.state_dict()) == {"vertices", "textures"}
+
+
+def test_gradients_flow_through_a_mesh_to_what_it_is_given(device):
+    vertices, faces = (part.to(device) for part in nr.cube())
+    x, colors = torch.ones_like(vertices, requires_grad=True), torch.rand(12, 1, 1, 1, 3, device=device)
+    colors.requires_grad_()
+    mesh = nr.Mesh(x * vertices, faces, colors * 0.5)
+    mesh.vertices.sum().backward(retain_graph=True)
+    assert x.grad.any()
+    renderer = nr.Renderer(16, camera_mode="look_at")
+    renderer(mesh.vertices[None], mesh.faces[None], mesh.textures[None])[0].sum().backward()
+    assert colors.grad.any()
+    mesh.vertices = x * 2
+    mesh.textures = torch.nn.Parameter(colors.detach())
+    assert mesh.vertices.grad_fn is not None and list(mesh.state_dict()) == ["textures"]
 
 
 def test_pickles_of_the_first_packages(device):
@@ -351,9 +446,31 @@ def test_wrong_numbers_are_told_unless_asked_not_to(device, vertices, faces, sen
     assert alpha.sum() < 16 and depth.isfinite().all() and rgb.isfinite().all()
 
 
+def test_names_of_forks_have_an_answer(device):
+    """The rows of docs/compatibility.md for what changed copies of the port have."""
+    corners = upper(device)
+    code = (
+        (ROOT / "docs" / "compatibility.md").read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
+    )
+    names = {"torch": torch, "corners": corners}
+    exec(code, names)
+    mesh = names["clip"], names["triangles"]
+    found = nr.fragments(mesh, None, 4, anti_aliasing=False, two_sided=False)
+    assert (found.face_index[0].cpu() >= 0).tolist() == [[True] * 4] * 2 + [[False] * 4] * 2
+    # The two triangles meet on the diagonal from the lower left to the upper right.
+    assert found.face_index[0, 0, 0] == 1 and found.face_index[0, 1, 3] == 0
+    torch.testing.assert_close(found.weights.sum(-1).cpu(), (found.face_index.cpu() >= 0).float())
+    with pytest.raises(ValueError, match="expected 0 <= near < far"):
+        nr.rasterize_silhouettes(corners, 4, near=-100)
+    inside = nr.rasterize_silhouettes(corners, 4, near=0, far=1000)
+    assert torch.equal(inside, nr.rasterize_silhouettes(corners, 4))
+    wide = nr.Renderer((2, 4), camera_mode="none"), nr.Renderer(camera_mode="none", image_width=4, image_height=2)
+    assert all(renderer(*square(device)[:2], mode="silhouettes").shape == (1, 2, 4) for renderer in wide)
+
+
 def test_chainers_names(device):
     """Of the Chainer package, with torch's tensors and optimisers."""
-    mesh = nr.Mesh(*nr.cube(0.7), texture_size=2).to(device)
+    mesh = nr.Mesh(*nr.cube(0.7), texture_size=2).to(device).trainable()
     mesh.set_lr(0.5, 2.0)
     vertices, faces, textures = mesh.get_batch(3)
     assert vertices.shape == (3, 8, 3) and faces.shape == (3, 12, 3) and textures.shape == (3, 12, 2, 2, 2, 3)

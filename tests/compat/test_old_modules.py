@@ -40,8 +40,7 @@ def test_modules_hold_the_names_and_leave_the_functions(name):
     assert set(module.__all__) == set(MODULES[name].split()) <= set(dir(module))
     assert all(hasattr(module, key) for key in module.__all__) and not hasattr(module, "nothing")
     for key in set(MODULES[name].split()) & set(nr.__all__):
-        # The old function returns tuples for numbers.
-        assert (getattr(module, key) is getattr(nr, key)) == (key != "get_points_from_angles")
+        assert getattr(module, key) is getattr(nr, key)
     assert callable(getattr(nr, name)) if name in nr.__all__ else getattr(nr, name) is module
     assert importlib.util.find_spec(f"neural_renderer.{name}") is module.__spec__
 

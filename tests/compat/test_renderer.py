@@ -292,7 +292,7 @@ def test_a_batch_is_its_views_one_by_one(device, batch):
     """Three was the batch in which the port's cross products mixed up views and axes."""
     vertices, faces, textures = sphere(device, batch)
     vertices = vertices * torch.linspace(0.5, 1, batch, device=device)[:, None, None]
-    eyes = nr.get_points_from_angles(2.7, 30, 0).to(device) + torch.rand(batch, 3, device=device) / 2
+    eyes = torch.tensor(nr.get_points_from_angles(2.7, 30, 0), device=device) + torch.rand(batch, 3, device=device) / 2
     colors = torch.rand(batch, 3, device=device)
     for mode in ("look_at", "look"):
         renderer = nr.Renderer(24, camera_mode=mode, background_color=colors)

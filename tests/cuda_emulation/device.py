@@ -66,7 +66,7 @@ class EmulatedDevice:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        launching.emulator, layout.as_on_cuda = None, False
+        launching.emulator, layout.as_on_cuda = None, None
 
     def _launch(self, kernel: wp.Kernel, tasks: int, arguments: Sequence[Any]) -> bool:
         """Run a launch; False for a kernel that has to run on the CPU."""

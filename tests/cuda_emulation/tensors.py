@@ -46,6 +46,12 @@ class GpuTensor(Tensor):
     def data_ptr(self) -> int:
         return self.inner.data_ptr()
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> GpuTensor:
+        return GpuTensor(self.inner.clone()).requires_grad_(self.requires_grad)
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        return GpuTensor, (self.inner.detach(),)
+
     @classmethod
     def __torch_dispatch__(cls, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = kwargs or {}
@@ -64,7 +70,9 @@ class GpuTensor(Tensor):
                     counts.waits["boolean index"] += 1
                 elif not isinstance(index, GpuTensor):
                     counts.copies["index"] += 1
-        elif any(type(one) is Tensor and one.dim() for one in tree_leaves((args, kwargs))):
+        elif torch._C._current_graph_task_id() < 0 and any(  # in a backward pass torch itself makes zeros
+            type(one) is Tensor and one.dim() for one in tree_leaves((args, kwargs))
+        ):
             raise RuntimeError(f"{name}: expected tensors on the GPU, got one on the CPU")
         if "device" in kwargs:
             kwargs = {**kwargs, "device": "cpu"}
@@ -112,6 +120,8 @@ class Gpu(TorchFunctionMode):
             return args[0]
         if function is Tensor.to:
             return self._to(*args, **kwargs)
+        if function is Tensor.cuda:
+            return self._to(args[0], GPU)
         if function in (Tensor.cpu, Tensor.numpy, Tensor.tolist) and mine:
             self.waits[function.__name__] += 1
             return function(args[0].inner, *args[1:], **kwargs)
@@ -124,7 +134,9 @@ class Gpu(TorchFunctionMode):
         if function is torch.empty:  # steps without kernels have to find numbers that are in range
             function = torch.zeros
         result = function(*map(_inner, args), **{**kwargs, "device": "cpu"})
-        return result if isinstance(result, GpuTensor) else GpuTensor(result)
+        if isinstance(result, GpuTensor):
+            return result
+        return GpuTensor(result.detach()).requires_grad_(result.requires_grad)
 
     def _to(self, tensor: Tensor, *args: Any, **kwargs: Any) -> Tensor:
         if args and isinstance(args[0], Tensor):

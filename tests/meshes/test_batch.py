@@ -14,7 +14,8 @@ def shapes(device):
     vertices, faces = nr.cube()
     generator = torch.Generator().manual_seed(0)
     box = nr.Mesh(0.5 * vertices, faces, torch.rand(len(faces), 2, 2, 2, 3, generator=generator)).to(device)
-    return nr.Mesh(ball.vertices, ball.faces, torch.ones(len(ball.faces), 2, 2, 2, 3)).to(device), box
+    ball = nr.Mesh(ball.vertices, ball.faces, torch.ones(len(ball.faces), 2, 2, 2, 3))
+    return ball.to(device).trainable(), box.trainable()
 
 
 @pytest.mark.parametrize("gradient", ["nmr", "edge"])

@@ -13,6 +13,7 @@ import trimesh
 from neural_renderer.io import load_obj, save_obj
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import cube, icosphere
+from neural_renderer.meshes.uv_mesh import UVMesh
 from neural_renderer.validate import check_values
 from tests.paths import TEAPOT
 
@@ -25,19 +26,52 @@ def file(tmp_path):
     return tmp_path / "cube.obj"
 
 
-def test_given_textures_are_kept_and_copied():
+def test_given_tensors_are_kept():
     vertices, faces = cube()
     textures = torch.rand(12, 3, 3, 3, 3)
     mesh = Mesh(vertices, faces.long(), textures)
     assert mesh.texture_size == 3 and torch.equal(mesh.textures, textures)
     assert (mesh.num_vertices, mesh.num_faces) == (8, 12)
     assert mesh.faces.dtype == torch.int32 and mesh.vertices.dtype == torch.float32
-    assert {n for n, _ in mesh.named_parameters()} == {"vertices", "textures"}
-    assert [n for n, _ in mesh.named_buffers()] == ["faces"]
-    vertices += 1
-    textures += 1
-    assert mesh.vertices.abs().max() == 1 and mesh.textures.max() <= 1
+    assert mesh.vertices is vertices and mesh.textures is textures
+    assert not list(mesh.parameters()) and not mesh.state_dict()
     assert repr(mesh) == "Mesh(8 vertices, 12 faces, textures of 3³, cpu)"
+
+
+def test_trainable_copies_with_parameters():
+    mesh = Mesh(*cube(), texture_size=2)
+    copied = mesh.trainable("textures")
+    assert [name for name, _ in copied.named_parameters()] == ["textures"] and copied.vertices is mesh.vertices
+    assert copied.textures.data_ptr() != mesh.textures.data_ptr() and not mesh.textures.requires_grad
+    assert set(copied.trainable().state_dict()) == {"vertices", "textures"}
+    parameter = torch.nn.Parameter(mesh.vertices.clone())
+    assert next(Mesh(parameter, mesh.faces).parameters()) is parameter
+    with pytest.raises(ValueError, match="names: expected some of vertices, textures, got 'faces'"):
+        mesh.trainable("faces")
+
+
+@pytest.mark.parametrize("kind", ["mesh", "uv mesh"])
+def test_gradients_flow_through_a_mesh_and_its_copies(kind):
+    """One rule for both classes."""
+    vertices, faces = icosphere(1)
+    x = vertices.clone().requires_grad_()
+    colors = torch.rand(42, 3, requires_grad=True)
+    if kind == "mesh":
+        mesh = Mesh(2 * x, faces, vertex_colors=colors)
+        mesh.textures.sum().backward()
+        assert colors.grad.any()
+    else:
+        mesh = UVMesh(2 * x, faces, torch.rand(42, 2), torch.rand(4, 4, 3))
+    for change in (
+        lambda m: m,
+        lambda m: m.to("cpu"),
+        lambda m: m.normalize(),
+        lambda m: m.submesh(range(9)),
+        lambda m: m.merge_vertices(),
+        lambda m: m.subdivide(scheme="loop"),
+    ):
+        (found,) = torch.autograd.grad(change(mesh).vertices.square().sum(), x, retain_graph=True)
+        assert found.isfinite().all() and found.any()
 
 
 def test_without_textures_a_mesh_is_white_and_a_file_is_noise(tmp_path):
@@ -73,7 +107,7 @@ def test_colours_of_vertices_and_faces():
 def test_submesh_and_merged_vertices_agree_with_trimesh():
     vertices, faces = icosphere(2)
     soup = vertices[faces.long()].reshape(-1, 3)
-    mesh = Mesh(soup, torch.arange(len(soup)).reshape(-1, 3), torch.rand(len(faces), 2, 2, 2, 3))
+    mesh = Mesh(soup, torch.arange(len(soup)).reshape(-1, 3), torch.rand(len(faces), 2, 2, 2, 3)).trainable()
     mesh.set_lr(0.5, 2.0)
     merged = mesh.merge_vertices()
     theirs = trimesh.Trimesh(soup.numpy(), np.arange(len(soup)).reshape(-1, 3), process=False)
@@ -135,7 +169,7 @@ def test_normalized_copies_keep_rates_and_what_is_frozen():
     class Named(Mesh):
         pass
 
-    mesh = Named(*cube(5.0), texture_size=2)
+    mesh = Named(*cube(5.0), texture_size=2).trainable()
     mesh.set_lr(0.1, 2.0)
     mesh.textures.requires_grad_(False)
     copied = mesh.normalize()
@@ -150,7 +184,7 @@ def test_normalized_copies_keep_rates_and_what_is_frozen():
 
 
 def test_batch_is_a_view_with_sigmoid():
-    mesh = Mesh(*cube(), texture_size=2)
+    mesh = Mesh(*cube(), texture_size=2).trainable()
     vertices, faces, textures = mesh.get_batch(5)
     assert vertices.shape == (5, 8, 3) and faces.shape == (5, 12, 3) and textures.shape == (5, 12, 2, 2, 2, 3)
     assert vertices.data_ptr() == mesh.vertices.data_ptr() and vertices.stride(0) == textures.stride(0) == 0
@@ -160,18 +194,18 @@ def test_batch_is_a_view_with_sigmoid():
 
 
 def test_module_habits():
-    mesh = Mesh.icosphere(1, 2.0, texture_size=3)
+    mesh = Mesh.icosphere(1, 2.0, texture_size=3).trainable()
     assert (mesh.textures == 1).all() and torch.allclose(mesh.vertices.norm(dim=1), torch.tensor(2.0))
     mesh.set_lr(0.1, 2.0)
     assert (mesh.vertices.lr, mesh.textures.lr) == (0.1, 2.0)
-    other = Mesh(torch.zeros(42, 3), mesh.faces.flip(1), texture_size=3)
+    other = Mesh(torch.zeros(42, 3), mesh.faces, texture_size=3).trainable()
     other.load_state_dict(mesh.state_dict())
-    assert torch.equal(other.vertices, mesh.vertices) and torch.equal(other.faces, mesh.faces)
+    assert torch.equal(other.vertices, mesh.vertices) and set(mesh.state_dict()) == {"vertices", "textures"}
     assert mesh.to("meta").faces.device.type == "meta"
 
 
 def test_copies_and_pickles_keep_the_rates(tmp_path):
-    mesh = Mesh.icosphere(0, texture_size=2)
+    mesh = Mesh.icosphere(0, texture_size=2).trainable()
     mesh.set_lr(0.1, 2.0)
     torch.save(mesh, tmp_path / "mesh.pt")
     for other in (

@@ -39,7 +39,7 @@ def test_points_are_uniform_by_area() -> None:
 
 
 def test_attributes_and_gradients() -> None:
-    mesh = nr.Mesh.icosphere(1)
+    mesh = nr.Mesh.icosphere(1).trainable()
     found = samples(mesh, 50)
     corners = mesh.vertices[mesh.faces.long()]
     for attributes in (mesh.vertices, corners):

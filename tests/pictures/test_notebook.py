@@ -80,7 +80,7 @@ def test_a_mesh_without_size_is_shown_as_text() -> None:
 
 
 def test_the_caller_s_mesh_and_its_gradients_stay() -> None:
-    mesh = nr.Mesh.icosphere(0)
+    mesh = nr.Mesh.icosphere(0).trainable()
     before = mesh.vertices.clone()
     mesh._repr_png_()  # type: ignore[operator]
     assert torch.equal(mesh.vertices, before) and mesh.vertices.grad is None and mesh.vertices.requires_grad

@@ -107,7 +107,7 @@ def rotate(matrix: Tensor, points: Tensor) -> Tensor:
     return x * columns[..., 0] + y * columns[..., 1] + z * columns[..., 2]
 
 
-def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees: bool = True) -> Tensor:
+def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees: bool = True) -> Any:
     """Convert spherical to Cartesian coordinates: (d·cos e·sin a, d·sin e, −d·cos e·cos a).
 
     Args:
@@ -117,20 +117,25 @@ def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees:
         degrees: Whether the angles are in degrees; otherwise they are in radians.
 
     Returns:
-        A tensor [3] for numbers, of torch's default dtype. If an argument is a tensor, an array or a list, all are
-        broadcast to a tensor [B, 3], differentiable, of the tensors' dtype and on their device.
+        A tuple of three floats for numbers. If an argument is a tensor, an array or a list, all are broadcast to a
+        tensor [B, 3], differentiable, of the tensors' dtype and on their device.
 
     Raises:
         TypeError: An argument does not hold numbers.
         ValueError: Shapes do not broadcast, or a number is not finite (tensors: while values are checked).
 
     Example:
-        >>> nr.get_points_from_angles(2.0, 30.0, 45.0)
-        tensor([ 1.2247,  1.0000, -1.2247])
+        >>> nr.get_points_from_angles(2.0, torch.tensor([0.0, 30.0]), 45.0)
+        tensor([[ 1.4142,  0.0000, -1.4142],
+                [ 1.2247,  1.0000, -1.2247]])
     """
     values = {"distance": distance, "elevation": elevation, "azimuth": azimuth}
     if all(isinstance(v, Real) for v in values.values()):
-        return torch.tensor(point_from_angles(distance, elevation, azimuth, degrees), device="cpu")
+        distance, elevation, azimuth = (validate.number(name, v) for name, v in values.items())
+        if degrees:
+            elevation, azimuth = math.radians(elevation), math.radians(azimuth)
+        across = distance * math.cos(elevation)
+        return across * math.sin(azimuth), distance * math.sin(elevation), -across * math.cos(azimuth)
     dtype, device = float_type(*values.values()), common_device(*values.values())
     tensors = [parameter(name, v, (), dtype, device) for name, v in values.items()]
     batch_size(**{name: batch_of(t, 0) for name, t in zip(values, tensors, strict=True)})
@@ -138,16 +143,6 @@ def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees:
     if degrees:
         e, a = torch.deg2rad(e), torch.deg2rad(a)
     return torch.stack((d * e.cos() * a.sin(), d * e.sin(), -d * e.cos() * a.cos()), dim=-1)
-
-
-def point_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees: bool = True) -> tuple[float, float, float]:
-    """Convert spherical to Cartesian coordinates: numbers to a tuple of three; see `get_points_from_angles`."""
-    values = {"distance": distance, "elevation": elevation, "azimuth": azimuth}
-    distance, elevation, azimuth = (validate.number(name, v) for name, v in values.items())
-    if degrees:
-        elevation, azimuth = math.radians(elevation), math.radians(azimuth)
-    across = distance * math.cos(elevation)
-    return across * math.sin(azimuth), distance * math.sin(elevation), -across * math.cos(azimuth)
 
 
 def _vectors(dtype: torch.dtype, **values: Any) -> list[Tensor]:

@@ -38,7 +38,7 @@ class Adam(torch.optim.Optimizer):
         TypeError, ValueError: A number is out of range; in `step`, a gradient is sparse or complex.
 
     Example:
-        >>> mesh = nr.Mesh.icosphere(2)
+        >>> mesh = nr.Mesh.icosphere(2).trainable()
         >>> optimizer = nr.Adam(mesh.parameters(), lr=0.01)
         >>> nr.render(mesh, camera, 64).alpha.mean().backward()
         >>> optimizer.step()

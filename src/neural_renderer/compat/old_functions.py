@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-from numbers import Real
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from .. import camera, validate
-from ..camera.view import point_from_angles
+from .. import constants, validate
 from ..io.atlas import build_atlas
 from ..io.cubes import check_size
 from ..io.files import existing
@@ -43,13 +41,6 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
     return torch.linalg.cross(a, validate.floating("b", b, (len(a), 3)))
 
 
-def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees: bool = True) -> Any:
-    """Convert spherical to Cartesian coordinates: a tuple of three floats for numbers, else a tensor [B, 3]."""
-    if all(isinstance(value, Real) for value in (distance, elevation, azimuth)):
-        return point_from_angles(distance, elevation, azimuth, degrees)
-    return camera.get_points_from_angles(distance, elevation, azimuth, degrees)
-
-
 def load_mtl(filename_mtl: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Read the colours (Kd, [3] float64) and the image names (map_Kd) of an MTL file, by material."""
     materials = read_mtl(existing(filename_mtl))
@@ -67,12 +58,12 @@ def load_textures(
     texture_wrapping: str = "REPEAT",
     use_bilinear: bool = True,
 ) -> Tensor:
-    """Bake the materials of an MTL file into textures [F, T, T, T, 3] of an OBJ file; see `load_obj`."""
+    """Bake the materials of an MTL file into textures [F, T, T, T, 3] of an OBJ file, on the device of `load_obj`."""
     obj = read_obj(existing(filename_obj), with_uv=True)
     check_size(len(obj.faces), texture_size)
     surface = obj_surface_colors(obj, texture_wrapping, materials=read_mtl(existing(filename_mtl)))
     surface = surface or SurfaceColors.plain(len(obj.faces), 0.5)
-    return torch.from_numpy(surface.bake(texture_size, use_bilinear))
+    return torch.from_numpy(surface.bake(texture_size, use_bilinear)).to(constants.old_device())
 
 
 def create_texture_image(textures: Tensor, texture_size_out: int = 16) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ _PACKAGE = __name__.partition(".")[0]
 # Each old module, its members, and the modules of this package that define them.
 OLD_MODULES: dict[str, dict[str, tuple[str, ...]]] = {
     "cross": {"compat.old_functions": ("cross",)},
-    "get_points_from_angles": {"compat.old_functions": ("get_points_from_angles",)},
+    "get_points_from_angles": {"interface": ("get_points_from_angles",)},
     "lighting": {"interface": ("lighting",)},
     "load_obj": {"interface": ("load_obj",), "compat.old_functions": ("load_mtl", "load_textures")},
     "look": {"interface": ("look",)},

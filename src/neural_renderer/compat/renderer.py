@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from .. import validate
+from .. import constants, validate
 from ..camera import look, look_at, projection
 from ..camera.lens import in_perspective
 from ..camera.lens import viewing_angle as checked_angle
-from ..camera.parameters import as_tensor, common_device, scalar
+from ..camera.parameters import as_tensor, scalar
 from ..raster.faces import checked_faces, vertices_to_faces
 from ..raster.images import Images
 from ..raster.rasterize import rasterize_images
@@ -58,8 +58,8 @@ class Renderer(nn.Module):
         background_color: Number, [3], [B, 3] or an image.
         fill_back: Draw both sides of every face.
         camera_mode: See above.
-        K: Intrinsic matrix in pixels, [3, 3] or [B, 3, 3]. Arrays and lists become float32 tensors, here and for R, t
-            and dist_coeffs.
+        K: Intrinsic matrix in pixels, [3, 3] or [B, 3, 3]. Arrays and lists become float32 tensors on the device of
+            `load_obj`, here and for R, t and dist_coeffs.
         R: World-to-camera rotation, [3, 3] or [B, 3, 3].
         t: World-to-camera translation, [3], [B, 3] or [B, 1, 3].
         dist_coeffs: (k1, k2, p1, p2, k3), [5] or [B, 5]; None means zeros [1, 5].
@@ -131,8 +131,7 @@ class Renderer(nn.Module):
         self.fill_back = fill_back
         self.camera_mode = _mode(camera_mode)
         self.K, self.R, self.t = _as_tensor("K", K), _as_tensor("R", R), _as_tensor("t", t)
-        none = torch.zeros((1, 5), device=common_device(K, R, t))
-        self.dist_coeffs = none if dist_coeffs is None else _as_tensor("dist_coeffs", dist_coeffs)
+        self.dist_coeffs = _as_tensor("dist_coeffs", [[0.0] * 5] if dist_coeffs is None else dist_coeffs)
         self.orig_size = orig_size
         self.perspective = perspective
         self.viewing_angle = viewing_angle
@@ -400,8 +399,9 @@ def _default_eye(angle: Any) -> Any:
 
 
 def _as_tensor(name: str, value: Any) -> Any:
-    """Convert arrays and lists to tensors, so that programs can move and multiply them; keep other values."""
-    return as_tensor(name, value, torch.float32) if isinstance(value, (np.ndarray, list, tuple)) else value
+    """Convert arrays and lists to tensors, so that programs can multiply them; keep other values."""
+    given = isinstance(value, (np.ndarray, list, tuple))
+    return as_tensor(name, value, torch.float32).to(constants.old_device()) if given else value
 
 
 def _own(value: Any) -> Any:

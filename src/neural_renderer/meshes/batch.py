@@ -66,8 +66,8 @@ def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
         meshes: Meshes on one device: `Mesh` with one texture size, or `UVMesh`.
 
     Returns:
-        For `Mesh`: vertices [V, 3], faces [F, 3] and textures [F, T, T, T, 3] for `render`; ``Mesh(*join(meshes))`` is
-        an independent copy. For `UVMesh`: one with the images and materials of all; if only some have normals, the
+        For `Mesh`: vertices [V, 3], faces [F, 3] and textures [F, T, T, T, 3] for `render` or
+        ``Mesh(*join(meshes))``. For `UVMesh`: one with the images and materials of all; if only some have normals, the
         others get `vertex_normals`. Gradients reach the tensors of each mesh.
 
     Raises:

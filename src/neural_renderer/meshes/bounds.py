@@ -15,9 +15,9 @@ def bounding_box(points: Tensor) -> tuple[Tensor, float]:
 
 
 def centered(vertices: Tensor) -> Tensor:
-    """Move and scale vertices [V, 3] into [−1, 1], detached, in float64; see `Mesh.normalize`."""
-    vertices = validate.vertices(validate.has_numbers("vertices", vertices)).detach().double()
-    center, half = bounding_box(vertices)
+    """Move and scale vertices [V, 3] into [−1, 1], in float64; see `Mesh.normalize`."""
+    vertices = validate.vertices(validate.has_numbers("vertices", vertices)).double()
+    center, half = bounding_box(vertices.detach())
     if half == 0:
         raise ValueError(f"vertices: expected a mesh to normalise, got {len(vertices)} vertices that all coincide")
     return (vertices - center) / half

@@ -1,4 +1,4 @@
-"""`Mesh`: a mesh with texture cubes, as a module with parameters."""
+"""`Mesh`: a mesh with texture cubes, as a module."""
 
 from __future__ import annotations
 
@@ -22,16 +22,19 @@ from .subdivision import checked_levels, split_cubes, subdivided
 
 
 class Mesh(nn.Module):
-    """Triangle mesh as a `torch.nn.Module`: vertices and textures are parameters, faces are a buffer.
+    """Triangle mesh with texture cubes.
+
+    A mesh keeps the tensors that it is given, with their gradients. To optimise it, call `trainable`: the copy has
+    parameters of its own. The same holds for `UVMesh`.
 
     `load`, `fromobj` and `icosphere` make a mesh, `save` writes it, `normalize` centres and scales it, `submesh`,
     `merge_vertices` and `subdivide` change its faces. `get_batch` and `set_lr` are methods of the first packages. All
-    other methods are those of `torch.nn.Module`: `to`, `parameters`, ….
+    other methods are those of `torch.nn.Module`: `to`, …; `parameters` and `state_dict` have parameters alone.
 
-    ``Mesh(vertices, faces)`` is white; ``vertex_colors``, ``face_colors`` or ``textures`` colour it. Arguments are
-    copied. ``Mesh("teapot.obj", texture_size, normalization)`` reads the shape from an OBJ file and ignores its
-    colours, as in the first packages: its texture is normal noise of standard deviation 0.05, to be optimised through
-    the sigmoid of `get_batch`.
+    ``Mesh(vertices, faces)`` is white; ``vertex_colors``, ``face_colors`` or ``textures`` colour it.
+    ``Mesh("teapot.obj", texture_size, normalization)`` reads the shape from an OBJ file and ignores its colours, as in
+    the first packages: its vertices and textures are parameters, and the textures are normal noise of standard
+    deviation 0.05, to be optimised through the sigmoid of `get_batch`.
 
     Args:
         vertices: [V, 3] floating tensor or array, or the path of an OBJ file.
@@ -45,9 +48,9 @@ class Mesh(nn.Module):
         face_colors: [F, 3] floating, RGB in [0, 1], in place of textures.
 
     Attributes:
-        vertices: Parameter, float32 [V, 3].
-        faces: Buffer, int32 [F, 3], indices into the vertices.
-        textures: Parameter, float32 [F, T, T, T, 3]. Texel (i, j, k) of a face's cube lies at barycentric weights
+        vertices: [V, 3] float32.
+        faces: [F, 3] int32, indices into the vertices.
+        textures: [F, T, T, T, 3] float32. Texel (i, j, k) of a face's cube lies at barycentric weights
             (i, j, k) / (T − 1) of its corners 0, 1, 2. With T = 1 the face has one colour.
 
     Raises:
@@ -60,9 +63,9 @@ class Mesh(nn.Module):
         Mesh(8 vertices, 12 faces, textures of 1³, cpu)
     """
 
-    vertices: nn.Parameter
+    vertices: Tensor
     faces: Tensor
-    textures: nn.Parameter
+    textures: Tensor
 
     def __init__(
         self,
@@ -77,8 +80,8 @@ class Mesh(nn.Module):
     ) -> None:
         super().__init__()
         plain = white_cubes
-        if isinstance(vertices, (str, os.PathLike)):
-            # `Mesh(path, texture_size, normalization)`, as in the first packages.
+        chainer = isinstance(vertices, (str, os.PathLike))
+        if chainer:  # `Mesh(path, texture_size, normalization)`, as in the first packages
             texture_size = texture_size if faces is None else faces
             vertices, faces, *_ = load_obj(vertices, normalization if textures is None else textures)
             textures, plain = None, noise_cubes
@@ -99,9 +102,12 @@ class Mesh(nn.Module):
         validate.finite("vertices", vertices)
         validate.finite("textures", textures)
         validate.in_range("faces", faces, len(vertices))
-        self.vertices = nn.Parameter(vertices.detach().to(torch.float32, copy=True))
-        self.register_buffer("faces", faces.to(torch.int32, copy=True))
-        self.textures = nn.Parameter(textures.detach().to(torch.float32, copy=True))
+        parts = {"vertices": vertices.float(), "faces": faces.int(), "textures": textures.float().contiguous()}
+        for name, part in parts.items():
+            self.register_buffer(name, part, persistent=False)
+            if chainer and name != "faces":
+                part = nn.Parameter(part)
+            setattr(self, name, part)  # a parameter takes the buffer's place
 
     @classmethod
     def load(
@@ -148,12 +154,12 @@ class Mesh(nn.Module):
         Args:
             filename_obj: Path of the file.
             normalization: Centre the bounding box at the origin and scale its longest side to [−1, 1].
-            load_texture: Read the colours; otherwise the texture is noise.
+            load_texture: Read the colours; otherwise the texture is noise that receives gradients.
             texture_size: T, texels along a cube's edge, ≥ 1.
             allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
         Returns:
-            The mesh, on the CPU.
+            The mesh, on the device of `load_obj`. It has no parameters, as in the first packages.
 
         Raises:
             OSError, TypeError, ValueError: As `load_obj`.
@@ -164,7 +170,7 @@ class Mesh(nn.Module):
             Mesh(8 vertices, 12 faces, textures of 2³, cpu)
         """
         loaded = load_obj(filename_obj, normalization, texture_size, load_texture, allow_outside=allow_outside)
-        textures = loaded[2] if len(loaded) == 3 else noise_cubes(loaded[1], texture_size)
+        textures = loaded[2] if len(loaded) == 3 else noise_cubes(loaded[1], texture_size).requires_grad_()
         return cls(loaded[0], loaded[1], textures, texture_size)
 
     @classmethod
@@ -223,7 +229,8 @@ class Mesh(nn.Module):
         """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
 
         Returns:
-            The copy.
+            The copy. Gradients flow through it, but not to the box; copies of parameters are parameters. This holds
+            for `submesh`, `merge_vertices` and `subdivide`, too.
 
         Raises:
             ValueError: All vertices coincide, or one is not finite.
@@ -232,10 +239,7 @@ class Mesh(nn.Module):
             >>> nr.Mesh.icosphere(radius=3.0).normalize().vertices.max().item()
             1.0
         """
-        result = copy.deepcopy(self)
-        with torch.no_grad():
-            result.vertices.copy_(centered(self.vertices))
-        return result
+        return self._like(centered(self.vertices).float(), self.faces, self.textures)
 
     def submesh(self, index: Any) -> Mesh:
         """Copy some of the faces, with their textures and the vertices that they use.
@@ -304,11 +308,36 @@ class Mesh(nn.Module):
             768
         """
         levels = checked_levels(levels, scheme)
-        vertices, faces, textures = self.vertices.detach(), self.faces, self.textures.detach()
+        vertices, faces, textures = self.vertices, self.faces, self.textures
         for _ in range(levels):
             vertices, faces = subdivided(vertices, faces, scheme)
             textures = split_cubes(textures)
         return self._like(vertices, faces, textures)
+
+    def trainable(self, *names: str) -> Mesh:
+        """Copy the mesh, with parameters of its own, for an optimiser.
+
+        Args:
+            *names: "vertices", "textures"; without names both.
+
+        Returns:
+            The copy. It shares the other tensors.
+
+        Raises:
+            ValueError: A name is not one of these.
+
+        Example:
+            >>> mesh = nr.Mesh.icosphere(2).trainable()
+            >>> optimizer = torch.optim.Adam(mesh.parameters(), lr=0.01)
+            >>> nr.render(mesh, camera, 32).rgb.mean().backward()
+            >>> optimizer.step()
+        """
+        result = self._like(self.vertices, self.faces, self.textures)
+        for name in names or ("vertices", "textures"):
+            if name not in ("vertices", "textures"):
+                raise ValueError(f"names: expected some of vertices, textures, got {name!r}")
+            setattr(result, name, _parameter(getattr(self, name), getattr(self, name)))
+        return result
 
     def get_batch(self, batch_size: int) -> tuple[Tensor, Tensor, Tensor]:
         """Repeat the mesh ``batch_size`` times, without a copy.
@@ -343,7 +372,7 @@ class Mesh(nn.Module):
             lr_textures: Factor for the textures; 0 keeps them.
 
         Example:
-            >>> mesh = nr.Mesh.icosphere(2)
+            >>> mesh = nr.Mesh.icosphere(2).trainable()
             >>> mesh.set_lr(0.1, 1.0)
             >>> optimizer = nr.Adam(mesh.parameters(), lr=0.01)  # 0.001 for the vertices
         """
@@ -358,16 +387,26 @@ class Mesh(nn.Module):
         return result
 
     def _like(self, vertices: Tensor, faces: Tensor, textures: Tensor) -> Mesh:
-        """Make a mesh of other tensors that keeps the factors of `set_lr` and which parameters are frozen."""
-        result = Mesh(vertices, faces, textures)
-        for mine, theirs in zip(self.parameters(), result.parameters(), strict=True):
-            theirs.requires_grad_(mine.requires_grad)
-            theirs.__dict__.update(mine.__dict__)
+        """Copy the mesh, with other tensors. In place of a parameter comes a parameter, as trainable as that one."""
+        result = type(self).__new__(type(self))
+        result.__dict__ = {key: copy.copy(part) for key, part in vars(self).items()}
+        for name, part in (("vertices", vertices), ("faces", faces), ("textures", textures)):
+            mine = getattr(self, name)
+            if isinstance(mine, nn.Parameter):
+                part = _parameter(part, mine).requires_grad_(mine.requires_grad)
+            setattr(result, name, part)
         return result
 
     def __repr__(self) -> str:
         device = self.vertices.device
         return f"Mesh({self.num_vertices} vertices, {self.num_faces} faces, textures of {self.texture_size}³, {device})"
+
+
+def _parameter(tensor: Tensor, like: Tensor) -> nn.Parameter:
+    """Copy a tensor as a parameter, with the factor of `set_lr` of another."""
+    result = nn.Parameter(tensor.detach().clone())
+    vars(result).update(vars(like))
+    return result
 
 
 def _textures(vertex_colors: Any, face_colors: Any, vertices: Tensor, faces: Tensor, size: int) -> Tensor | None:

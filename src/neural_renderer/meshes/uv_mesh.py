@@ -36,11 +36,14 @@ _FLOATING = ("vertices", "uv", "images", "colors", *_CORNER_ATTRIBUTES)
 class UVMesh:
     """Triangle mesh with images as albedo, sampled at every pixel.
 
-    `render` and `fragments` draw it, and what takes a `Mesh` takes it, too. To optimise it, call `trainable`, or
-    replace a tensor by one that requires gradients (``dataclasses.replace``). `batch` of several is a UVMesh whose
-    vertices, faces and attributes of faces have a leading dimension [B, …]; it is for drawing only.
+    A mesh keeps the tensors that it is given, with their gradients. To optimise it, call `trainable`: the copy has
+    tensors of its own that receive gradients. The same holds for `Mesh`.
 
-    ``UVMesh(vertices, faces, uv, image)`` is a mesh with one image; tensors keep their gradients. The long form
+    `render` and `fragments` draw it, and what takes a `Mesh` takes it, too; ``dataclasses.replace`` replaces a tensor.
+    `batch` of several is a UVMesh whose vertices, faces and attributes of faces have a leading dimension [B, …]; it is
+    for drawing only.
+
+    ``UVMesh(vertices, faces, uv, image)`` is a mesh with one image. The long form
     ``UVMesh(vertices, faces, uv, image_index, images, colors, wraps)`` takes all attributes as they are.
 
     Args:
@@ -310,7 +313,7 @@ class UVMesh:
         """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
 
         Returns:
-            The copy. Its vertices are detached; the other tensors are shared.
+            The copy. Gradients flow through it, but not to the box. The other tensors are shared.
 
         Raises:
             ValueError: All vertices coincide, or one is not finite.

@@ -58,7 +58,7 @@ def photograph(
         [3, H, W] float32 in [0, 1].
     """
     size = (size, size) if isinstance(size, int) else size
-    eye = get_points_from_angles(distance, elevation, azimuth).to(mesh.vertices.device)
+    eye = torch.tensor(get_points_from_angles(distance, elevation, azimuth), device=mesh.vertices.device)
     camera = Camera.look_at(eye, viewing_angle=viewing_angle)
     lamp, forward = lamp_direction(camera), camera.rotation[0, 2]
 

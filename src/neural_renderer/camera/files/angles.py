@@ -15,7 +15,7 @@ import torch
 
 from ...io.files import read_text
 from ..camera import Camera
-from ..view import point_from_angles
+from ..view import get_points_from_angles
 from .keys import number, rows_of, value_of
 from .lens import Lens
 from .posed import CameraFile, PosedImage
@@ -46,7 +46,7 @@ def parse_angles(path: Path, content: dict[str, Any]) -> CameraFile:
             raise ValueError(f"{where}: distance: expected a number above 0, got {far:g}")
         if not 0 < angle < 90:
             raise ValueError(f"{where}: viewing_angle: expected degrees between 0 and 90, got {angle:g}")
-        eye = torch.tensor(point_from_angles(far, height, around), dtype=torch.float64)
+        eye = torch.tensor(get_points_from_angles(far, height, around), dtype=torch.float64)
         axes = Camera.look_at(eye).rotation[0]
         rotation = axes * axes.new_tensor([1.0, -1.0, 1.0])[:, None]
         lens = Lens("PINHOLE", {}, viewing_angle=angle)

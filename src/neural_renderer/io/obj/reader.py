@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ... import constants
 from ..files import existing, fits_float32, short, warn
 from ..images import load_image
 from ..named_files import find_file
@@ -47,8 +48,9 @@ def load_obj(
 
     Returns:
         Vertices [V, 3] float32 and faces [F, 3] int32; with ``load_texture`` also textures [F, T, T, T, 3] float32 in
-        [0, 1]; all on the CPU. A face has the image of its material (``map_Kd``), else its colour (``Kd``), else the
-        interpolated colours of its vertices (``v x y z r g b``), else grey 0.5.
+        [0, 1]. They are on torch's default device if one is set (`torch.set_default_device`), else on CUDA if there is
+        one. A face has the image of its material (``map_Kd``), else its colour (``Kd``), else the interpolated colours
+        of its vertices (``v x y z r g b``), else grey 0.5.
 
     Raises:
         FileNotFoundError: The file does not exist.
@@ -66,7 +68,8 @@ def load_obj(
     """
     obj = read_obj(existing(filename_obj), with_uv=load_texture)
     vertices = _normalized(obj) if normalization else obj.vertices
-    geometry = torch.from_numpy(vertices.astype(np.float32)), torch.from_numpy(obj.faces.astype(np.int32))
+    device, vertices, faces = constants.old_device(), vertices.astype(np.float32), obj.faces.astype(np.int32)
+    geometry = torch.from_numpy(vertices).to(device), torch.from_numpy(faces).to(device)
     if not load_texture:
         return geometry
     surface = obj_surface_colors(obj, texture_wrapping, allow_outside)
@@ -74,7 +77,7 @@ def load_obj(
         if not obj.libraries:
             warn(f"{obj.path}: no mtllib and no vertex colours; the texture is grey")
         surface = SurfaceColors.plain(len(obj.faces), 0.5)
-    return *geometry, torch.from_numpy(surface.bake(texture_size, use_bilinear))
+    return *geometry, torch.from_numpy(surface.bake(texture_size, use_bilinear)).to(device)
 
 
 def _normalized(obj: ObjFile) -> np.ndarray:

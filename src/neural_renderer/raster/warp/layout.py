@@ -18,13 +18,14 @@ MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
 _ROWS = 16  # rows of a CPU task: neighbouring rows share faces
 _MOST_TASKS = 2**31 - 1  # most tasks of one launch
 
-# Tests set it, to run the layout of CUDA, and its code, on a processor; see `emulator` in `launch`.
-as_on_cuda = False
+# Tests set it, to run the layout of CUDA, and its code, on a processor (see `emulator` in `launch`), or that of the CPU
+# for tensors that stand for some on CUDA.
+as_on_cuda: bool | None = None
 
 
 def concurrent(device: torch.device) -> bool:
     """Test whether the tasks of a launch run concurrently and share sums by atomics, as on CUDA."""
-    return device.type == "cuda" or as_on_cuda
+    return device.type == "cuda" if as_on_cuda is None else as_on_cuda
 
 
 def readable(device: torch.device) -> bool:
