@@ -2,7 +2,6 @@
 
 from . import losses, metrics
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
-from .comparators.opendr import OpenDR as _OpenDR
 from .comparators.reinforce import reinforce
 from .comparators.soft_silhouettes import soft_silhouettes
 from .compat.adam import Adam
@@ -23,7 +22,6 @@ from .meshes.unwrap import unwrap
 from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
-from .raster.visibility.estimators import ESTIMATORS as _ESTIMATORS
 from .rendering import render
 from .shading.environments.light import EnvironmentLight
 from .shading.lights import Light
@@ -43,8 +41,6 @@ from .validate import check_values
 from .version import __version__
 from .viewer.view import view
 from .viewer.viewer import Viewer
-
-_ESTIMATORS["opendr"] = _OpenDR()
 
 __all__ = [
     "PBR",

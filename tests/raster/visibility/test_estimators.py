@@ -10,7 +10,7 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer.raster.colors.downsample import averaged
-from neural_renderer.raster.visibility.estimators import ESTIMATORS, DrawnFaces, Estimator
+from neural_renderer.raster.visibility.estimators import ESTIMATORS, DrawnFaces, Estimator, estimator
 
 
 class InsideOnly(Estimator):
@@ -48,11 +48,17 @@ def test_one_that_a_program_adds(monkeypatch: pytest.MonkeyPatch, by_name: bool,
     assert gradient.any()
 
 
+class Weighted(InsideOnly):
+    """An estimator with a number."""
+
+    def __init__(self, weight: float) -> None:
+        self.weight = weight
+
+
 def test_names() -> None:
-    assert {name: repr(each) for name, each in ESTIMATORS.items()} == {
-        "nmr": "'nmr'",
-        "edge": "'edge'",
-        "opendr": "'opendr'",
-    }
+    assert [repr(estimator(name)) for name in ESTIMATORS] == ["'nmr'", "'edge'", "'opendr'"]
+    assert Weighted(1) == Weighted(1) != Weighted(2) and repr(Weighted(1)) == "Weighted"
+    with pytest.raises(ValueError, match="an instance is needed, not the class"):
+        estimator(InsideOnly)
     with pytest.raises(ValueError, match="gradient: expected one of nmr, edge, opendr, got 'soft'"):
         nr.rasterize_images(torch.zeros(1, 1, 3, 3), 8, outputs=("alpha",), gradient="soft")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
@@ -65,3 +67,19 @@ def test_t_junctions(device):
     # Without the seam, a ninth would be missing. The mean is over 64 shifts of outlines of some 60 pixels.
     assert abs(float(found[0]) - expected) < 0.01 * expected
     assert abs(float(found[1])) < 0.01 * expected
+
+
+def test_hidden_fan_with_two_faces_at_each_edge(device):
+    """An edge of three faces may lead to another face than it came from; the search through hidden faces ends."""
+    corner, count = (0.0, 0.0, 3.0), 8
+    rim = [(0.6 * math.cos(n * math.pi / 6), 0.6 * math.sin(n * math.pi / 6), 3.0) for n in range(count + 2)]
+    middles = [((n + 0.5) * math.pi / 6) for n in range(count)]
+    fan = [(corner, rim[n], rim[n + 1]) for n in range(count + 1)]
+    second = [(corner, (0.3 * math.cos(t), 0.3 * math.sin(t), 3.2), rim[n + 1]) for n, t in enumerate(middles)]
+    behind = [(rim[n + 1], rim[n], (0.8 * math.cos(t), 0.8 * math.sin(t), 3.0)) for n, t in enumerate(middles) if n > 0]
+    wall = [((-2, -2, 1), (2, -2, 1), (2, 2, 1)), ((-2, -2, 1), (2, 2, 1), (-2, 2, 1))]
+    faces = torch.tensor([second + fan + behind + wall], dtype=torch.float32, device=device)
+    index = coverage(faces, 32, 32, NEAR, FAR, False, True)
+    grad = torch.ones((1, 1, 32, 32), device=device)
+    found = edge_gradient_backward(grad, None, faces, index, False, True, False)
+    assert not found[:, :-2].any() and found.isfinite().all()

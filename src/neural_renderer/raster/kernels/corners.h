@@ -5,9 +5,6 @@
 
 namespace nr {
 
-// The image that a tensor of ``images`` images, or of 1 that all share, has for image b.
-NR_FUNC int shared(int b, int images) { return b < images ? b : images - 1; }
-
 // The faces of meshes by the numbers of their vertices.
 struct Triangles {
     const int* indices;  // [images, count, 3]; (-1, -1, -1) is padding

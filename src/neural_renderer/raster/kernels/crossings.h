@@ -96,7 +96,7 @@ struct Crossing {
 struct BoundaryEdge : LineEdge {
     float pz, qz, rz;
     int face, adjacent, adjacent_pr, adjacent_qr;  // faces across p-q, p-r and q-r; -1 at a border of the surface
-    bool small;                                    // see `Seam`
+    bool small;                                    // see `is_small` in edge.h
 
     NR_FUNC BoundaryEdge(const Lines& lines, const vec3& p, const vec3& q, const vec3& r)
         : LineEdge(lines, p, q, r), pz(p[2]), qz(q[2]), rz(r[2]) {}

@@ -16,10 +16,10 @@ struct LitCubes {
 
     NR_FUNC int64 volume() const { return (int64)size * size * size; }
     NR_FUNC const vec3* cube(const Scene& scene, int image, int face) const {
-        return texels + ((int64)(image < cubes ? image : cubes - 1) * scene.count + face) * volume();
+        return texels + ((int64)shared(image, cubes) * scene.count + face) * volume();
     }
     NR_FUNC const vec3& light_on(const Scene& scene, int image, int face, int side) const {
-        return light[(2 * (int64)(image < lamps ? image : lamps - 1) + side) * scene.count + face];
+        return light[(2 * (int64)shared(image, lamps) + side) * scene.count + face];
     }
 };
 

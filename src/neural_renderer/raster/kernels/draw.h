@@ -112,10 +112,10 @@ template <class Visit>
 NR_FUNC void for_each_span(
     const Drawing& call, int image, const DrawnFace& face, const Box& box, int at_once, Visit visit) {
     const vec3* v = face.v;
-    const float x0 = v[0][0], x1 = v[1][0], x2 = v[2][0], w = (float)call.width, h = (float)call.height;
+    const float x0 = v[0][0], x1 = v[1][0], x2 = v[2][0], w = (float)call.width;
     const float slope[3] = {v[1][1] - v[2][1], v[2][1] - v[0][1], v[0][1] - v[1][1]};
     for (int j = box.bottom; j <= box.top; ++j) {
-        const float y = (float)(2 * j + 1 - call.height) / h;
+        const float y = pixel_centre(j, call.height);
         Span span = {box.left, box.right, call.row_start(image, j), v[0][1] - y, v[1][1] - y, v[2][1] - y};
         if (box.right - box.left >= at_once) {
             float low = -2.0f, high = 2.0f;
@@ -189,7 +189,7 @@ NR_FUNC void draw_box(const Drawing& call, int image, const DrawnFace& face, con
     for_each_span(call, image, face, box, 0, [&](const Span& span) {
         for (int i = span.first; i <= span.last; ++i) {
             float z;
-            const bool inside = span.depth(face, (float)(2 * i + 1 - call.width) / (float)call.width, z);
+            const bool inside = span.depth(face, pixel_centre(i, call.width), z);
             draw_pixel<Start>(call, face, inside, z, span.row + i);
         }
     });
@@ -228,7 +228,7 @@ NR_FUNC void draw_band_of_rows(const Drawing& call, int task) {
 // Drawing on CUDA.
 
 // Pixels of the box of a small face.
-constexpr int SMALL = 64;
+constexpr int SMALL_BOX = 64;
 // Threads that share a row of a large face's box, unless it is narrower.
 constexpr int MOST_LANES = 32;
 
@@ -254,7 +254,7 @@ NR_FUNC void draw_part(const Drawing& call, int image, const DrawnFace& face, co
     for_each_span(call, image, face, box, 0, [&](const Span& span) {
         for (int i = span.first + lane; i <= span.last; i += lanes) {
             float z;
-            const bool inside = span.depth(face, (float)(2 * i + 1 - call.width) / (float)call.width, z);
+            const bool inside = span.depth(face, pixel_centre(i, call.width), z);
             draw_key<Start>(call, face, inside, z, span.row + i);
         }
     });
@@ -276,7 +276,7 @@ NR_FUNC void draw_or_queue(const Drawing& call, int task) {
     const Box box = pixel_box(face.v, face.front, call.height, call.width);
     if (box.is_empty()) return;
     const int columns = box.right - box.left + 1, rows = box.top - box.bottom + 1;
-    if (columns * rows <= SMALL) draw_part<Start>(call, image, face, box, 0, 1);
+    if (columns * rows <= SMALL_BOX) draw_part<Start>(call, image, face, box, 0, 1);
     else call.queue.put(task, rows * lanes_of(box));
 }
 

@@ -16,7 +16,7 @@ constexpr float SAME_DEPTH = 1e-5f;  // relative difference of nearness up to wh
 constexpr float SAME_PLACE = 0.02f;  // pixels between the ends up to which two surfaces meet
 // Largest area of a small face, in pixels. Measured: below it the middle of a face is rarely visible; above it, the
 // middle gives less noise.
-constexpr float SMALL = 1.5f;
+constexpr float SMALL_AREA = 1.5f;
 
 // Hashes of the colours along each edge, as `edge_hashes.h` makes them, [images, count, 3, 2]. If there are fewer
 // images or faces, the last ones are repeated.
@@ -25,7 +25,7 @@ struct EdgeHashes {
     int images, count;
 
     NR_FUNC int64 of(int image, int face, int edge, int back) const {
-        const int64 own = (int64)smaller(image, images - 1) * count + smaller(face, count - 1);
+        const int64 own = (int64)shared(image, images) * count + shared(face, count);
         return values[(own * 3 + edge) * 2 + back];
     }
 };
@@ -141,7 +141,7 @@ NR_FUNC float gain_of_outline(const Lines& lines, const BoundaryEdge& edge, cons
 NR_FUNC bool is_small(const Lines& lines, int f) {
     const vec3* v = lines.faces + (int64)f * 3;
     const vec3 s = v[1] - v[0], t = v[2] - v[0];
-    return fabsf(s[0] * t[1] - s[1] * t[0]) * (float)lines.height * (float)lines.width / 8.0f < SMALL;
+    return fabsf(s[0] * t[1] - s[1] * t[0]) * (float)lines.height * (float)lines.width / 8.0f < SMALL_AREA;
 }
 
 // A pixel that shows a face, among the 3 x 3 around its centroid: its place in memory, or -1.
@@ -259,8 +259,11 @@ NR_FUNC bool has_moving_edge(const EdgeBackward& call, int image, int f, bool se
     const bool has_outline = next[3 * f] < 0 || next[3 * f + 1] < 0 || next[3 * f + 2] < 0;
     if (shown[f]) return call.seams || has_outline;
     // The outline of a face that all pixel centres miss is visible if one of the faces behind it is; for a seam, the
-    // adjacent face has to be. The search goes from face to face, depth first. Without it, the face may pass in vain.
-    int faces[LONGEST + 2], from[LONGEST + 2], steps[LONGEST + 2], last = 0;
+    // adjacent face has to be. The search goes from face to face, depth first. Without the search, an outline counts as
+    // visible. Each step takes a face from the stack and puts at most three there: an edge of several faces may lead to
+    // another one than it came from.
+    constexpr int ROOM = 2 * LONGEST;
+    int faces[ROOM], from[ROOM], steps[ROOM], last = 0;
     faces[0] = f, from[0] = -1, steps[0] = has_outline ? LONGEST : call.seams ? 1 : 0;
     while (last >= 0) {
         const int face = faces[last], before = from[last], left = steps[last] - 1;

@@ -62,7 +62,7 @@ NR_FUNC int facing(const vec3* v, int perspective) {
 // The side of a face that is visible: 0 the front, 1 the back.
 NR_FUNC int visible_side(const vec3* v, int perspective) { return facing(v, perspective) < 0; }
 
-// Twice the signed area on the screen, in screen units. All kernels agree on it to the bit.
+// Twice the signed area on the screen, in screen units. All kernels on the CPU agree on it to the bit.
 NR_FUNC float doubled_area(const vec3* v) {
     NR_UNFUSED
     return (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);

@@ -48,7 +48,7 @@ struct InterpolateRows {
     }
 #endif
     NR_FUNC const float* from(const Place& place) const {
-        const int own = smaller(place.image, call.owners - 1);
+        const int own = shared(place.image, call.owners);
         return call.attributes + ((int64)own * call.scene.count + place.face) * 3 * call.channels;
     }
     NR_FUNC float* to(const Place& place) const { return call.result + place.pixel * call.channels; }
@@ -186,7 +186,7 @@ NR_FUNC void attributes_of_face_backward(const InterpolateBackward& call, int ta
 // A few neighbouring pixels, face by face, on CUDA.
 NR_FUNC void attributes_of_run_backward(const InterpolateBackward& call, int task) {
     for_each_run(call.scene, task, call.run, [&](int image, int f, int j, int first, int last) {
-        corners_backward(call, image, smaller(image, call.owners - 1), f, Box{first, last, j, j}, false);
+        corners_backward(call, image, shared(image, call.owners), f, Box{first, last, j, j}, false);
     });
 }
 

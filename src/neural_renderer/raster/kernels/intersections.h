@@ -7,8 +7,8 @@
 // this motion, times the difference of the two colours, times the gradient of the pixel that contains the point.
 //
 // Rows and columns both sample the line. Each pair is weighted by the square of the component of the line's normal
-// along its axis; over the two axes the weights add to 1. Products and sums are not fused, because leads are small
-// differences.
+// along its axis; over the two axes the weights add to 1. On the CPU products and sums are not fused, because leads
+// are small differences.
 #pragma once
 
 #include "crossings.h"

@@ -26,7 +26,7 @@ struct LitRun {
 template <class Visit>
 NR_FUNC void for_each_lit_run(const LightPixels& call, int row, int left, int right, Visit visit) {
     const Scene& scene = call.scene;
-    const int b = row / scene.height, lamp = smaller(b, call.lamps - 1);
+    const int b = row / scene.height, lamp = shared(b, call.lamps);
     const int64 start = 2 * b * scene.area() + (int64)row * scene.width;
     const int* shown = scene.face_index + (int64)row * scene.width;
     for (int i = left; i < right;) {

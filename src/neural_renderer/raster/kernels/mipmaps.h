@@ -14,7 +14,7 @@ struct Mipmaps {
     int levels;              // 1 without mipmaps
     int repeat_u, repeat_v;  // whether the image repeats beyond [0, 1]; else its border is extended
 
-    NR_FUNC int64 start(int image) const { return smaller(image, owners - 1) * total * channels; }
+    NR_FUNC int64 start(int image) const { return shared(image, owners) * total * channels; }
 };
 
 struct Samples {

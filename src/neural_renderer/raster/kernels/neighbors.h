@@ -17,9 +17,7 @@ struct Rings {
     const int* next;  // [owners, count, 3]; null if there are none
     int owners;       // images of rings; 1 if all share them
 
-    NR_FUNC const int* of_image(int image, int count) const {
-        return next + (int64)smaller(image, owners - 1) * count * 3;
-    }
+    NR_FUNC const int* of_image(int image, int count) const { return next + (int64)shared(image, owners) * count * 3; }
     // Whether only the table can find the neighbour of an edge.
     NR_FUNC bool is_alone(int image, int count, int edge) const {
         return !next || of_image(image, count)[edge] == edge;

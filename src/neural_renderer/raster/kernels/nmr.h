@@ -6,13 +6,14 @@
 // delta^I_j / delta^x_i with delta^x_i = x_1 - x_0, and keeps the slope only if the change lowers the loss, whose
 // gradient at the pixel is delta^P_j:
 //
-//     (1)  dI_j/dx_i = delta^I_j / delta^x_i  if delta^P_j delta^I_j < 0, else 0     for pixels outside the face
-//     (2)  dI_j/dx_i = (3) + (4)                                                     for pixels inside, where the edges
-//     (3), (4)  as (1), with the colours and distances of both sides                 on both sides of the pixel move
+//     (1)  dI_j/dx_i   = delta^I_j / delta^x_i    if delta^P_j delta^I_j < 0, else 0     for pixels outside the face
+//     (2)  dI_j/dx_i   = dI_j/dx_i|a + dI_j/dx_i|b                                       for pixels inside
+//     (3)  dI_j/dx_i|a = delta^I^a_j / delta^a_x  if delta^P_j delta^I^a_j < 0, else 0   for the edge on one side
+//     (4)  dI_j/dx_i|b = delta^I^b_j / delta^b_x  if delta^P_j delta^I^b_j < 0, else 0   for the edge on the other side
 //
 // Here an edge is visited with all pixels on a scan line: rows for x, columns for y ("swapping the axes"). It pulls in
-// the pixels outside (1), and leaves those inside (3); the edge on their other side does (4). The sum over j of
-// delta^P_j dI_j/dx_i is the gradient of the corner.
+// the pixels outside (1), and leaves those inside (3); visited in its turn, the edge on their other side does (4). The
+// sum over j of delta^P_j dI_j/dx_i is the gradient of the corner.
 #pragma once
 
 #include "lanes.h"
@@ -212,6 +213,7 @@ struct EdgeGradient {
     NR_FUNC void add_line(int u) {
         const float c = edge.crossing(u);
         const int way = edge.outward, inner = (int)(way > 0 ? floorf(c) : ceilf(c)), outer = inner + way;
+        // The border of the image: a crossing counts only between two pixel centres.
         if (smaller(inner, outer) < 0 || larger(inner, outer) >= lines.length) return;
         const int64 area = call.scene.area(), inside = lines.pixel(u, inner), outside = lines.pixel(u, outer);
         const int* shown = call.scene.face_index + task.image * area;
@@ -428,7 +430,7 @@ struct LineWriter {
     }
 };
 
-// A task has as many neighbouring rows or columns as lie in a sector of memory.
+// A task has PADDING neighbouring rows or columns, whose pixels lie in one line of the CPU's cache.
 NR_FUNC void store_lines(const StoreLines& call, int task) {
     const int height = call.scene.height, width = call.scene.width;
     const int row_tasks = (height + PADDING - 1) / PADDING, tasks = row_tasks + (width + PADDING - 1) / PADDING;
@@ -440,14 +442,14 @@ NR_FUNC void store_lines(const StoreLines& call, int task) {
     for (int u = own * PADDING; u < smaller((own + 1) * PADDING, height); ++u) LineWriter<0>(call, image, u, 1).write();
 }
 
-// CUDA stores pixel by pixel, without padding.
+// CUDA stores pixel by pixel, and leaves the padding as it is.
 NR_FUNC void store_pixel(const StoreLines& call, int image, int row, int i) {
     const int height = call.scene.height, width = call.scene.width, j = height - 1 - row;
     const ScanAxis across(0, height, width), down(1, height, width);
     const int64 area = call.scene.area(), pixel = image * call.channels * area + (int64)row * width + i;
     const int half = call.halved ? 2 : 1;
     const int64 block = ((int64)image * call.channels * (height / half) + row / half) * (width / half) + i / half;
-    const float *value = call.image + pixel, *pull = call.grad + block;
+    const float *value = call.image ? call.image + pixel : nullptr, *pull = call.grad + block;
     const float share = 1.0f / (float)(half * half);
     float *in_row = call.lines.line(across, image, j) + i, *in_column = call.lines.line(down, image, i) + j;
     float sum = 0.0f;

@@ -20,8 +20,8 @@
 #define NR_NOINLINE inline __attribute__((noinline))
 #endif
 
-// Macros at the start of a function: its products and sums may be fused, across statements too, or are not fused,
-// whatever the module's option.
+// Macros at the start of a function: on the CPU its own products and sums may be fused, across statements too, or are
+// not fused, whatever the module's option. CUDA's compiler knows the module's option alone.
 #if defined(__clang__)
 #define NR_FUSED _Pragma("clang fp contract(fast)")
 #define NR_UNFUSED _Pragma("clang fp contract(off)")
@@ -102,6 +102,9 @@ NR_FUNC int smaller(int a, int b) { return a < b ? a : b; }
 
 // The number in [low, high] that is nearest to x; low for NaN.
 NR_FUNC float clamp(float x, float low, float high) { return x > low ? (x < high ? x : high) : low; }
+
+// The image whose values image b has, of ``images`` images: its own, or the last one.
+NR_FUNC int shared(int b, int images) { return b < images ? b : images - 1; }
 
 // Sums of concurrent CUDA threads. On the CPU no two tasks write to one place, so that these are plain additions.
 NR_FUNC void atomic_add(float* to, float value) {

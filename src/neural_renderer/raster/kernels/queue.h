@@ -40,7 +40,6 @@ struct LineTask {
     int image, face, lane, lanes, part, parts;
 
     // Whether no other task has work of the face, so that sums need no atomics.
-    NR_FUNC bool is_alone() const { return lanes * parts == 1; }
 };
 
 // The number of threads that share the scan lines of a face: a power of 2, ``most`` lines each at most.
@@ -58,7 +57,7 @@ NR_FUNC void put_lines(const Queue& queue, const Scene& scene, int image, int fa
     queue.put((int64)image * scene.count + face, (int64)parts * lanes);
 }
 
-// Call visit(task) for the work of a task of `launch_lines`: a whole face, or on CUDA what the queue holds.
+// Call visit(task) for the work of a task of a launch by `line_threads`: a whole face, or on CUDA what the queue holds.
 template <class Visit>
 NR_FUNC void for_each_line_task(const Queue& queue, const Scene& scene, int task, int lanes, int most, Visit visit) {
     if (queue.threads == 0) {

@@ -10,11 +10,11 @@ from torch import Tensor
 from ..warp.launch import launch
 from ..warp.layout import concurrent, cpu_bands, pixel_tasks, worth_a_thread
 from ..warp.memory import empty
-from ..warp.native import Kernels
+from ..warp.native import Kernels, constant
 from ..warp.queue import MOST_THREADS, empty_queue, queue_of
 
-_NO_FACE = 0x7FFFFFFF_FFFFFFFF  # key of no face, greater than all others
-_MOST_LANES = 32  # threads that share a row of a large face
+_NO_FACE = torch.iinfo(torch.int64).max  # key of no face, as in draw.h; greater than all others
+_MOST_LANES = constant("draw.h", "MOST_LANES")
 
 # Without fused multiply-adds the edge functions of a -> b and b -> a have exactly opposite signs at every pixel:
 # adjacent faces leave no gap, and the CPU and CUDA agree to the bit.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import torch
@@ -47,9 +48,8 @@ class DrawnFaces:
     halved: bool
 
 
-@dataclass(frozen=True)
 class Estimator:
-    """Base class of estimators.
+    """Base class of estimators; two of one class with equal attributes are equal.
 
     Attributes:
         differentiates_inside: Whether depth, and what is shaded inside faces, has derivatives by the faces' position.
@@ -89,7 +89,7 @@ class Estimator:
         Returns:
             [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``drawn.halved``.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__}: expected a method attach")
 
     def attach_layers(
         self,
@@ -112,7 +112,9 @@ class Estimator:
         Returns:
             As `attach`.
         """
-        raise NotImplementedError
+        raise NotImplementedError(
+            f"{type(self).__name__}: expected a method attach_layers, or joins_layers to be False"
+        )
 
     def needs_mask(self, device: torch.device) -> bool:
         """Test whether backward reads the mask of visible faces, which `coverage` then writes at once."""
@@ -126,6 +128,12 @@ class Estimator:
             cubes: Whether colours come from texture cubes.
         """
         return ()
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and vars(self) == vars(other)
+
+    def __hash__(self) -> int:
+        return hash(type(self))
 
     def __repr__(self) -> str:
         return next((repr(name) for name, each in ESTIMATORS.items() if each == self), type(self).__name__)
@@ -202,7 +210,12 @@ def _rings_and_halved(drawn: DrawnFaces) -> tuple[Tensor | None, bool, int]:
     return (None, drawn.halved, -1) if rings is None else (rings.next, drawn.halved, rings.alone)
 
 
-ESTIMATORS: dict[str, Estimator] = {"nmr": PaperGradient(), "edge": Derivative()}
+# By name; of a room above this one, which is imported at its first use, the module and the class.
+ESTIMATORS: dict[str, Estimator | tuple[str, str]] = {
+    "nmr": PaperGradient(),
+    "edge": Derivative(),
+    "opendr": ("neural_renderer.comparators.opendr", "OpenDR"),
+}
 
 
 def estimator(gradient: Any) -> Estimator:
@@ -215,5 +228,10 @@ def estimator(gradient: Any) -> Estimator:
         return gradient
     if not isinstance(gradient, str) or gradient not in ESTIMATORS:
         hint = "; the score-function estimate needs a loss: call reinforce" if str(gradient) == "reinforce" else ""
+        if isinstance(gradient, type) and issubclass(gradient, Estimator):
+            hint = "; an instance is needed, not the class"
         raise ValueError(f"gradient: expected one of {', '.join(ESTIMATORS)}, got {gradient!r}{hint}")
-    return ESTIMATORS[gradient]
+    found = ESTIMATORS[gradient]
+    if isinstance(found, tuple):
+        found = ESTIMATORS[gradient] = getattr(import_module(found[0]), found[1])()
+    return found

@@ -84,14 +84,3 @@ def run_tasks(rows: int, width: int) -> tuple[int, int]:
         The number of tasks, and the pixels of a run: 8, one sector of 32 bytes.
     """
     return rows * -(-width // 8), 8
-
-
-def face_lanes(faces: Tensor, pixels: int) -> int:
-    """Compute the number of CUDA threads per face of ``faces`` [B, F, ...] in an image of ``pixels`` pixels.
-
-    Few and large faces get more threads. The number is one on the CPU, and if torch asks for deterministic results:
-    several threads add their sums in any order.
-    """
-    if not in_any_order(faces.device):
-        return 1
-    return min(32, 1 << (8 * pixels // max(faces.shape[1], 1)).bit_length() // 2)

@@ -47,21 +47,24 @@ class Call(ctypes.Structure):
     """
 
     _pointers: dict[str, torch.dtype]
+    _names: frozenset[str]
 
     def __init__(self, **fields: Any) -> None:
         self.kept: list[Any] = []
         for name, value in fields.items():
+            if name not in self._names:
+                raise TypeError(f"{type(self).__name__}: expected one of its fields, got {name}")
             if isinstance(value, Tensor):
                 expected = self._pointers.get(name)
                 if value.dtype is not expected or not value.is_contiguous():
-                    raise TypeError(f"{name}: expected a contiguous tensor of {expected}, got {value.dtype}")
+                    layout = "" if value.is_contiguous() else " that is not contiguous"
+                    wanted = "a number" if expected is None else f"a contiguous tensor of {expected}"
+                    raise TypeError(f"{name}: expected {wanted}, got a tensor of {value.dtype}{layout}")
                 self.kept.append(value)
                 setattr(self, name, value.data_ptr())
             elif value is not None:
                 if isinstance(value, Call):
                     self.kept.append(value)
-                elif not hasattr(type(self), name):
-                    raise TypeError(f"{type(self).__name__}: expected one of its fields, got {name}")
                 setattr(self, name, value)
 
 
@@ -105,7 +108,9 @@ def _struct(header: str, name: str, body: str) -> type[Call]:
                 pointers[each] = _TENSORS[kind]
             else:
                 fields.append((each, _NUMBERS[kind] if kind in _NUMBERS else struct(header, kind)))
-    made = type(name, (Call,), {"_fields_": fields, "_pointers": pointers})
+    made = type(
+        name, (Call,), {"_fields_": fields, "_pointers": pointers, "_names": frozenset(each for each, _ in fields)}
+    )
     build_experimental.add_native_type(made, native_name=f"nr::{name}")
     return made
 
