@@ -235,14 +235,10 @@ def coarse_fit(
     steps: int,
     descent: DescentSettings,
 ) -> ShapeFit:
-    """Make the fit of a coarse shape and of the cameras to small silhouettes.
+    """Make the fit of a coarse shape, from vertices [V, 3] and faces [F, 3], and of the cameras to small silhouettes.
 
-    Args:
-        views: Views that are `Views.normalized`.
-        vertices, faces: The initial shape, [V, 3] and [F, 3].
-        cameras: Their cameras, which the fit changes.
-        steps: Number of steps if a step shows all views; more views take more.
-        descent: Settings of gradient descent; the batch is that of images of full size.
+    The views are `Views.normalized`. ``steps`` is the number of steps if a step shows all views; more views take more.
+    The batch of ``descent`` is that of images of full size.
     """
     small, batch = reduced(views, max(1, round(max(views.size) / _COARSE_SIZE))), _SMALLER * descent.batch
     return ShapeFit(
