@@ -25,12 +25,9 @@ class FirstView:
         server.on_client_connect(self._greet)
 
     def choose(self, position: np.ndarray, center: np.ndarray, move: bool) -> None:
-        """Choose the view of browsers that connect later, and of those that are there.
+        """Choose the view, a position [3] and where it looks, [3], of browsers that connect later, and of those there.
 
-        Args:
-            position: [3], of the camera.
-            center: [3], where it looks.
-            move: Move all cameras; otherwise those that nobody has moved.
+        ``move`` all their cameras; otherwise those that nobody has moved.
         """
         radius = float(np.linalg.norm(position - center))
         camera = self._server.initial_camera

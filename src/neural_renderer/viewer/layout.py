@@ -30,9 +30,7 @@ def axes_of(up: str) -> np.ndarray:
 def places_in_row(boxes: Sequence[Box], axes: np.ndarray) -> list[np.ndarray]:
     """Choose places [3] of the origins of meshes, so that they stand in a row on the ground of the first mesh.
 
-    Args:
-        boxes: Bounds of the meshes, each in its own coordinates.
-        axes: Directions as in `axes_of`.
+    Boxes bound the meshes, each in its own coordinates; ``axes`` are as in `axes_of`.
     """
     turned = [_turned(box, axes) for box in boxes]
     widths = [float(high[0] - low[0]) for low, high in turned]
@@ -49,15 +47,7 @@ def places_in_row(boxes: Sequence[Box], axes: np.ndarray) -> list[np.ndarray]:
 
 
 def first_view(boxes: Sequence[Box], axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Choose the position of a camera, and the point it looks at, so that all boxes are in the picture.
-
-    Args:
-        boxes: Bounds of the meshes in the scene.
-        axes: Directions as in `axes_of`.
-
-    Returns:
-        Two points [3].
-    """
+    """Choose the position of a camera, and the point it looks at, [3] each, so that all boxes are in the picture."""
     backward = axes.T @ _VIEW
     if not boxes:
         return backward, np.zeros(3)

@@ -27,13 +27,9 @@ def model_file(folder: Path) -> Path | None:
 
 
 def read_colmap(path: Path) -> CameraFile:
-    """Read a model.
+    """Read the model of ``images.bin`` or ``images.txt``; the other files are beside it. Points are optional.
 
-    Args:
-        path: ``images.bin`` or ``images.txt``; the other files are beside it. Points are optional.
-
-    Raises:
-        OSError, ValueError: A file is missing or malformed, or a lens model is unknown.
+    OSError, ValueError: A file is missing or malformed, or a lens model is unknown.
     """
     cameras_path, points_path = (path.with_name(name + path.suffix) for name in ("cameras", "points3D"))
     if path.suffix.lower() == ".bin":

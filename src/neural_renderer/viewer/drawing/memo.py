@@ -16,11 +16,7 @@ class Memo(Generic[_Value]):
     """Keeps results for tensors, as long as these live and are not changed in place. Any thread may call it.
 
     torch counts changes of a tensor, but neither those by ``tensor.data`` nor those by an array of numpy that shares
-    its memory. ``holds`` can find these.
-
-    Args:
-        most: Number of results kept.
-        holds: Tells whether a result still belongs to a tensor for which torch has counted no change.
+    its memory. ``holds`` can find these: it tells whether a result still belongs to a tensor without a counted change.
     """
 
     def __init__(self, most: int = 16, holds: Callable[[Tensor, _Value], bool] | None = None) -> None:

@@ -32,10 +32,9 @@ class Snapshot:
     uv_mesh: UVMesh | None = None
 
     def finite(self) -> tuple[Snapshot, int]:
-        """Leave out faces with a vertex that is not finite, as in an optimisation that diverged.
+        """Leave out faces with a vertex that is not finite, as after an optimisation diverged; count them, too.
 
-        Returns:
-            The rest, whose unusable vertices are at the origin, and the number of faces left out.
+        Unusable vertices are at the origin.
         """
         finite = np.isfinite(self.vertices.numpy())
         if finite.all():
@@ -77,16 +76,9 @@ class Snapshot:
 
 
 def take_snapshot(mesh: Any) -> Snapshot:
-    """Copy a mesh.
+    """Copy one mesh: a `Mesh`, a `UVMesh`, or (vertices, faces) or (vertices, faces, textures) as in `render`.
 
-    Args:
-        mesh: A `Mesh`, a `UVMesh`, or (vertices, faces) or (vertices, faces, textures) of one mesh as in `render`.
-
-    Returns:
-        The copy.
-
-    Raises:
-        TypeError, ValueError: It is none of these, or its tensors do not fit together.
+    TypeError, ValueError: It is none of these, or its tensors do not fit together.
     """
     if isinstance(mesh, Snapshot):
         return mesh

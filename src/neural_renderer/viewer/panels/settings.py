@@ -17,12 +17,7 @@ _LAST = 1e9  # order of the settings, below the curves
 
 
 class SettingsPanel:
-    """A folder with a field for each setting.
-
-    Args:
-        server: Server of the page.
-        change: Called in another thread with the name and the new value of a setting.
-    """
+    """A folder with a field for each setting. Another thread calls ``change`` with the name and value of one."""
 
     def __init__(self, server: viser.ViserServer, change: Callable[[str, float | str], None]) -> None:
         self._server, self._change = server, change
