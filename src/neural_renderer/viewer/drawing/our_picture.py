@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ... import losses
 from ...camera import Camera
+from ...camera.files.colmap import rotation_of
 from ...pictures.lamp import lamp_direction
 from ...raster import Images
 from ...rendering import render
@@ -44,15 +45,8 @@ class View:
 
     def camera(self, place: np.ndarray) -> Camera:
         """Make the camera in the coordinates of a mesh whose origin is at ``place`` [3]."""
-        w, x, y, z = (float(value) for value in self.wxyz / np.linalg.norm(self.wxyz))
         pose = torch.eye(4)
-        pose[:3, :3] = torch.tensor(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        pose[:3, :3] = rotation_of("wxyz", tuple(self.wxyz))
         pose[:3, 3] = torch.from_numpy(np.asarray(self.position - place, np.float64))
         return Camera.from_matrix(camera_to_world=pose, viewing_angle=math.degrees(self.field) / 2)
 

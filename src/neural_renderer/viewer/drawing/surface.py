@@ -17,8 +17,7 @@ from torch import Tensor
 from ...meshes.uv_mesh import UVMesh
 from ...pictures.clay import CLAY
 from .glb import Drawable
-from .memo import Memo
-from .snapshot import Snapshot
+from .snapshot import Memo, Snapshot
 
 Surface = Literal["colours", "clay", "normals", "faces"]
 SURFACES: tuple[Surface, ...] = ("colours", "clay", "normals", "faces")
