@@ -39,8 +39,7 @@ from .textures.sample_texture import sample_texture
 from .transparency import surface_opacity
 from .validate import check_values
 from .version import __version__
-from .viewer.view import view
-from .viewer.viewer import Viewer
+from .viewer.viewer import Viewer, view
 
 __all__ = [
     "PBR",

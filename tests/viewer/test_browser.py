@@ -132,7 +132,7 @@ def test_pause_settings_and_stop(
     browser: Browser, open_viewer: Callable[..., Viewer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A loop as a program writes it: pause pauses, a setting changes, stop ends it."""
-    monkeypatch.setattr("neural_renderer.viewer.panels.settings.SETTLED", 0.1)
+    monkeypatch.setattr("neural_renderer.viewer.panels.run.SETTLED", 0.1)
     viewer, steps = open_viewer(), [0]
     rate, weight = viewer.knob("rate", 0.5, most=1.0), viewer.knob("weight", 100.0)
 

@@ -18,7 +18,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.tasks.observer import Knob, goes_on
-from neural_renderer.viewer.panels.settings import problem_of
+from neural_renderer.viewer.panels.run import problem_of
 from neural_renderer.viewer.records.replay import Record
 from neural_renderer.viewer.server import is_own_page
 from neural_renderer.viewer.viewer import Viewer

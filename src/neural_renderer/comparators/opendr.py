@@ -75,7 +75,7 @@ def opendr_gradient(
     return halve(image) if halved else copy(image)
 
 
-@fake("opendr_gradient")
+@fake(opendr_gradient)
 def _(image: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, halved: bool = False) -> Tensor:
     scale = 2 if halved else 1
     return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
@@ -102,7 +102,7 @@ def opendr_gradient_backward(
     return result
 
 
-@fake("opendr_gradient_backward")
+@fake(opendr_gradient_backward)
 def _(grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 

@@ -67,15 +67,10 @@ def load_textures(
 
 
 def create_texture_image(textures: Tensor, texture_size_out: int = 16) -> tuple[np.ndarray, np.ndarray]:
-    """Draw texture cubes into one image, with a tile for each face. Tiles of similar colour are placed together.
+    """Draw texture cubes [F, T, T, T, 3] into one image of tiles of ``texture_size_out`` ≥ 4 pixels, by colour.
 
-    Args:
-        textures: [F, T, T, T, 3] floating.
-        texture_size_out: Side of a tile in pixels, ≥ 4.
-
-    Returns:
-        The image [H, W, 3] float32 in [0, 1], row 0 at the top, and the texture coordinates [F, 3, 2] float32 of the
-        faces' corners (v up; 0 and 1 are the centres of the outermost pixels).
+    Returns the image [H, W, 3] float32 in [0, 1], row 0 at the top, and the texture coordinates [F, 3, 2] float32 of
+    the faces' corners (v up; 0 and 1 are the centres of the outermost pixels).
     """
     cubes = validate.cubes("textures", textures, "F").detach().cpu().float().clamp(0, 1).numpy()
     picture, pixels = build_atlas(cubes, validate.whole("texture_size_out", texture_size_out, 4))

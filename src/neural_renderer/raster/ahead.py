@@ -36,16 +36,11 @@ _ALWAYS: Functions = (coverage, DrawingKernels, gather_corners)
 def load_kernels(
     settings: Settings, outputs: Collection[str], colors: Functions, *positions: Tensor, scene: Functions = ()
 ) -> None:
-    """Compile the kernels that images need, unless they are in the cache.
+    """Compile the kernels that images need, unless they are in the cache. Any other is compiled when it first runs.
 
-    Any other kernel is compiled when it first runs.
-
-    Args:
-        settings: How faces are drawn.
-        outputs: Some of "rgb", "alpha", "depth".
-        colors: Operators that colour the faces if "rgb" is among the outputs: CUBES, ATTRIBUTES or IMAGES.
-        positions: Corners, or vertices and what else moves them on the screen; the first on the device of the images.
-        scene: SCENE if vertices are projected and lit, PROJECTION if they are projected.
+    ``colors`` are CUBES, ATTRIBUTES or IMAGES, for "rgb" among the outputs. ``positions`` are corners, or vertices and
+    what else moves them on the screen, the first on the device of the images. ``scene`` is SCENE if vertices are
+    projected and lit, PROJECTION if they are projected.
     """
     if not isinstance(positions[0], Tensor) or not is_plain(positions):
         return

@@ -21,24 +21,17 @@ def background_image(
     device: torch.device,
     dtype: torch.dtype = torch.float32,
 ) -> Tensor:
-    """Check a background and bring it to a shape that broadcasts to the images before anti-aliasing.
+    """Check a background of B images, and bring it to a shape that broadcasts to the images before anti-aliasing.
 
     Args:
         background: Number; colour [C] or [B, C]; or image [C, height, width] or [height, width, C], or a batch of them,
             of the size that is returned. What fits both has its channels first. Array-likes are converted. uint8 is
             refused: its numbers are in [0, 255].
-        batch: Number of images B.
-        channels: Number of channels C.
-        settings: Size and anti-aliasing of the images.
-        device: Device of the images.
-        dtype: Of the result.
 
     Returns:
         [1 or B, C, 1 or H, 1 or W] of ``dtype``, with H and W twice the returned size under anti-aliasing.
 
-    Raises:
-        TypeError: It has no numbers, or numbers of a wrong type.
-        ValueError: Its shape fits none of the above, or a value is NaN or infinite.
+    Raises TypeError without numbers of a right type, and ValueError for other shapes, NaN and infinity.
     """
     height, width = settings.height, settings.width
     if str(getattr(background, "dtype", "")).endswith("uint8"):  # most likely an image from a file

@@ -18,10 +18,9 @@ from .visible import VisibleFaces
 def cube_colors(
     visible: VisibleFaces, textures: Any, light: Tensor | None, background: Any
 ) -> tuple[Tensor, Callable[[], Tensor]]:
-    """Colour an image by texture cubes.
+    """Colour B images by texture cubes.
 
     Args:
-        visible: Visible faces of B images.
         textures: Cubes [B or 1, F, T, T, T, 3] floating; T = 1 is one colour per face.
         light: Factors [B or 1, 2, F, 3] on the front and the back of each face; None for 1.
         background: As in `background_image`.
@@ -29,9 +28,7 @@ def cube_colors(
     Returns:
         [B, 3, H, W] float32, and a function that hashes the colours along edges (`texture_edge_hashes`).
 
-    Raises:
-        TypeError: A tensor of another dtype.
-        ValueError: A tensor of another shape or device, or with NaN or infinite values.
+    Raises TypeError for another dtype, and ValueError for another shape or device, or for NaN and infinity.
     """
     corners, settings = visible.corners, visible.settings
     cubes, factors, behind = checked_colors(visible, textures, light, background, torch.float32)

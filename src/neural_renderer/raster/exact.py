@@ -12,7 +12,7 @@ from torch.nn import functional
 from .images import Images
 from .reference.operators import barycentrics_reference, sample_textures_reference
 from .visible import VisibleFaces
-from .warp.registration import differentiable, operator
+from .warp.registration import differentiable, fake, operator
 
 
 def checked_dtype(dtype: Any) -> torch.dtype:
@@ -31,8 +31,8 @@ def fixed(values: Tensor, corners: Tensor) -> Tensor:
     return values.to(torch.float64, copy=True)
 
 
-@torch.library.register_fake("neural_renderer::fixed")
-def _(values, corners):  # type: ignore[no-untyped-def]
+@fake(fixed)
+def _(values: Tensor) -> Tensor:
     return values.new_empty(values.shape, dtype=torch.float64)
 
 
@@ -54,16 +54,9 @@ def exact_images(
     light: Tensor | None = None,
     background: Tensor | None = None,
 ) -> Images:
-    """Make images in float64.
+    """Make images in float64, from the corners [B, F, 3, 3] floating of visible faces.
 
-    Args:
-        visible: Visible faces of B images.
-        faces: Their corners, [B, F, 3, 3] floating.
-        outputs: Some of "rgb", "alpha", "depth".
-        textures, light, background: As in `sample_textures`, floating, if "rgb" is among the outputs.
-
-    Returns:
-        Images, float64.
+    Textures, light and background are as in `sample_textures`, floating, if "rgb" is among the outputs.
     """
     settings, index = visible.settings, visible.face_index
     corners = fixed(faces, faces)

@@ -36,32 +36,17 @@ def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
 def corners_of(vertices: Tensor, faces: Tensor, in_range: bool = False) -> Tensor:
     """Gather the corners of each face as `vertices_to_faces`, from tensors of valid types and shapes.
 
-    Args:
-        vertices: [B, V, 3] floating.
-        faces: [F, 3] or [B or 1, F, 3], int32 or int64.
-        in_range: Whether the indices are known to be in range.
-
-    Raises:
-        ValueError: Another device, batch or index.
+    ``in_range`` tells that the indices are known to be in range. Raises ValueError for another device, batch or index.
     """
     faces = corner_indices(vertices, faces, len(vertices), in_range)
     return gather_corners(vertices.float(), faces)
 
 
 def corner_indices(vertices: Tensor, faces: Tensor, images: int, in_range: bool = False) -> Tensor:
-    """Convert the vertex indices of faces for operators that gather corners.
+    """Convert the vertex indices of faces for operators that gather corners of B images: [B or 1, F, 3] int32.
 
-    Args:
-        vertices: [..., V, 3], on the device of the faces.
-        faces: [F, 3] or [B or 1, F, 3], int32 or int64.
-        images: Number of images B.
-        in_range: Whether the indices are known to be in range.
-
-    Returns:
-        [B or 1, F, 3] int32.
-
-    Raises:
-        ValueError: Another device, batch or index.
+    Vertices [..., V, 3] are on the device of the faces, [F, 3] or [B or 1, F, 3] int32 or int64; the rest is as in
+    `corners_of`.
     """
     validate.same_device(vertices=vertices, faces=faces)
     faces = faces[None] if faces.dim() == 2 else faces
@@ -75,15 +60,9 @@ def corner_indices(vertices: Tensor, faces: Tensor, images: int, in_range: bool 
 
 
 def world_corners(vertices: Tensor, faces: Tensor, images: int, in_range: bool = False) -> Tensor:
-    """Gather the corners of faces in world space, for lighting.
+    """Gather the corners of faces in world space, for lighting; arguments as in `corner_indices`.
 
     If there are faces for each image, one mesh is repeated for all of them.
-
-    Args:
-        vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] or [B, F, 3], int32 or int64.
-        images: Number of images.
-        in_range: Whether the indices are known to be in range.
     """
     vertices = vertices if vertices.dim() == 3 else vertices[None]
     if faces.dim() == 3 and len(faces) == images:

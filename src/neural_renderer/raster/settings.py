@@ -66,17 +66,7 @@ class Settings:
         perspective: bool,
         gradient: str | Estimator,
     ) -> Settings:
-        """Validate settings.
-
-        Args:
-            size: Side, or (height, width), of the returned image in pixels, 1 to 32768 each.
-            near, far, eps, anti_aliasing, two_sided, perspective: As the attributes.
-            gradient: Name of an estimator, or itself; see `estimator`.
-
-        Raises:
-            TypeError: A flag, number or size of another type.
-            ValueError: A number out of its range, or an unknown estimator.
-        """
+        """Validate settings; raise TypeError or ValueError. See `image_size` and `estimator`."""
         height, width = image_size("size", size)
         two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
         through = estimator(gradient)
@@ -93,18 +83,10 @@ class Settings:
         return 2 if self.anti_aliasing else 1
 
     def corners(self, faces: Tensor, channels: int) -> Tensor:
-        """Validate screen-space corners and convert them to float32.
+        """Validate screen-space corners [B, F, 3, 3] floating, and convert them to float32; differentiable.
 
-        Args:
-            faces: [B, F, 3, 3] floating.
-            channels: Channels of the images to draw; their memory is checked.
-
-        Returns:
-            [B, F, 3, 3] float32, differentiable in ``faces``.
-
-        Raises:
-            TypeError: A tensor of another dtype.
-            ValueError: Another shape or device, NaN or infinite values, or images larger than the memory.
+        Raises TypeError for another dtype, and ValueError for another shape or device, for NaN and infinity, or for
+        images of so many channels that they are larger than the memory.
         """
         validate.floating("faces", faces, ("B", "F", 3, 3))
         validate.finite("faces", faces)
@@ -134,18 +116,13 @@ class Settings:
         edge_hashes: Callable[[], Tensor] | None = None,
         rings: Rings | None = None,
     ) -> Tensor:
-        """Average an image for anti-aliasing, and attach the gradient through visibility.
+        """Average an image for anti-aliasing to [B, C, height, width] float32; attach the gradient through visibility.
 
         Args:
             image: Image with its background, before anti-aliasing, [B, C, H, W] float32; None for the silhouette.
-            corners: Screen-space corners, [B, F, 3, 3] float32.
-            face_index: Visible face of each pixel, [B, H, W] int32.
+            corners, face_index, rings: As in `VisibleFaces`.
             seams: Whether colours may jump between adjacent faces; see `edge_gradient`.
             edge_hashes: Function that returns the hashes for `edge_gradient`; called only if they are needed.
-            rings: As from `rings`.
-
-        Returns:
-            [B, C, height, width] float32.
         """
         if not needs_gradient(corners):
             if image is not None and not self.anti_aliasing:
@@ -160,18 +137,9 @@ class Settings:
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:
-    """Validate an image size.
+    """Validate an image size, a side or (height, width) of 1 to 32768 pixels, as (height, width).
 
-    Args:
-        name: Name of the argument in errors.
-        size: Side, or (height, width), in pixels, 1 to 32768 each.
-
-    Returns:
-        (height, width).
-
-    Raises:
-        TypeError: Sides that are not whole numbers.
-        ValueError: Another count or range of sides.
+    Raises TypeError or ValueError with the name of the argument.
     """
     pair = size if isinstance(size, (tuple, list)) else (size, size)
     several_sizes = any(isinstance(side, (tuple, list)) for side in pair)

@@ -78,26 +78,16 @@ class VisibleFaces(OneLine):
         seams: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
     ) -> Tensor:
-        """Add the gradient through visibility to an image and average it to the size that is returned.
-
-        Args:
-            layers: Image with its background, [B, C, H, W] float32; None for the silhouette, of one channel.
-            seams, edge_hashes: As in `Settings.through_visibility`.
-
-        Returns:
-            [B, C, height, width] float32.
-        """
+        """Add the gradient through visibility to an image, and average it, as `Settings.through_visibility`."""
         return self.settings.through_visibility(layers, self.corners, self.face_index, seams, edge_hashes, self.rings)
 
     def images(
         self, outputs: Collection[str], rgb: Tensor | None = None, edge_hashes: Callable[[], Tensor] | None = None
     ) -> Images:
-        """Make the requested images.
+        """Make the requested images, of "rgb", "alpha" and "depth".
 
-        Args:
-            outputs: Some of "rgb", "alpha", "depth".
-            rgb: Colours with their background, [B, 3, H, W] float32, if "rgb" is among the outputs.
-            edge_hashes: As in `Settings.through_visibility`.
+        ``rgb`` are colours with their background, [B, 3, H, W] float32; ``edge_hashes`` as in
+        `Settings.through_visibility`.
         """
         layers = {} if rgb is None else {"rgb": rgb}
         through = "depth" in outputs and self.settings.gradient.differentiates_inside

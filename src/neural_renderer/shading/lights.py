@@ -165,18 +165,10 @@ class Light:
         return isinstance(self.directional, (int, float)) and self.directional == 0
 
     def _parameters(self, dtype: torch.dtype, device: torch.device, images: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Convert the parameters to tensors: RGB of the ambient and of the directional light, and the direction.
+        """Convert the parameters to tensors [1 or B, 3]: RGB of ambient and of directional light, and the direction.
 
-        Args:
-            dtype, device: Dtype and device of the tensors.
-            images: Number of images or meshes, B.
-
-        Returns:
-            Three tensors, [1 or B, 3] each.
-
-        Raises:
-            TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
-                finite.
+        TypeError, ValueError: A type or shape does not fit B images or meshes; while values are checked, also a number
+        that is not finite.
         """
         kept = self._converted
         if kept is not None and kept[:2] == (dtype, device) and is_plain(()):
@@ -222,17 +214,9 @@ def light_factors(lights: Sequence[AnyLight], vertices: Tensor, faces: Tensor, i
     """Add up the light on both sides of faces, as `Light.two_sided`; for callers with first derivatives only.
 
     Args:
-        lights: At least one light of any kind.
         vertices: [V, 3] or [B, V, 3] floating, finite, in world space.
         faces: Vertex indices in range, [F, 3] or [B, F, 3], int32 or int64.
         images: Number of images B.
-        mirrored: Whether the camera mirrors.
-
-    Returns:
-        [1 or B, 2, F, 3], as `Light.two_sided`.
-
-    Raises:
-        TypeError, ValueError: As `Light.two_sided`.
     """
     points = vertices if vertices.dim() == 3 else vertices[None]
     is_simple = points.dtype == torch.float32 and is_plain((points,))

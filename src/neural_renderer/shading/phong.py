@@ -156,14 +156,7 @@ def total(parts: Sequence[Tensor]) -> Tensor:
 def of_images(name: str, value: Any, channels: int, points: Tensor) -> Tensor:
     """Convert a number, [] or [B], or with three channels RGB, [3] or [B, 3], to [1 or B, 1, 1, channels].
 
-    Args:
-        name: Name of the parameter, for messages.
-        value: Numbers: tensor, array or nested sequence.
-        channels: 1 or 3.
-        points: Points [B, H, W, 3] of the dtype and device of the result.
-
-    Raises:
-        TypeError, ValueError: The value does not fit.
+    The result has the dtype and device of points [B, H, W, 3]. TypeError, ValueError: The value does not fit.
     """
     found = parameter(name, value, (3,) if channels == 3 else (), points.dtype, points.device, shared=True)
     found = found.reshape(-1, 1, 1, channels)

@@ -18,17 +18,12 @@ _STEPS = (64, 16)  # angles from the normal and about it, over which each entry 
 
 
 def split_sum(cosine: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Integrate the reflection of uniform light over the hemisphere.
+    """Integrate the reflection of uniform light over the hemisphere, by a bilinear table: scale, bias and fresnel.
 
     A surface of reflectance f0 reflects f0 · scale + bias of it, and transmits (1 − f0) (1 − fresnel) into its matt
-    part. fresnel is the mean of (1 − v · h)⁵ over the light that falls on the surface.
-
-    Args:
-        cosine: n · v in (0, 1], [B, H, W, 1] float32.
-        roughness: Perceptual roughness in [0, 1], [B, H, W, 1] or what broadcasts to it.
-
-    Returns:
-        scale, bias and fresnel, [B, H, W, 1] each, bilinear in a table; differentiable.
+    part. fresnel is the mean of (1 − v · h)⁵ over the light that falls on the surface. They are [B, H, W, 1] each, and
+    differentiable in the cosine n · v in (0, 1], [B, H, W, 1] float32, and the perceptual roughness in [0, 1], which
+    broadcasts to it.
     """
     table = on_device(_table(), cosine)
     # The table is finer at grazing angles, where it changes most. Its row 0 is roughness 0.
@@ -71,11 +66,7 @@ def _root(square: Tensor, cosine: Tensor) -> Tensor:
 
 
 def _half_vectors(uniform: Tensor, turn: Tensor, alpha: Tensor | float) -> Tensor:
-    """Map numbers in [0, 1) and angles to halfway vectors about the z axis, with the density D (n · h) of GGX.
-
-    Returns:
-        [..., 3], unit vectors.
-    """
+    """Map numbers in [0, 1) and angles to unit halfway vectors [..., 3] about the z axis, with GGX's density."""
     rest = 1 - uniform
     cosine = (rest / (rest + alpha**2 * uniform)).sqrt()
     sine = (1 - cosine**2).clamp(min=0).sqrt()

@@ -1,4 +1,4 @@
-"""`Adjustable`: fits whose rate and weights may change between two steps."""
+"""Tasks that can be saved and resumed between two steps, and fits whose rate and weights may change there."""
 
 from __future__ import annotations
 
@@ -8,14 +8,44 @@ from .. import validate
 from .observer import LEAST_RATE, Knob, turn_weight, weight_knobs
 
 
-class Adjustable:
+class Resumable:
+    """A task of many steps. Its methods are documented here, once for all subclasses."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Collect everything that changes from step to step.
+
+        Returns:
+            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
+        """
+        raise NotImplementedError
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Resume from the state of a task with the same inputs: views, image, shape.
+
+        Args:
+            state: Result of `state_dict`.
+
+        Raises:
+            KeyError: A name is missing.
+        """
+        raise NotImplementedError
+
+
+class Adjustable(Resumable):
     """A fit with a rate, and perhaps with weights of losses, that a viewer may change.
 
     Subclasses set ``_rate``, a number > 0, and ``_weights``, a dataclass of numbers ≥ 0, or None.
     """
 
+    step: int
+    steps: int
     _rate: float
     _weights: Any = None
+
+    @property
+    def done(self) -> bool:
+        """Whether all steps are taken."""
+        return self.step >= self.steps
 
     def knobs(self) -> list[Knob]:
         """List the settings that may change between two steps.

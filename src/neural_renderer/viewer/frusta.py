@@ -30,13 +30,7 @@ _PARALLEL = 0.05  # drawn field of view of orthographic cameras, in radians
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A camera with its photograph.
-
-    Attributes:
-        camera: One camera.
-        masks: [1, H, W] in [0, 1], or None.
-        photos: [1, 3, H, W] in [0, 1], or None.
-    """
+    """A camera with its photograph [1, 3, H, W] and mask [1, H, W], both in [0, 1] or None."""
 
     camera: Camera
     masks: Tensor | None
@@ -93,11 +87,7 @@ def photographs(camera: Any, photos: Any, masks: Any) -> list[Photograph]:
 
 
 class Frusta:
-    """The cameras of a page. The methods are called in the worker's thread.
-
-    Attributes:
-        photographs: Cameras and photographs by name.
-    """
+    """The cameras of a page, and photographs by name. The methods are called in the worker's thread."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import viser
 
 Box = tuple[np.ndarray, np.ndarray]
 """Least and greatest coordinates, [3] each."""
@@ -17,6 +21,8 @@ _NEAR, _FAR = 1e-3, 1e2  # clipping planes, relative to the distance of the firs
 _BACKGROUND = 1.0  # distance of viser's background plane
 _MOST_NEARER = 10.0  # largest near distance, relative to the background's, that is shortened to show the background
 _MARGIN = 1.1  # distance of the first view, relative to the least that shows everything
+_UNMOVED = 0.02  # distance from a first view, relative to the target's, below which a camera counts as unmoved
+_VIEWS = 16  # first views remembered, to recognise unmoved cameras
 
 
 def axes_of(up: str) -> np.ndarray:
@@ -30,9 +36,7 @@ def axes_of(up: str) -> np.ndarray:
 def places_in_row(boxes: Sequence[Box], axes: np.ndarray) -> list[np.ndarray]:
     """Choose places [3] of the origins of meshes, so that they stand in a row on the ground of the first mesh.
 
-    Args:
-        boxes: Bounds of the meshes, each in its own coordinates.
-        axes: Directions as in `axes_of`.
+    Boxes bound the meshes, each in its own coordinates; ``axes`` are as in `axes_of`.
     """
     turned = [_turned(box, axes) for box in boxes]
     widths = [float(high[0] - low[0]) for low, high in turned]
@@ -49,15 +53,7 @@ def places_in_row(boxes: Sequence[Box], axes: np.ndarray) -> list[np.ndarray]:
 
 
 def first_view(boxes: Sequence[Box], axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Choose the position of a camera, and the point it looks at, so that all boxes are in the picture.
-
-    Args:
-        boxes: Bounds of the meshes in the scene.
-        axes: Directions as in `axes_of`.
-
-    Returns:
-        Two points [3].
-    """
+    """Choose the position of a camera, and the point it looks at, [3] each, so that all boxes are in the picture."""
     backward = axes.T @ _VIEW
     if not boxes:
         return backward, np.zeros(3)
@@ -89,3 +85,48 @@ def _turned(box: Box, axes: np.ndarray) -> Box:
     """Turn a box into the coordinates right, up and backward."""
     one, other = axes @ box[0], axes @ box[1]
     return np.minimum(one, other), np.maximum(one, other)
+
+
+class FirstView:
+    """First view of a page. A camera that somebody has moved stays where it is."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._positions: list[np.ndarray] = []  # the newest is the last
+        self._center = np.zeros(3)
+        server.on_client_connect(self._greet)
+
+    def choose(self, position: np.ndarray, center: np.ndarray, move: bool) -> None:
+        """Choose the view, a position [3] and where it looks, [3], of browsers that connect later, and of those there.
+
+        ``move`` all their cameras; otherwise those that nobody has moved.
+        """
+        radius = float(np.linalg.norm(position - center))
+        camera = self._server.initial_camera
+        camera.fov, (camera.near, camera.far) = FIELD, clip_distances(radius)
+        camera.position, camera.look_at = tuple(position), tuple(center)
+        clients = self._server.get_clients().values()
+        moving = [client for client in clients if move or self.is_unmoved(client)]
+        self._positions, self._center = [*self._positions[1 - _VIEWS :], position], center
+        for client in moving:
+            look_from(client, position, center)
+
+    def is_unmoved(self, client: viser.ClientHandle) -> bool:
+        """Tell whether the camera of a browser is still at a first view."""
+        position = client.camera.position
+        return any(
+            np.linalg.norm(position - first) < _UNMOVED * np.linalg.norm(position - client.camera.look_at)
+            for first in self._positions
+        )
+
+    def _greet(self, client: viser.ClientHandle) -> None:
+        """Show everything to a browser that has loaded an earlier first view, while it connected."""
+        newest = self._positions[-1]
+        if self.is_unmoved(client) and not np.allclose(client.camera.position, newest, rtol=1e-3, atol=1e-6):
+            look_from(client, newest, self._center)
+
+
+def look_from(client: viser.ClientHandle, position: np.ndarray, center: np.ndarray) -> None:
+    """Move the camera of a browser to a position [3], to look at a centre [3]."""
+    with client.atomic():
+        client.camera.position, client.camera.look_at = position, center

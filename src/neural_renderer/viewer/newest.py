@@ -17,13 +17,9 @@ _IDLE = 1.0  # seconds between two copies while no browser or record wants them
 class Newest:
     """Copies of meshes, by name. Threads may share it.
 
-    Copies are made at most ``rate`` times a second, and take at most 1 % of the time.
-
-    Args:
-        rate: Copies of a mesh a second at most, > 0.
-        put: Called with the name of a mesh and its new copy.
-        is_watched: Whether a browser or a record wants copies; otherwise one copy per second is made.
-        postpone: Called when a mesh came too early; `catch_up` is to be called soon.
+    Copies are made at most ``rate`` times a second, and take at most 1 % of the time. ``put`` takes the name of a mesh
+    and its new copy. Unless ``is_watched`` tells that a browser or a record wants copies, one per second is made.
+    ``postpone`` is called when a mesh came too early; `catch_up` is to be called soon.
 
     Attributes:
         frame: Number and label of the newest step.

@@ -16,21 +16,7 @@ from .worker import Worker
 
 
 class Page:
-    """The page of a viewer.
-
-    Args:
-        host: Name or address to listen on.
-        port: First port to try.
-        title: Title of the panel.
-        worker: Thread that changes the page.
-        run: State of the run.
-
-    Attributes:
-        url: Address for a browser.
-        scene: The meshes.
-        display: Controls of how they are shown.
-        frusta: The cameras.
-    """
+    """The page of a viewer: a worker's thread changes it. ``url`` is its address for a browser."""
 
     def __init__(self, host: str, port: int, title: str, worker: Worker, run: Run) -> None:
         self.server, self.url = start_server(host, port, title)

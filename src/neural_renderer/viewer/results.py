@@ -46,18 +46,10 @@ class Results:
 
 
 def read_results(path: Path, allow_outside: bool = False) -> Results:
-    """Read a mesh file, a record, or a folder.
+    """Read a mesh file, a record, or a folder. A mesh may name images outside of its folder if ``allow_outside``.
 
-    Args:
-        path: The file or folder.
-        allow_outside: Read materials and images outside of a file's folder, too.
-
-    Returns:
-        What it contains. Damaged files in a folder are left out, with a note.
-
-    Raises:
-        OSError, ValueError: There is no such file or folder, the file is none that can be shown, or the folder has
-            nothing to show.
+    Damaged files in a folder are left out, with a note. OSError, ValueError: there is no such file or folder, the file
+    is none that can be shown, or the folder has nothing to show.
     """
     if not path.exists():
         raise FileNotFoundError(f"{path}: expected a mesh, a record or a folder, got nothing there")

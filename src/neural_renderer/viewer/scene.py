@@ -11,8 +11,7 @@ import numpy as np
 
 from .drawing.snapshot import Snapshot
 from .drawing.surface import Look
-from .first_view import FirstView, look_from
-from .layout import Box, axes_of, first_view, places_in_row
+from .layout import Box, FirstView, axes_of, first_view, look_from, places_in_row
 from .shown import Shown, extent_of
 from .worker import Worker
 

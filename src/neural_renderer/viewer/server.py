@@ -29,22 +29,10 @@ _STARTING = threading.Lock()
 
 
 def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, str]:
-    """Start a server for browsers.
+    """Start a server for browsers at the first free port from ``port`` on, 0 for any; return also its address.
 
-    Args:
-        host: Name or address of this machine to listen on.
-        port: First port to try, from 1 to 65535; 0 for any.
-        label: Title of the page's panel.
-
-    Returns:
-        The server, and its address for a browser.
-
-    Raises:
-        ModuleNotFoundError: viser is not installed.
-        OSError: The host is unknown, or no port is free.
-
-    Warns:
-        UserWarning: The port is in use, so that the next free one is taken; or the page is open to other machines.
+    ModuleNotFoundError: viser is not installed. OSError: the host is unknown, or no port is free. A warning tells that
+    the port is another one, or that the page is open to other machines. ``label`` is the title of the page's panel.
     """
     viser = _import_viser()
     free = _free_port(host, port)

@@ -15,11 +15,7 @@ class Worker:
     """A thread that does jobs. A job replaces one of the same name that has not begun: only the newest counts.
 
     After each round of jobs the thread rests, so that there are at most ``rate`` rounds a second, and so that it takes
-    at most ``share`` of one core.
-
-    Args:
-        rate: Rounds a second, > 0.
-        share: Share of one core, in (0, 1].
+    at most ``share`` of one core, in (0, 1].
     """
 
     def __init__(self, rate: float, share: float = 1.0) -> None:

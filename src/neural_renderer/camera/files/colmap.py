@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import math
+import struct
 from pathlib import Path
+from typing import Any
 
 import torch
+from torch import Tensor
 
-from ...io.files import short
-from .colmap_binary import read_binary_cameras, read_binary_images, read_binary_points
-from .colmap_text import read_text_cameras, read_text_images, read_text_points
+from ...io.files import read_bytes, read_text, short
 from .keys import LARGEST
-from .lens import Lens
+from .lens import MODELS, Lens
 from .posed import CameraFile, PosedImage
 
 MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", ".")
 """Folders of models, relative to that of a data set: of COLMAP, and of nerfstudio."""
+Camera = tuple[str, int, int, list[float]]  # model, width, height, parameters
+Image = tuple[str, int, tuple[float, ...], tuple[float, ...]]  # name, camera, quaternion (w, x, y, z), translation
+_NAMES = [*MODELS][:11] + ["RAD_TAN_THIN_PRISM_FISHEYE"] + [*MODELS][11:] + ["EQUIRECTANGULAR"]  # by number
+_POINT_OF_IMAGE, _TRACK_ENTRY = 24, 8  # bytes
 
 
 def model_file(folder: Path) -> Path | None:
@@ -27,13 +33,9 @@ def model_file(folder: Path) -> Path | None:
 
 
 def read_colmap(path: Path) -> CameraFile:
-    """Read a model.
+    """Read the model of ``images.bin`` or ``images.txt``; the other files are beside it. Points are optional.
 
-    Args:
-        path: ``images.bin`` or ``images.txt``; the other files are beside it. Points are optional.
-
-    Raises:
-        OSError, ValueError: A file is missing or malformed, or a lens model is unknown.
+    OSError, ValueError: A file is missing or malformed, or a lens model is unknown.
     """
     cameras_path, points_path = (path.with_name(name + path.suffix) for name in ("cameras", "points3D"))
     if path.suffix.lower() == ".bin":
@@ -60,7 +62,7 @@ def read_colmap(path: Path) -> CameraFile:
     return CameraFile(path, images, _image_folders(path), points if points is not None and len(points) else None)
 
 
-def rotation_of(where: str, quaternion: tuple[float, ...]) -> torch.Tensor:
+def rotation_of(where: str, quaternion: tuple[float, ...]) -> Tensor:
     """Convert a quaternion (w, x, y, z) to a rotation [3, 3]; raise ValueError if it is 0."""
     q = _vector(quaternion)
     if not float(q.norm()) > 1e-6:
@@ -74,7 +76,7 @@ def rotation_of(where: str, quaternion: tuple[float, ...]) -> torch.Tensor:
     return torch.tensor(rows, dtype=torch.float64)
 
 
-def _vector(values: tuple[float, ...]) -> torch.Tensor:
+def _vector(values: tuple[float, ...]) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
 
 
@@ -85,3 +87,123 @@ def _image_folders(path: Path) -> tuple[Path, ...]:
         folder = folder.parent
         folders += [folder / "images", folder]
     return tuple(folders)
+
+
+def read_text_cameras(path: Path) -> dict[int, Camera]:
+    """Read ``cameras.txt``: cameras by number. Raises ValueError with the line if it is malformed."""
+    cameras = {}
+    for where, words in _lines(path):
+        if words:
+            if len(words) < 5:
+                raise _malformed(where, "number, model, width, height and parameters", words)
+            numbers = _numbers(where, [words[0], *words[2:]])
+            cameras[int(numbers[0])] = words[1], int(numbers[1]), int(numbers[2]), numbers[3:]
+    return cameras
+
+
+def read_text_images(path: Path) -> dict[int, Image]:
+    """Read ``images.txt``: images by number. Raises ValueError with the line if it is malformed.
+
+    Each image has two lines. The second one lists its points, and may be empty.
+    """
+    images, lines = {}, list(_lines(path))
+    while lines and not lines[0][1]:
+        lines.pop(0)
+    for where, words in lines[::2]:
+        if not words:
+            continue
+        if len(words) < 10:
+            raise _malformed(where, "number, quaternion, translation, camera and name", words)
+        numbers = _numbers(where, words[:9])
+        quaternion, translation = tuple(numbers[1:5]), tuple(numbers[5:8])
+        images[int(numbers[0])] = " ".join(words[9:]), int(numbers[8]), quaternion, translation
+    return images
+
+
+def read_text_points(path: Path) -> Tensor:
+    """Read the places of ``points3D.txt``, [P, 3] float64. Raises ValueError with the line if it is malformed."""
+    places = []
+    for where, words in _lines(path):
+        if words:
+            if len(words) < 4:
+                raise _malformed(where, "number and place", words)
+            places.append(_numbers(where, words[:4])[1:])
+    return torch.tensor(places, dtype=torch.float64).reshape(-1, 3)
+
+
+def _lines(path: Path) -> list[tuple[str, list[str]]]:
+    """List the lines without comments: the place, for messages, and the words of each."""
+    lines = enumerate(read_text(path).split("\n"), 1)
+    return [(f"{path}: line {number}", line.split()) for number, line in lines if not line.startswith("#")]
+
+
+def _numbers(where: str, words: list[str]) -> list[float]:
+    """Convert words to finite numbers."""
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = [math.nan]
+    if not all(map(math.isfinite, numbers)):
+        raise _malformed(where, "finite numbers", words)
+    return numbers
+
+
+def _malformed(where: str, expected: str, words: list[str]) -> ValueError:
+    return ValueError(f"{where}: expected {expected}, got {short(' '.join(words))}")
+
+
+class _Reader:
+    """Reads values one after the other; raises ValueError at the end of the file."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._data, self._place = path, read_bytes(path), 0
+
+    def read(self, form: str) -> tuple[Any, ...]:
+        """Read the values of a format of `struct`."""
+        values = struct.Struct("<" + form)
+        start = self.skip(values.size)
+        return values.unpack_from(self._data, start)
+
+    def skip(self, count: int) -> int:
+        """Skip bytes; return where they began."""
+        start, self._place = self._place, self._place + count
+        if self._place > len(self._data):
+            raise ValueError(f"{self._path}: expected a file of COLMAP, got one that ends early or another file")
+        return start
+
+    def text(self) -> str:
+        """Read text up to a zero byte."""
+        end = self._data.find(b"\0", self._place)
+        start = self.skip((end if end >= 0 else len(self._data)) + 1 - self._place)
+        return self._data[start:end].decode("utf-8", errors="replace")
+
+
+def read_binary_cameras(path: Path) -> dict[int, Camera]:
+    """Read ``cameras.bin``: cameras by number. Raises ValueError if it is malformed or a lens model is unknown."""
+    file, cameras = _Reader(path), {}
+    for _ in range(file.read("Q")[0]):
+        number, kind, width, height = file.read("IiQQ")
+        name = _NAMES[kind] if 0 <= kind < len(_NAMES) else f"number {kind}"
+        if name not in MODELS:
+            raise ValueError(f"{path}: camera {number}: expected a lens model out of {', '.join(MODELS)}, got {name}")
+        cameras[number] = name, width, height, list(file.read(f"{len(MODELS[name].split())}d"))
+    return cameras
+
+
+def read_binary_images(path: Path) -> dict[int, Image]:
+    """Read ``images.bin``: images by number. Raises ValueError if it is malformed."""
+    file, images = _Reader(path), {}
+    for _ in range(file.read("Q")[0]):
+        number, *pose, camera = file.read("I7dI")
+        images[number] = file.text(), camera, tuple(pose[:4]), tuple(pose[4:])
+        file.skip(file.read("Q")[0] * _POINT_OF_IMAGE)
+    return images
+
+
+def read_binary_points(path: Path) -> Tensor:
+    """Read the places of ``points3D.bin``, [P, 3] float64. Raises ValueError if it is malformed."""
+    file, places = _Reader(path), []
+    for _ in range(file.read("Q")[0]):
+        places.append(file.read("Q3d3BdQ"))
+        file.skip(places[-1][-1] * _TRACK_ENTRY)
+    return torch.tensor([place[1:4] for place in places], dtype=torch.float64).reshape(-1, 3)

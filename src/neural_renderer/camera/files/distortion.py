@@ -84,16 +84,9 @@ DISTORTIONS: dict[str, Callable[[Tensor, Tensor, Values], Point]] = {
 
 
 def undistort(image: Tensor, model: str, values: Values, K: list[list[float]]) -> Tensor:
-    """Resample an image as a pinhole lens with the same K would show it. Pixels that it does not show become 0.
+    """Resample an image [C, H, W] as a pinhole lens with the same K would show it; 0 where the image has no pixel.
 
-    Args:
-        image: [C, H, W].
-        model: COLMAP's name of the lens, a key of `DISTORTIONS`.
-        values: Coefficients by name.
-        K: Intrinsic matrix in pixels of this image.
-
-    Returns:
-        [C, H, W].
+    The lens is one of `DISTORTIONS`, with coefficients by name; K is in pixels of this image.
     """
     height, width = image.shape[1:]
     (fx, _, cx), (_, fy, cy), _ = K

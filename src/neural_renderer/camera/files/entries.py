@@ -32,15 +32,9 @@ _FREE = ("width", "height", "file", "mask")
 
 
 def entry_camera(where: str, entry: dict[str, Any], size: tuple[int, int] | None) -> Camera:
-    """Make the camera of an entry.
+    """Make the camera of an entry; ``size`` is its height and width in pixels, if the entry has none.
 
-    Args:
-        where: Place in the file, for messages.
-        entry: Keys and values.
-        size: Height and width in pixels, if the entry has none.
-
-    Raises:
-        ValueError: A key is missing or unknown, or a value does not fit; the message names the place.
+    ValueError: A key is missing or unknown, or a value does not fit; the message names the place.
     """
     # K is tested last: beside another key it is the lens.
     kind = next((name for name in (*KINDS[1:], "K") if name in entry), None)

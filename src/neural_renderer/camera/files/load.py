@@ -18,19 +18,11 @@ _FISHEYES = ("OPENCV_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "FISHE
 
 
 def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, tuple[int, int] | None]:
-    """Load the cameras of a file.
+    """Load the cameras of a file of any format, or with the matrices that `entries` describes, or in a folder.
 
-    Args:
-        path: Camera file of any format, or with the matrices that `entries` describes, or a folder that contains one.
-        size: Height and width of the images in pixels, where the file does not say it.
-
-    Returns:
-        The cameras, on the CPU, and the height and width of the first image, if the file says it.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        ValueError: The file is malformed, or `Camera` does not have the lens, or the lens needs a size and there is
-            none.
+    Returns also the height and width of the first image in pixels, if the file says it; ``size`` is used where it does
+    not. ValueError: The file is malformed, or `Camera` does not have the lens, or the lens needs a size and there is
+    none.
     """
     path = find_camera_file(path)
     rows = _entries(read_json(path)) if path.suffix.lower() == ".json" else None

@@ -84,21 +84,10 @@ def _distortion(where: str, row: dict[str, Any]) -> dict[str, float]:
 def save_cameras(
     path: str | os.PathLike[str], camera: Camera, names: Sequence[str], size: tuple[int, int] | None = None
 ) -> None:
-    """Write cameras as K, R and t in the conventions of OpenCV.
+    """Write cameras with perspective as K, R and t in the conventions of OpenCV, with a name of an image for each.
 
-    Args:
-        path: The file, ``cameras.json``.
-        camera: N cameras with perspective.
-        names: Names of the N images.
-        size: Height and width of the images in pixels, for cameras without K.
-
-    Raises:
-        OSError: The file cannot be written.
-        ValueError: The cameras are parallel or fisheye ones, or the number of names is another.
-
-    Example:
-        >>> from neural_renderer.camera.files.opencv import save_cameras
-        >>> save_cameras("cameras.json", camera, ["000.png"], (240, 320))
+    ``size`` is the height and width of the images in pixels, for cameras without K. ValueError: The cameras are
+    parallel or fisheye ones, or the number of names is another.
     """
     if not camera.perspective or camera.is_fisheye:
         raise ValueError("camera: expected perspective without a fisheye lens, got another")

@@ -53,17 +53,10 @@ class CameraFile:
     convention: str = "world-to-camera, in OpenCV's axes"
 
     def cameras(self, size: tuple[int, int] | None = None) -> Camera:
-        """Make the cameras of all images.
+        """Make the cameras of all images; ``size``, their height and width, is needed if the file does not tell it.
 
-        Args:
-            size: Height and width of the images in pixels; needed if the file does not tell it.
-
-        Returns:
-            As many cameras as images. Lenses that `Camera` does not express are pinholes with the same K; see
-            `undistort`.
-
-        Raises:
-            ValueError: The file has no sizes and ``size`` is None, or one that mixes kinds of lenses.
+        Lenses that `Camera` does not express are pinholes with the same K; see `undistort`. ValueError: There is no
+        size, or kinds of lenses are mixed.
         """
         rotation = torch.stack([image.rotation for image in self.images]).float()
         translation = torch.stack([image.translation for image in self.images]).float()

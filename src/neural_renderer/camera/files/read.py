@@ -22,9 +22,7 @@ _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 def find_camera_file(path: Path) -> Path:
     """Find a camera file: ``path`` itself, or what lies in the folder ``path``.
 
-    Raises:
-        FileNotFoundError: There is none.
-        ValueError: There are several files of Middlebury.
+    FileNotFoundError: There is none. ValueError: There are several files of Middlebury.
     """
     if path.is_file():
         return path
@@ -45,16 +43,9 @@ def find_camera_file(path: Path) -> Path:
 
 
 def read_camera_file(path: Path) -> CameraFile:
-    """Read a camera file of any format; images are not opened.
+    """Read a camera file of any format; images are not opened. `CameraFile.cameras` makes a `Camera` of its lenses.
 
-    Args:
-        path: The file, as from `find_camera_file`.
-
-    Returns:
-        Its images with poses and lenses; `CameraFile.cameras` makes a `Camera` of them.
-
-    Raises:
-        OSError, ValueError: The file is missing or malformed; the message names the place.
+    OSError, ValueError: The file is missing or malformed; the message names the place.
     """
     existing(path)
     if path.suffix.lower() == ".csv":
@@ -75,9 +66,7 @@ def read_camera_file(path: Path) -> CameraFile:
 def find_image(source: CameraFile, name: str, allow_outside: bool = False) -> Path:
     """Find an image that a camera file names, in its folders; data sets of NeRF leave out suffixes.
 
-    Raises:
-        FileNotFoundError: There is none.
-        ValueError: The name leads out of the folder, without ``allow_outside``.
+    FileNotFoundError: There is none. ValueError: The name leads out of the folder, without ``allow_outside``.
     """
     for folder in source.folders:
         for suffix in _SUFFIXES:

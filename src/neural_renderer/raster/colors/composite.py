@@ -31,15 +31,9 @@ def background_of(background: Tensor) -> Call:
 
 @operator
 def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
-    """Put colours over a background; differentiable in both.
+    """Put colours [B, H, W, C] float32 over a background [1 or B, C, 1 or H, 1 or W] float32; differentiable in both.
 
-    Args:
-        colors: [B, H, W, C] float32.
-        background: [1 or B, C, 1 or H, 1 or W] float32.
-        face_index: Visible face of each pixel, [B, H, W] int32; the background shows where it is -1.
-
-    Returns:
-        [B, C, H, W] float32.
+    The background shows where ``face_index`` [B, H, W] int32 is -1. Returns [B, C, H, W] float32.
     """
     batch, height, width = face_index.shape
     image = empty((batch, colors.shape[3], height, width), colors.device)
@@ -59,8 +53,8 @@ def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
     return image
 
 
-@fake("composite")
-def _(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
+@fake(composite)
+def _(colors: Tensor, face_index: Tensor) -> Tensor:
     batch, height, width = face_index.shape
     return colors.new_empty((batch, colors.shape[3], height, width))
 
@@ -85,8 +79,8 @@ def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
     return to_colors
 
 
-@fake("composite_backward")
-def _(grad: Tensor, face_index: Tensor) -> Tensor:
+@fake(composite_backward)
+def _(grad: Tensor) -> Tensor:
     batch, channels, height, width = grad.shape
     return grad.new_empty((batch, height, width, channels))
 

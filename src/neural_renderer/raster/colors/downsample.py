@@ -18,14 +18,7 @@ _average_blocks_backward = KERNELS.kernel("average_blocks_backward", _Halve)
 
 @operator
 def halve(image: Tensor) -> Tensor:
-    """Average 2 x 2 blocks of an image; differentiable.
-
-    Args:
-        image: [B, C, H, W] float32; H and W even.
-
-    Returns:
-        [B, C, H / 2, W / 2] float32.
-    """
+    """Average 2 x 2 blocks of an image [B, C, H, W] float32 with even sides; differentiable."""
     batch, channels, height, width = image.shape
     means = empty((batch, channels, height // 2, width // 2), image.device)
     _launch(_average_blocks, image, means)
@@ -62,12 +55,12 @@ def _launch(kernel: wp.Kernel, image: Tensor, means: Tensor) -> None:
     launch(kernel, tasks, [call], image.device, worth_a_thread(each * width))
 
 
-@fake("halve")
+@fake(halve)
 def _(image: Tensor) -> Tensor:
     return image.new_empty((*image.shape[:2], image.shape[2] // 2, image.shape[3] // 2))
 
 
-@fake("halve_backward")
+@fake(halve_backward)
 def _(grad: Tensor) -> Tensor:
     return grad.new_empty((*grad.shape[:2], 2 * grad.shape[2], 2 * grad.shape[3]))
 

@@ -28,17 +28,11 @@ _THERE, _BACK = 0x2545F4914F6CDD1D, 0x5851F42D4C957F2D
 
 @operator
 def texture_edge_hashes(textures: Tensor, light: Tensor) -> Tensor:
-    """Hash the colours of texture cubes under light along each edge.
+    """Hash the colours of texture cubes [B or 1, F, T, T, T, 3] float32 under light [B or 1, 2, F, 3] along each edge.
 
     The hashes of two faces match if the light and the texels that are blended on the edge are equal, to about one part
-    in 4000.
-
-    Args:
-        textures: Cubes, [B or 1, F, T, T, T, 3] float32.
-        light: Factors on the front and the back of each face, [B or 1, 2, F, 3] float32.
-
-    Returns:
-        [B, F, 3, 2] int64: for edge k, from corner k to the next, the hash in this direction and in the other.
+    in 4000. Returns [B, F, 3, 2] int64: for edge k, from corner k to the next, the hash in this direction and the
+    other.
     """
     batch, count = images_of(textures, light), textures.shape[1]
     hashes = torch.empty((batch, count, 3, 2), dtype=torch.int64, device=textures.device)
@@ -47,22 +41,17 @@ def texture_edge_hashes(textures: Tensor, light: Tensor) -> Tensor:
     return hashes
 
 
-@fake("texture_edge_hashes")
+@fake(texture_edge_hashes)
 def _(textures: Tensor, light: Tensor) -> Tensor:
     batch = images_of(textures, light)
     return textures.new_empty((batch, textures.shape[1], 3, 2), dtype=torch.int64)
 
 
 def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> Tensor:
-    """Hash the texture coordinates along each edge.
+    """Hash the texture coordinates of the corners, [F, 3, 2] or [B, F, 3, 2] float32, along each edge.
 
-    The hashes of two faces match if the coordinates and the image are exactly equal, and the light is equal to about
-    one part in 4000. A face without an image matches no other face.
-
-    Args:
-        uv: Texture coordinates of the corners, [F, 3, 2] or [B, F, 3, 2] float32.
-        image_index: Texture image of each face, [F] or [B, F] int64; -1 for none.
-        light: Factors on the front and the back of each face, [B, 2, F, 3]; None for 1.
+    The hashes of two faces match if the coordinates and the image, [F] or [B, F] int64, are exactly equal, and the
+    light [B, 2, F, 3] is equal to about one part in 4000. A face without an image, -1, matches no other face.
 
     Returns:
         [1 or B, F, 3, 2] int64, as from `texture_edge_hashes`.
@@ -78,12 +67,7 @@ def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> 
 def attribute_edge_hashes(values: Tensor) -> Tensor:
     """Hash attributes of corners along each edge, to add to the hashes of colours that depend on them.
 
-    Args:
-        values: Attributes of the corners, [F, 3, C] or [B, F, 3, C] float32; equal ones match to about one part in
-            4000.
-
-    Returns:
-        [1 or B, F, 3, 2] int64.
+    Attributes [F, 3, C] or [B, F, 3, C] float32 match to about one part in 4000. Returns [1 or B, F, 3, 2] int64.
     """
     hashes = _mixed(_along(_hash(_digits(values.detach()).long())))
     return hashes if values.dim() == 4 else hashes[None]

@@ -23,18 +23,10 @@ _attributes_of_run_backward = _KERNELS.kernel("attributes_of_run_backward", _Int
 
 @operator
 def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
-    """Interpolate attributes by the barycentric weights of each pixel; differentiable in attributes and faces.
+    """Interpolate corners' attributes [B or 1, F, 3, C] float32 at pixels, [B, H, W, C]; differentiable, also in faces.
 
-    The weights of `barycentrics` are computed again, here and in the backward pass; storing them would be slower.
-
-    Args:
-        attributes: Values at the corners, [B or 1, F, 3, C] float32.
-        faces: As in `barycentrics`.
-        face_index: As in `barycentrics`.
-        perspective: As in `barycentrics`.
-
-    Returns:
-        [B, H, W, C] float32; 0 where no face is visible.
+    The weights of `barycentrics` are computed again, here and in the backward pass; storing them would be slower. The
+    other arguments are as there. The result is 0 where no face is visible.
     """
     batch, height, width = face_index.shape
     result = empty((batch, height, width, attributes.shape[3]), faces.device)
@@ -51,8 +43,8 @@ def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspecti
     return result
 
 
-@fake("interpolate")
-def _(attributes: Tensor, faces: Tensor, face_index: Tensor, *_: Any) -> Tensor:
+@fake(interpolate)
+def _(attributes: Tensor, faces: Tensor, face_index: Tensor) -> Tensor:
     return faces.new_empty((*face_index.shape, attributes.shape[3]))
 
 
@@ -86,10 +78,8 @@ def interpolate_backward(
     return to_attributes, to_faces
 
 
-@fake("interpolate_backward")
-def _(
-    grad: Tensor, attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, faces_too: bool
-) -> tuple[Tensor, Tensor]:
+@fake(interpolate_backward)
+def _(attributes: Tensor, faces: Tensor, faces_too: bool) -> tuple[Tensor, Tensor]:
     return attributes.new_empty(attributes.shape), faces.new_empty(faces.shape if faces_too else (0, 0, 3, 3))
 
 

@@ -22,18 +22,12 @@ _light_pixels_backward = _KERNELS.kernel("light_pixels_backward", _LightPixelsBa
 
 @operator
 def light_pixels(image: Tensor, light: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
-    """Multiply an image by the light on faces; differentiable in both.
+    """Multiply an image [B, 3, H, W] float32 by the light on faces; differentiable in both.
 
     Args:
-        image: [B, 3, H, W] float32.
         light: Factors on the front and the back of each face, [1 or B, 2, F, 3] float32. On the front, corners run
             counter-clockwise on the screen.
-        faces: Screen-space corners, [B, F, 3, 3] float32.
-        face_index: Visible face of each pixel, [B, H, W] int32; where it is -1, the image stays as it is.
-        perspective: As in `coverage`.
-
-    Returns:
-        [B, 3, H, W] float32.
+        faces, face_index, perspective: As in `barycentrics`. Where no face is visible, the image stays as it is.
     """
     batch, height, width = face_index.shape
     lit = empty(image.shape, image.device)
@@ -50,8 +44,8 @@ def light_pixels(image: Tensor, light: Tensor, faces: Tensor, face_index: Tensor
     return lit
 
 
-@fake("light_pixels")
-def _(image: Tensor, light: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
+@fake(light_pixels)
+def _(image: Tensor) -> Tensor:
     return torch.empty_like(image, memory_format=torch.contiguous_format)
 
 
@@ -73,10 +67,8 @@ def light_pixels_backward(
     return to_image, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light
 
 
-@fake("light_pixels_backward")
-def _(
-    grad: Tensor, image: Tensor, light: Tensor, faces: Tensor, face_index: Tensor, perspective: bool
-) -> tuple[Tensor, Tensor]:
+@fake(light_pixels_backward)
+def _(grad: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
     return torch.empty_like(grad, memory_format=torch.contiguous_format), torch.empty_like(light)
 
 

@@ -57,19 +57,15 @@ def sample_mipmaps(
     """Sample textures at texture coordinates; differentiable in texels and uv. Level selection is not differentiated.
 
     Args:
-        texels: As from `pyramid`, [B or 1, T, C] float32.
-        height: Height of the image.
-        width: Width of the image.
+        texels: As from `pyramid` of an image of this height and width, [B or 1, T, C] float32.
         uv: Texture coordinates, [B, H, W, 2] float32; u to the right, v up, the image over [0, 1]². Texel centres have
             the colours of the texels.
-        face_index: Visible face of each pixel, [B, H, W] int32.
         mipmaps: Whether to average over the change of uv to the next pixel of the same face, or from the previous one
             if there is none; else the image itself is sampled.
-        repeat_u: Whether the image repeats to the left and right of [0, 1]; else its border is extended.
-        repeat_v: The same, below and above.
+        repeat_u, repeat_v: Whether the image repeats beyond [0, 1]; else its border is extended.
 
     Returns:
-        [B, H, W, C] float32; 0 where ``face_index`` is negative.
+        [B, H, W, C] float32; 0 where ``face_index`` [B, H, W] int32 is negative.
     """
     batch, rows, columns = face_index.shape
     result = empty((batch, rows, columns, texels.shape[2]), texels.device)
@@ -80,8 +76,8 @@ def sample_mipmaps(
     return result
 
 
-@fake("sample_mipmaps")
-def _(texels: Tensor, height: int, width: int, uv: Tensor, face_index: Tensor, *_: Any) -> Tensor:
+@fake(sample_mipmaps)
+def _(texels: Tensor, uv: Tensor, face_index: Tensor) -> Tensor:
     return uv.new_empty((*face_index.shape, texels.shape[2]))
 
 
@@ -121,19 +117,8 @@ def sample_mipmaps_backward(
     return to_texels, to_uv
 
 
-@fake("sample_mipmaps_backward")
-def _(
-    grad: Tensor,
-    texels: Tensor,
-    height: int,
-    width: int,
-    uv: Tensor,
-    face_index: Tensor,
-    mipmaps: bool,
-    repeat_u: bool,
-    repeat_v: bool,
-    texels_too: bool,
-) -> tuple[Tensor, Tensor]:
+@fake(sample_mipmaps_backward)
+def _(texels: Tensor, uv: Tensor, texels_too: bool) -> tuple[Tensor, Tensor]:
     return texels.new_empty(texels.shape if texels_too else (0, 0, 0)), uv.new_empty(uv.shape)
 
 

@@ -34,7 +34,7 @@ def sample_textures(
     eps: float,
     perspective: bool,
 ) -> Tensor:
-    """Sample texture cubes; differentiable in textures, light, background and faces.
+    """Sample texture cubes, [B, 3, H, W] float32; differentiable in textures, light, background and faces.
 
     The coordinate along the axis of corner k is T - 1 times its weight; the 8 texels around it are blended. With T = 1
     a face has one colour. The gradient to faces comes from the colours inside them, through the weights.
@@ -44,13 +44,8 @@ def sample_textures(
         light: Factors on the front and the back of each face, [B or 1, 2, F, 3] float32. On the front, corners run
             counter-clockwise.
         background: [B, 3, H, W] float32, for pixels without a face.
-        faces: As in `barycentrics`.
-        face_index: As in `barycentrics`.
+        faces, face_index, perspective: As in `barycentrics`.
         eps: Cube coordinates end at T - 1 - eps.
-        perspective: As in `barycentrics`.
-
-    Returns:
-        [B, 3, H, W] float32.
     """
     batch, height, width = face_index.shape
     color = empty((batch, 3, height, width), faces.device)
@@ -61,8 +56,8 @@ def sample_textures(
     return color
 
 
-@fake("sample_textures")
-def _(textures: Tensor, light: Tensor, background: Tensor, faces: Tensor, face_index: Tensor, *_: Any) -> Tensor:
+@fake(sample_textures)
+def _(faces: Tensor, face_index: Tensor) -> Tensor:
     batch, height, width = face_index.shape
     return faces.new_empty((batch, 3, height, width))
 
@@ -112,18 +107,8 @@ def sample_textures_backward(
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_faces
 
 
-@fake("sample_textures_backward")
-def _(
-    grad: Tensor,
-    textures: Tensor,
-    light: Tensor,
-    faces: Tensor,
-    face_index: Tensor,
-    eps: float,
-    perspective: bool,
-    light_too: bool,
-    faces_too: bool,
-) -> tuple[Tensor, Tensor, Tensor]:
+@fake(sample_textures_backward)
+def _(textures: Tensor, light: Tensor, faces: Tensor, faces_too: bool) -> tuple[Tensor, Tensor, Tensor]:
     to_faces = faces.new_empty(faces.shape if faces_too else (0, 0, 3, 3))
     return textures.new_empty(textures.shape), light.new_empty(light.shape), to_faces
 

@@ -29,15 +29,13 @@ def barycentrics(
 
     With screen-space weights w_k, depth is ``z = 1 / sum(w_k / z_k)`` and the weights in space are ``w_k z / z_k``. In
     orthographic projection, depth is ``sum(w_k z_k)`` and the weights are w_k. The backward pass is the analytic
-    derivative inside the face: at a fixed pixel, moving corner m by v on the screen changes w_k by
-    ``-w_m grad(w_k) . v``. A `degenerate` face has no gradient to x and y.
+    derivative inside the face: at a fixed pixel, moving corner m by v on the screen changes w_k by ``-w_m grad(w_k) .
+    v``. A `degenerate` face has no gradient to x and y.
 
     Args:
         faces: Screen-space corners, [B, F, 3, 3] float32.
         face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
-        near: As in `coverage`.
-        far: As in `coverage`.
-        perspective: Whether the projection is perspective; else orthographic.
+        near, far, perspective: As in `coverage`.
 
     Returns:
         Weights in space, [B, H, W, 3] float32 in [0, 1], which interpolate values at the corners. Their sum is 1, or 0
@@ -54,8 +52,8 @@ def barycentrics(
     return weights, depth
 
 
-@fake("barycentrics")
-def _(faces: Tensor, face_index: Tensor, near: float, far: float, perspective: bool) -> tuple[Tensor, Tensor]:
+@fake(barycentrics)
+def _(faces: Tensor, face_index: Tensor) -> tuple[Tensor, Tensor]:
     shape = face_index.shape
     return faces.new_empty((*shape, 3)), faces.new_empty(shape)
 
@@ -84,8 +82,8 @@ def barycentrics_backward(
     return result
 
 
-@fake("barycentrics_backward")
-def _(grad_weights: Tensor, grad_depth: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
+@fake(barycentrics_backward)
+def _(faces: Tensor) -> Tensor:
     return faces.new_empty(faces.shape)
 
 

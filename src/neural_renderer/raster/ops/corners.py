@@ -30,16 +30,10 @@ def triangles_of(faces: Tensor, vertices: int) -> Call:
 
 @operator
 def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Gather the corners of faces; differentiable in the vertices.
+    """Gather the corners of faces [1 or B, F, 3] int32 from vertices [B, V, C] float32; differentiable in the vertices.
 
-    No memory outside the vertices is read.
-
-    Args:
-        vertices: [B, V, C] float32.
-        faces: Vertex indices, [1 or B, F, 3] int32.
-
-    Returns:
-        [B, F, 3, C] float32. An index outside [0, V) gives NaN; padding (-1, -1, -1) gives a face of zeros.
+    Returns [B, F, 3, C] float32. An index outside [0, V) gives NaN, and no memory there is read; padding (-1, -1, -1)
+    gives a face of zeros.
     """
     shape = (vertices.shape[0], *faces.shape[1:], vertices.shape[2])
     corners = empty(shape, vertices.device)
@@ -55,7 +49,7 @@ def gather_corners(vertices: Tensor, faces: Tensor) -> Tensor:
     return corners
 
 
-@fake("gather_corners")
+@fake(gather_corners)
 def _(vertices: Tensor, faces: Tensor) -> Tensor:
     return vertices.new_empty((vertices.shape[0], *faces.shape[1:], vertices.shape[2]))
 
@@ -85,7 +79,7 @@ def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
     return result
 
 
-@fake("gather_corners_backward")
+@fake(gather_corners_backward)
 def _(grad: Tensor, faces: Tensor, count: int) -> Tensor:
     return grad.new_empty((grad.shape[0], count, grad.shape[3]))
 

@@ -36,10 +36,7 @@ def coverage(
 
     Args:
         faces: Screen-space corners ``(x, y, z)``, [B, F, 3, 3] float32; see `raster/kernels/geometry.h`.
-        height: Rows of the result.
-        width: Columns of the result.
-        near: Faces are drawn at pixels where ``near < z < far``, in world units.
-        far: See ``near``.
+        near, far: Faces are drawn at pixels where ``near < z < far``, in world units.
         two_sided: Whether faces whose corners run clockwise on the screen are drawn.
         perspective: Whether depth is ``1 / sum(w_k / z_k)``; else ``sum(w_k z_k)``.
         marked: Whether the result keeps its mask from the start, as `visible_faces` will ask for it in backward.
@@ -59,10 +56,9 @@ def coverage(
 
 @operator
 def silhouette(face_index: Tensor, halved: bool = False) -> Tensor:
-    """Convert ``face_index`` [B, H, W] int32 to a mask: 1 where a face is visible, else 0.
+    """Convert ``face_index`` [B, H, W] int32 to a mask [B, 1, H, W] float32: 1 where a face is visible, else 0.
 
-    Returns:
-        [B, 1, H, W] float32; if ``halved``, the means of its blocks of 2 x 2 pixels, [B, 1, H / 2, W / 2].
+    If ``halved``, return the means of its blocks of 2 x 2 pixels, [B, 1, H / 2, W / 2].
     """
     batch, height, width = face_index.shape
     scale = 2 if halved else 1
@@ -76,22 +72,13 @@ def silhouette(face_index: Tensor, halved: bool = False) -> Tensor:
     return alpha
 
 
-@fake("silhouette")
-def _(face_index: Tensor, halved: bool = False) -> Tensor:
+@fake(silhouette)
+def _(face_index: Tensor, halved: bool) -> Tensor:
     batch, height, width = face_index.shape
     scale = 2 if halved else 1
     return face_index.new_empty((batch, 1, height // scale, width // scale), dtype=torch.float32)
 
 
-@fake("coverage")
-def _(
-    faces: Tensor,
-    height: int,
-    width: int,
-    near: float,
-    far: float,
-    two_sided: bool,
-    perspective: bool,
-    marked: bool = False,
-) -> Tensor:
+@fake(coverage)
+def _(faces: Tensor, height: int, width: int) -> Tensor:
     return faces.new_empty((faces.shape[0], height, width), dtype=torch.int32)

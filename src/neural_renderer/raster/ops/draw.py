@@ -35,9 +35,7 @@ class Drawing(NamedTuple):
 class DrawingKernels:
     """The kernels that draw faces from where a header says: behind the near plane, or behind a depth of each pixel.
 
-    Args:
-        kernels: Of the header.
-        verb: Start of the kernels' names.
+    Their names start with ``verb``.
     """
 
     def __init__(self, kernels: Kernels, verb: str) -> None:
@@ -53,14 +51,10 @@ class DrawingKernels:
         behind: Tensor | None = None,
         visible: Tensor | None = None,
     ) -> Tensor:
-        """Draw faces into ``face_index``.
+        """Draw faces [B, F, 3, 3] float32 into ``face_index`` [B, H, W] int32.
 
-        Args:
-            faces: Screen-space corners, [B, F, 3, 3] float32.
-            face_index: Result, [B, H, W] int32; written.
-            options: See `Drawing`.
-            behind: Depth behind which each pixel is drawn, [B, H, W] float32; None for the near plane's.
-            visible: Mask as of `visible_faces`; written.
+        ``behind`` is the depth [B, H, W] float32 behind which each pixel is drawn; None for the near plane's.
+        ``visible`` is a mask as of `visible_faces`, which is written, too.
 
         Returns:
             Depth [B, H, W] float32. A pixel without a face has the depth far, or NaN on CUDA: nothing lies behind it.

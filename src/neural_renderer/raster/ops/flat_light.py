@@ -35,14 +35,12 @@ def flat_light(
     Args:
         vertices: [1 or B, V, 3] float32, in world space.
         faces: Vertex indices, [1 or B, F, 3] int32, as of `gather_corners`.
-        ambient: RGB of the ambient light, [1 or B, 3] float32.
-        directional: RGB of the directional light, [1 or B, 3] float32.
+        ambient, directional: RGB of the ambient and of the directional light, [1 or B, 3] float32.
         direction: [1 or B, 3] float32, towards the light.
-        mirrored: Whether the camera mirrors.
 
     Returns:
-        [B, 2, F, 3] float32. Index 0 is the side of (v1 − v0) × (v2 − v0), or the opposite one if ``mirrored``. NaN for
-        an index outside [0, V).
+        [B, 2, F, 3] float32. Index 0 is the side of (v1 − v0) × (v2 − v0), or the opposite one if the camera is
+        ``mirrored``. NaN for an index outside [0, V).
     """
     batch, count = images_of(vertices, faces, ambient, directional, direction), faces.shape[1]
     factors = empty((batch, 2, count, 3), vertices.device)
@@ -53,10 +51,8 @@ def flat_light(
     return factors
 
 
-@fake("flat_light")
-def _(
-    vertices: Tensor, faces: Tensor, ambient: Tensor, directional: Tensor, direction: Tensor, mirrored: bool
-) -> Tensor:
+@fake(flat_light)
+def _(vertices: Tensor, faces: Tensor, ambient: Tensor, directional: Tensor, direction: Tensor) -> Tensor:
     images = images_of(vertices, faces, ambient, directional, direction)
     return vertices.new_empty((images, 2, faces.shape[1], 3))
 
@@ -72,11 +68,9 @@ def flat_light_backward(
     mirrored: bool,
     light_too: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Compute the gradients of `flat_light`.
+    """Compute the gradients of `flat_light` to the vertices, [1 or B, V, 3], and to the light, [B, 9].
 
-    Returns:
-        To the vertices, [1 or B, V, 3]; to the light, [B, 9]: ambient, directional, direction; empty if not
-        ``light_too``.
+    The latter has ambient, directional and direction; it is empty if not ``light_too``.
     """
     batch, _, count, _ = grad.shape
     if batch == 0:
@@ -107,17 +101,8 @@ def flat_light_backward(
     return to_vertices, sums.sum(1)
 
 
-@fake("flat_light_backward")
-def _(
-    grad: Tensor,
-    vertices: Tensor,
-    faces: Tensor,
-    ambient: Tensor,
-    directional: Tensor,
-    direction: Tensor,
-    mirrored: bool,
-    light_too: bool,
-) -> tuple[Tensor, Tensor]:
+@fake(flat_light_backward)
+def _(grad: Tensor, vertices: Tensor, light_too: bool) -> tuple[Tensor, Tensor]:
     return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if light_too else 0, _SUMS))
 
 

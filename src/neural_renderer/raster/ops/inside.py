@@ -14,19 +14,11 @@ _MANY_POINTS = 2048
 
 
 def inside(vertices: Tensor, faces: Tensor, points: Tensor, least: float = 0.5) -> Tensor:
-    """Test which points are inside a mesh, by winding numbers.
+    """Test which points [P, 3] float32 are inside a mesh, [P] bool, by winding numbers.
 
     A point is inside if its winding number is above ``least`` (Jacobson, Kavan and Sorkine-Hornung, "Robust
     inside-outside segmentation using generalized winding numbers", 2013). A hole affects only the points near it.
-
-    Args:
-        vertices: [V, 3] float32 on the CPU.
-        faces: Vertex indices, [F, 3] int32; counter-clockwise seen from outside.
-        points: [P, 3] float32.
-        least: Least winding number of points inside.
-
-    Returns:
-        [P] bool.
+    Vertices [V, 3] float32 are on the CPU; faces [F, 3] int32 run counter-clockwise seen from outside.
     """
     result = torch.zeros(len(points), dtype=torch.uint8)
     load_kernel(_wind, "cpu")  # before Warp's first array, which would start it with a banner

@@ -43,12 +43,8 @@ def neighbors(
 ) -> Tensor:
     """Find the adjacent face across each edge, or with ``folds`` the one that the surface folds back to.
 
-    Args:
-        faces: Screen-space corners, [B, F, 3, 3] float32.
-        two_sided: As in `coverage`.
-        perspective: As in `coverage`.
-        rings: As from `edge_rings` for the vertex indices of the faces.
-        folds: Find faces with the same two corners on the same side of the edge.
+    That one has the same two corners, on the same side of the edge. Faces are as in `coverage`, ``rings`` as from
+    `edge_rings` for their vertex indices.
 
     Returns:
         [B, F, 3] int32: the face across edge k, from corner k to the next; -1 for none and for faces that are not

@@ -27,13 +27,8 @@ def peel(
 ) -> Tensor:
     """Find the nearest faces of each pixel. Faces nearer to each other than 1e-5 of their depth count as one.
 
-    Args:
-        faces, height, width, near, far, two_sided, perspective: As in `coverage`.
-        layers: Number of layers.
-
-    Returns:
-        [layers, B, height, width] int32, from front to back; the first is that of `coverage`. −1 where there is no
-        further face.
+    Returns [layers, B, height, width] int32, from front to back; the first is that of `coverage`, as are the arguments.
+    −1 where there is no further face.
     """
     batch = len(faces)
     result = torch.full((layers, batch, height, width), -1, dtype=torch.int32, device=faces.device)
@@ -46,8 +41,6 @@ def peel(
     return result
 
 
-@fake("peel")
-def _(
-    faces: Tensor, height: int, width: int, near: float, far: float, two_sided: bool, perspective: bool, layers: int
-) -> Tensor:
+@fake(peel)
+def _(faces: Tensor, height: int, width: int, layers: int) -> Tensor:
     return faces.new_empty((layers, faces.shape[0], height, width), dtype=torch.int32)

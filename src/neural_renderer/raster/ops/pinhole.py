@@ -32,14 +32,12 @@ def pinhole(
 
     Args:
         vertices: [1 or B, V, 3] float32, in the world.
-        rotation: The axes of the cameras as rows, [1 or B, 3, 3] float32.
-        origin: Their positions, [1 or B, 3] float32.
+        rotation, origin: Axes of the cameras as rows, [1 or B, 3, 3] float32, and their positions, [1 or B, 3].
         width: Tangent of half the field of view, or, without perspective, screen units per world unit, [1 or B].
         aspect: Width / height of the image; x is divided by it.
-        perspective: Whether x and y are divided by the depth.
 
     Returns:
-        [B, V, 3] float32: x, y on the screen, and the depth.
+        [B, V, 3] float32: x, y on the screen, and the depth, by which x and y are divided in perspective.
     """
     batch, count = images_of(vertices, rotation, origin, width), vertices.shape[1]
     screen = empty((batch, count, 3), vertices.device)
@@ -50,8 +48,8 @@ def pinhole(
     return screen
 
 
-@fake("pinhole")
-def _(vertices: Tensor, rotation: Tensor, origin: Tensor, width: Tensor, aspect: float, perspective: bool) -> Tensor:
+@fake(pinhole)
+def _(vertices: Tensor, rotation: Tensor, origin: Tensor, width: Tensor) -> Tensor:
     return vertices.new_empty((images_of(vertices, rotation, origin, width), vertices.shape[1], 3))
 
 
@@ -66,10 +64,9 @@ def pinhole_backward(
     perspective: bool,
     camera_too: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Compute the gradients of `pinhole`.
+    """Compute the gradients of `pinhole` to the vertices, [1 or B, V, 3], and to the cameras, [B, 13].
 
-    Returns:
-        To the vertices, [1 or B, V, 3]; to the cameras, [B, 13]: rotation, origin, width; empty if not ``camera_too``.
+    The latter has rotation, origin and width; it is empty if not ``camera_too``.
     """
     batch, count = grad.shape[:2]
     if batch == 0:
@@ -94,17 +91,8 @@ def pinhole_backward(
     return to_vertices, sums.sum(1)
 
 
-@fake("pinhole_backward")
-def _(
-    grad: Tensor,
-    vertices: Tensor,
-    rotation: Tensor,
-    origin: Tensor,
-    width: Tensor,
-    aspect: float,
-    perspective: bool,
-    camera_too: bool,
-) -> tuple[Tensor, Tensor]:
+@fake(pinhole_backward)
+def _(grad: Tensor, vertices: Tensor, camera_too: bool) -> tuple[Tensor, Tensor]:
     return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if camera_too else 0, _SUMS))
 
 

@@ -37,13 +37,8 @@ def project_corners(
 ) -> Tensor:
     """Project vertices, and gather the corners of faces; differentiable in all floating tensors.
 
-    Args:
-        vertices: [1 or B, V, 3] float32, in the world.
-        faces: Vertex indices, [1 or B, F, 3] int32, as of `gather_corners`.
-        rotation, origin, width, aspect, perspective: As of `pinhole`.
-
-    Returns:
-        [B, F, 3, 3] float32: x, y on the screen, and the depth, of each corner; NaN for an index outside [0, V).
+    Faces are vertex indices [1 or B, F, 3] int32 as of `gather_corners`; other arguments are as of `pinhole`. Returns
+    [B, F, 3, 3] float32: x, y on the screen, and the depth, of each corner; NaN for an index outside [0, V).
     """
     if not concurrent(vertices.device):
         return gather_corners(pinhole(vertices, rotation, origin, width, aspect, perspective), faces)
@@ -55,10 +50,8 @@ def project_corners(
     return corners
 
 
-@fake("project_corners")
-def _(
-    vertices: Tensor, faces: Tensor, rotation: Tensor, origin: Tensor, width: Tensor, aspect: float, perspective: bool
-) -> Tensor:
+@fake(project_corners)
+def _(vertices: Tensor, faces: Tensor, rotation: Tensor, origin: Tensor, width: Tensor) -> Tensor:
     return vertices.new_empty((images_of(vertices, rotation, origin, width), *faces.shape[1:], 3))
 
 
@@ -89,18 +82,8 @@ def project_corners_backward(
     return to_vertices, grad.new_empty((0, 13))
 
 
-@fake("project_corners_backward")
-def _(
-    grad: Tensor,
-    vertices: Tensor,
-    faces: Tensor,
-    rotation: Tensor,
-    origin: Tensor,
-    width: Tensor,
-    aspect: float,
-    perspective: bool,
-    camera_too: bool,
-) -> tuple[Tensor, Tensor]:
+@fake(project_corners_backward)
+def _(grad: Tensor, vertices: Tensor, camera_too: bool) -> tuple[Tensor, Tensor]:
     return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if camera_too else 0, 13))
 
 

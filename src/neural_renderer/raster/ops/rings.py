@@ -48,13 +48,10 @@ _lock = threading.Lock()
 
 
 def edge_rings(faces: Tensor) -> Rings:
-    """Find the rings of the edges that faces share.
+    """Find the rings of the edges that faces share, by indices [F, 3] or [B or 1, F, 3]; (-1, -1, -1) is padding.
 
     The rings of the last eight meshes are kept. On the CPU a mesh is recognised by its values. On CUDA comparing values
     would wait for the device, so a mesh is recognised by its tensor, unless the tensor was changed in place.
-
-    Args:
-        faces: Vertex indices, [F, 3] or [B or 1, F, 3] of integers. Faces of (-1, -1, -1) are padding.
     """
     return _known_rings(faces) if is_plain((faces,)) else Rings(_edge_rings(faces), -1)
 
@@ -71,7 +68,7 @@ def _edge_rings(faces: Tensor) -> Tensor:
     return _known_rings(faces).next.clone()  # compiled programs may overwrite their inputs
 
 
-@fake("_edge_rings")
+@fake(_edge_rings)
 def _(faces: Tensor) -> Tensor:
     return faces.new_empty((1, *faces.shape)[-3:], dtype=torch.int32)
 

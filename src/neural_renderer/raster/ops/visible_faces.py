@@ -50,14 +50,10 @@ def scene_of(faces: Tensor, face_index: Tensor, perspective: bool = False) -> Ca
 
 
 def visible_faces(face_index: Tensor, count: int) -> Tensor:
-    """Mark the visible faces. The tensor keeps its mask, which several operators of a backward pass need.
+    """Mark the visible faces, of ``count``, in ``face_index`` [B, H, W] int32: [B, count + 1] int32 of 1 and 0.
 
-    Args:
-        face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
-        count: Number of faces F.
-
-    Returns:
-        [B, F + 1] int32: 1 for each visible face, else 0. The last entry stands for pixels without a face.
+    The last entry stands for pixels without a face. The tensor keeps its mask, which several operators of a backward
+    pass need.
     """
     if face_index.is_inference():
         return _visible_faces(face_index, count)

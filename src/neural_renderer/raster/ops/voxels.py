@@ -28,21 +28,12 @@ _MANY_LINES = 2048
 
 
 def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) -> Tensor:
-    """Fill meshes with voxels.
+    """Fill meshes, [B, V, 3] float32 in voxels with faces [F, 3] int32, with voxels: [B, size, size, size] bool.
 
     The edges of voxels lie on lines through integer coordinates. Where such a line meets a face, the four voxels around
-    it are marked. Corners mark their voxel, and so do points on the faces at most ``spacing`` apart; half a voxel keeps
-    parts thinner than a voxel. Empty voxels connected to the border of the grid through sides of empty voxels are
-    outside. All others are filled.
-
-    Args:
-        vertices: [B, V, 3] float32 in voxels; parts outside [0, size] are ignored.
-        faces: Vertex indices, [F, 3] int32.
-        size: Voxels along each side of the grid.
-        spacing: Largest distance between points on the faces, in voxels.
-
-    Returns:
-        [B, size, size, size] bool; voxel (i, j, k) is [i, i + 1] × [j, j + 1] × [k, k + 1].
+    it are marked. Corners mark their voxel, and so do points on the faces at most ``spacing`` voxels apart; half a
+    voxel keeps parts thinner than a voxel. Empty voxels connected to the border of the grid through sides of empty
+    voxels are outside. All others are filled. Parts outside [0, size] are ignored.
     """
     batch, device = len(vertices), vertices.device
     state = torch.zeros((batch, size, size, size), dtype=torch.uint8, device=device)
@@ -85,16 +76,11 @@ def _flood_by_lines(state: Tensor) -> None:
 
 
 def distances(marked: Tensor) -> Tensor:
-    """Compute the distance of each voxel's centre from the nearest marked one.
+    """Compute the distance of each voxel's centre from the nearest marked one, of [B, S, S, S] bool, in voxels.
 
     The distance is exact: the minimum of squared distances, axis by axis (Felzenszwalb and Huttenlocher, "Distance
-    transforms of sampled functions", 2012). For grids of this size a plain minimum is as fast as theirs.
-
-    Args:
-        marked: [B, S, S, S] bool.
-
-    Returns:
-        [B, S, S, S] float32 in voxels; infinite where a grid has no marked voxel.
+    transforms of sampled functions", 2012). For grids of this size a plain minimum is as fast as theirs. It is infinite
+    where a grid has no marked voxel.
     """
     least = torch.where(marked, 0.0, torch.inf)
     for axis in (1, 2, 3):

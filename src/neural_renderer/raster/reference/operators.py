@@ -142,12 +142,7 @@ def sample_textures_reference(
 def nmr_gradient_reference(
     grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool
 ) -> Tensor:
-    """Compute the gradient of the paper's estimator to the faces, [B, F, 3, 3] float64; see `nmr_gradient`.
-
-    Args:
-        grad: Gradient to the image, [B, C, H, W].
-        image, faces, face_index, eps, two_sided: As in `nmr_gradient`.
-    """
+    """Compute the gradient of the paper's estimator to the faces, [B, F, 3, 3] float64; see `nmr_gradient`."""
     result = torch.zeros(faces.shape, dtype=torch.float64)
     corners, side = faces.double().cpu(), sides(faces, True).cpu()
     for b in range(len(faces)):
@@ -171,15 +166,10 @@ def nmr_gradient_reference(
 def _pull_edge(
     grad: Tensor, image: Tensor, shown: Tensor, f: int, corners: Tensor, axis: int, eps: float
 ) -> tuple[float, float]:
-    """Compute the gradient that an edge p -> q sends to coordinate ``axis`` of p and of q.
+    """Compute the gradient that an edge p -> q of face f sends to coordinate ``axis`` of p and of q.
 
-    Args:
-        grad, image: [lines, pixels of a line, channels].
-        shown: Visible faces, [lines, pixels of a line].
-        f: Face of the edge.
-        corners: p, q and the third corner, [3, 3].
-        axis: 0 if lines are rows, 1 if they are columns.
-        eps: As in `nmr_gradient`.
+    Gradient and image are [lines, pixels of a line, channels], the visible faces [lines, pixels of a line]; lines are
+    rows if ``axis`` is 0. Corners [3, 3] are p, q and the third one.
     """
     lines, length = shown.shape
     (pu, pv), (qu, qv), (ru, rv) = (

@@ -73,19 +73,14 @@ def edge_gradient(
     Args:
         image: Any number of channels with their background, before anti-aliasing, [B, C, H, W] float32. None stands for
             the silhouette, of one channel.
-        faces: Screen-space corners, [B, F, 3, 3] float32.
-        face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
-        two_sided: As in `coverage`.
-        perspective: As in `coverage`.
+        faces, two_sided, perspective: As in `coverage`, which finds the ``face_index``.
         seams: Whether colours may jump between adjacent faces of a surface, as with texture cubes and flat shading. If
             False, edges between adjacent faces have no gradient, which is right, and less noisy, for interpolated
             colours.
         edge_hashes: [1 or B, F, 3, 2] int64 from `texture_edge_hashes` or `image_edge_hashes`. An edge whose hashes
             match is not a seam. None: every edge may be a seam.
-        rings: `Rings.next` for the vertex indices of the faces, [1 or B, F, 3] int32. They replace the search for
-            adjacent faces; None searches.
+        rings, alone: `Rings` for the vertex indices of the faces, which replace the search for adjacent faces.
         halved: Whether to average blocks of 2 x 2 pixels (anti-aliasing), which saves a copy of the image.
-        alone: `Rings.alone`.
 
     Returns:
         A copy of the image, [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``. Backward sends its gradient to
@@ -95,19 +90,8 @@ def edge_gradient(
     return averaged(image, face_index, halved)
 
 
-@fake("edge_gradient")
-def _(
-    image: Tensor | None,
-    faces: Tensor,
-    face_index: Tensor,
-    two_sided: bool,
-    perspective: bool,
-    seams: bool,
-    edge_hashes: Tensor | None = None,
-    rings: Tensor | None = None,
-    halved: bool = False,
-    alone: int = -1,
-) -> Tensor:
+@fake(edge_gradient)
+def _(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:
     return like_averaged(image, face_index, halved)
 
 
@@ -124,12 +108,9 @@ def edge_gradient_backward(
     rings: Optional[Tensor] = None,  # noqa: UP045
     alone: int = -1,
 ) -> Tensor:
-    """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces.
+    """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces; arguments as there.
 
-    Args:
-        grad: Gradient to the image, [B, C, H, W] float32; or to the means of its blocks of 2 x 2 pixels,
-            [B, C, H / 2, W / 2].
-        image, faces, face_index, two_sided, perspective, seams, edge_hashes, rings, alone: As in `edge_gradient`.
+    ``grad`` is the gradient to the image, or to the means of its blocks of 2 x 2 pixels, [B, C, H / 2, W / 2].
     """
     grad, faces = grad.contiguous(), faces.contiguous()
     result = zeros(faces.shape, faces.device)
@@ -160,13 +141,10 @@ def add_edges(
     folds: Tensor | None = None,
     search: tuple[Rings, bool] | None = None,
 ) -> None:
-    """Compute the gradient of outlines and seams.
+    """Compute the gradient of outlines and seams; arguments as in `edge_gradient_backward`.
 
     Args:
         result: Gradient to the corners, [B, F, 3, 3] float32 of zeros; written.
-        grad: As in `edge_gradient_backward`.
-        image: [B, C, H, W] float32; None for the silhouette.
-        faces, face_index, perspective, seams, edge_hashes: As in `edge_gradient`.
         adjacent: As from `neighbors`.
         folds: Faces that the surface folds back to, as from `neighbors`; where a surface folds, only the front
             face receives the gradient. None: edges behind folds are hidden anyway.
@@ -203,8 +181,8 @@ def add_edges(
     launch(_edge_backward, threads, [call], device, face_tasks(faces, height * width))
 
 
-@fake("edge_gradient_backward")
-def _(grad: Tensor, image: Tensor | None, faces: Tensor, *_: Any) -> Tensor:
+@fake(edge_gradient_backward)
+def _(faces: Tensor) -> Tensor:
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 

@@ -21,10 +21,9 @@ from typing import Any, Optional
 import torch
 from torch import Tensor
 
-from ..colors.downsample import halve, halve_backward
+from ..colors.downsample import averaged, halve_backward, like_averaged
 from ..ops.neighbors import neighbors
 from ..ops.rings import Rings
-from ..warp.launch import copy
 from ..warp.memory import zeros
 from ..warp.registration import differentiable, differentiable_once, fake, operator
 from .edge import add_edges
@@ -47,35 +46,15 @@ def layers_gradient(
 ) -> Tensor:
     """Return the picture, and in backward send a gradient through the visibility of each layer to the faces.
 
-    Args:
-        image: Picture with its background, before anti-aliasing, [B, C, H, W] float32.
-        pictures: T S of each layer, [K, B, C, H, W] float32; they get no gradient.
-        faces: Screen-space corners, [B, F, 3, 3] float32.
-        face_index: [K, B, H, W] int32, as from `peel`.
-        two_sided, perspective, seams, edge_hashes, rings, halved, alone: As in `edge_gradient`.
-
-    Returns:
-        As `edge_gradient`.
+    ``pictures`` are T S of each layer, [K, B, C, H, W] float32, and get no gradient. ``face_index`` is as from `peel`,
+    [K, B, H, W] int32. Other arguments, and the result, are as in `edge_gradient`.
     """
-    return halve(image) if halved else copy(image)
+    return averaged(image, face_index, halved)
 
 
-@fake("layers_gradient")
-def _(
-    image: Tensor,
-    pictures: Tensor,
-    faces: Tensor,
-    face_index: Tensor,
-    two_sided: bool,
-    perspective: bool,
-    seams: bool,
-    edge_hashes: Tensor | None = None,
-    rings: Tensor | None = None,
-    halved: bool = False,
-    alone: int = -1,
-) -> Tensor:
-    scale = 2 if halved else 1
-    return image.new_empty((*image.shape[:2], image.shape[2] // scale, image.shape[3] // scale))
+@fake(layers_gradient)
+def _(image: Tensor, face_index: Tensor, halved: bool) -> Tensor:
+    return like_averaged(image, face_index[0], halved)
 
 
 @differentiable_once
@@ -106,8 +85,8 @@ def layers_gradient_backward(
     return result
 
 
-@fake("layers_gradient_backward")
-def _(grad: Tensor, pictures: Tensor, faces: Tensor, *_: Any) -> Tensor:
+@fake(layers_gradient_backward)
+def _(faces: Tensor) -> Tensor:
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
 
 

@@ -38,17 +38,7 @@ def pictures_of(image: Tensor | None, grad: Tensor, width: int) -> Call:
 def add_intersections(
     result: Tensor, grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, adjacent: Tensor, perspective: bool
 ) -> None:
-    """Add the gradient of the intersections of faces, in place.
-
-    Args:
-        result: Gradient to the corners, [B, F, 3, 3] float32; changed.
-        grad: Gradient to the image, [B, C, H, W] float32.
-        image: [B, C, H, W] float32.
-        faces: Screen-space corners, [B, F, 3, 3] float32.
-        face_index: Visible face of each pixel, [B, H, W] int32.
-        adjacent: Adjacent faces, [B, F, 3] int32, as from `neighbors`.
-        perspective: As in `coverage`.
-    """
+    """Add the gradient of the intersections of faces to ``result``, in place; arguments as in `add_edges`."""
     batch, count = faces.shape[:2]
     height, width = face_index.shape[1:]
     tasks, each = pixel_tasks(batch * height, width, faces.device)

@@ -49,27 +49,14 @@ def nmr_gradient(
     """Return the image and send a gradient to the x and y of faces, by the estimator "nmr".
 
     Contrasts below about 1e-5 of the values are lost to float32 rounding, because the loss's decrease is computed as a
-    difference of sums.
-
-    Args:
-        image: [B, C, H, W] float32, any number of channels, with its background, before anti-aliasing. None stands for
-            the silhouette, of one channel: the result is the same, but faster.
-        faces: Screen-space corners, [B, F, 3, 3] float32.
-        face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
-        eps: Added to every distance, in screen units. It bounds the gradient of pixels that touch the edge.
-        two_sided: Whether faces whose corners run clockwise are drawn.
-        halved: Whether to average blocks of 2 x 2 pixels (anti-aliasing), which saves a copy of the image.
-
-    Returns:
-        [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``.
+    difference of sums. ``eps`` is added to every distance, in screen units, and bounds the gradient of pixels that
+    touch the edge. Other arguments, and the result, are as in `edge_gradient`; the silhouette is only faster.
     """
     return averaged(image, face_index, halved)
 
 
-@fake("nmr_gradient")
-def _(
-    image: Tensor | None, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool, halved: bool = False
-) -> Tensor:
+@fake(nmr_gradient)
+def _(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:
     return like_averaged(image, face_index, halved)
 
 
@@ -82,12 +69,7 @@ def nmr_gradient_backward(
     eps: float,
     two_sided: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Compute the gradients of `nmr_gradient` to faces and to the image.
-
-    Args:
-        grad: Gradient to the image, [B, C, H, W] float32; or to the means of its blocks of 2 x 2 pixels,
-            [B, C, H / 2, W / 2].
-        image, faces, face_index, eps, two_sided: As in `nmr_gradient`.
+    """Compute the gradients of `nmr_gradient` to faces and to the image; ``grad`` is as in `edge_gradient_backward`.
 
     Returns:
         To faces, [B, F, 3, 3]; 0 to z. To the image, [B, C, H, W]; empty if ``grad`` is that, and for the silhouette.
@@ -165,14 +147,9 @@ def empty_lines(images: int, height: int, width: int, planes: int, device: torch
 def store_lines(
     scene: Call, image: Tensor | None, grad: Tensor, lines: Lines, spread: Tensor | None = None
 ) -> tuple[Call, tuple[Tensor, Tensor] | None]:
-    """Store the scan lines of images.
+    """Store the scan lines of a scene in ``lines``, as from `empty_lines`; others as in `nmr_gradient_backward`.
 
-    Args:
-        scene: As from `scene_of`, of at most as many images as ``lines``.
-        image: As in `nmr_gradient`, contiguous.
-        grad: As in `nmr_gradient_backward`, contiguous.
-        lines: As from `empty_lines`; written.
-        spread: Gets the gradient of each pixel of an image if ``grad`` is that to means of blocks, on CUDA.
+    ``spread`` gets the gradient of each pixel of an image if ``grad`` is that to means of blocks, on CUDA.
 
     Returns:
         The `ScanLines` of kernels. The queue of visible faces on CUDA; None where each face has one task.
@@ -203,8 +180,8 @@ def store_lines(
     return stored, queue
 
 
-@fake("nmr_gradient_backward")
-def _(grad: Tensor, image: Tensor | None, faces: Tensor, face_index: Tensor, *_: Any) -> tuple[Tensor, Tensor]:
+@fake(nmr_gradient_backward)
+def _(grad: Tensor, image: Tensor | None, faces: Tensor, face_index: Tensor) -> tuple[Tensor, Tensor]:
     blocks = image is not None and grad.shape[2] < face_index.shape[1]
     to_image = grad.new_empty((0, 0, 0, 0) if image is None or not blocks else image.shape)
     return torch.empty_like(faces, memory_format=torch.contiguous_format), to_image

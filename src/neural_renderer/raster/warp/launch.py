@@ -147,14 +147,9 @@ def copy(tensor: Tensor) -> Tensor:
 
 
 def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torch.device, least: int = 1) -> None:
-    """Run ``kernel(first, *arguments)`` for a range of tasks.
+    """Run ``kernel(first, *arguments)`` for a range of tasks, from number ``first`` plus its thread index.
 
-    Args:
-        kernel: Its task number is ``first`` plus its thread index.
-        tasks: Number of tasks.
-        arguments: Those of the kernel after ``first``: the `Call` of a kernel in C++.
-        device: Device of the tensors.
-        least: Number of tasks that are worth another CPU thread.
+    ``least`` is the number of tasks that are worth another CPU thread.
     """
     if tasks == 0 or (emulator is not None and emulator(kernel, tasks, [0, *arguments])):
         return

@@ -68,9 +68,8 @@ def group_tasks(count: int, device: torch.device, on_cpu: int, on_cuda: int = 1)
 def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
     """Divide ``rows`` rows of pixels among tasks; `pixels_of_task` in `tasks.h` finds the pixels of a task.
 
-    Returns:
-        The number of tasks, and the rows of a task. 0 stands for a single pixel, as on CUDA, where the threads of a
-        warp then read and write side by side.
+    Returns the number of tasks, and the rows of a task. 0 stands for a single pixel, as on CUDA, where the threads of a
+    warp then read and write side by side.
     """
     if not concurrent(device):
         return -(-rows // _ROWS), _ROWS
@@ -78,9 +77,8 @@ def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
 
 
 def run_tasks(rows: int, width: int) -> tuple[int, int]:
-    """Divide rows of pixels into runs, one per CUDA thread, which adds its sum with one atomic.
+    """Divide rows of pixels into runs of 8, one sector of 32 bytes: the number of tasks, and the pixels of a run.
 
-    Returns:
-        The number of tasks, and the pixels of a run: 8, one sector of 32 bytes.
+    A CUDA thread adds the sum of its run with one atomic.
     """
     return rows * -(-width // 8), 8

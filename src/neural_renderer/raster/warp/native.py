@@ -160,13 +160,10 @@ class Kernels:
     def kernel(
         self, name: str, call: type[Call], only_cuda: bool = False, launch_bounds: tuple[int, int] | None = None
     ) -> wp.Kernel:
-        """Make the kernel that runs the header's function ``name`` for each task.
+        """Make the kernel that runs the header's function ``void name(const Call& call, int task)`` for each task.
 
-        Args:
-            name: A function ``void name(const Call& call, int task)``.
-            call: Its struct.
-            only_cuda: Whether the CPU does not need it, and so does not compile it.
-            launch_bounds: Threads of a block, and least number of blocks that a multiprocessor holds, on CUDA.
+        ``only_cuda`` tells that the CPU does not need it, and so does not compile it. ``launch_bounds`` are the threads
+        of a block, and the least number of blocks that a multiprocessor holds, on CUDA.
         """
         module = self._module
         if only_cuda:

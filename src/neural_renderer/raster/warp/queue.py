@@ -16,11 +16,7 @@ MOST_THREADS = 1 << 18
 
 
 def empty_queue(faces: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Make an empty queue.
-
-    Returns:
-        The entries, [faces, 2] int64, and the total, [1] int64, of the `Queue` in `raster/kernels/queue.h`.
-    """
+    """Make an empty `Queue` of `queue.h`: its entries, [faces, 2] int64, and their total, [1] int64."""
     return torch.empty((faces, 2), dtype=torch.int64, device=device), zeros((2,), device, torch.int32).view(torch.int64)
 
 
@@ -35,10 +31,6 @@ def queue_of(queue: tuple[Tensor, Tensor] | None, threads: int = 0) -> Call:
 def line_threads(faces: int, queue: tuple[Tensor, Tensor] | None, lanes: int, most: int = MOST_THREADS) -> int:
     """Compute the number of tasks of a launch by `for_each_line_task`: faces, or the threads that share the queue.
 
-    Args:
-        faces: Number of faces of all images.
-        queue: As from `empty_queue`; None where each face has one task.
-        lanes: Threads on CUDA that share each scan line.
-        most: Number of threads that share the queue at most.
+    These are at most ``most``; ``lanes`` of them share each scan line.
     """
     return faces if queue is None else min(MOST_THREADS, most, 64 * faces * lanes)

@@ -57,9 +57,24 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
     return cast("Callable[P, R]", call)
 
 
-def fake(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Register the function that tells torch.compile the shapes of an `operator`'s results."""
-    register: Callable[[Callable[P, R]], Callable[P, R]] = torch.library.register_fake(f"neural_renderer::{name}")
+def fake(call: Any) -> Callable[[Callable[..., R]], Callable[..., R]]:
+    """Register the function that tells torch.compile the shapes of an `operator`'s results.
+
+    It names those of the operator's arguments that it needs.
+    """
+    signature = inspect.signature(call)
+
+    def register(shapes: Callable[..., R]) -> Callable[..., R]:
+        needed = inspect.signature(shapes).parameters
+
+        def of_inputs(*inputs: Any, **named: Any) -> R:
+            given = signature.bind(*inputs, **named)
+            given.apply_defaults()
+            return shapes(**{name: given.arguments[name] for name in needed})
+
+        torch.library.register_fake(f"neural_renderer::{call.__name__}", of_inputs)
+        return shapes
+
     return register
 
 

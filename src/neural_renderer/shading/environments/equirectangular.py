@@ -13,15 +13,9 @@ _POLE = 1e-12  # squared distance from the poles, in units of the radius, below 
 
 
 def direction_uv(directions: Tensor) -> Tensor:
-    """Find where an equirectangular image shows directions.
+    """Find where an equirectangular image shows directions [..., 3]: uv [..., 2] in [0, 1], v up; differentiable.
 
     Row 0 is up, +y. The middle column is −z, the column to its right turns towards +x.
-
-    Args:
-        directions: [..., 3] floating, of any length.
-
-    Returns:
-        Texture coordinates [..., 2] in [0, 1], v up; differentiable.
     """
     x, y, z = directions.unbind(-1)
     across = x * x + z * z

@@ -30,13 +30,9 @@ _SHARPER = 0.5  # levels by which samples are sharper than their solid angle: ne
 
 
 def prefiltered(image: Tensor) -> Tensor:
-    """Blur an environment for reflections of each roughness.
+    """Blur linear equirectangular images [B, H, W, 3] float32 for reflections of each roughness.
 
-    Args:
-        image: [B, H, W, 3] float32, linear, equirectangular.
-
-    Returns:
-        [B, LEVELS · h, w, 3]: levels of roughness 1 / LEVELS to 1, one below the other. Linear in the image.
+    Returns [B, LEVELS · h, w, 3]: levels of roughness 1 / LEVELS to 1, one below the other. Linear in the image.
     """
     height, width = image.shape[1:3]
     rows = min(height, _ROWS)
@@ -59,16 +55,9 @@ def prefiltered(image: Tensor) -> Tensor:
 
 
 def reflected(image: Tensor, levels: Tensor, directions: Tensor, roughness: Tensor) -> Tensor:
-    """Look up blurred reflections, linear between levels.
+    """Look up blurred reflections, linear between levels: [B, h, w, 3], differentiable in all arguments.
 
-    Args:
-        image: [1 or B, H, W, 3], the environment itself, for roughness 0.
-        levels: As from `prefiltered`.
-        directions: [B, h, w, 3] float32, directions of reflection.
-        roughness: [B, h, w, 1] float32.
-
-    Returns:
-        [B, h, w, 3], differentiable in all arguments.
+    Roughness is [B, h, w, 1], directions of reflection [B, h, w, 3]; roughness 0 shows the image, [1 or B, H, W, 3].
     """
     uv = direction_uv(directions)
     place = roughness.clamp(0, 1) * LEVELS

@@ -47,12 +47,9 @@ class MaterialMaps:
         return self._spread(torch.tensor(values, dtype=torch.float32, device=self.fragments.corners.device)[:, None])
 
     def textured(self, name: str, channels: slice = slice(None), otherwise: float = 1.0) -> Tensor | None:
-        """Sample a texture at every pixel, [B, H, W, C]; None if no material has it.
+        """Sample channels of a texture at every pixel, [B, H, W, C]; None if no material has it.
 
-        Args:
-            name: Attribute of `Material`.
-            channels: Channels that are used.
-            otherwise: Value of materials without the texture.
+        ``name`` is an attribute of `Material`; materials without the texture have the value ``otherwise``.
         """
         textures = [getattr(material, name) for material in self.materials]
         if all(texture is None for texture in textures):

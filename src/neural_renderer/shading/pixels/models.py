@@ -46,21 +46,10 @@ def checked_shading(shading: Any) -> Shading | str | None:
 def shade_pixels(
     model: Shading | str, fragments: Fragments, mesh: Any, albedo: Tensor, camera: Camera, lights: Sequence[Any]
 ) -> Tensor:
-    """Shade the pixels of a mesh.
+    """Shade the pixels of a mesh, with an albedo of display values [B, H, W, 3], as display values of float32.
 
-    Args:
-        model: One of `MODELS`, which uses the materials of the mesh, or an object of the protocol `Shading`.
-        fragments: Fragments of the mesh.
-        mesh: As in `render`.
-        albedo: RGB of the surface as display values, [B, H, W, 3].
-        camera: The camera of the fragments.
-        lights: Lights on pixels (`pixel_lights`); none leaves the albedo as it is.
-
-    Returns:
-        Display values [B, H, W, 3] float32.
-
-    Raises:
-        TypeError, ValueError: An argument does not fit.
+    The model is one of `MODELS`, which uses the materials of the mesh, or an object of the protocol `Shading`. Lights
+    are `pixel_lights`; none leaves the albedo as it is. TypeError, ValueError: An argument does not fit.
     """
     surface, albedo = VisibleSurface.of(fragments, mesh, camera), planar(albedo)
     maps = MaterialMaps(fragments, mesh) if isinstance(mesh, UVMesh) and mesh.materials else None

@@ -18,6 +18,7 @@ from ...meshes.uv_mesh import UVMesh
 from ...raster import Images
 from ...rendering import render
 from ...shading.lights import Light
+from ..adjustable import Resumable
 from ..observer import Knob, turn_weight, weight_knobs
 from ..seeds import generator
 from .deformation import Deformation
@@ -56,7 +57,7 @@ class Objective(Protocol):
         ...
 
 
-class MeshEdit:
+class MeshEdit(Resumable):
     """Optimise a mesh with Adam for an objective on images from random views. Call `advance` until ``done``.
 
     The mesh is edited in [-1, 1]³ and returned in its own coordinates. Vertices at equal positions move together.
@@ -291,12 +292,6 @@ class MeshEdit:
         return torch.cat(found).mean().item()
 
     def state_dict(self) -> dict[str, Any]:
-        """Collect everything that changes from step to step.
-
-        Returns:
-            Numbers and tensors by name, for `load_state_dict`. Later steps may change the tensors; `torch.save` copies
-            them.
-        """
         return {
             "step": self.step,
             "vertices": self._vertices.detach(),

@@ -123,8 +123,7 @@ def _consistent(inside: Tensor, partners: list[int]) -> list[int]:
 def _follow_rays(views: Views, sources: Views) -> Tensor | None:
     """Sample rays through the masks of V sources, and tell which masks of N views contain the points.
 
-    Returns:
-        [N, V, R, S] bool, for points near the object; None if no point lies in most of the masks.
+    Returns [N, V, R, S] bool, for points near the object; None if no point lies in most of the masks.
     """
     center, half = views.region or view_center(views)
     points = _points(sources, center, half)

@@ -30,8 +30,8 @@ class CameraRefinement:
     """Poses and the focal length of N cameras as parameters of a descent, held near where they began.
 
     A mesh and its cameras give the same images if they are moved, turned and scaled together. `settle` fixes that: on
-    average, the cameras stay where they began. The focal length has one factor for all cameras. Parallel cameras
-    keep their scale, because the size of the object does the same.
+    average, the cameras stay where they began. The focal length has one factor for all cameras. Parallel cameras keep
+    their scale, because the size of the object does the same.
 
     Args:
         camera: N cameras, in a world where the object lies in about [-1, 1]³.
@@ -41,17 +41,6 @@ class CameraRefinement:
         begun: The cameras at the beginning.
         parameters: Changes of the poses [N, 6] and of the focal length [1, 1], see `change_cameras`. `step` replaces
             them.
-
-    Example:
-        >>> from neural_renderer.tasks.fit import Views
-        >>> from neural_renderer.tasks.fit.cameras import CameraRefinement
-        >>> views = Views.of(mesh, camera, 32)
-        >>> refinement = CameraRefinement(camera)
-        >>> alpha = refinement.place(views, [0]).draw((mesh.vertices, mesh.faces)).alpha
-        >>> loss = alpha.mean() + refinement.prior()
-        >>> refinement.step(torch.autograd.grad(loss, refinement.parameters), [0], rate=0.01)
-        >>> (refinement.camera.rotation != camera.rotation).any()
-        tensor(True)
     """
 
     parameters: tuple[Tensor, Tensor]
@@ -67,12 +56,7 @@ class CameraRefinement:
             return change_cameras(self._base, *self.parameters)
 
     def place(self, views: Views, rows: Sequence[int]) -> Views:
-        """Give views the current cameras, through which gradients flow to `parameters`.
-
-        Args:
-            views: Views of some of the cameras.
-            rows: The number of the camera of each view.
-        """
+        """Give views of the cameras in these rows the current ones, through which gradients flow to `parameters`."""
         poses, focal = self.parameters
         some = list(rows)
         return replace(views, camera=change_cameras(self._base[some], poses[some], focal))
@@ -83,12 +67,9 @@ class CameraRefinement:
         return _PRIOR * ((poses / _TYPICAL).square().sum(1).mean() + (focal / _TYPICAL).square().sum())
 
     def step(self, gradients: Sequence[Tensor], rows: Sequence[int], rate: float) -> None:
-        """Take one step of descent.
+        """Take one step of descent of the cameras in these rows, by gradients of the loss by `parameters`.
 
-        Args:
-            gradients: Gradients of the loss by `parameters`.
-            rows: The cameras that the step moves.
-            rate: Length of the step, in radians and relative to the depth.
+        ``rate`` is the length of the step, in radians and relative to the depth.
         """
         poses, focal = (part.detach().clone() for part in self.parameters)
         for row in rows:
@@ -101,11 +82,7 @@ class CameraRefinement:
     def settle(self, vertices: Tensor) -> Tensor:
         """Move, turn and scale the cameras and a mesh together, so that the cameras are nearest to where they began.
 
-        Args:
-            vertices: [V, 3].
-
-        Returns:
-            The moved vertices [V, 3]; images stay the same.
+        Returns the moved vertices [V, 3]; images stay the same.
         """
         back = Similarity.between(self.camera, self.begun)
         self._restart(back.cameras(self.camera))
@@ -134,26 +111,15 @@ class CameraRefinement:
 
 
 def change_cameras(camera: Camera, poses: Tensor, focal: Tensor) -> Camera:
-    """Change poses and focal length of cameras; differentiable in the changes.
+    """Change poses and focal length of N cameras; differentiable in the changes.
 
     A rotation turns the scene around the origin of the world, where the object is, and not around the camera: a turned
     camera and one that moved sideways look almost the same, and descent would confuse them.
 
     Args:
-        camera: N cameras.
         poses: [N, 6]. Rotation vector around the camera's axes, in radians; then the shift of the world's origin along
             these axes, relative to its depth.
         focal: [] or [1], logarithm of the factor of the focal length of all cameras, or of the scale of parallel ones.
-
-    Returns:
-        N cameras.
-
-    Example:
-        >>> from neural_renderer.tasks.fit.cameras import change_cameras
-        >>> camera = nr.Camera.look_at((0.0, 0.0, -2.0), viewing_angle=45)
-        >>> pose = torch.tensor([[0.0, 0.0, 0.0, 0.1, 0.0, 0.0]])  # the object a little to the right
-        >>> change_cameras(camera, pose, torch.zeros(1))(torch.zeros(1, 3))
-        tensor([[[0.1000, 0.0000, 2.0000]]])
     """
     poses, focal = poses.to(camera.rotation), focal.to(camera.rotation)
     place = camera.translation - torch.einsum("bij,bj->bi", camera.rotation, camera.origin)  # the world's origin
@@ -184,13 +150,7 @@ def _cross_matrix(vectors: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """Map of points X to scale · rotation · X + shift.
-
-    Attributes:
-        scale: Factor, > 0.
-        rotation: [3, 3].
-        shift: [3].
-    """
+    """Map of points X to scale · rotation · X + shift, with scale > 0, rotation [3, 3] and shift [3]."""
 
     scale: float
     rotation: Tensor
@@ -198,24 +158,10 @@ class Similarity:
 
     @classmethod
     def between(cls, camera: Camera, other: Camera) -> Similarity:
-        """Find the similarity that brings cameras as near as possible to other cameras.
+        """Find the similarity that brings N cameras, with their world, as near as possible to N other cameras.
 
         The rotation is the mean rotation between the cameras (Moakher, "Means and averaging in the group of rotations",
         2002, section 3.1). Scale and shift bring the positions together by least squares (Umeyama, 1991).
-
-        Args:
-            camera: N cameras.
-            other: N cameras.
-
-        Returns:
-            The similarity from the world of ``camera`` to that of ``other``.
-
-        Example:
-            >>> from neural_renderer.tasks.fit.cameras import Similarity
-            >>> eyes = nr.get_points_from_angles(2.0, 20.0, torch.arange(6) * 60.0)
-            >>> near, far = nr.Camera.look_at(eyes), nr.Camera.look_at(3 * eyes)
-            >>> round(Similarity.between(near, far).scale, 4)
-            3.0
         """
         mean = torch.einsum("bij,bik->jk", other.rotation.detach(), camera.rotation.detach())
         left, _, right = torch.linalg.svd(mean.double())
@@ -248,24 +194,10 @@ def _eyes(camera: Camera) -> Tensor:
 
 
 def locate_cameras(views: Views, shape: tuple[Tensor, ...], steps: int = 40) -> Views:
-    """Refine the poses of views of a known mesh, which stays as it is.
+    """Refine the poses of `Views.normalized` views of a known mesh, (vertices, faces) or with textures, which stays.
 
     A fit with refined cameras says little about views whose cameras are as wrong as the others were. So they are
     located before the fit is measured on them, as in Lin et al., "BARF" (2021), section 4.
-
-    Args:
-        views: Views that are `Views.normalized`.
-        shape: (vertices, faces) or (vertices, faces, textures).
-        steps: Number of steps, ≥ 1.
-
-    Returns:
-        The views, with other cameras.
-
-    Example:
-        >>> from neural_renderer.tasks.fit import Views
-        >>> from neural_renderer.tasks.fit.cameras import locate_cameras
-        >>> views = Views.of(mesh, camera, 32)
-        >>> located = locate_cameras(views, (mesh.vertices, mesh.faces), steps=2)
     """
     colored = views.photos is not None and len(shape) == 3
     small = reduced(views, max(1, round(max(views.size) / _SIZE)))

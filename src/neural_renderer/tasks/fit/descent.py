@@ -30,15 +30,6 @@ class ConjugateGradients:
     Attributes:
         solution: [N, C], the current x.
         residual: [N, C], b − A x.
-
-    Example:
-        >>> from neural_renderer.tasks.fit.descent import ConjugateGradients
-        >>> matrix, target = torch.tensor([[2.0, 1.0], [1.0, 3.0]]), torch.tensor([[3.0], [4.0]])
-        >>> solver = ConjugateGradients(lambda x: matrix @ x, matrix.diag()[:, None], target, torch.zeros(2, 1))
-        >>> for _ in range(2):
-        ...     solver.advance()
-        >>> torch.allclose(solver.solution, torch.ones(2, 1))
-        True
     """
 
     def __init__(self, multiply: Callable[[Tensor], Tensor], diagonal: Tensor, target: Tensor, start: Tensor) -> None:
@@ -92,15 +83,9 @@ class VectorAdam:
         self._square: Tensor | None = None
 
     def step(self, values: Tensor, gradient: Tensor, rate: float) -> Tensor:
-        """Take one step of descent.
+        """Take one step of descent: values [N, C] by the gradient of the loss, [N, C].
 
-        Args:
-            values: [N, C] floating.
-            gradient: [N, C], gradient of the loss.
-            rate: Length of the step: rows, or the fastest row, move by about this much.
-
-        Returns:
-            [N, C], the new values.
+        Rows, or the fastest row, move by about ``rate``.
         """
         square = gradient.square().sum(1, keepdim=True)
         self._count += 1
@@ -141,16 +126,7 @@ class SmoothDescent:
         self._adam = VectorAdam(_SURFACE_DECAY)
 
     def step(self, values: Tensor, gradient: Tensor, rate: float) -> Tensor:
-        """Take one step of descent.
-
-        Args:
-            values: [V, C] floating.
-            gradient: [V, C], gradient of the loss.
-            rate: Length of the step: the fastest vertex moves by about this much.
-
-        Returns:
-            [V, C], the new values.
-        """
+        """Take one step of descent, as `VectorAdam.step`: the fastest vertex moves by about ``rate``."""
         return self._adam.step(values, self.blur(self.blur(gradient)), rate)
 
     def blur(self, values: Tensor, tolerance: float = 1e-3) -> Tensor:

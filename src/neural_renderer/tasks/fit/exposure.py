@@ -21,28 +21,12 @@ _VIEWS_AT_ONCE = 8
 
 @torch.no_grad()
 def estimate_gains(views: Views, vertices: Tensor, faces: Tensor) -> Tensor:
-    """Estimate the gains of photographs of one object from what they show of its surface.
+    """Estimate the gains of photographs of one object, [N, 3] > 0, from what they show of its surface.
 
-    The surface is divided into patches. The logarithm of the mean colour of a patch in a view is the sum of the
-    patch's and of the view's. The sum of the absolute residuals over all patches and views is minimised by reweighted
-    least squares, so that highlights and errors of the shape count little. The gains of all views have the geometric
-    mean 1 in each channel, as only ratios of gains can be seen.
-
-    Args:
-        views: N views with photos.
-        vertices: [V, 3] float32, in the world of the views.
-        faces: [F, 3] int32 or int64.
-
-    Returns:
-        Gains [N, 3] of red, green and blue, > 0.
-
-    Example:
-        >>> from neural_renderer.tasks.fit import Views
-        >>> from neural_renderer.tasks.fit.exposure import estimate_gains
-        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
-        >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
-        >>> estimate_gains(views, *nr.icosphere(2)).shape
-        torch.Size([6, 3])
+    The surface is divided into patches. The logarithm of the mean colour of a patch in a view is the sum of the patch's
+    and of the view's. The sum of the absolute residuals over all patches and views is minimised by reweighted least
+    squares, so that highlights and errors of the shape count little. The gains of all views have the geometric mean 1
+    in each channel, as only ratios of gains can be seen.
     """
     faces = faces.long()
     patches = _patches(vertices, faces)
@@ -68,14 +52,10 @@ def estimate_gains(views: Views, vertices: Tensor, faces: Tensor) -> Tensor:
 
 @torch.no_grad()
 def match_gains(views: Views, shape: tuple[Tensor, ...]) -> Views:
-    """Find the gains with which a known mesh looks most like photographs, such as held-out ones.
+    """Give views the gains with which a known mesh looks most like their photographs, such as held-out ones.
 
-    Args:
-        views: Views with photos.
-        shape: (vertices, faces, textures), in the world of the views.
-
-    Returns:
-        The views, with gains: those of least squares over the pixels.
+    They are those of least squares over the pixels. The shape is (vertices, faces, textures), in the world of the
+    views.
     """
     gains = []
     for start in range(0, len(views), _VIEWS_AT_ONCE):

@@ -20,18 +20,11 @@ _SNAP = 0.985  # cosine from which a coordinate axis is meant, within 10°
 
 @torch.no_grad()
 def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Tensor:
-    """Draw targets, results and differences of some views in three rows.
+    """Draw targets, results and differences of some views in three rows: [3, 3 · H, columns · W] in [0, 1], on the CPU.
 
     Differences of silhouettes are red where the result has too much and blue where it has too little. Differences of
-    colours are grey. White means equal.
-
-    Args:
-        views: The views.
-        shape: (vertices, faces) or (vertices, faces, textures), in the world of the views.
-        columns: Number of views to show, evenly spaced.
-
-    Returns:
-        [3, 3 · H, columns · W] in [0, 1], on white, on the CPU.
+    colours are grey. White means equal. The shape is (vertices, faces) or (vertices, faces, textures), in the world of
+    the views; those shown are evenly spaced.
     """
     some = views[sorted({round(i * (len(views) - 1) / max(columns - 1, 1)) for i in range(columns)})]
     photos = some.photos is not None and len(shape) == 3
@@ -63,17 +56,11 @@ def up_axis(views: Views) -> str:
 
 
 def up_of_cameras(views: Views) -> Tensor:
-    """Find the direction that is up for the cameras.
+    """Find the direction that is up for the cameras: a unit vector [3]; a coordinate axis if one is close.
 
     Photographers hold cameras level, so that one axis of the image is perpendicular to the vertical in all views: the
     horizontal one, or the other one if the cameras lay on their sides. The sign comes from the images, or else from the
     cameras: more of them look down on an object than up.
-
-    Args:
-        views: The views.
-
-    Returns:
-        [3], a unit vector in the world of the cameras; a coordinate axis if one is close.
     """
     right = views.camera.rotation[:, 0]
     up = views.camera.rotation[:, 1] * (-1 if views.camera.K is not None else 1)

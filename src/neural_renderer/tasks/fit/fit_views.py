@@ -269,11 +269,7 @@ def mask_iou(alpha: Tensor, masks: Tensor) -> Tensor:
 
 
 def views_of_step(count: int, batch: int, seed: int, step: int) -> list[int]:
-    """Choose the views of an optimisation step: all ``count`` in turn, reshuffled after each round.
-
-    Returns:
-        Up to ``batch`` different indices, sorted.
-    """
+    """Choose up to ``batch`` of ``count`` views for a step of descent: all in turn, reshuffled after each round."""
     rows: list[int] = []
     for place in range(step * batch, (step + 1) * batch):
         rows.append(int(torch.randperm(count, generator=generator(seed, place // count))[place % count]))
@@ -290,16 +286,10 @@ def downscale(image: Tensor, size: int) -> Tensor:
 
 
 def mask_values(views: Views, masks: Tensor, points: Tensor) -> Iterator[Tensor]:
-    """Look up points in the masks of all views, one view after the other.
+    """Look up points [P, 3] of the world in masks [N, H, W] of the images of all views, one view after the other.
 
-    Args:
-        views: N views.
-        masks: [N, H, W], any masks of their images.
-        points: [P, 3] in the world.
-
-    Yields:
-        [P], interpolated; beside the image the value at its border, because the object may go on there; behind the
-        camera 0.
+    Yields interpolated values [P]; beside the image the value at its border, because the object may go on there; behind
+    the camera 0.
     """
     aspect = views.size[1] / views.size[0]
     for index in range(len(views)):

@@ -150,10 +150,9 @@ def _without_cavities(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _occupancy(views: Views, masks: Tensor, points: Tensor, misses: int) -> Tensor:
-    """Look up points [P, 3] in all masks [N, H, W]; masks are clamped at the border.
+    """Look up points [P, 3] in all masks [N, H, W], clamped at the border.
 
-    Returns:
-        The least value [P] over the masks, without the ``misses`` lowest.
+    Returns the least value [P] over the masks, without the ``misses`` lowest.
     """
     found = points.new_zeros(len(points))
     rows = torch.arange(len(points), device=points.device)  # points that are not outside yet; most soon are
@@ -180,21 +179,11 @@ def _orthographic_half_width(views: Views) -> float:
 
 
 def carve_levels(views: Views, levels: tuple[int, ...] = LEVELS) -> tuple[Tensor, Tensor]:
-    """Carve the visual hull on the coarsest grid that opens the holes and gaps of the masks.
+    """Carve the visual hull on the coarsest grid that opens the holes and gaps of the masks; as `carve`.
 
     A hull lies inside all silhouettes. Where it covers background deeper than its blurred border is wide, its grid is
-    too coarse. If several views show that, the hull is carved again at the next level, which is kept if it covers at
-    most half as much.
-
-    Args:
-        views: Views that are `Views.normalized` to the object's bounds.
-        levels: Numbers of grid cells along each axis, in ascending order.
-
-    Returns:
-        Vertices [V, 3] float32 and faces [F, 3] int64, as `carve`.
-
-    Raises:
-        ValueError: As `carve`.
+    too coarse. If several views show that, the hull is carved again at the next of the ``levels``, grid cells along
+    each axis, which is kept if it covers at most half as much.
     """
     margin = blur_radius(views, levels[0])
     shape = carve(views, levels[0])
@@ -213,15 +202,9 @@ def carve_levels(views: Views, levels: tuple[int, ...] = LEVELS) -> tuple[Tensor
 
 @torch.no_grad()
 def covered_background(views: Views, shape: tuple[Tensor, Tensor], margin: int) -> Tensor:
-    """Count the background pixels that a mesh covers, without its outline.
+    """Count the background pixels that a mesh covers in each of N views, [N] int64.
 
-    Args:
-        views: N views.
-        shape: Vertices [V, 3] and faces [F, 3].
-        margin: Pixels nearer to the mesh's outline than this are left out.
-
-    Returns:
-        [N] int64, pixels of each view.
+    Pixels nearer to the mesh's outline than ``margin`` are left out.
     """
     found = []
     for start in range(0, len(views), _VIEWS_AT_ONCE):

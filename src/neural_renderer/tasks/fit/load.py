@@ -133,15 +133,9 @@ def load_views(
 def list_images(
     source: CameraFile, masks: Path | None = None, allow_outside: bool = False
 ) -> list[tuple[PosedImage, Path, Path | None]]:
-    """Find the image, and the mask or None, of each entry of a camera file.
+    """Find the image, and the mask or None, of each entry of a camera file; raise what `load_views` raises.
 
-    Args:
-        source: The camera file.
-        masks: Folder of masks; None searches the usual folders beside the images.
-        allow_outside: Whether the file may name images outside of its folder.
-
-    Raises:
-        FileNotFoundError, ValueError: An image is missing, or outside of the folder.
+    ``masks`` is the folder of masks; None searches the usual folders beside the images.
     """
     found = []
     for entry in source.images:
@@ -261,18 +255,10 @@ def _mask(file: Path, mask_file: Path | None, image: Tensor, photos: bool, rule:
 def outline_of_box(
     camera: Camera, box: tuple[float, ...], size: tuple[int, int]
 ) -> tuple[Tensor, tuple[Tensor, float]]:
-    """Draw a box.
+    """Draw the outlines [N, H, W] in [0, 1] of a box with the opposite corners (x, y, z, x, y, z) in the world.
 
-    Args:
-        camera: N cameras.
-        box: Opposite corners (x, y, z, x, y, z) in the world.
-        size: Height and width of the images in pixels.
-
-    Returns:
-        Its outlines [N, H, W] in [0, 1]; its centre [3], and half its longest side.
-
-    Raises:
-        ValueError: There are not six finite numbers, or a side is not above 0.
+    Returns also its centre [3], and half its longest side. ValueError: there are not six finite numbers, or a side is
+    not above 0.
     """
     values = [validate.number("box", value) for value in box]
     if len(values) != 6:
@@ -287,15 +273,10 @@ def outline_of_box(
 
 
 def region_of_points(views: Views, points: Tensor) -> tuple[Tensor, float] | None:
-    """Find the region of the object from points of the scene, of which some belong to its surroundings.
+    """Find the region of the object from points [P, 3] of the scene, of which some belong to its surroundings.
 
-    Args:
-        views: The views.
-        points: [P, 3] in the world.
-
-    Returns:
-        The centre [3] of the points inside the masks and half the side of a cube around them, with a margin; None if
-        there are too few.
+    Returns the centre [3] of the points inside the masks and half the side of a cube around them, with a margin; None
+    if there are too few.
     """
     points = points.to(views.masks)
     count = torch.stack([value > 0.5 for value in mask_values(views, views.masks, points)]).sum(0)

@@ -15,6 +15,7 @@ from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
 from ...meshes.uv_mesh import UVMesh
 from ...pictures.clay import plain_texture
+from ..adjustable import Resumable
 from ..observer import Knob
 from .agreement import REFINED_MARGIN, check_agreement
 from .cameras import CameraRefinement, locate_cameras
@@ -43,7 +44,7 @@ _WORSE = 0.01  # IoU that details from colours may cost
 _PACE, _SPHERE_PACE = (0, 0.01), (2, 0.03)  # subdivisions and step size; a sphere is coarse and far from the object
 
 
-class MeshFit:
+class MeshFit(Resumable):
     """Fit a mesh to posed images: its shape, its details, then its texture. Call `run`, or `advance` until ``done``.
 
     `result` says whether the mesh matches the images.
@@ -277,24 +278,11 @@ class MeshFit:
         self._fit.turn(name, value)
 
     def state_dict(self) -> dict[str, Any]:
-        """Collect everything that changes from step to step.
-
-        Returns:
-            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
-        """
         cameras = None if self._cameras is None else self._cameras.state_dict()
         state = {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras, "gains": self._gains}
         return state | {"outlines": self._outlines, "advice": self._advice}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from the state of a fit of the same views.
-
-        Args:
-            state: Result of `state_dict`.
-
-        Raises:
-            KeyError: A name is missing.
-        """
         self.phase, cameras, self._gains = state["phase"], state["cameras"], state["gains"]
         self._outlines, self._advice = state["outlines"], state["advice"]
         if self._cameras is not None:

@@ -101,11 +101,6 @@ class CameraFit(Adjustable):
         self._photo = self._mask.expand(3, -1, -1) if photo is None else downscale(photo, _FINE)
         self._place_cameras(validate.whole("starts", starts, 1), seed)
 
-    @property
-    def done(self) -> bool:
-        """Whether all steps are taken."""
-        return self.step >= self.steps
-
     def cameras(self) -> Camera:
         """Make the current cameras.
 
@@ -159,23 +154,10 @@ class CameraFit(Adjustable):
         return {"loss": each.min().item()}
 
     def state_dict(self) -> dict[str, Any]:
-        """Collect everything that changes from step to step.
-
-        Returns:
-            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
-        """
         descents = [descent.state_dict() for descent in self._descents]
         return {"step": self.step, "axes": self._axes, "offset": self._offset, "descents": descents}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from the state of a fit of the same image.
-
-        Args:
-            state: Result of `state_dict`.
-
-        Raises:
-            KeyError: A name is missing.
-        """
         self.step, self._axes, self._offset = state["step"], state["axes"], state["offset"]
         for descent, means in zip(self._descents, state["descents"], strict=True):
             descent.load_state_dict(means)

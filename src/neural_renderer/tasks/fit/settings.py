@@ -151,9 +151,7 @@ class DescentSettings:
 def short_names(*names: str, **places: str) -> Callable[[_Function], _Function]:
     """Make a decorator of a function with groups of settings that takes single settings, too.
 
-    Args:
-        names: Fields that keywords of the same name set, each as "group.field".
-        places: Keyword to the "group.field" that it sets.
+    ``places`` are keywords with the "group.field" that each sets; ``names`` are those that are named like their field.
     """
     places |= {name.partition(".")[2]: name for name in names}
 

@@ -113,11 +113,6 @@ class ShapeFit(Adjustable):
         self._set_shape(vertices.detach().clone(), faces.long(), None)
 
     @property
-    def done(self) -> bool:
-        """Whether all steps are taken."""
-        return self.step >= self.steps
-
-    @property
     def shape(self) -> tuple[Tensor, ...]:
         """Current vertices, faces and, if vertices have colours, textures, in the form of `render`."""
         if self._colors is None:
@@ -187,11 +182,6 @@ class ShapeFit(Adjustable):
         self._subdivided += 1
 
     def state_dict(self) -> dict[str, Any]:
-        """Collect everything that changes from step to step.
-
-        Returns:
-            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
-        """
         return {
             "step": self.step,
             "subdivided": self._subdivided,
@@ -203,14 +193,6 @@ class ShapeFit(Adjustable):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from the state of a fit of the same views.
-
-        Args:
-            state: Result of `state_dict`.
-
-        Raises:
-            KeyError: A name is missing.
-        """
         self.step, self._subdivided = state["step"], state["subdivided"]
         self._set_shape(state["vertices"], state["faces"], state["colors"])
         self._descent.load_state_dict(state["descent"])
@@ -235,14 +217,10 @@ def coarse_fit(
     steps: int,
     descent: DescentSettings,
 ) -> ShapeFit:
-    """Make the fit of a coarse shape and of the cameras to small silhouettes.
+    """Make the fit of a coarse shape, from vertices [V, 3] and faces [F, 3], and of the cameras to small silhouettes.
 
-    Args:
-        views: Views that are `Views.normalized`.
-        vertices, faces: The initial shape, [V, 3] and [F, 3].
-        cameras: Their cameras, which the fit changes.
-        steps: Number of steps if a step shows all views; more views take more.
-        descent: Settings of gradient descent; the batch is that of images of full size.
+    The views are `Views.normalized`. ``steps`` is the number of steps if a step shows all views; more views take more.
+    The batch of ``descent`` is that of images of full size.
     """
     small, batch = reduced(views, max(1, round(max(views.size) / _COARSE_SIZE))), _SMALLER * descent.batch
     return ShapeFit(

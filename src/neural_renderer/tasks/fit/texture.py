@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ... import validate
+from ..adjustable import Resumable
 from ..texels import Texels
 from .descent import ConjugateGradients
 from .fit_views import Views, photos_of
@@ -17,7 +18,7 @@ from .fit_views import Views, photos_of
 _OUTLINE = 0.05  # weight of pixels beside an outline
 
 
-class TextureFit:
+class TextureFit(Resumable):
     """Fit the texture of a known mesh to posed images by linear least squares. Call `advance` until ``done``.
 
     With a fixed shape, images are linear in the texels: A x, with the gains of the views. The texture minimises ::
@@ -103,23 +104,10 @@ class TextureFit:
         return {"loss": max(loss, 0.0) / self._total}
 
     def state_dict(self) -> dict[str, Any]:
-        """Collect everything that changes from step to step, and the shape.
-
-        Returns:
-            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
-        """
         state = {"step": self.step, "vertices": self._vertices, "faces": self._faces}
         return state | {"solver": self._solver.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from the state of a fit of the same views and shape.
-
-        Args:
-            state: Result of `state_dict`.
-
-        Raises:
-            KeyError: A name is missing.
-        """
         self.step = state["step"]
         self._solver.load_state_dict(state["solver"])
 

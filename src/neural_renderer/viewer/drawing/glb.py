@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ...io.surface_colors import srgb_to_linear
+
 _FLOAT, _UINT, _USHORT = 5126, 5125, 5123  # component types of glTF
 _VERTICES, _FACES = 34962, 34963  # targets of buffer views
 _LINEAR = 9729
@@ -91,7 +93,7 @@ def write_glb(parts: Sequence[Drawable]) -> bytes:
             surface["baseColorTexture"] = {"index": len(images)}
             images.append({"bufferView": body.view(part.image), "mimeType": mime})
         else:
-            surface["baseColorFactor"] = [*_linear(np.array(part.color)).tolist(), 1.0]
+            surface["baseColorFactor"] = [*srgb_to_linear(np.array(part.color)).tolist(), 1.0]
         primitive: dict[str, Any] = {"attributes": attributes, "material": len(materials)}
         if part.index is not None:
             primitive["indices"] = body.array(part.index.astype(np.uint32).reshape(-1), "SCALAR", _UINT, _FACES)
@@ -155,9 +157,5 @@ def _uint(value: int) -> bytes:
     return value.to_bytes(4, "little")
 
 
-def _linear(srgb: np.ndarray) -> np.ndarray:
-    """Convert sRGB in [0, 1] to linear colours, in which glTF keeps colours of vertices and materials."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-_LINEAR_OF_BYTE = (_linear(np.arange(256) / 255) * 65535 + 0.5).astype(np.uint16)
+# glTF keeps linear colours of vertices and materials.
+_LINEAR_OF_BYTE = (srgb_to_linear(np.arange(256) / 255) * 65535 + 0.5).astype(np.uint16)

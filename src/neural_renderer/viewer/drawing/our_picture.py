@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ... import losses
 from ...camera import Camera
+from ...camera.files.colmap import rotation_of
 from ...pictures.lamp import lamp_direction
 from ...raster import Images
 from ...rendering import render
@@ -32,13 +33,9 @@ _COLD, _WARM, _HOT = (0.80, 0.83, 0.88), (0.96, 0.62, 0.20), (0.72, 0.05, 0.12) 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The camera of a browser.
+    """The camera of a browser: a quaternion [4] with the axes right, down and forward, and a position [3].
 
-    Attributes:
-        wxyz: [4], its rotation as a quaternion; its axes are right, down and forward.
-        position: [3].
-        field: Vertical field of view in radians.
-        aspect: Width over height.
+    The vertical field of view is in radians; the aspect is width over height.
     """
 
     wxyz: np.ndarray
@@ -48,15 +45,8 @@ class View:
 
     def camera(self, place: np.ndarray) -> Camera:
         """Make the camera in the coordinates of a mesh whose origin is at ``place`` [3]."""
-        w, x, y, z = (float(value) for value in self.wxyz / np.linalg.norm(self.wxyz))
         pose = torch.eye(4)
-        pose[:3, :3] = torch.tensor(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        pose[:3, :3] = rotation_of("wxyz", tuple(self.wxyz))
         pose[:3, 3] = torch.from_numpy(np.asarray(self.position - place, np.float64))
         return Camera.from_matrix(camera_to_world=pose, viewing_angle=math.degrees(self.field) / 2)
 
@@ -75,19 +65,10 @@ def draw(
     vertices: Tensor | None = None,
     gradient: str = "edge",
 ) -> Images:
-    """Render a mesh.
+    """Render a mesh as colour, alpha and depth by one camera in its coordinates.
 
-    Args:
-        snapshot: The mesh.
-        camera: One camera in its coordinates.
-        size: Height and width in pixels.
-        lit: Whether a lamp over the viewer's shoulder lights it.
-        background: RGB in [0, 1].
-        vertices: Other vertices [V, 3], such as those that require a gradient.
-        gradient: Gradient estimator.
-
-    Returns:
-        "rgb", "alpha" and "depth".
+    ``lit``: a lamp over the viewer's shoulder lights it. ``vertices`` are others [V, 3], such as those that require a
+    gradient.
     """
     light = Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera)) if lit else None
     reach = _reach(snapshot, camera)
@@ -120,18 +101,9 @@ def picture(
     lit: bool = True,
     background: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> np.ndarray:
-    """Draw meshes, the nearest surface in front.
+    """Draw meshes, each with the place [3] of its origin, the nearest surface in front: [H, W, 3] uint8.
 
-    Args:
-        meshes: Each with the place [3] of its origin.
-        view: The view.
-        height: Height of the picture in pixels.
-        output: "rgb", "alpha" or "depth".
-        lit: Whether a lamp lights them.
-        background: RGB in [0, 1].
-
-    Returns:
-        [H, W, 3] uint8.
+    ``output`` is "rgb", "alpha" or "depth"; a background is RGB in [0, 1].
     """
     size = view.size(height)
     rgb = torch.tensor(background)[:, None, None].expand(3, *size)
@@ -164,12 +136,7 @@ def _grey(depth: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Target of a loss.
-
-    Attributes:
-        alpha: [1, H, W] in [0, 1].
-        rgb: [1, 3, H, W] in [0, 1], multiplied by alpha; or None.
-    """
+    """Target of a loss: alpha [1, H, W] in [0, 1], and RGB [1, 3, H, W], multiplied by alpha, or None."""
 
     alpha: Tensor
     rgb: Tensor | None
@@ -185,22 +152,9 @@ def loss_gradient(
     gradient: str = "edge",
     lit: bool = True,
 ) -> tuple[float, Tensor]:
-    """Compute a loss and its gradient on the vertices.
+    """Compute one of `IMAGE_LOSSES` or `FREE_LOSSES`, and its gradient on the vertices, [V, 3]; arguments as of `draw`.
 
-    Args:
-        snapshot: The mesh.
-        camera: One camera in its coordinates.
-        size: Height and width in pixels.
-        loss: One of `IMAGE_LOSSES` or `FREE_LOSSES`.
-        target: What an image loss compares with.
-        gradient: Gradient estimator.
-        lit: Whether a lamp lights the mesh.
-
-    Returns:
-        The loss, and [V, 3].
-
-    Raises:
-        ValueError: An image loss has no target.
+    An image loss compares with the target; ValueError: it has none.
     """
     vertices = snapshot.vertices.clone().requires_grad_()
     if loss in ("laplacian", "edge length", "normal consistency", "smoothness"):
@@ -223,10 +177,9 @@ def loss_gradient(
 
 
 def arrows(snapshot: Snapshot, gradient: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Make arrows of descent, at vertices against their gradients.
+    """Make arrows of descent, at vertices against their gradients: starts and ends [N, 2, 3], colours [N, 3] uint8.
 
-    Returns:
-        Starts and ends [N, 2, 3], and colours [N, 3] uint8. Lengths are proportional to the roots of the gradients.
+    Lengths are proportional to the roots of the gradients.
     """
     size = gradient.norm(dim=1)
     most = size.max() if len(size) else size.new_zeros(())

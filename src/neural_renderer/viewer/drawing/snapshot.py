@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import threading
+import weakref
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -12,7 +15,8 @@ from torch import Tensor
 from ... import validate
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
-from .memo import Memo
+
+_Value = TypeVar("_Value")
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +36,9 @@ class Snapshot:
     uv_mesh: UVMesh | None = None
 
     def finite(self) -> tuple[Snapshot, int]:
-        """Leave out faces with a vertex that is not finite, as in an optimisation that diverged.
+        """Leave out faces with a vertex that is not finite, as after an optimisation diverged; count them, too.
 
-        Returns:
-            The rest, whose unusable vertices are at the origin, and the number of faces left out.
+        Unusable vertices are at the origin.
         """
         finite = np.isfinite(self.vertices.numpy())
         if finite.all():
@@ -77,16 +80,9 @@ class Snapshot:
 
 
 def take_snapshot(mesh: Any) -> Snapshot:
-    """Copy a mesh.
+    """Copy one mesh: a `Mesh`, a `UVMesh`, or (vertices, faces) or (vertices, faces, textures) as in `render`.
 
-    Args:
-        mesh: A `Mesh`, a `UVMesh`, or (vertices, faces) or (vertices, faces, textures) of one mesh as in `render`.
-
-    Returns:
-        The copy.
-
-    Raises:
-        TypeError, ValueError: It is none of these, or its tensors do not fit together.
+    TypeError, ValueError: It is none of these, or its tensors do not fit together.
     """
     if isinstance(mesh, Snapshot):
         return mesh
@@ -164,6 +160,37 @@ def _bits(value: Tensor) -> np.ndarray:
     """Return the bits of a tensor, in words that numpy compares fast."""
     data = value.contiguous().reshape(-1).view(torch.uint8).numpy()
     return data.view(np.uint64) if data.size % 8 == 0 else data
+
+
+class Memo(Generic[_Value]):
+    """Keeps results for tensors, as long as these live and are not changed in place. Any thread may call it.
+
+    torch counts changes of a tensor, but neither those by ``tensor.data`` nor those by an array of numpy that shares
+    its memory. ``holds`` can find these: it tells whether a result still belongs to a tensor without a counted change.
+    """
+
+    def __init__(self, most: int = 16, holds: Callable[[Tensor, _Value], bool] | None = None) -> None:
+        self._most, self._holds = most, holds
+        self._found: dict[int, tuple[weakref.ref[Tensor], int, _Value]] = {}
+        self._lock = threading.Lock()
+
+    def get(self, tensor: Tensor, make: Callable[[Tensor], _Value]) -> _Value:
+        """Return ``make(tensor)``, or the result of an earlier call."""
+        if tensor.is_inference():  # torch does not count its changes
+            return make(tensor)
+        key, version = id(tensor), tensor._version
+        with self._lock:
+            reference, known, value = self._found.get(key, (None, -1, None))
+        is_known = reference is not None and reference() is tensor and known == version
+        if is_known and (self._holds is None or self._holds(tensor, value)):  # type: ignore[arg-type]
+            return value  # type: ignore[return-value]
+        value = make(tensor)
+        with self._lock:
+            self._found.pop(key, None)
+            while len(self._found) >= self._most:
+                del self._found[next(iter(self._found))]
+            self._found[key] = weakref.ref(tensor), version, value
+        return value
 
 
 _COPIES: Memo[Tensor] = Memo(holds=_is_same)

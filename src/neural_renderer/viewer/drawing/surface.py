@@ -17,8 +17,7 @@ from torch import Tensor
 from ...meshes.uv_mesh import UVMesh
 from ...pictures.clay import CLAY
 from .glb import Drawable
-from .memo import Memo
-from .snapshot import Snapshot
+from .snapshot import Memo, Snapshot
 
 Surface = Literal["colours", "clay", "normals", "faces"]
 SURFACES: tuple[Surface, ...] = ("colours", "clay", "normals", "faces")
@@ -49,15 +48,9 @@ _UNLIT, _UNLIT_FLAT = Look(lit=False), Look(lit=False, smooth=False)
 
 
 def drawables(snapshot: Snapshot, look: Look, values: Tensor | None = None) -> list[Drawable]:
-    """Convert a mesh to arrays for a graphics card.
+    """Convert a mesh of finite vertices, with a face, to arrays for a graphics card: a part for each image.
 
-    Args:
-        snapshot: A mesh with at least one face, all of whose vertices are finite.
-        look: How to show it.
-        values: [V, 3] in [0, 1], colours of vertices to show in place of the surface; or None.
-
-    Returns:
-        The parts of the mesh; several if it has several images.
+    ``values`` [V, 3] in [0, 1] are colours of vertices to show in place of the surface.
     """
     vertices, faces = snapshot.vertices.numpy(), snapshot.faces.numpy()
     if values is not None:

@@ -90,16 +90,9 @@ class FacesPanel:
 
 
 def first_face(vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[int, float]:
-    """Find the first face that a ray meets.
+    """Find the first face that a ray meets: its number, −1 if there is none, and its distance.
 
-    Args:
-        vertices: [V, 3].
-        faces: [F, 3].
-        origin: [3].
-        direction: [3], of any length.
-
-    Returns:
-        Its number, −1 if there is none, and its distance in lengths of the direction.
+    The distance is in lengths of the direction, which has any. Origin and direction are [3].
     """
     corner = vertices[faces[:, 0]].astype(float)
     first, second = vertices[faces[:, 1]] - corner, vertices[faces[:, 2]] - corner

@@ -36,18 +36,10 @@ _MOST_NUMBERS = 2000  # most steps in the curves
 
 
 class Recorder:
-    """Collects frames and writes them as an HTML file.
+    """Collects frames and writes them as an HTML file of ``limit`` MiB at most.
 
     A frame whose numbers of faces, indices, texture coordinates or images are those of another one shares them. If the
     file would be larger than its limit, every second frame is left out, and from then on every second one is skipped.
-
-    Args:
-        path: Name that ends in ``.html``.
-        limit: Size of the file in MiB at most.
-
-    Raises:
-        ValueError: The name does not end in ``.html``.
-        OSError: The folder cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str], limit: float = DEFAULT_LIMIT) -> None:
@@ -72,13 +64,9 @@ class Recorder:
         return len(self._frames)
 
     def add(self, step: int, meshes: Mapping[str, Snapshot], label: str = "", always: bool = False) -> None:
-        """Add a frame.
+        """Add a frame of meshes by name; the label is what the step belongs to, such as a phase.
 
-        Args:
-            step: Number of the step.
-            meshes: The meshes by name.
-            label: What the step belongs to, such as a phase.
-            always: Keep this frame even if others of its kind are skipped, as the last one.
+        Keep it ``always``, even if others of its kind are skipped, as the last one.
         """
         self._seen += 1
         if self._seen % self._stride and not always:

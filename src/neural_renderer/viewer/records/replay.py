@@ -24,18 +24,13 @@ _LARGEST = 2**30  # most bytes of an array: more is a damaged file
 
 
 class Record:
-    """The frames of a record.
+    """The frames of an HTML file that a `Recorder` wrote.
 
-    Args:
-        path: HTML file that a `Recorder` wrote.
+    ValueError: The file is no record, is damaged, or belongs to another version.
 
     Attributes:
         labels: What each frame is, such as "shape step 20".
         numbers: Points (step, value) of each curve.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        ValueError: The file is no record, is damaged, or belongs to another version.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,14 +56,7 @@ class Record:
         return len(self._frames)
 
     def meshes(self, number: int) -> dict[str, Snapshot]:
-        """Return the meshes of a frame by name.
-
-        Args:
-            number: Its number, from 0.
-
-        Raises:
-            ValueError: The frame is damaged.
-        """
+        """Return the meshes of a frame, from 0, by name; raise ValueError if it is damaged."""
         try:
             return {name: self._mesh(parts) for name, parts in self._frames[number]["meshes"].items()}
         except (ValueError, KeyError, TypeError, IndexError, zlib.error, OSError, RuntimeError) as error:

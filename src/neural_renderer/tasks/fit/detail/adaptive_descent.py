@@ -26,9 +26,9 @@ class AdaptiveDescent:
     """Descent on vertices whose steps and faces have the scale of the detail that is being found.
 
     The step of a vertex is Adam's, with one size for its three coordinates, times the target length of the edges around
-    it. Where steps agree with each other the surface still moves, and larger faces move faster: the target grows.
-    Where they do not, what is missing is finer than the faces: the target shrinks. After Palfinger, "Continuous
-    remeshing for inverse rendering" (2022).
+    it. Where steps agree with each other the surface still moves, and larger faces move faster: the target grows. Where
+    they do not, what is missing is finer than the faces: the target shrinks. After Palfinger, "Continuous remeshing for
+    inverse rendering" (2022).
 
     Args:
         vertices: [V, 3] float32, initial positions.
@@ -38,14 +38,6 @@ class AdaptiveDescent:
     Attributes:
         surface: The mesh; its values are positions, target lengths, the running means of gradients, and the same of
             colours, if there are any.
-
-    Example:
-        >>> from neural_renderer.tasks.fit.detail.adaptive_descent import AdaptiveDescent
-        >>> descent = AdaptiveDescent(*nr.icosphere(2))
-        >>> for _ in range(10):  # grow
-        ...     descent.step(-descent.vertices, rate=0.3, smooth=0.0, least=0.1, most=0.2)
-        >>> descent.vertices.norm(dim=1).min() > 1.2
-        tensor(True)
     """
 
     surface: Surface
@@ -75,12 +67,7 @@ class AdaptiveDescent:
         return self.surface.values[:, _OWN : _OWN + 3]
 
     def step_colors(self, gradient: Tensor, rate: float) -> None:
-        """Take one step of descent on colours, before `step`.
-
-        Args:
-            gradient: [V, 3], gradient of the loss.
-            rate: Length of a steady step.
-        """
+        """Take one step of descent on colours, before `step`, by the gradient of the loss, [V, 3]."""
         others, colors, mean, square = self.surface.values.split((_OWN, 3, 3, 1), 1)
         self._color_count += 1
         step, mean, square, _ = self._adam(gradient, mean, square, self._color_count)

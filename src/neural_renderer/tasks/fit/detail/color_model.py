@@ -24,22 +24,8 @@ class LightFit:
 
     The colour of a pixel is albedo · Σ c_k Y_k(normal), which is linear in c. Every step adds its pixels to the normal
     equations, in which earlier steps fade away. Weights are those of the sum of absolute residuals, so that highlights
-    and cast shadows count little.
-
-    Args:
-        like: A tensor of the dtype and device to compute with.
-
-    Attributes:
-        factors: [9, 3], c: the coefficients of a `SphericalHarmonicLight`, times the factor of their band.
-
-    Example:
-        >>> from neural_renderer.tasks.fit.detail.color_model import LightFit
-        >>> normals = torch.nn.functional.normalize(torch.randn(500, 3), dim=1)
-        >>> light, white = LightFit(normals), torch.ones(500, 3)
-        >>> for _ in range(10):
-        ...     light.add(normals, white, 0.5 + 0.3 * normals[:, 1:2].expand(-1, 3))
-        >>> light.on(torch.tensor([0.0, 1.0, 0.0])).sub(0.8).abs().max() < 0.01
-        tensor(True)
+    and cast shadows count little. ``factors`` [9, 3] are c: the coefficients of a `SphericalHarmonicLight`, times the
+    factor of their band.
     """
 
     def __init__(self, like: Tensor) -> None:
@@ -53,13 +39,7 @@ class LightFit:
 
     @torch.no_grad()
     def add(self, normals: Tensor, albedo: Tensor, colors: Tensor) -> None:
-        """Add pixels, and solve for the light.
-
-        Args:
-            normals: [P, 3], unit normals.
-            albedo: [P, 3].
-            colors: [P, 3], of the photos.
-        """
+        """Add pixels, [P, 3] each, with unit normals and the colours of the photos, and solve for the light."""
         some = slice(None, None, 1 + len(normals) // _MOST_PIXELS)
         normals, albedo, colors = normals[some], albedo[some], colors[some]
         bands = torch.stack(harmonics(normals), 1)
@@ -86,15 +66,8 @@ class LightFit:
 class ColorModel:
     """Draws a surface with an albedo, a light that is the same in all photos, and the gains of the photos.
 
-    Args:
-        views: Views with photos.
-        light: "fitted", or "none": colours are the albedo.
-
-    Attributes:
-        mean: [3], the mean colour of the object.
-
-    Raises:
-        ValueError: The views have no photos, or there is no such light.
+    With the light "none", colours are the albedo. ``mean`` is the mean colour of the object, [3]. ValueError: the views
+    have no photos, or there is no such light.
     """
 
     def __init__(self, views: Views, light: Literal["fitted", "none"]) -> None:
@@ -103,17 +76,10 @@ class ColorModel:
         self._light = LightFit(views.masks) if light == "fitted" else None
 
     def draw(self, views: Views, seen: Fragments, albedo: Tensor, normals: Tensor, learn: bool) -> Tensor:
-        """Compute the colours of pixels.
+        """Compute the colours of pixels, [N, h, w, 3], of the size of the fragments of N views.
 
-        Args:
-            views: N views.
-            seen: Their fragments.
-            albedo: [F, 3, 3], of the corners of faces.
-            normals: [F, 3, 3] unit normals of the corners, outwards.
-            learn: Whether the light learns from these views; their fragments have the size of the views then.
-
-        Returns:
-            [N, h, w, 3], of the size of the fragments.
+        Albedo and unit normals, outwards, are those of the corners of faces, [F, 3, 3]. If the light is to ``learn``
+        from these views, their fragments have the size of the views.
         """
         if self._light is not None:
             if learn:

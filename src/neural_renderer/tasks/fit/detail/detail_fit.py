@@ -96,11 +96,6 @@ class DetailFit(Adjustable):
         self._pyramid = Pyramid(views, float(self._descent.surface.target.mean()))
 
     @property
-    def done(self) -> bool:
-        """Whether all steps are taken."""
-        return self.step >= self.steps
-
-    @property
     def shape(self) -> tuple[Tensor, ...]:
         """Current vertices and faces, in the form of `render`."""
         return self._descent.vertices, self._descent.faces
@@ -166,25 +161,12 @@ class DetailFit(Adjustable):
         return losses, mask_iou(images["silhouette"][:, 0], views.masks).mean()
 
     def state_dict(self) -> dict[str, Any]:
-        """Collect everything that changes from step to step.
-
-        Returns:
-            Numbers and tensors by name, for `load_state_dict`. Later steps may change them; `torch.save` copies them.
-        """
         vertices, faces = self.shape
         state = {"step": self.step, "vertices": vertices, "faces": faces}
         color = None if self._color is None else self._color.state_dict()
         return state | {"descent": self._descent.state_dict(), "color": color}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from the state of a fit of the same views.
-
-        Args:
-            state: Result of `state_dict`.
-
-        Raises:
-            KeyError: A name is missing.
-        """
         self.step = state["step"]
         self._descent.load_state_dict(state["descent"])
         if self._color is not None:

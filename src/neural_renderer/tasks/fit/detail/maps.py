@@ -62,14 +62,11 @@ def load_maps(
     """Add the maps in the folders ``normals`` and ``depth`` to views, where there are such.
 
     Args:
-        views: N views.
-        found: Their N entries in the camera file, and images.
+        found: The entries of the views in the camera file, and their images.
         folders: Folders that may contain the folders of maps.
         full: Height and width of the images in pixels; maps are reduced to the size of the views.
-        conventions: Conventions of the files.
 
-    Raises:
-        FileNotFoundError, ValueError: A map is missing, has another size or cannot be read.
+    Raises FileNotFoundError or ValueError if a map is missing, has another size or cannot be read.
     """
     files, entries = [file for _, file in found], [entry for entry, _ in found]
     normal_files, depth_files = (find_maps(files, folders, name) for name in ("normals", "depth"))
@@ -106,16 +103,8 @@ def _reduced(image: Tensor, entry: PosedImage, full: tuple[int, int], size: tupl
 def find_maps(images: Sequence[Path], folders: Sequence[Path], name: str) -> list[Path] | None:
     """Find the maps of all images: files of their names, .npy or .png, in a folder ``name`` beside them.
 
-    Args:
-        images: The images.
-        folders: Further folders that may contain the folder.
-        name: "normals" or "depth".
-
-    Returns:
-        A file for each image, or None if there is no such folder.
-
-    Raises:
-        FileNotFoundError: The folder has no map for an image.
+    It may also lie in one of the ``folders``. Returns None if there is none; FileNotFoundError: it has no map for an
+    image.
     """
     places = [folder / name for folder in dict.fromkeys((images[0].parent, *folders)) if (folder / name).is_dir()]
     if not places:
@@ -131,17 +120,9 @@ def find_maps(images: Sequence[Path], folders: Sequence[Path], name: str) -> lis
 
 
 def read_normals(path: Path, size: tuple[int, int]) -> Tensor:
-    """Read a normal map.
+    """Read a normal map, a .png with (n + 1) / 2 or a .npy, as unit vectors [H, W, 3], 0 where the file has none.
 
-    Args:
-        path: A .png with (n + 1) / 2 as red, green and blue, or a .npy [H, W, 3].
-        size: Height and width of the image.
-
-    Returns:
-        [H, W, 3], unit vectors, or 0 where the file has no normal.
-
-    Raises:
-        ValueError: The file has another shape, or cannot be read.
+    Raises ValueError if it has not the size (height, width), or cannot be read.
     """
     values = _array(path, 3) if path.suffix == ".npy" else 2 * load_image(path)[..., :3] - 1
     _check_size(path, values, size)
@@ -150,18 +131,10 @@ def read_normals(path: Path, size: tuple[int, int]) -> Tensor:
 
 
 def read_depth(path: Path, size: tuple[int, int], scale: float) -> Tensor:
-    """Read a depth map.
+    """Read a depth map: depth along the viewing axis in world units, [H, W], 0 where the file has none.
 
-    Args:
-        path: A .png of 16 bits, or a .npy [H, W].
-        size: Height and width of the image.
-        scale: Steps of the .png for one unit of the world. A .npy is in world units.
-
-    Returns:
-        [H, W], depth along the viewing axis in world units, 0 where the file has none.
-
-    Raises:
-        ValueError: The file has another shape, or cannot be read.
+    A .png has 16 bits, and ``scale`` steps for one unit of the world; a .npy is in world units. Raises ValueError if
+    the file has not the size (height, width), or cannot be read.
     """
     if path.suffix == ".npy":
         values = _array(path, 0)

@@ -18,9 +18,7 @@ _FROM = (0.0, 0.2, 0.6)  # fraction of the steps from which a level counts
 class Pyramid:
     """Views at a quarter, at half and at full resolution.
 
-    Args:
-        views: The views.
-        edge_length: Mean edge length of the initial mesh. Levels that would make it coarser are left out.
+    Levels that would make the initial mesh, of the mean ``edge_length``, coarser are left out.
     """
 
     def __init__(self, views: Views, edge_length: float) -> None:
