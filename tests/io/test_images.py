@@ -53,6 +53,19 @@ def test_kinds(tmp_path):
     assert load_image(tmp_path / "cmyk.jpg").shape == (4, 5, 3)
 
 
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "RGBA", "CMYK", "I;16"])
+def test_strips_show_the_whole_picture(mode, tmp_path, monkeypatch):
+    if mode == "I;16":
+        picture = Image.fromarray(np.arange(77 * 256, step=256, dtype=np.uint16).reshape(11, 7))
+    else:
+        picture = Image.fromarray(np.arange(11 * 7 * 3, dtype=np.uint8).reshape(11, 7, 3)).convert(mode)
+    picture.save(tmp_path / "a.tif")
+    whole = load_image(tmp_path / "a.tif")
+    monkeypatch.setattr("neural_renderer.io.images._STRIP", 3 * 7)
+    assert whole.shape[:2] == (11, 7) and whole[:8].unique().numel() > 1
+    assert torch.equal(load_image(tmp_path / "a.tif"), whole)
+
+
 def test_errors(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"absent\.png"):
         load_image(tmp_path / "absent.png")
