@@ -157,6 +157,12 @@ def test_the_limit_of_a_program_counts(tmp_path, monkeypatch):
         pytest.raises(ValueError, match="at most 599 pixels, got 30 x 20"),
     ):
         load_image(tmp_path / "a.png")
+    save_image(tmp_path / "b.png", torch.zeros(20, 30, 4))
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 799)
+    with pytest.raises(ValueError, match="at most 599 pixels, got 30 x 20"):
+        load_image(tmp_path / "b.png")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 800)
+    assert load_image(tmp_path / "b.png").shape == (20, 30, 4)
     for limit in (600, None):
         monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", limit)
         assert load_image(tmp_path / "a.png").shape == (20, 30, 3)

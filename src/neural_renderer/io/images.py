@@ -44,7 +44,8 @@ def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor
     Raises:
         FileNotFoundError: The file does not exist.
         ValueError: The file is not an image, or it has more than ``PIL.Image.MAX_IMAGE_PIXELS`` pixels (89 million by
-            default). This is checked before decoding, so that a small file cannot fill the memory.
+            default), with transparency three quarters of that. This is checked before decoding, so that a small file
+            cannot fill the memory.
 
     Example:
         >>> nr.save_image("grey.png", torch.full((4, 6), 0.2))
@@ -67,9 +68,10 @@ def unpack(where: str, file: Image.Image, *, upright: bool = False, transparency
     if file.format == "EPS":  # Pillow would run another program to draw it
         raise ValueError(f"{where}: expected a picture of pixels, got PostScript")
     limit = Image.MAX_IMAGE_PIXELS
-    if limit is not None and file.width * file.height > limit:
+    channels = 4 if transparency and file.has_transparency_data else 3
+    if limit is not None and file.width * file.height > (most := limit * 3 // channels):  # Pillow's limit is for RGB
         raise ValueError(
-            f"{where}: expected a picture of at most {limit:,} pixels, got {file.width} x {file.height}; "
+            f"{where}: expected a picture of at most {most:,} pixels, got {file.width} x {file.height}; "
             "a program may raise PIL.Image.MAX_IMAGE_PIXELS"
         )
     with _reading(where):
