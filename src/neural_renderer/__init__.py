@@ -20,6 +20,7 @@ Where to look; `help(nr.render)` and so on explain each name:
 in "Neural 3D Mesh Renderer" (Kato, Ushiku and Harada, CVPR 2018).
 """
 
+import os
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,10 @@ from .compat.old_modules import OLD_MODULES, register_old_modules
 from .version import __version__ as __version__
 
 register_old_modules()
+
+# Threads of torch that wait for each other spin, and so take the cores from kernels and from other programs. OpenMP
+# (GNU's, LLVM's and Intel's) reads this once, when torch is imported.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:
     from .interface import *

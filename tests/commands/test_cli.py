@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -83,6 +84,8 @@ for arguments in asked:
     assert not slow, f"{arguments}: imported {slow}"
 """
 
+LOADED = "import neural_renderer, torch"  # in this order
+
 
 def test_an_option_given_twice_is_not_half_lost(ball: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     twice = ("--save", "depth", str(tmp_path / "d.npy"), "--save", "normal", str(tmp_path / "n.npy"))
@@ -118,6 +121,15 @@ def test_help_and_wrong_usage_wait_for_nothing() -> None:
     """They answer before torch, which takes seconds, is imported."""
     done = run_python("-c", QUICK)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("program", [["-m", "neural_renderer", "render", "none.obj", "-o", "a.png"], ["-c", LOADED]])
+def test_waiting_threads_sleep_unless_the_user_chose(program: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spinning ones make a fit beside two busy programs take eight times as long."""
+    monkeypatch.delenv("OMP_WAIT_POLICY")
+    for chosen, expected in (({}, "PASSIVE"), ({"OMP_WAIT_POLICY": "ACTIVE"}, "ACTIVE")):
+        shown = run_python(*program, OMP_DISPLAY_ENV="TRUE", **chosen).stderr
+        assert re.findall(r"OMP_WAIT_POLICY *= *'(\w+)'", shown) == [expected], shown
 
 
 def test_rgb_is_lit_from_the_front(ball: str, tmp_path: Path) -> None:

@@ -53,6 +53,19 @@ def test_kinds(tmp_path):
     assert load_image(tmp_path / "cmyk.jpg").shape == (4, 5, 3)
 
 
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "RGBA", "CMYK", "I;16"])
+def test_strips_show_the_whole_picture(mode, tmp_path, monkeypatch):
+    if mode == "I;16":
+        picture = Image.fromarray(np.arange(77 * 256, step=256, dtype=np.uint16).reshape(11, 7))
+    else:
+        picture = Image.fromarray(np.arange(11 * 7 * 3, dtype=np.uint8).reshape(11, 7, 3)).convert(mode)
+    picture.save(tmp_path / "a.tif")
+    whole = load_image(tmp_path / "a.tif")
+    monkeypatch.setattr("neural_renderer.io.images._STRIP", 3 * 7)
+    assert whole.shape[:2] == (11, 7) and whole[:8].unique().numel() > 1
+    assert torch.equal(load_image(tmp_path / "a.tif"), whole)
+
+
 def test_errors(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"absent\.png"):
         load_image(tmp_path / "absent.png")
@@ -144,6 +157,12 @@ def test_the_limit_of_a_program_counts(tmp_path, monkeypatch):
         pytest.raises(ValueError, match="at most 599 pixels, got 30 x 20"),
     ):
         load_image(tmp_path / "a.png")
+    save_image(tmp_path / "b.png", torch.zeros(20, 30, 4))
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 799)
+    with pytest.raises(ValueError, match="at most 599 pixels, got 30 x 20"):
+        load_image(tmp_path / "b.png")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 800)
+    assert load_image(tmp_path / "b.png").shape == (20, 30, 4)
     for limit in (600, None):
         monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", limit)
         assert load_image(tmp_path / "a.png").shape == (20, 30, 3)

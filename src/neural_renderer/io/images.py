@@ -26,6 +26,7 @@ _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
 _MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535}  # pixels of a side
 _JPEG_QUALITY = 95
+_STRIP = 1 << 20  # pixels converted at once
 _MP4_QUALITY = "10"  # constant rate factor of H.264: 0 is lossless, 51 the worst
 
 
@@ -43,7 +44,8 @@ def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor
     Raises:
         FileNotFoundError: The file does not exist.
         ValueError: The file is not an image, or it has more than ``PIL.Image.MAX_IMAGE_PIXELS`` pixels (89 million by
-            default). This is checked before decoding, so that a small file cannot fill the memory.
+            default), with transparency three quarters of that. This is checked before decoding, so that a small file
+            cannot fill the memory.
 
     Example:
         >>> nr.save_image("grey.png", torch.full((4, 6), 0.2))
@@ -66,20 +68,26 @@ def unpack(where: str, file: Image.Image, *, upright: bool = False, transparency
     if file.format == "EPS":  # Pillow would run another program to draw it
         raise ValueError(f"{where}: expected a picture of pixels, got PostScript")
     limit = Image.MAX_IMAGE_PIXELS
-    if limit is not None and file.width * file.height > limit:
+    channels = 4 if transparency and file.has_transparency_data else 3
+    if limit is not None and file.width * file.height > (most := limit * 3 // channels):  # Pillow's limit is for RGB
         raise ValueError(
-            f"{where}: expected a picture of at most {limit:,} pixels, got {file.width} x {file.height}; "
+            f"{where}: expected a picture of at most {most:,} pixels, got {file.width} x {file.height}; "
             "a program may raise PIL.Image.MAX_IMAGE_PIXELS"
         )
     with _reading(where):
         image = ImageOps.exif_transpose(file) if upright else file
-        if image.mode.startswith(("I", "F")):  # 16-bit grey; conversion to RGB would clip it at 255
-            full = 1 if image.mode.startswith("F") else 65535
-            grey = np.asarray(image, dtype=np.float32).clip(0, full) / np.float32(full)
-            return np.repeat(grey[..., None], 3, axis=2)
-        mode = "RGBA" if transparency and image.has_transparency_data else "RGB"
-        pixels = np.array(image if image.mode == mode else image.convert(mode), dtype=np.float32)
-        pixels /= 255  # in place, to save memory
+        deep = image.mode.startswith(("I", "F"))  # 16-bit grey; conversion to RGB would clip it at 255
+        mode = "RGBA" if transparency and not deep and image.has_transparency_data else "RGB"
+        full = np.float32((1 if image.mode.startswith("F") else 65535) if deep else 255)
+        pixels = np.empty((image.height, image.width, len(mode)), np.float32)
+        rows = max(1, _STRIP // image.width)
+        for top in range(0, image.height, rows):  # in strips, to save memory
+            strip = image.crop((0, top, image.width, min(top + rows, image.height)))
+            if deep:
+                colors = np.asarray(strip, np.float32).clip(0, full)[..., None]
+            else:
+                colors = np.asarray(strip if strip.mode == mode else strip.convert(mode))
+            np.divide(colors, full, out=pixels[top : top + rows])
         return pixels
 
 

@@ -91,7 +91,7 @@ def bake(textures: Tensor, uv: Tensor, size: int) -> Tensor:
     # A texel on the border of a chart has the mean colour of its covered samples: half of it shows the chart.
     share = functional.avg_pool2d(drawn.alpha[:, None], _SAMPLES)
     image = functional.avg_pool2d(drawn.rgb * drawn.alpha[:, None], _SAMPLES) / share.clamp(min=1e-6)
-    return pull_push(image, (share > 0).float())[0].permute(1, 2, 0).clamp(0, 1).contiguous()
+    return pull_push(image, share > 0)[0].permute(1, 2, 0).clamp(0, 1).contiguous()
 
 
 def load_xatlas() -> Any:

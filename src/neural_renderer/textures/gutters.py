@@ -62,8 +62,10 @@ def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wr
             shown = shown & known
         if not shown.any():
             return texture.float()
-    image = texture.float().permute(2, 0, 1)[None]
-    return pull_push(image, shown[None, None].float())[0].permute(1, 2, 0).contiguous()
+    filled = texture.new_empty(texture.shape, dtype=torch.float32)
+    for channel in range(texture.shape[2]):  # one at a time, to save memory
+        filled[..., channel] = pull_push(texture[None, None, ..., channel].float(), shown[None, None])[0, 0]
+    return filled
 
 
 def _shown(uv: Tensor, height: int, width: int, repeat: bool) -> Tensor:
@@ -125,12 +127,12 @@ def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | 
 
 
 def pull_push(image: Tensor, shown: Tensor) -> Tensor:
-    """Fill the texels of image [1, C, h, w] where ``shown`` [1, 1, h, w] is 0 from the next coarser level."""
-    if image.shape[2:] == (1, 1) or not bool((shown == 0).any()):
+    """Fill the texels of image [1, C, h, w] that ``shown`` [1, 1, h, w] bool leaves out from the next coarser level."""
+    if image.shape[2:] == (1, 1) or bool(shown.all()):
         return image
     half = (-(-image.shape[2] // 2), -(-image.shape[3] // 2))
-    share = functional.adaptive_avg_pool2d(shown, half)
+    share = functional.adaptive_avg_pool2d(shown.float(), half)
     coarse = functional.adaptive_avg_pool2d(image * shown, half) / share.clamp(min=1e-6)
-    coarse = pull_push(coarse, (share > 0).float())
+    coarse = pull_push(coarse, share > 0)
     above = functional.interpolate(coarse, size=image.shape[2:], mode="bilinear", align_corners=False)
-    return torch.where(shown > 0, image, above)
+    return torch.where(shown, image, above)

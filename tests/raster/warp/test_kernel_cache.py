@@ -47,6 +47,7 @@ for suffix, change in (
     (".o", lambda data: data[: len(data) // 2]),
     (".o", lambda data: bytes(len(data))),
     (".o", lambda data: bytes(64) + data[64:]),
+    (".o", lambda data: data[:70] + bytes([data[70] ^ 1]) + data[71:]),  # an instruction; it would end the process
     (".meta", lambda data: b"{"),
     (".meta", lambda data: b""),
 ):

@@ -8,6 +8,8 @@ import re
 import shutil
 import time
 import warnings
+import zlib
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,6 +17,7 @@ import warp as wp
 
 _ROOM = 1 << 20  # bytes, larger than any module. On a full disk LLVM would end the whole process.
 _LEFT_BEHIND = re.compile(r"wp_neural_renderer\..*_p\d+_t\d+")
+_COMPILED = (".o", ".ptx", ".cubin", ".meta")  # suffixes of the files that Warp loads
 _ATTEMPTS = 2
 _HOUR = 3600.0  # seconds; no module takes so long to compile
 
@@ -33,11 +36,13 @@ def load_module(kernel: wp.Kernel, device: str) -> None:
     while True:
         if not _is_known(kernel.module):
             _prepare()
+        folder = _cache() / kernel.module.get_module_identifier(1 if device == "cpu" else None)
         try:
-            return _load(kernel, device)
+            _check_sums(folder)
+            _load(kernel, device)
+            return _note_sums(folder)
         except Exception as error:
             # A full disk or a power cut damages files. Another process may remove the same files, and new ones.
-            folder = _cache() / kernel.module.get_module_identifier(1 if device == "cpu" else None)
             gone = isinstance(error, FileNotFoundError)
             damaged = gone or (not isinstance(error, OSError) and (folder.exists() or removed))
             if not damaged or removed == _ATTEMPTS:
@@ -61,6 +66,33 @@ def _load(kernel: wp.Kernel, device: str) -> None:
     for loaded in getattr(kernel.module, "execs", {}).values():
         if loaded.get_kernel_hooks(kernel).forward is None:
             raise RuntimeError(f"no kernel {kernel.key} in it")
+
+
+def _check_sums(folder: Path) -> None:
+    """Raise RuntimeError if a compiled file differs from its checksum: LLVM ends the process on wrong bits."""
+    for path, known in _compiled(folder):
+        if known and _sum(path) not in known:
+            raise RuntimeError(f"wrong checksum of {path.name}")
+
+
+def _note_sums(folder: Path) -> None:
+    """Note the checksums of compiled files that have none: as names of empty files, which are whole at any time."""
+    for path, known in _compiled(folder):
+        if not known:
+            with suppress(OSError):  # the folder of somebody else
+                _sum(path).touch()
+
+
+def _compiled(folder: Path) -> Iterator[tuple[Path, set[Path]]]:
+    """List the files that Warp loads, each with the files that note its checksum."""
+    files = set(folder.iterdir()) if folder.exists() else set()
+    for path in files:
+        if path.suffix in _COMPILED:
+            yield path, {file for file in files if file.stem == path.name}
+
+
+def _sum(path: Path) -> Path:
+    return path.with_name(f"{path.name}.{zlib.crc32(path.read_bytes()):08x}")
 
 
 def _cache() -> Path:
