@@ -50,12 +50,12 @@ RASTER = [
     "reference",
     "settings",
     "ahead",
-    "images",
+    "outputs",
     "faces",
     "background",
     "visible",
     "exact",
-    "cubes",
+    "cube_colors",
     "rasterize",
 ]
 RECONSTRUCTION = ["data", "networks", "evaluation", "training"]

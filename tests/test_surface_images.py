@@ -10,7 +10,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer import rendering
-from neural_renderer.raster.images import OUTPUTS, SURFACE
+from neural_renderer.raster.outputs import OUTPUTS, SURFACE
 from tests.rounding import rounding
 
 CAMERA = nr.Camera.look_at([[0.4, 0.8, -2.5], [2.0, -0.5, 1.5]], viewing_angle=25)

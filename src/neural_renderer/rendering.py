@@ -19,8 +19,8 @@ from .raster.ahead import CUBES, IMAGES, SCENE, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.light_pixels import light_pixels
-from .raster.cubes import cube_colors
-from .raster.images import OUTPUTS, SURFACE, Images, checked_outputs
+from .raster.cube_colors import cube_colors
+from .raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.estimators import Estimator
 from .shading.lights import AnyLight, Light, light_factors, pixel_lights

@@ -15,7 +15,7 @@ from .meshes.batch import mesh_parts
 from .meshes.normals import face_normals
 from .meshes.uv_mesh import UVMesh
 from .raster.faces import checked_faces, world_corners
-from .raster.images import SURFACE
+from .raster.outputs import SURFACE
 from .shading.pixels.visible_surface import VisibleSurface
 
 

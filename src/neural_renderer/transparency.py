@@ -12,7 +12,7 @@ from .camera import Camera
 from .deferred import Fragments, Layers
 from .meshes.uv_mesh import UVMesh
 from .raster.colors.light_pixels import light_pixels
-from .raster.images import Images
+from .raster.outputs import Images
 from .shading.pixels.material_maps import MaterialMaps
 from .shading.pixels.models import Shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 

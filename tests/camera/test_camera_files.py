@@ -12,7 +12,7 @@ import torch
 import neural_renderer as nr
 from neural_renderer.camera.files import find_camera_file, read_camera_file
 from neural_renderer.camera.files.distortion import DISTORTIONS, undistort
-from neural_renderer.camera.files.lens import MODELS, Lens
+from neural_renderer.camera.files.lens_models import MODELS, Lens
 from neural_renderer.camera.lens import distorted
 from tests.rounding import rounding
 

@@ -11,7 +11,7 @@ from typing import Any
 from torch import Tensor, nn
 
 from .. import validate
-from ..raster.images import OUTPUTS
+from ..raster.outputs import OUTPUTS
 from ..raster.rasterize import rasterize_images
 
 DEFAULT_IMAGE_SIZE = 256

@@ -15,7 +15,7 @@ from ..camera.lens import in_perspective
 from ..camera.lens import viewing_angle as checked_angle
 from ..camera.parameters import as_tensor, scalar
 from ..raster.faces import checked_faces, vertices_to_faces
-from ..raster.images import Images
+from ..raster.outputs import Images
 from ..raster.rasterize import rasterize_images
 from ..raster.settings import image_size
 from ..shading.lights import Light, light_factors

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .images import Images
+from .outputs import Images
 from .reference.operators import barycentrics_reference, sample_textures_reference
 from .visible import VisibleFaces
 from .warp.registration import differentiable, fake, operator

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from .. import validate
 from .ahead import CUBES, load_kernels
-from .cubes import checked_colors, cube_colors
+from .cube_colors import checked_colors, cube_colors
 from .exact import checked_dtype, exact_images
 from .faces import checked_triangles
-from .images import OUTPUTS, Images, checked_outputs
+from .outputs import OUTPUTS, Images, checked_outputs
 from .settings import Settings
 from .visibility.estimators import Estimator
 from .visible import VisibleFaces

@@ -11,10 +11,10 @@ from torch import Tensor
 
 from ..one_line import OneLine
 from .colors.downsample import halve
-from .images import Images
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette
 from .ops.rings import Rings
+from .outputs import Images
 from .settings import Settings
 
 Faces = TypeVar("Faces", bound="VisibleFaces")

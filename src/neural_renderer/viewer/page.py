@@ -7,8 +7,8 @@ from pathlib import Path
 
 from .frusta import Frusta, Photograph
 from .panels.display import DisplayPanel
+from .panels.pictures import PicturesPanel, StepsPanel
 from .panels.renderer import RendererPanel
-from .panels.results import PicturesPanel, StepsPanel
 from .panels.run import Run, RunPanel
 from .scene import Scene
 from .server import start_server, stop_server

@@ -17,7 +17,7 @@ from ...io.files import read_text
 from ..camera import Camera
 from ..view import get_points_from_angles
 from .keys import number, rows_of, value_of
-from .lens import Lens
+from .lens_models import Lens
 from .posed import CameraFile, PosedImage
 
 _VIEWING_ANGLE = 30.0  # default of ``viewing_angle``

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ...io.files import read_bytes, read_text, short
 from .keys import LARGEST
-from .lens import MODELS, Lens
+from .lens_models import MODELS, Lens
 from .posed import CameraFile, PosedImage
 
 MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", ".")

@@ -11,7 +11,7 @@ import torch
 
 from ...io.files import read_text, short
 from .keys import LARGEST, check_rotation
-from .lens import Lens
+from .lens_models import Lens
 from .opencv import intrinsic_values
 from .posed import CameraFile, PosedImage
 

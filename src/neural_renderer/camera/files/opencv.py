@@ -20,7 +20,7 @@ from torch import Tensor
 from ...io.atomic_write import write_file
 from ..camera import Camera
 from .keys import above_zero, check_rotation, matrix, rows_of, value_of
-from .lens import Lens
+from .lens_models import Lens
 from .posed import CameraFile, PosedImage
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ..camera import Camera
-from .lens import Lens
+from .lens_models import Lens
 
 
 @dataclass(frozen=True)

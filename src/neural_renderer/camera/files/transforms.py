@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from .keys import above_zero, check_last_row, check_rotation, matrix, number, rows_of, value_of
-from .lens import Lens
+from .lens_models import Lens
 from .posed import CameraFile, PosedImage
 
 _PINHOLES = ("", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
