@@ -125,11 +125,11 @@ def test_help_and_wrong_usage_wait_for_nothing() -> None:
 
 @pytest.mark.parametrize("program", [["-m", "neural_renderer", "render", "none.obj", "-o", "a.png"], ["-c", LOADED]])
 def test_waiting_threads_sleep_unless_the_user_chose(program: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Spinning ones make a fit beside two busy programs take eight times as long."""
+    """Spinning ones make a fit beside two busy programs take nine times as long."""
     monkeypatch.delenv("OMP_WAIT_POLICY")
     for chosen, expected in (({}, "PASSIVE"), ({"OMP_WAIT_POLICY": "ACTIVE"}, "ACTIVE")):
         shown = run_python(*program, OMP_DISPLAY_ENV="TRUE", **chosen).stderr
-        assert re.findall(r"OMP_WAIT_POLICY *= *'(\w+)'", shown) == [expected], shown
+        assert set(re.findall(r"OMP_WAIT_POLICY *= *'(\w+)'", shown)) == {expected}, shown
 
 
 def test_rgb_is_lit_from_the_front(ball: str, tmp_path: Path) -> None:
