@@ -38,7 +38,7 @@ _RESULTS = {
 def run(options: DemoOptions) -> int:
     """Make all pictures; return the exit code."""
     start = time.perf_counter()
-    check_counts(options, frames=1, size=32, iterations=1, views=1, view_size=16)
+    check_counts(options, frames=1, size=32, steps=1, views=1, view_size=16)
     check_own(options.output / "fitted.obj", None, "-o names another folder")
     device = choose_device(options.device)
     torch.manual_seed(options.seed)
@@ -71,20 +71,20 @@ def _fit_sphere(options: DemoOptions, target: Mesh, progress: Progress) -> Tenso
     """Fit a sphere to silhouettes of the target, then its texture; write results and return the IoU of each view."""
     cameras = make_cameras(options.views, target.vertices.device)
     views = Views.of(target, cameras, options.view_size)
-    fit = sphere_fit(views, options.iterations, options.seed)
+    fit = sphere_fit(views, options.steps, options.seed)
     vertices, faces = fit.shape[:2]
     history = [vertices]
     task = progress.add_task("Sphere to duck: shape", total=fit.steps, note="")
     while not fit.done:
         row = fit.advance()
-        if fit.step % max(options.iterations // _STAGES, 1) == 0:
+        if fit.step % max(options.steps // _STAGES, 1) == 0:
             history.append(fit.shape[0].detach())
         progress.update(task, advance=1, note=f"loss {row['loss']:.3f}  IoU {row['iou']:.3f}")
     iou = views.quality(fit.shape)["iou"]
     progress.update(task, note=f"IoU {iou.mean():.3f}")
 
     photos = Views.of(target, cameras, 2 * options.view_size)
-    steps = min(_TEXTURE_STEPS, options.iterations)
+    steps = min(_TEXTURE_STEPS, options.steps)
     texture = TextureFit(photos, fit.shape[0], faces, size=_TEXTURE_SIZE, steps=steps, batch=_BATCH)
     task = progress.add_task("Sphere to duck: colours", total=texture.steps, note="")
     while not texture.done:

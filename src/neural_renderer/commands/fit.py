@@ -42,7 +42,17 @@ from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import list_images
 from ..tasks.fit.result import Verdict, judge
 from ..version import __version__
-from .common import check_counts, check_most, check_outputs, choose_device, make_folder, say, say_finished
+from .common import (
+    REPORT,
+    check_counts,
+    check_earlier,
+    check_folder,
+    check_most,
+    check_outputs,
+    choose_device,
+    say,
+    say_finished,
+)
 from .options import FitOptions
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching
@@ -70,7 +80,7 @@ _RESULTS = (
     "comparison.png",
     "loss.png",
     "turntable.gif",
-    "report.json",
+    REPORT,
     _CAMERAS,
 )
 """Files that a fit may write."""
@@ -102,6 +112,7 @@ def run(options: FitOptions) -> int:
         raise ValueError(f"--up: expected a direction, got {' '.join(map(str, options.up))}")
     if options.recover != "shape" and options.mesh is None:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
+    check_earlier(options.output, options.resume, options.force)
     if options.recover != "camera" and not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
     outputs = [options.output / name for name in _RESULTS]
@@ -169,7 +180,7 @@ def _run_mesh_fit(
         cameras=CameraSettings(options.refine_cameras, options.camera_steps),
         descent=DescentSettings(options.batch, options.gradient, options.seed),
     )
-    make_folder("--output", options.output)
+    check_folder("--output", options.output)
     camera = (getattr(fitted.camera, part.name) for part in fields(fitted.camera))
     images = fitted.masks, fitted.photos, fitted.normals, fitted.depth, *camera
     runner = _runner(options, fit, images, lambda: (fit.views, fit.shape), viewer, fit.mesh)
@@ -200,7 +211,7 @@ def _fit_camera(options: FitOptions, file: Path) -> int:
         gradient=options.gradient,
         seed=options.seed,
     )
-    make_folder("--output", options.output)
+    check_folder("--output", options.output)
 
     def state() -> tuple[Views, tuple[Tensor, ...]]:
         return Views(fit.best(), mask[None], None if photo is None else photo[None]), shape
@@ -361,7 +372,7 @@ def _report(options: FitOptions, runner: TaskRunner, results: dict[str, Any], fi
         "changes": runner.changes,
         "history": runner.history,
     }
-    write_file(options.output / "report.json", json.dumps(report, indent=1) + "\n")
+    write_file(options.output / REPORT, json.dumps(report, indent=1) + "\n")
     if runner.history:
         save_image(options.output / "loss.png", curve(runner.history, "loss", "iou"))
     for name in _NAMES:

@@ -17,7 +17,7 @@ from .. import deferred
 from ..camera import Camera, get_points_from_angles
 from ..camera.files.load import load_cameras
 from ..io import load_image, load_mesh, save_animation, save_image
-from ..io.values import VALUE_SUFFIXES, open_exr, save_output
+from ..io.values import VALUE_SUFFIXES, import_exr, save_output
 from ..meshes.batch import join
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
@@ -266,7 +266,7 @@ def _check_saved(save: Sequence[tuple[str, Path]]) -> None:
         if path.suffix.lower() not in suffixes:
             raise ValueError(f"--save {name}: expected a name that ends in {', '.join(suffixes)}, got {path.name!r}")
         if path.suffix.lower() == ".exr":
-            open_exr(path)
+            import_exr(path)
 
 
 @torch.no_grad()

@@ -525,7 +525,7 @@ def view(
 
     Raises:
         TypeError, ValueError: An argument is out of range.
-        ModuleNotFoundError: viser is not installed (``pip install 'neural-renderer[view]'``).
+        ModuleNotFoundError: viser is not installed (``pip install viser``).
         OSError: The host is unknown, no port is free, or the record cannot be written.
 
     Example:
