@@ -200,12 +200,8 @@ def test_grey_and_transparent_paintings(files: dict[str, str], tmp_path: Path) -
         image.putalpha(Image.linear_gradient("L").resize(image.size))
         image.save(tmp_path / "clear.png")
     for name in ("grey.png", "clear.png"):
-        assert (
-            style(
-                files, "--turntable", "0", "--steps", "1", painting=str(tmp_path / name), out=f"{files['out']}/{name}"
-            )
-            == 0
-        )
+        given = {"painting": str(tmp_path / name), "out": str(tmp_path / f"{name} out")}
+        assert style(files, "--turntable", "0", "--steps", "1", **given) == 0
 
 
 def test_what_is_refused(

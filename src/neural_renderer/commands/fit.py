@@ -50,6 +50,7 @@ from .common import (
     check_most,
     check_outputs,
     choose_device,
+    interruption,
     say,
     say_finished,
 )
@@ -185,6 +186,8 @@ def _run_mesh_fit(
     images = fitted.masks, fitted.photos, fitted.normals, fitted.depth, *camera
     runner = _runner(options, fit, images, lambda: (fit.views, fit.shape), viewer, fit.mesh)
     finished = runner.run(options.resume)
+    if not finished:
+        _add_texture(fit)
     _write_mesh(options, fit, fitted)
     if options.refine_cameras:
         _write_cameras(options, fit, names)
@@ -192,6 +195,20 @@ def _run_mesh_fit(
     _report_mesh(options, runner, fit, result, finished, names)
     stay(viewer, finished or runner.stopped)
     return _exit_code(finished or runner.stopped, result.verdict, result.advice)
+
+
+def _add_texture(fit: MeshFit) -> None:
+    """Give the shape of a fit that was ended early its texture. The checkpoint, written before, keeps the phase."""
+    try:
+        if fit.phase == "texture" or not fit.skip_to_texture():
+            return
+    except ValueError as error:
+        say(str(error), "yellow")
+        return
+    say("the texture of this shape follows; Ctrl-C leaves it out")
+    with interruption() as interrupted:
+        while not fit.done and not interrupted:
+            fit.advance()
 
 
 def _fit_camera(options: FitOptions, file: Path) -> int:

@@ -6,6 +6,7 @@ import csv
 import errno
 import itertools
 import shutil
+import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
