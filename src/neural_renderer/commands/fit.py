@@ -6,7 +6,7 @@ import json
 import math
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -39,7 +39,7 @@ from ..tasks.fit import (
 )
 from ..tasks.fit.agreement import REFINED_MARGIN
 from ..tasks.fit.fit_pictures import comparison, up_axis, upright
-from ..tasks.fit.load import list_images
+from ..tasks.fit.load import find_files
 from ..tasks.fit.result import Verdict, judge
 from ..version import __version__
 from .common import (
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 
 _MAY_DIFFER = (
     *("images", "masks", "output", "steps", "camera_steps", "detail_steps", "texture_steps", "turntable", "unwrap"),
-    *("allow_outside", "resume", "force", "device", "watch"),
+    *("skip_bad", "allow_outside", "resume", "force", "device", "watch"),
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _TURNTABLE_SIZE = 256  # side of the pictures in pixels
@@ -121,8 +121,13 @@ def run(options: FitOptions) -> int:
         check_outputs(outputs, [options.images, options.mesh])
         return _fit_camera(options, options.mesh)
     cameras = read_camera_file(find_camera_file(options.images))
-    found = list_images(cameras, options.masks, options.allow_outside)
-    images = [file for _, *files in found for file in files]
+    images: list[Path | None] = []
+    for entry in cameras.images:
+        try:
+            images += find_files(cameras, entry, options.masks, options.allow_outside)
+        except (OSError, ValueError):
+            if not options.skip_bad:
+                raise
     check_outputs(outputs, [cameras.path, *images, options.mesh])
     return _fit_mesh(options, cameras)
 
@@ -135,6 +140,7 @@ def _mask_rule(options: FitOptions) -> MaskRule:
 
 def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
     """Fit a mesh, or the texture of a known mesh; return the exit code."""
+    bad: dict[str, str] = {}
     views = load_views(
         cameras,
         size=options.size,
@@ -145,7 +151,11 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
         map_format=MapFormat(options.normals_in, options.depth_scale),
         allow_outside=options.allow_outside,
         rule=_mask_rule(options),
+        bad=bad if options.skip_bad else None,
     ).to(choose_device(options.device))
+    for name, why in bad.items():
+        say(f"{name} is skipped: {why}", "yellow")
+    cameras = replace(cameras, images=[entry for entry in cameras.images if entry.name not in bad])
     if options.check:
         _check(views, cameras, options)
     kept, left = _split(len(views), options.held_out)
@@ -158,7 +168,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
         if viewer is not None:
             viewer.set_up(up_axis(fitted))
             viewer.show_cameras(fitted.camera, fitted.photos, fitted.masks)
-        return _run_mesh_fit(options, fitted, held_out, names, start, viewer)
+        return _run_mesh_fit(options, fitted, held_out, names, bad, start, viewer)
 
 
 def _run_mesh_fit(
@@ -166,10 +176,11 @@ def _run_mesh_fit(
     fitted: Views,
     held_out: Views | None,
     names: list[str],
+    skipped: dict[str, str],
     start: Literal["hull", "sphere"] | Mesh,
     viewer: Viewer | None,
 ) -> int:
-    """Fit a mesh to views with names, and write the results; return the exit code."""
+    """Fit a mesh to views with names, and write the results, with what was skipped; return the exit code."""
     fit = MeshFit(
         fitted,
         start,
@@ -192,7 +203,7 @@ def _run_mesh_fit(
     if options.refine_cameras:
         _write_cameras(options, fit, names)
     result = fit.result(held_out)
-    _report_mesh(options, runner, fit, result, finished, names)
+    _report_mesh(options, runner, fit, result, finished, names, skipped)
     stay(viewer, finished or runner.stopped)
     return _exit_code(finished or runner.stopped, result.verdict, result.advice)
 
@@ -334,11 +345,19 @@ def _write_cameras(options: FitOptions, fit: MeshFit, names: list[str]) -> None:
 
 
 def _report_mesh(
-    options: FitOptions, runner: TaskRunner, fit: MeshFit, result: FitResult, finished: bool, names: list[str]
+    options: FitOptions,
+    runner: TaskRunner,
+    fit: MeshFit,
+    result: FitResult,
+    finished: bool,
+    names: list[str],
+    skipped: dict[str, str],
 ) -> None:
     """Write the figures of a fit of the images with these names to ``report.json``, and print a summary."""
     mesh, gains = result.mesh, fit.views.gains
     results: dict[str, Any] = {"views": len(fit.views), "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    if skipped:
+        results["skipped"] = skipped
     if gains is not None:
         rows = [[round(gain, 4) for gain in row] for row in gains.tolist()]
         results["gains"] = dict(zip(names, rows, strict=True))

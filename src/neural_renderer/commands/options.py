@@ -183,6 +183,9 @@ class FitOptions:
     """Space of the normal maps. camera: x right, y up, z towards the viewer."""
     depth_scale: float = 1000.0
     """Steps of a 16-bit depth .png for one unit of the world (above 0); 0 in the .png is no depth."""
+    skip_bad: bool = False
+    """Leave out images that cannot be used, such as damaged or missing ones, as long as at least half of them remain.
+    They are named, also in report.json. By default the first one ends the fit."""
     check: bool = True
     """Check first whether masks and cameras agree, and end with an error if they do not."""
     up: tuple[float, float, float] | None = None
