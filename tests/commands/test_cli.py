@@ -266,7 +266,10 @@ def test_turntable(ball: str, tmp_path: Path) -> None:
         (["-o", "a.png", "--distance", "-1"], "--distance: expected a number above 0, got -1.0"),
         (["-o", "a.png", "--azimuth", "inf"], "--azimuth: expected a finite number of degrees, got inf"),
         (["-o", "a.png", "--texture-size", "0"], "--texture-size: expected at least 1, got 0"),
-        (["-o", "a.png", "--turntable", "9"], "--output: expected a .gif or .mp4 for a turntable, got 'a.png'"),
+        (
+            ["-o", "a.png", "--turntable", "9"],
+            "--output: expected a .gif or .mp4, a folder or numbers such as %03d.png",
+        ),
         (["-o", "a.gif", "--turntable", "0"], "--turntable: expected at least 1, got 0"),
         (["-o", "a.gif", "--fps", "0"], "--fps: expected a number above 0, got 0.0"),
         (["-o", "a.jpg", "--background", "transparent"], "--background transparent: expected a .png, got 'a.jpg'"),

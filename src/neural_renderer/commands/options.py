@@ -43,11 +43,13 @@ SAVED = get_args(Saved)
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """Draw mesh files as a picture (.png, .jpg) or an animation (.gif, .mp4), or save what the pixels show.
+    """Draw mesh files as pictures (.png, .jpg) or animations (.gif, .mp4), or save what the pixels show.
 
     Example: neural-renderer render bunny.obj -o bunny.png --size 512
 
     Example: neural-renderer render bunny.obj -o bunny.gif --turntable 60
+
+    Example: neural-renderer render models -o pictures --turntable 24
 
     Example: neural-renderer render chair.glb table.glb -o room.png --camera cameras.json --background room.jpg
 
@@ -57,9 +59,12 @@ class RenderOptions:
     """
 
     meshes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MESH", name="MESH")]
-    """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf. Several are drawn as one scene."""
+    """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf, or folders of such. Several are drawn as one scene, or, if the
+    output is a folder or has %s in its name, each for itself."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Picture to write: .png or .jpg; .gif or .mp4 for an animation. Must not be a texture of a mesh."""
+    """Picture to write: .png or .jpg; .gif or .mp4 for an animation; a folder for the pictures of models or of a
+    turntable. In a name, %s is the name of a model, and %03d the number of a view: one of a turntable, or of a camera
+    in the file. An existing file is replaced, but not a texture of a mesh."""
     save: Annotated[tuple[tuple[Saved, Path], ...], tyro.conf.arg(metavar="OUTPUT FILE …")] = ()
     """Outputs and the files to write: .npy, .exr (pip install OpenEXR), or .png for all but position, uv and
     face_index. rgb and alpha are anti-aliased, the others are those at the pixels' centres; 0 where no face is visible,
@@ -101,9 +106,10 @@ class RenderOptions:
     """Light the model from over the viewer's shoulder. Without light, colours are drawn unchanged."""
     environment: Path | None = None
     """Image of the surroundings (equirectangular: .hdr, .exr, .jpg, …) that lights the model in place of this lamp."""
-    shading: Literal["flat", "smooth", "phong", "pbr"] = "flat"
+    shading: Literal["flat", "smooth", "phong", "pbr"] | None = None
     """Light on faces as a whole (flat), or on each pixel, with smooth normals and normal maps: matt (smooth), with
-    highlights (phong), or with metal and roughness of the file's materials (pbr)."""
+    highlights (phong), or with metal and roughness of the file's materials (pbr). By default smooth for meshes with
+    normals and for those that have hardly any creases, else flat."""
     layers: int | None = None
     """Number of faces that are blended at each pixel (at least 1), for transparent and cut-out materials; 4 is enough
     for two bodies, one behind the other. By default all faces are opaque."""
