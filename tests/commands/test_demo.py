@@ -20,7 +20,8 @@ def test_demo_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert cli.main(["demo", "-o", str(tmp_path / "out"), *options]) == 0
     out = capsys.readouterr().out
     assert "Silhouette IoU over 3 views" in out
-    for name in ("turntable.gif", "fit.png", "fit.gif", "fitted.obj"):
+    assert "knot.png after " in out  # before all others
+    for name in ("knot.png", "turntable.gif", "fit.png", "fit.gif", "fitted.obj"):
         assert (tmp_path / "out" / name).stat().st_size > 100
         assert name in out
     assert (tmp_path / "out" / "turntable.mp4").is_file()

@@ -28,7 +28,8 @@ _STAGES = 24  # stages of the fit in the animation
 _RATE, _SMOOTH = 0.02, 1.0  # settings of the shape fit
 _TEXTURE_SIZE, _TEXTURE_STEPS, _BATCH = 8, 20, 8
 _RESULTS = {
-    "turntable.gif": "a lit, textured mesh (.mp4 too)",
+    "knot.png": "a lit, textured mesh",
+    "turntable.gif": "the same from all sides (.mp4 too)",
     "fit.png": "from a sphere to a duck",
     "fit.gif": "the fit as an animation, beside the target",
     "fitted.obj": "the result, with material and texture",
@@ -42,10 +43,16 @@ def run(options: DemoOptions) -> int:
     check_own(options.output / "fitted.obj", None, "-o names another folder")
     device = choose_device(options.device)
     torch.manual_seed(options.seed)
+    say(f"Draws a knot, then fits a sphere to silhouettes of a duck; pictures go to {options.output}.")
+    say("The first picture takes longest: kernels are compiled once for this machine.")
+    mesh = knot().to(device)
+    first = options.output / "knot.png"
+    save_image(first, photograph(mesh, FIRST_AZIMUTH, size=options.size))
+    say(f"{first} after {time.perf_counter() - start:.0f} s")
     label, note = TextColumn("{task.description:<28}"), TextColumn("{task.fields[note]}")
     columns = (label, BarColumn(), note, TimeElapsedColumn())
     with Progress(*columns, console=Console()) as progress:
-        _make_turntable(options, knot().to(device), progress)
+        _make_turntable(options, mesh, progress)
         iou = _fit_sphere(options, duck().to(device), progress)
     seconds = time.perf_counter() - start
     numbers = f"[bold]{iou.mean():.3f}[/bold] (least {iou.min():.3f}); {seconds:.0f} s in total."
@@ -58,7 +65,7 @@ def run(options: DemoOptions) -> int:
 
 def _make_turntable(options: DemoOptions, mesh: Mesh, progress: Progress) -> None:
     """Write turntable.gif and turntable.mp4."""
-    task = progress.add_task("Turntable", total=options.frames, note="compiling kernels at the first run")
+    task = progress.add_task("Turntable", total=options.frames, note="")
     pictures = []
     for picture in turntable(mesh, options.frames, 180, size=options.size):
         pictures.append(picture)
