@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import importlib
 import itertools
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import tyro
 from rich.console import Console
@@ -30,14 +32,14 @@ COMMANDS = {
     "view": "Show meshes, results and records in the browser.",
     "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
-_EXTRAS = {"lightning": "reconstruction", "tensorboard": "reconstruction"}  # packages that commands import
 _GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
 
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
 --version shows the version.
 
-Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 130 interrupted. With --debug after the command, or
-NEURAL_RENDERER_DEBUG=1 in the environment, an error shows its traceback."""
+Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 3 a fit whose outlines do not match the masks (its
+results are written), 130 interrupted. With --debug after the command, or NEURAL_RENDERER_DEBUG=1 in the environment, an
+error shows its traceback."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -84,8 +86,15 @@ def _parse(
         known = _load(f"{package}options")
         if name == "render":
             _check_save(arguments, known.SAVED)
+            _check_size(arguments)
         options = getattr(known, f"{name.capitalize()}Options")
+        if hasattr(options, "steps"):  # some commands once called them iterations
+            arguments = [re.sub(r"^--iterations(?=$|=)", "--steps", argument) for argument in arguments]
         return module, tyro.cli(options, prog=f"{prog} {name}", args=arguments[1:])
+    if not name.startswith("-"):
+        close = difflib.get_close_matches(name, commands, 1)
+        advice = f"; did you mean {close[0]}?" if close else ""
+        _refuse(f"{prog}: expected one of {', '.join(commands)}, got {name!r}{advice}")
     choices: dict[str, Any] = {command: _placeholder(summary) for command, summary in commands.items()}
     return module, tyro.extras.subcommand_cli_from_dict(choices, prog=prog, description=description, args=arguments)
 
@@ -105,7 +114,21 @@ def _check_save(arguments: list[str], known: tuple[str, ...]) -> None:
         problem = f"expected names and files in turn, such as {known[0]} {known[0]}.png, got {' '.join(words)!r}"
     else:
         return
-    _say(f"--save: {problem}", "red")
+    _refuse(f"--save: {problem}")
+
+
+def _check_size(arguments: list[str]) -> None:
+    """End with a message if the first value of --size is no number: tyro's message is long."""
+    for place, argument in enumerate(arguments):
+        option, equals, value = argument.partition("=")
+        value = value if equals else "".join(arguments[place + 1 : place + 2])
+        if option == "--size" and not re.fullmatch(r"[+-]?\d+", value):
+            _refuse(f"--size: expected a side, or height and width such as --size 480 640, in pixels, got {value!r}")
+
+
+def _refuse(message: str) -> NoReturn:
+    """Print a message about wrong usage, and end."""
+    _say(message, "red")
     raise SystemExit(2)
 
 
@@ -149,13 +172,8 @@ def _message(error: Exception) -> str:
     message = " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
         return f"{os.fsdecode(error.filename)}: {error.strerror}" if error.filename else error.strerror
-    if isinstance(error, ModuleNotFoundError):
-        missing = str(error.name).partition(".")[0]
-        if missing in _EXTRAS:
-            install = f"pip install 'neural-renderer[{_EXTRAS[missing]}]'"
-            return f"expected {missing} to be installed for this command ({install})"
-        if "pip install" in message:
-            return message
+    if isinstance(error, ModuleNotFoundError) and "pip install" in message:
+        return message
     if isinstance(error, (ValueError, TypeError, OSError)) and message:
         return message
     return f"{type(error).__name__}: {message} (--debug shows a traceback)"

@@ -17,7 +17,7 @@ from ..io.atomic_write import write_file
 from ..io.files import load_tensors, why_not_loaded
 from ..tasks.observer import Knob, Observer, goes_on
 from ..version import __version__
-from .common import interruption, say
+from .common import CHECKPOINT, interruption, say
 
 _SECONDS = 4.0  # seconds between two previews and checkpoints, unless a number of steps is given
 
@@ -79,7 +79,7 @@ class TaskRunner:
         mesh: Callable[[], Any] = dict,
     ) -> None:
         self._folder, self._task, self._settings, self._preview, self._every = folder, task, settings, preview, every
-        self._checkpoint, self._device = folder / "checkpoint.pt", device
+        self._checkpoint, self._device = folder / CHECKPOINT, device
         self._observer, self._mesh = observer, mesh
         self.history: list[dict[str, Any]] = []
         self.changes: list[dict[str, Any]] = []
@@ -162,9 +162,10 @@ class TaskRunner:
                 f"{self._checkpoint}: expected a checkpoint, got another file ({why_not_loaded(error)})"
             ) from None
         # Settings absent from older checkpoints compare as None.
-        names = [name for name in (self._settings | settings) if self._settings.get(name) != settings.get(name)]
+        own, found = _flat(self._settings), _flat(settings)
+        names = [name for name in (own | found) if own.get(name) != found.get(name)]
         if names:
-            mine, theirs = (", ".join(f"{k} {each.get(k)}" for k in names) for each in (self._settings, settings))
+            mine, theirs = (", ".join(f"{name} {each.get(name)}" for name in names) for each in (own, found))
             raise ValueError(f"{self._checkpoint}: expected a checkpoint of this run ({mine}), got one of {theirs}")
         try:
             self._task.load_state_dict(task)
@@ -173,6 +174,14 @@ class TaskRunner:
                 f"{self._checkpoint}: expected a checkpoint of version {__version__}, got one of another version (it "
                 f"has no {error}); start anew"
             ) from None
+
+
+def _flat(settings: dict[str, Any]) -> dict[str, Any]:
+    """Name the settings of groups one by one, as options do: weights.laplacian."""
+    flat: dict[str, Any] = {}
+    for name, value in settings.items():
+        flat |= {f"{name}.{key}": each for key, each in value.items()} if isinstance(value, dict) else {name: value}
+    return flat
 
 
 def setting_value(value: Any) -> Any:

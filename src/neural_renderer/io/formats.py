@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 # trimesh logs a traceback for each missing image. This package warns instead, so the log is not printed by default.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
-_READABLE = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+"""Suffixes of mesh files that can be read."""
 _GLB_HEADER = 12  # bytes
 _CHUNK_HEADER = 8  # bytes: length and type
 
@@ -86,8 +87,8 @@ def read_mesh(
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in _READABLE:
-        raise ValueError(f"path: expected a file that ends in {', '.join(_READABLE)}, got {path.name!r}")
+    if suffix not in MESH_SUFFIXES:
+        raise ValueError(f"path: expected a file that ends in {', '.join(MESH_SUFFIXES)}, got {path.name!r}")
     existing(path)
     if suffix == ".obj":
         obj = read_obj(path, with_uv=True)

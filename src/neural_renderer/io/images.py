@@ -21,6 +21,7 @@ from torch import Tensor
 from .. import validate
 from .atomic_write import replacing, write_file
 from .files import existing, reason
+from .gif import encode_gif
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
@@ -171,7 +172,7 @@ def save_animation(
         raise ValueError("frames: expected at least one, got none")
     _check_side("frames", path, pictures[0])
     if suffix == ".gif":
-        write_file(path, _gif(pictures, fps))
+        write_file(path, encode_gif(pictures, fps))
     else:
         with replacing(path) as fresh:
             _save_mp4(fresh, pictures, fps)
@@ -182,15 +183,6 @@ def _check_side(name: str, path: Path, pixels: np.ndarray) -> None:
     side, most = max(pixels.shape[:2]), _MOST_PIXELS.get(path.suffix.lower())
     if most is not None and side > most:
         raise ValueError(f"{name}: expected at most {most} pixels a side for {path.name!r}, got {side}")
-
-
-def _gif(pictures: list[np.ndarray], fps: float) -> bytes:
-    """Encode images as a GIF file."""
-    # Each image has its own palette. Dithering would flicker on a still background.
-    images = [Image.fromarray(p).quantize(256, dither=Image.Dither.NONE) for p in pictures]
-    duration, file = 10 * max(2, round(100 / fps)), io.BytesIO()
-    images[0].save(file, "GIF", save_all=True, append_images=images[1:], duration=duration, loop=0, disposal=1)
-    return file.getvalue()
 
 
 def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from .atomic_write import replacing, write_file
-from .files import existing
+from .files import existing, import_library
 from .images import save_image
 
 VALUE_SUFFIXES = (".npy", ".exr")
@@ -35,7 +35,7 @@ def save_values(path: Path, values: np.ndarray, name: str) -> None:
         np.save(file, values)
         write_file(path, file.getvalue())
         return
-    exr = open_exr(path)
+    exr = import_exr(path)
     planes = values.astype(np.float32).reshape(*values.shape[:2], -1)
     channels = {key: np.ascontiguousarray(planes[..., i]) for i, key in enumerate(_channels(name, planes.shape[2]))}
     with replacing(path) as fresh, exr.File({"type": exr.scanlineimage}, channels) as image:
@@ -50,7 +50,7 @@ def read_exr(path: Path) -> np.ndarray:
         ModuleNotFoundError: OpenEXR is not installed.
         ValueError: The file is damaged, has no such channels, or more than ``PIL.Image.MAX_IMAGE_PIXELS`` pixels.
     """
-    exr = open_exr(existing(path), "read")
+    exr = import_exr(existing(path), "read")
     limit = Image.MAX_IMAGE_PIXELS
     try:
         with exr.File(str(path), separate_channels=True, header_only=True) as image:
@@ -68,16 +68,9 @@ def read_exr(path: Path) -> np.ndarray:
     return np.stack([channels[name] for name in names], -1).astype(np.float32)
 
 
-def open_exr(path: Path, purpose: str = "write") -> Any:
-    """Import OpenEXR, to write or to read; raise ModuleNotFoundError with the command that installs it."""
-    try:
-        import OpenEXR
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError(
-            f"{path}: expected OpenEXR to be installed to {purpose} it (pip install 'neural-renderer[exr]')",
-            name="OpenEXR",
-        ) from None
-    return OpenEXR
+def import_exr(path: Path, purpose: str = "write") -> Any:
+    """Import OpenEXR, to write or to read a file."""
+    return import_library("OpenEXR", f"to {purpose} {path}")
 
 
 def save_depth(path: Path, depth: np.ndarray, scale: float) -> None:

@@ -66,7 +66,7 @@ class EnvironmentLight(OneLine):
         """Read an environment from an equirectangular image file.
 
         Args:
-            path: Radiance (.hdr, .pic) or OpenEXR (.exr; needs the extra "exr") file with linear light, or a picture of
+            path: Radiance (.hdr, .pic) or OpenEXR (.exr; needs OpenEXR) file with linear light, or a picture of
                 8 or 16 bits such as .jpg, which is converted from sRGB.
             intensity: Factor, as of the class.
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from ...camera.files import CameraFile, PosedImage, find_camera_file, read_camer
 from ...camera.files.distortion import undistort
 from ...camera.files.read import find_image
 from ...io import load_image
-from ...io.files import existing
+from ...io.files import existing, reason
 from ...meshes.primitives import cube
 from ..masks.rule import MaskRule, mask_in_file, transparency
 from .detail.maps import MapFormat, load_maps
@@ -35,6 +37,7 @@ _RULE_PLACES = {
 }
 Box = tuple[float, float, float, float, float, float]
 _SHARE = 0.9  # share of the views in whose masks a point of the object must lie
+_LEAST_IMAGES = 2  # fewer images tell no shape
 _LEAST_POINTS = 8  # fewer points tell no region
 _TAIL = 0.02  # share of the points on each side that are left out as errors
 _LARGER = 1.5  # size of the region relative to the box around the points, which smooth parts lack
@@ -52,6 +55,7 @@ def load_views(
     maps: bool = True,
     map_format: MapFormat = MapFormat(),  # noqa: B008 (immutable)
     allow_outside: bool = False,
+    bad: dict[str, str] | None = None,
 ) -> Views:
     """Load posed images from a folder.
 
@@ -78,6 +82,8 @@ def load_views(
         maps: Whether to read maps of normals and depth.
         map_format: Conventions of the maps; short: ``normals_in``, ``depth_scale``.
         allow_outside: Whether the camera file may name images outside of its folder.
+        bad: Receives the reason for each image, by its name, that cannot be used; the others are loaded, if they are at
+            least half of all, and two. None, the default, raises the first one.
 
     Returns:
         The views, on the CPU. The sparse points of COLMAP, or the box, give their ``region``.
@@ -103,18 +109,29 @@ def load_views(
     if folder is not None and not folder.is_dir():
         raise FileNotFoundError(f"masks: expected a folder of masks, got {folder}, which is none")
     found: list[tuple[Tensor, Tensor]] = []
+    named: list[tuple[PosedImage, Path]] = []
     full = (0, 0)
-    listed = list_images(source, folder, allow_outside)
-    for entry, file, mask_file in listed:
-        image = _load_as_calibrated(file, entry)
-        full = full if found else (image.shape[0], image.shape[1])
-        _check_size(file, image, full)
-        mask = _mask(file, mask_file, image, photos, rule, box is not None)
-        rgba = _premultiplied(file, mask_file, image, mask)
+    for entry in source.images:
+        try:
+            file, mask_file = find_files(source, entry, folder, allow_outside)
+            image = _load_as_calibrated(file, entry)
+            shape = full if found else (image.shape[0], image.shape[1])
+            _check_size(file, image, shape)
+            mask = _mask(file, mask_file, image, photos, rule, box is not None)
+            rgba = _premultiplied(file, mask_file, image, mask)
+        except (OSError, ValueError) as error:
+            if bad is None:
+                raise
+            bad[entry.name] = reason(error)
+            continue
+        full = shape
         if entry.lens.needs_undistortion:
             rgba = undistort(rgba, entry.lens.model, entry.lens.values, entry.lens.intrinsics(full))
         small = downscale(rgba, size)
         found.append((small[:3], small[3]))
+        named.append((entry, file))
+    if bad:
+        source = replace(source, images=_enough(source, bad))
     camera, alphas = source.cameras(full), torch.stack([mask for _, mask in found])
     colors = torch.stack([rgb for rgb, _ in found]) if photos else None
     views = Views(camera, alphas, colors)
@@ -126,33 +143,37 @@ def load_views(
         views = replace(views, region=region_of_points(views, source.points))
     if not maps:
         return views
-    named = [(entry, file) for entry, file, _ in listed]
     return load_maps(views, named, source.folders, full, map_format)
 
 
-def list_images(
-    source: CameraFile, masks: Path | None = None, allow_outside: bool = False
-) -> list[tuple[PosedImage, Path, Path | None]]:
-    """Find the image, and the mask or None, of each entry of a camera file; raise what `load_views` raises.
+def find_files(
+    source: CameraFile, entry: PosedImage, masks: Path | None = None, allow_outside: bool = False
+) -> tuple[Path, Path | None]:
+    """Find the image, and the mask or None, of an entry of a camera file; raise what `load_views` raises.
 
     ``masks`` is the folder of masks; None searches the usual folders beside the images.
     """
-    found = []
-    for entry in source.images:
-        image = find_image(source, entry.name, allow_outside)
-        if entry.mask is not None:
-            mask: Path | None = find_image(source, entry.mask, allow_outside)
-        else:
-            folders = (
-                [masks]
-                if masks is not None
-                else [root / name for root in (image.parent, *source.folders) for name in _MASK_FOLDERS]
-            )
-            mask = next(filter(None, (_mask_beside(folder, entry.name) for folder in folders)), None)
-            if mask is None and masks is not None:
-                raise FileNotFoundError(f"{masks}: expected a mask {Path(entry.name).stem}.png, got none")
-        found.append((entry, image, mask))
-    return found
+    image = find_image(source, entry.name, allow_outside)
+    if entry.mask is not None:
+        return image, find_image(source, entry.mask, allow_outside)
+    usual = [root / name for root in (image.parent, *source.folders) for name in _MASK_FOLDERS]
+    folders = usual if masks is None else [masks]
+    mask = next(filter(None, (_mask_beside(folder, entry.name) for folder in folders)), None)
+    if mask is None and masks is not None:
+        raise FileNotFoundError(f"{masks}: expected a mask {Path(entry.name).stem}.png, got none")
+    return image, mask
+
+
+def _enough(source: CameraFile, bad: Mapping[str, str]) -> tuple[PosedImage, ...]:
+    """Return the images that are not bad. Raises ValueError, with the first reason, if they are too few."""
+    images = tuple(entry for entry in source.images if entry.name not in bad)
+    least = max(_LEAST_IMAGES, math.ceil(len(source.images) / 2))
+    if len(images) < least:
+        raise ValueError(
+            f"{source.path}: expected at least {least} of {len(source.images)} images that can be used, got "
+            f"{len(images)}; {next(iter(bad.values()))}"
+        )
+    return images
 
 
 def _mask_beside(folder: Path, name: str) -> Path | None:
