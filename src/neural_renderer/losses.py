@@ -23,10 +23,10 @@ _Loss = TypeVar("_Loss", bound=Callable[..., Tensor])
 
 
 def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *, reduction: str = "mean") -> Tensor:
-    """Compute 1 − IoU of soft silhouettes, averaged over the batch.
+    """Compute 1 − IoU of anti-aliased silhouettes, averaged over the batch.
 
-    The loss of one image is 1 − Σ(s·ŝ) / Σ(s + ŝ − s·ŝ). It is 0 for equal silhouettes and 1 for disjoint ones. The
-    paper's silhouette loss (section 4.1) is this minus 1.
+    The loss of one image is 1 − Σ min(s, ŝ) / Σ max(s, ŝ) over its pixels: 0 for equal silhouettes, also where their
+    borders cover pixels in part, and 1 for disjoint ones. For a binary target it equals `soft_iou_loss`.
 
     Args:
         predicted: [B, H, W] floating, in [0, 1].
@@ -46,13 +46,50 @@ def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *,
         >>> silhouette_iou_loss(square, square.roll(1, 2))  # 12 pixels of 20 are shared
         tensor(0.4000)
     """
+    return _iou_loss(_least, predicted, target, eps, reduction)
+
+
+def soft_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *, reduction: str = "mean") -> Tensor:
+    """Compute 1 − Σ(s·ŝ) / Σ(s + ŝ − s·ŝ): the paper's silhouette loss (section 4.1) plus 1.
+
+    Products count a pixel that both silhouettes cover by half as a quarter. So equal anti-aliased silhouettes have a
+    loss above 0; `silhouette_iou_loss` has no such remainder.
+
+    Args:
+        predicted, target, eps, reduction: As in `silhouette_iou_loss`.
+
+    Returns:
+        Scalar tensor in [0, 1]; [B] for "none".
+
+    Raises:
+        TypeError, ValueError: As `silhouette_iou_loss`.
+
+    Example:
+        >>> half = torch.full((1, 8, 8), 0.5)
+        >>> soft_iou_loss(half, half)  # 1 − 0.25 / 0.75
+        tensor(0.6667)
+    """
+    return _iou_loss(torch.mul, predicted, target, eps, reduction)
+
+
+def _iou_loss(shared: Callable[[Tensor, Tensor], Tensor], predicted: Any, target: Any, eps: float, reduction: str) -> Tensor:
+    """Compute 1 − IoU from the shared part of each pixel."""
     predicted = _wide(validate.floating("predicted", predicted, ("B", "H", "W")))
     target = _like("target", target, predicted)
-    intersection = (predicted * target).sum((1, 2))
-    union = (predicted + target - predicted * target).sum((1, 2))
+    both = shared(predicted, target)
+    intersection, union = both.sum((1, 2)), (predicted + target - both).sum((1, 2))
     iou = intersection / union.clamp(min=eps)
     each = 1 - torch.where(union <= eps, torch.ones_like(iou), iou)  # this way round NaN stays NaN
     return _reduced(each, reduction)
+
+
+def _least(a: Tensor, b: Tensor) -> Tensor:
+    """Compute min(a, b), with one-sided gradients where both are 0 or both are 1.
+
+    Such a pixel can only move away from its target. The product has this gradient; that of `torch.minimum` is half of
+    it, so an empty pixel beside the silhouette would resist growth half as much as it should.
+    """
+    return torch.where((a == b) & (a * b == a), a * b, torch.minimum(a, b))
 
 
 def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None, *, reduction: str = "mean") -> Tensor:
