@@ -62,7 +62,9 @@ def test_equal_anti_aliased_silhouettes_have_iou_1(tmp_path):
     for size in (32, 64, 128):
         alpha = nr.render(nr.Mesh.icosphere(2), camera, size, outputs="alpha").alpha
         partial = int(((alpha > 0) & (alpha < 1)).sum())
-        assert partial > 0 and losses.silhouette_iou_loss(alpha, alpha) == 0 and metrics.silhouette_iou(alpha, alpha) == 1
+        assert (
+            partial > 0 and losses.silhouette_iou_loss(alpha, alpha) == 0 and metrics.silhouette_iou(alpha, alpha) == 1
+        )
         assert losses.soft_iou_loss(alpha, alpha) > 0.01  # the paper's formula keeps a remainder
         nr.save_image(tmp_path / "a.png", alpha[0])
         loaded = nr.load_image(tmp_path / "a.png")[None, ..., 0]

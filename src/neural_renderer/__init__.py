@@ -8,7 +8,7 @@
 Where to look; `help(nr.render)` and so on explain each name:
 
     a scene      Mesh, UVMesh, Camera; icosphere, cube, torus, batch, join
-    light        Light, PointLight, SpotLight, SphericalHarmonicLight, EnvironmentLight, ShadowedLight
+    light        CameraLight, Light, PointLight, SpotLight, SphericalHarmonicLight, EnvironmentLight, ShadowedLight
     materials    Material, Texture; Phong, PBR
     its images   render, which returns Images
     your shader  fragments, which returns Fragments or Layers; sample_texture, VisibleSurface, shade_pbr, …

@@ -24,7 +24,7 @@ from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
 from .rendering import render
 from .shading.environments.light import EnvironmentLight
-from .shading.lights import Light
+from .shading.lights import CameraLight, Light
 from .shading.pbr import PBR, shade_pbr
 from .shading.phong import Phong, shade_diffuse, shade_phong
 from .shading.pixels.normal_maps import corner_tangents
@@ -45,6 +45,7 @@ __all__ = [
     "PBR",
     "Adam",
     "Camera",
+    "CameraLight",
     "EnvironmentLight",
     "Fragments",
     "Images",

@@ -72,7 +72,9 @@ def soft_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *, reduc
     return _iou_loss(torch.mul, predicted, target, eps, reduction)
 
 
-def _iou_loss(shared: Callable[[Tensor, Tensor], Tensor], predicted: Any, target: Any, eps: float, reduction: str) -> Tensor:
+def _iou_loss(
+    shared: Callable[[Tensor, Tensor], Tensor], predicted: Any, target: Any, eps: float, reduction: str
+) -> Tensor:
     """Compute 1 − IoU from the shared part of each pixel."""
     predicted = _wide(validate.floating("predicted", predicted, ("B", "H", "W")))
     target = _like("target", target, predicted)

@@ -23,7 +23,7 @@ from .raster.cube_colors import cube_colors
 from .raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.estimators import Estimator
-from .shading.lights import AnyLight, Light, light_factors, pixel_lights
+from .shading.lights import AnyLight, CameraLight, FaceLight, checked_lights, light_factors
 from .shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from .surface_images import surface_images, surface_outputs
 from .transparency import layered_images
@@ -35,7 +35,7 @@ def render(
     camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
-    light: AnyLight | Sequence[AnyLight] | None = Light(),  # noqa: B008 (immutable)
+    light: AnyLight | CameraLight | Sequence[AnyLight | CameraLight] | None = CameraLight(),  # noqa: B008 (immutable)
     shading: str | Shading = "flat",
     background: Any = (0.0, 0.0, 0.0),
     outputs: Collection[str] = OUTPUTS,
@@ -60,8 +60,9 @@ def render(
             ``light=None``.
         size: Side of the images, or (height, width), in pixels, for all images. Pixels are square. Images of different
             sizes take a call each: ``[nr.render(mesh, one, size) for one, size in zip(camera, sizes)]``.
-        light: `Light`, `PointLight`, `SpotLight`, `SphericalHarmonicLight`, `EnvironmentLight`, another object with
-            their method `two_sided`, or a list of lights, which add up. None draws textures without lighting.
+        light: `CameraLight`, `Light`, `PointLight`, `SpotLight`, `SphericalHarmonicLight`, `EnvironmentLight`; another
+            object with their method `two_sided`, for flat shading, or else `beam` or `ambience`; or a list of lights,
+            which add up. None draws textures without lighting.
         shading: ``"flat"`` lights each face as a whole. The others light each pixel, with smooth normals and the normal
             maps of materials: ``"smooth"`` a matt surface, ``"phong"`` also highlights, ``"pbr"`` metals and
             dielectrics; with the mesh's materials, or `Phong` or `PBR` for a mesh without. Or an object with their
@@ -96,15 +97,15 @@ def render(
     """
     mesh = batch(mesh) if isinstance(mesh, list) else mesh
     vertices, faces, textures = mesh_parts(mesh)
-    lights = _checked_lights(light)
     model = checked_shading(shading)
-    if model is not None:
-        pixel_lights(lights)
+    lights = checked_lights(light, flat=model is None)
     outputs = checked_outputs(outputs, OUTPUTS + SURFACE)
     if camera is None and (lights or model is not None) and "rgb" in outputs:
         raise ValueError('light: expected None, and shading "flat", to draw "rgb" of vertices in clip space')
     has_camera = camera is not None
     vertices, camera = scene_camera(vertices, camera)
+    if "rgb" in outputs:
+        lights = [light.at(camera) if isinstance(light, CameraLight) else light for light in lights]
     surface = surface_outputs(outputs, mesh, has_camera)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     aspect = settings.width / settings.height
@@ -137,7 +138,7 @@ def render(
 
 
 def _light_on_faces(
-    lights: list[AnyLight], vertices: Tensor, faces: Tensor, camera: Camera, batch: int
+    lights: list[FaceLight], vertices: Tensor, faces: Tensor, camera: Camera, batch: int
 ) -> Tensor | None:
     """Add up the light on both sides of faces, [B, 2, F, 3]; None without lights."""
     return light_factors(lights, vertices, faces, batch, camera.mirrored) if lights else None
@@ -184,13 +185,3 @@ def _image_colors(
     if light is not None:
         rgb = light_pixels(rgb, light, visible.corners.detach(), visible.face_index, visible.settings.perspective)
     return rgb, partial(flat_edge_hashes, mesh, light)
-
-
-def _checked_lights(light: Any) -> list[AnyLight]:
-    lights = list(light) if isinstance(light, (list, tuple)) else [] if light is None else [light]
-    for one in lights:
-        if not isinstance(one, AnyLight) or isinstance(one, type):
-            raise TypeError(f"light: expected a Light, PointLight, …, a list of them or None, got {type(one).__name__}")
-    if light is not None and not lights:
-        raise ValueError("light: expected at least one, got an empty list; None draws the textures as they are")
-    return lights
