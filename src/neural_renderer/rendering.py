@@ -6,13 +6,14 @@ from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from . import validate
 from .camera import Camera
 from .camera.screen import causes, scene_camera, screen_corners
 from .deferred import Fragments, visible_fragments, visible_layers
-from .meshes.batch import batch, mesh_parts
+from .meshes.batch import as_mesh, mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ahead import CUBES, IMAGES, SCENE, load_kernels
@@ -53,9 +54,10 @@ def render(
     the parameters of cameras and lights, and the background.
 
     Args:
-        mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); or (vertices, faces) or
+        mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); a ``trimesh.Trimesh`` or
+            ``Scene`` (see `UVMesh.from_trimesh`, once for many calls); or (vertices, faces), which is white, or
             (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces [F, 3] or [B, F, 3] integer,
-            textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
+            textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating, tensors or arrays.
         camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], whose "rgb" needs
             ``light=None``.
         size: Side of the images, or (height, width), in pixels, for all images. Pixels are square. Images of different
@@ -95,7 +97,7 @@ def render(
         >>> images.rgb.shape
         torch.Size([8, 3, 120, 160])
     """
-    mesh = batch(mesh) if isinstance(mesh, list) else mesh
+    mesh = as_mesh(mesh)
     vertices, faces, textures = mesh_parts(mesh)
     model = checked_shading(shading)
     lights = checked_lights(light, flat=model is None)
@@ -130,7 +132,7 @@ def render(
         if isinstance(mesh, UVMesh):
             colors = _image_colors(visible, mesh, factors, background)
         else:
-            colors = cube_colors(visible, _checked_cubes(textures), factors, background)
+            colors = cube_colors(visible, _checked_cubes(textures, faces), factors, background)
     images = visible.images(outputs, *colors)
     if not surface:
         return images
@@ -144,10 +146,10 @@ def _light_on_faces(
     return light_factors(lights, vertices, faces, batch, camera.mirrored) if lights else None
 
 
-def _checked_cubes(textures: Tensor | None) -> Tensor:
-    """Return texture cubes as [B or 1, F, T, T, T, 3] or raise TypeError or ValueError."""
+def _checked_cubes(textures: Tensor | None, faces: Tensor) -> Tensor:
+    """Return texture cubes as [B or 1, F, T, T, T, 3], white without any, or raise TypeError or ValueError."""
     if textures is None:
-        raise ValueError('mesh: expected textures to draw "rgb", got (vertices, faces) alone')
+        return torch.ones((1, faces.shape[-2], 1, 1, 1, 3), device=faces.device)
     owners = ("F",) if getattr(textures, "ndim", 6) == 5 else ("B", "F")
     textures = validate.cubes("textures", textures, *owners)
     return textures if textures.dim() == 6 else textures[None]
@@ -167,7 +169,7 @@ def _shaded(
     if isinstance(mesh, UVMesh):
         albedo = mesh.shade(inside)
     else:
-        rgb, edge_hashes = cube_colors(inside, _checked_cubes(textures), None, 0.0)
+        rgb, edge_hashes = cube_colors(inside, _checked_cubes(textures, visible.triangles), None, 0.0)
         albedo = rgb.movedim(1, -1)
     colors = shade_pixels(model, inside, mesh, albedo, camera, lights)
     behind = background_image(background, len(colors), 3, visible.settings, colors.device)

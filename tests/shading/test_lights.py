@@ -126,7 +126,7 @@ def test_an_object_with_the_method_is_a_light(device):
     vertices, faces = (part.to(device) for part in nr.icosphere(1))
     textures = torch.rand(len(faces), 1, 1, 1, 3, generator=torch.Generator().manual_seed(0)).to(device)
     camera = nr.Camera.look_at((0.0, 0.0, -2.7))
-    once = nr.render((vertices, faces, textures), camera, 16, outputs="rgb").rgb
+    once = nr.render((vertices, faces, textures), camera, 16, outputs="rgb", light=nr.Light()).rgb
     twice = nr.render((vertices, faces, textures), camera, 16, outputs="rgb", light=Twice()).rgb
     torch.testing.assert_close(twice, 2 * once)
     with pytest.raises(TypeError, match="light: expected a Light, PointLight, …, a list of them or None, got type"):

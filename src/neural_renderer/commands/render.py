@@ -17,7 +17,8 @@ from .. import deferred
 from ..camera import Camera, get_points_from_angles
 from ..camera.files.load import load_cameras
 from ..io import load_image, load_mesh, save_animation, save_image
-from ..io.values import VALUE_SUFFIXES, open_exr, save_output
+from ..io.exr import open_exr
+from ..io.values import VALUE_SUFFIXES, save_output
 from ..meshes.batch import join
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -114,10 +115,37 @@ def _read_others(
         options: dict[str, Any] = {"process": False, "maintain_order": True, "resolver": named}
         loaded = trimesh.load(source, file_type=suffix[1:], **options)
         parts = list(_parts(loaded))
-    count = sum(len(part.faces) for part, _ in parts)
-    if not count:
+    if not sum(len(part.faces) for part, _ in parts):
         known = sum(len(part.vertices) for part, _ in parts) or len(getattr(loaded, "vertices", ()))
         raise ValueError(f"{path}: expected faces, got {known} vertices but no faces")
+    return _joined(path, parts, parser, suffix)
+
+
+def is_trimesh(value: Any) -> bool:
+    """Tell whether a value is a mesh or scene of trimesh, without importing it."""
+    kinds = getattr(sys.modules.get("trimesh"), "Trimesh", ()), getattr(sys.modules.get("trimesh"), "Scene", ())
+    return isinstance(value, kinds)
+
+
+def read_trimesh(mesh: Any) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
+    """Convert a mesh or scene of trimesh, as `read_mesh` does files; colours are display values.
+
+    Raises:
+        TypeError: It is something else.
+        ValueError: It has no faces, a vertex that is not finite, or an index out of range.
+    """
+    if not is_trimesh(mesh):
+        raise TypeError(f"mesh: expected a Trimesh or Scene of trimesh, got {type(mesh).__name__}")
+    parts = list(_parts(mesh))
+    if not sum(len(part.faces) for part, _ in parts):
+        raise ValueError("mesh: expected at least one face, got none")
+    return _joined("mesh", parts, PartReader({}, False), ".trimesh")
+
+
+def _joined(
+    path: Any, parts: list[Any], parser: PartReader, suffix: str
+) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
+    """Transform and join the meshes of trimesh, with their colours; errors name ``path``."""
     vertices, faces, surfaces = [], [], []
     numbers: list[Any] = []
     offset = 0
@@ -164,7 +192,7 @@ def _check_chunks(path: Path) -> None:
 
 
 @contextmanager
-def _reading(path: Path, suffix: str) -> Iterator[None]:
+def _reading(path: Any, suffix: str) -> Iterator[None]:
     """Convert all errors of trimesh and Pillow on damaged files, such as MemoryError, to ValueError."""
     try:
         yield

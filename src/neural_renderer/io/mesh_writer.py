@@ -52,8 +52,6 @@ def save_mesh(
     if path.suffix.lower() == ".obj":
         save_cubes(path, vertices, faces, textures, f"{path.stem}_texture", overwrite)
         return
-    import trimesh  # imported here because it is slow
-
     points, corners, cubes = mesh_to_write(vertices, faces, textures)
     if path.suffix.lower() == ".glb" and cubes is not None:
         surface = SurfaceColors.plain(len(corners), 1.0)
@@ -65,12 +63,16 @@ def save_mesh(
             surface.paint(np.arange(len(corners)), picture.astype(np.float32) / 255, uv, "clamp")
         write_file(path, glb_bytes(points, corners, surface))
         return
-    if cubes is None:
-        mesh = trimesh.Trimesh(points, corners, process=False)
-    else:
-        colors = _vertex_colors(len(points), corners, cubes)
-        mesh = trimesh.Trimesh(points, corners, vertex_colors=colors, process=False)
-    write_file(path, mesh.export(file_type=path.suffix[1:].lower()))  # type: ignore[arg-type]  # bytes
+    write_file(path, as_trimesh(vertices, faces, textures).export(file_type=path.suffix[1:].lower()))
+
+
+def as_trimesh(vertices: Any, faces: Any, textures: Any = None) -> Any:
+    """Convert a mesh to a ``trimesh.Trimesh`` with a colour for each vertex; arguments and errors as `save_mesh`."""
+    import trimesh  # imported here because it is slow
+
+    points, corners, cubes = mesh_to_write(vertices, faces, textures)
+    colors = None if cubes is None else _vertex_colors(len(points), corners, cubes)
+    return trimesh.Trimesh(points, corners, vertex_colors=colors, process=False)
 
 
 def save_uv_mesh(

@@ -267,8 +267,8 @@ def checked_lights(light: Any, flat: bool) -> list[Any]:
         kind = type(one).__name__
         if not isinstance(one, (FaceLight, Beam, Ambience, CameraLight)) or isinstance(one, type):
             raise TypeError(
-                f"light: expected a Light, PointLight, …, a list of them, None, or an object with a method beam, "
-                f"ambience or two_sided, got {kind}"
+                f"light: expected a Light, PointLight, …, a list of them or None, got {kind}, without a method beam, "
+                f"ambience or two_sided"
             )
         if flat and not isinstance(one, (FaceLight, CameraLight)):
             raise TypeError(
