@@ -84,7 +84,7 @@ def test_iou_losses_agree_on_binary_targets_with_gradients():
         predicted = values.clone().requires_grad_()
         value = loss(predicted, target)
         found.append((value.detach(), *torch.autograd.grad(value, predicted)))
-    assert all(torch.equal(a, b) for a, b in zip(*found))
+    assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))
     half = torch.full((1, 4, 4), 0.5, requires_grad=True)
     losses.silhouette_iou_loss(half, half.detach()).backward()
     assert torch.equal(half.grad, torch.zeros(1, 4, 4))  # a minimum within (0, 1)

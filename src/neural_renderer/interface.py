@@ -1,7 +1,9 @@
 """Public names of the package. `__init__` loads this module at the first use of one of them."""
 
+import torch
+
 from . import losses, metrics
-from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
+from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection, rotations
 from .comparators.reinforce import reinforce
 from .comparators.soft_silhouettes import soft_silhouettes
 from .compat.adam import Adam
@@ -98,6 +100,7 @@ __all__ = [
     "reinforce",
     "remesh",
     "render",
+    "rotations",
     "sample_points",
     "sample_texture",
     "save_animation",
@@ -118,3 +121,11 @@ __all__ = [
 ]
 
 _show_in_notebooks()
+
+# torch.load reads these by default: they hold tensors and plain values alone.
+torch.serialization.add_safe_globals(
+    [
+        *(Camera, CameraLight, EnvironmentLight, Images, Light, Material, Mesh, PBR, Phong, PointLight, ShadowedLight),
+        *(SphericalHarmonicLight, SpotLight, Texture, UVMesh),
+    ]
+)
