@@ -24,6 +24,7 @@ ROOMS = [
     "comparators",
     "textures",
     "camera",
+    "rotations",
     "meshes",
     "deferred",
     "shading",

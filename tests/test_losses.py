@@ -241,6 +241,19 @@ def test_they_compile_in_one_graph():
     torch.testing.assert_close(torch.compile(loss, fullgraph=True, backend="aot_eager")(v, image), loss(v, image))
 
 
+@pytest.mark.parametrize("name", ["laplacian", "edge_length", "normal_consistency", "smoothness"])
+def test_losses_of_faces_compile_in_one_graph(name):
+    """The number of edges depends on the values of the faces, so an operator finds them."""
+    loss, (start, faces) = getattr(losses, name), nr.icosphere(1)
+    compiled = torch.compile(loss, fullgraph=True, backend="aot_eager")
+    for points in (start, start.expand(2, -1, -1)):
+        points = points.clone().requires_grad_()
+        found, want = compiled(points, faces), loss(points, faces)
+        torch.testing.assert_close(found, want)
+        gradients = (torch.autograd.grad(value, points)[0] for value in (found, want))
+        torch.testing.assert_close(*gradients)
+
+
 REDUCED = {
     "soft_iou_loss": lambda n: (torch.rand(n, 4, 5).double(), torch.rand(n, 4, 5).double()),
     "silhouette_iou_loss": lambda n: (torch.rand(n, 4, 5).double(), torch.rand(n, 4, 5).double()),

@@ -2,8 +2,8 @@
 
 import torch
 
-from . import losses, metrics
-from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection, rotations
+from . import losses, metrics, rotations
+from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
 from .comparators.reinforce import reinforce
 from .comparators.soft_silhouettes import soft_silhouettes
 from .compat.adam import Adam

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
-from .parameters import as_tensor
+from . import validate
+from .camera.parameters import as_tensor
 
 _SMALL = 1e-4  # square of a sine or an angle below which series are exact in float64
 
