@@ -31,10 +31,8 @@ def from_axis_angle(vectors: Any) -> Tensor:
         TypeError, ValueError: A type or shape does not fit.
 
     Example:
-        >>> from_axis_angle(torch.tensor([0.0, 0.0, torch.pi / 2])).round()
-        tensor([[ 0., -1.,  0.],
-                [ 1.,  0.,  0.],
-                [ 0.,  0.,  1.]])
+        >>> from_axis_angle(torch.tensor([0.0, 0.0, torch.pi])).diagonal()
+        tensor([-1., -1.,  1.])
     """
     x, y, z = (vectors := _checked("vectors", vectors, 3)).unbind(-1)
     zero = torch.zeros_like(x)

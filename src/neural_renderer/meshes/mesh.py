@@ -167,7 +167,8 @@ class Mesh(nn.Module):
     def to_trimesh(self) -> Any:
         """Convert the mesh to a ``trimesh.Trimesh`` with the same vertices and faces, and a colour for each vertex.
 
-        The colour is the mean of the textures of the faces around the vertex, at that corner.
+        Returns:
+            The mesh of trimesh. A colour is the mean of the textures of the faces around the vertex, at that corner.
 
         Example:
             >>> nr.Mesh.icosphere(2).to_trimesh()
