@@ -71,7 +71,8 @@ def test_equal_anti_aliased_silhouettes_have_iou_1(tmp_path):
         # Rounding to eight bits moves each of them by up to 1/510; the second term is for the float32 sums.
         bound = partial / 510 / float(alpha.sum()) + 1e-6
         assert 0 <= 1 - metrics.silhouette_iou(alpha, loaded).item() <= bound
-        assert losses.silhouette_iou_loss(alpha, loaded).item() <= bound
+        # In the loss, a pixel's part is at most about (1/510)² / (1/2), at a coverage of 1/2; others round less.
+        assert losses.silhouette_iou_loss(alpha, loaded).item() <= bound / 200 + 1e-6
     assert metrics.silhouette_iou(alpha * torch.nan, alpha).isnan()
 
 
@@ -84,7 +85,8 @@ def test_iou_losses_agree_on_binary_targets_with_gradients():
         predicted = values.clone().requires_grad_()
         value = loss(predicted, target)
         found.append((value.detach(), *torch.autograd.grad(value, predicted)))
-    assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))
+    for pair in zip(*found, strict=True):
+        torch.testing.assert_close(*pair)
     half = torch.full((1, 4, 4), 0.5, requires_grad=True)
     losses.silhouette_iou_loss(half, half.detach()).backward()
     assert torch.equal(half.grad, torch.zeros(1, 4, 4))  # a minimum within (0, 1)

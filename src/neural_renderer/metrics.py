@@ -11,8 +11,8 @@ from . import validate
 def silhouette_iou(predicted: Tensor, target: Tensor, threshold: float | None = None) -> Tensor:
     """Compute the intersection over union (IoU) of silhouettes: Σ min(s, ŝ) / Σ max(s, ŝ) over pixels.
 
-    This is 1 − `losses.silhouette_iou_loss`. A picture of N pixels that are covered in part, rounded to eight bits as
-    in a PNG file, differs by at most 1/510 in each of them, and so by at most N / 510 pixels from the area.
+    So equal silhouettes have IoU 1, anti-aliased ones, too. Rounding to eight bits, as in a PNG file, changes each of
+    the pixels that are covered in part by at most 1/510. `losses.silhouette_iou_loss` is the loss.
 
     Args:
         predicted: [B, H, W] bool, or floating in [0, 1].
