@@ -24,6 +24,7 @@ ROOMS = [
     "comparators",
     "textures",
     "camera",
+    "rotations",
     "meshes",
     "deferred",
     "shading",
@@ -127,4 +128,6 @@ def test_public_names_are_there_on_demand() -> None:
     for name in neural_renderer.__all__:
         value = getattr(neural_renderer, name)
         assert isinstance(value, ModuleType) or (name,) not in files, f"{name} is a module and a function"
-    assert set(neural_renderer.__all__) <= set(dir(neural_renderer))
+    listed = dir(neural_renderer)
+    assert set(neural_renderer.__all__) == {name for name in listed if not name.startswith("__")} | {"__version__"}
+    assert len(set(listed)) == len(listed)

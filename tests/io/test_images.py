@@ -72,7 +72,7 @@ def test_errors(tmp_path):
     (tmp_path / "text.png").write_text("no picture")
     with pytest.raises(ValueError, match=r"text\.png: expected a picture, got a file of an unknown format$"):
         load_image(tmp_path / "text.png")
-    with pytest.raises(ValueError, match=r"\.png, \.jpg, \.jpeg, got 'a\.webp'"):
+    with pytest.raises(ValueError, match=r"\.jpeg, \.hdr, \.exr, got 'a\.webp'"):
         save_image(tmp_path / "a.webp", torch.zeros(2, 2))
     with pytest.raises(ValueError, match="1 that are NaN"):
         save_image(tmp_path / "a.png", torch.tensor([[0.0, float("nan")]]))

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -417,6 +420,52 @@ class Camera:
         if any(camera.dist_coeffs is not None for camera in cameras):
             parts["dist_coeffs"] = torch.cat([_distortion(camera) for camera in cameras])
         return replace(first, **parts)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], size: tuple[int, int] | None = None) -> Camera:
+        """Read the cameras of a file: what `save` wrote, or NeRF's, COLMAP's and the other files that `fit` reads.
+
+        Args:
+            path: The file, or a folder that holds one.
+            size: Height and width of the images in pixels, for files that do not tell it.
+
+        Returns:
+            B cameras in torch's default dtype, or float32.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: The file is malformed, or `Camera` does not have the lens.
+
+        Example:
+            >>> nr.Camera.look_at((0.0, 1.0, -2.5)).save("cameras.json")
+            >>> nr.Camera.load("cameras.json")
+            Camera(1 camera, viewing angle 30, cpu)
+        """
+        camera: Camera = import_module(f"{__package__}.files.load").load_cameras(Path(path), size)[0]
+        return camera
+
+    def save(
+        self, path: str | os.PathLike[str], size: tuple[int, int] | None = None, names: Sequence[str] = ()
+    ) -> None:
+        """Write the cameras as JSON, completely or not at all. `load` and ``render --camera`` read the file.
+
+        Cameras with K, or with perspective and ``size``, are written as K, R and t of OpenCV, which `fit` reads, too;
+        ``size`` makes K of a viewing angle. Others are written with their attributes: fisheye and mirrored ones, those
+        without perspective or without ``size``. Without ``size``, `load` returns the same cameras.
+
+        Args:
+            path: Name of the file, such as cameras.json. Missing folders are made.
+            size: Height and width of the images in pixels, for cameras without K.
+            names: Name of each image, for `fit`; by default 000.png, 001.png and so on.
+
+        Raises:
+            ValueError: The number of names is another.
+            OSError: The file cannot be written. An existing file stays as it was.
+
+        Example:
+            >>> nr.Camera.look_at((0.0, 1.0, -2.5)).save("views/cameras.json", size=(256, 256), names=["front.png"])
+        """
+        import_module(f"{__package__}.files.load").save(path, self, size, names)
 
     @property
     def perspective(self) -> bool:

@@ -18,22 +18,20 @@ from .. import deferred
 from ..camera import Camera, get_points_from_angles
 from ..camera.files.load import load_cameras
 from ..io import load_image, load_mesh, save_animation, save_image
-from ..io.values import VALUE_SUFFIXES, import_exr, save_output
+from ..io.exr import open_exr
+from ..io.values import VALUE_SUFFIXES, save_output
 from ..meshes.batch import join
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
-from ..pictures.lamp import lamp_direction
 from ..raster.settings import image_size
 from ..rendering import render
 from ..shading.environments.light import EnvironmentLight
-from ..shading.lights import Light
+from ..shading.lights import CameraLight
 from .common import check_between, check_counts, check_outputs, choose_device, say
 from .options import RenderOptions
 from .render_names import has_number, numbered, scenes
 
-_LAMP = (-0.4, 0.6, 0.7)  # right, up, backward; more frontal than `pictures.lamp.LAMP`: no visible face is dark
-_AMBIENT, _DIRECTIONAL = 0.4, 0.65
 _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours
 _MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the picture
@@ -247,7 +245,7 @@ def _look(
     """Return the light, the shading, the background and the layers of a view, as `render` takes them."""
     light: Any = surroundings
     if surroundings is None and options.light:
-        light = Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera, _LAMP))
+        light = CameraLight()
     if surroundings is not None and options.background == "environment":
         background = surroundings.background(camera, size).to(camera.rotation)
     return {"light": light, "shading": options.shading, "background": background, "layers": options.layers}
@@ -311,7 +309,7 @@ def _check_saved(save: Sequence[tuple[str, Path]]) -> None:
         if path.suffix.lower() not in suffixes:
             raise ValueError(f"--save {name}: expected a name that ends in {', '.join(suffixes)}, got {path.name!r}")
         if path.suffix.lower() == ".exr":
-            import_exr(path)
+            open_exr(path)
 
 
 @torch.no_grad()

@@ -123,10 +123,16 @@ def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.n
 
 
 def as_tensor(value: Any) -> Any:
-    """Convert an array to a tensor; return other values unchanged."""
-    if isinstance(value, np.ndarray):
-        value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
-    return value
+    """Convert an array, or nested lists of numbers, to a tensor; return other values unchanged."""
+    array = value
+    if isinstance(value, (list, tuple)):
+        try:
+            array = np.asarray(value)
+        except (TypeError, ValueError, RuntimeError):  # rows of different lengths, or tensors that need gradients
+            return value
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+        return value
+    return torch.from_numpy(np.ascontiguousarray(array, array.dtype.newbyteorder("=")))
 
 
 def _on_host(name: str, value: Any) -> Any:

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
+from ..io.files import as_tensor
+from ..io.formats import is_trimesh
 from .mesh import Mesh
 from .normals import vertex_normals
 from .uv_mesh import UVMesh
@@ -89,20 +91,36 @@ def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
 
 
+def as_mesh(mesh: Any) -> Any:
+    """Convert a mesh or scene of trimesh to a `UVMesh`, and a list of meshes to a batch; return other values."""
+    if is_trimesh(mesh):
+        return UVMesh.from_trimesh(mesh)
+    return batch([as_mesh(one) for one in mesh]) if isinstance(mesh, list) else mesh
+
+
 def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
     """Get (vertices, faces, textures or None) of a `Mesh`, a list of meshes, or a tuple; raise TypeError otherwise."""
     if isinstance(mesh, Mesh):
         return mesh.vertices, mesh.faces, mesh.textures
-    if isinstance(mesh, list):
-        return mesh_parts(batch(mesh))
+    mesh = as_mesh(mesh)
+    if isinstance(mesh, tuple) and not isinstance(mesh[0], Mesh):
+        mesh = tuple(map(_floats, mesh))
     if isinstance(getattr(mesh, "vertices", None), Tensor) and isinstance(getattr(mesh, "faces", None), Tensor):
         return mesh.vertices, mesh.faces, None
     if isinstance(mesh, tuple) and len(mesh) in (2, 3):
         return mesh[0], mesh[1], mesh[2] if len(mesh) == 3 else None
     raise TypeError(
-        f"mesh: expected a Mesh, a list of them, a UVMesh, (vertices, faces) or (vertices, faces, textures), all of "
-        f"tensors, got {type(mesh).__name__}"
+        f"mesh: expected a Mesh, a list of them, a UVMesh, a Trimesh, (vertices, faces) or (vertices, faces, "
+        f"textures), got {type(mesh).__name__}"
     )
+
+
+def _floats(value: Any) -> Any:
+    """Convert an array or lists to a tensor, floats to float32; return other values unchanged."""
+    if isinstance(value, Tensor):
+        return value
+    value = as_tensor(value)
+    return value.float() if getattr(value, "dtype", None) == torch.float64 else value
 
 
 def _are_uv_meshes(meshes: Any) -> bool:

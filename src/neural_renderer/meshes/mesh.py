@@ -10,10 +10,10 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
-from ..io.cubes import bake_corners, noise_cubes, white_cubes
+from ..io.cubes import bake_corners, check_size, noise_cubes, white_cubes
 from ..io.files import as_tensor
-from ..io.formats import load_mesh
-from ..io.mesh_writer import save_mesh
+from ..io.formats import load_mesh, read_trimesh
+from ..io.mesh_writer import as_trimesh, save_mesh
 from ..io.obj import load_obj
 from . import primitives
 from .bounds import centered
@@ -139,6 +139,42 @@ class Mesh(nn.Module):
         vertices, faces, textures = load_mesh(path, texture_size, allow_outside)
         mesh = cls(vertices, faces, white_cubes(faces, texture_size) if textures is None else textures)
         return mesh.normalize() if normalize else mesh
+
+    @classmethod
+    def from_trimesh(cls, mesh: Any, texture_size: int = 4) -> Mesh:
+        """Convert a mesh of trimesh with its colours, or white if it has none. `UVMesh.from_trimesh` keeps images.
+
+        Args:
+            mesh: ``trimesh.Trimesh``, or a ``Scene``, whose meshes are transformed and joined.
+            texture_size: T, texels along a cube's edge, ≥ 1, into which colours and images are baked.
+
+        Returns:
+            The mesh, on the CPU, with all vertices in order.
+
+        Raises:
+            TypeError, ValueError: It is no such mesh, or has no faces or bad numbers.
+
+        Example:
+            >>> import trimesh
+            >>> nr.Mesh.from_trimesh(trimesh.creation.box(), texture_size=1)
+            Mesh(8 vertices, 12 faces, textures of 1³, cpu)
+        """
+        vertices, faces, surface = read_trimesh(mesh)
+        check_size(len(faces), texture_size)
+        textures = None if surface is None else torch.from_numpy(surface.bake(texture_size, pixel_centers=True))
+        return cls(vertices, faces, textures, texture_size)
+
+    def to_trimesh(self) -> Any:
+        """Convert the mesh to a ``trimesh.Trimesh`` with the same vertices and faces, and a colour for each vertex.
+
+        Returns:
+            The mesh of trimesh. A colour is the mean of the textures of the faces around the vertex, at that corner.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).to_trimesh()
+            <trimesh.Trimesh(vertices.shape=(162, 3), faces.shape=(320, 3))>
+        """
+        return as_trimesh(self.vertices, self.faces, self.textures)
 
     @classmethod
     def fromobj(

@@ -15,7 +15,8 @@ from torch.nn import functional
 from .. import validate
 from ..constants import read_once
 from ..io.files import as_tensor
-from ..io.formats import read_mesh
+from ..io.formats import read_mesh, read_trimesh
+from ..io.images import as_image
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
 from ..raster.visible import VisibleFaces
@@ -155,8 +156,35 @@ class UVMesh:
             >>> nr.UVMesh.load("sphere.obj").uv.shape
             torch.Size([320, 3, 2])
         """
-        grey = validate.number("grey", grey)
         vertices, faces, surface, _ = read_mesh(path, allow_outside, materials=True)
+        return cls._of_surface(vertices, faces, surface, validate.number("grey", grey))
+
+    @classmethod
+    def from_trimesh(cls, mesh: Any, grey: float = 1.0) -> UVMesh:
+        """Convert a mesh of trimesh with its colours, or its image and texture coordinates.
+
+        `Mesh.to_trimesh` is the way back; files have images, too: ``trimesh.load`` of a GLB that `save` wrote.
+
+        Args:
+            mesh: ``trimesh.Trimesh``, or a ``Scene``, whose meshes are transformed and joined.
+            grey: Colour of a mesh without colours, in [0, 1].
+
+        Returns:
+            The mesh, on the CPU, with all vertices in order. Of materials it has the base colour.
+
+        Raises:
+            TypeError, ValueError: It is no such mesh, or has no faces or bad numbers.
+
+        Example:
+            >>> import trimesh
+            >>> nr.UVMesh.from_trimesh(trimesh.creation.box())
+            UVMesh(8 vertices, 12 faces, 0 images, cpu)
+        """
+        return cls._of_surface(*read_trimesh(mesh), validate.number("grey", grey))
+
+    @classmethod
+    def _of_surface(cls, vertices: np.ndarray, faces: np.ndarray, surface: SurfaceColors | None, grey: float) -> UVMesh:
+        """Make a mesh of what `read_mesh` returns; ``grey`` is the colour of one without colours."""
         surface = surface or SurfaceColors.plain(len(faces), grey)
         if not surface.has_colors:
             surface.colors[:] = grey
@@ -500,11 +528,7 @@ def _one_image(vertices: Any, faces: Any, uv: Any, image: Any, wrap: Wrap) -> tu
     """
     vertices = validate.floating("vertices", as_tensor(vertices), ("V", 3)).float()
     faces = validate.indices("faces", as_tensor(faces), ("F", 3)).int()
-    if str(getattr(image, "dtype", "")).endswith("uint8"):  # most likely an image from a file
-        raise TypeError(
-            f"image: expected floating numbers in [0, 1], got {list(image.shape)} uint8; image / 255 has them"
-        )
-    image = as_tensor(image)
+    image = as_image("image", image)
     if isinstance(image, Tensor) and image.ndim == 3 and image.shape[2] == 4:
         raise ValueError(
             f"image: expected [H, W, 3], got {validate.shape_of(image)}; image[..., :3] is without transparency, which "

@@ -18,10 +18,12 @@ from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
 from ..rendering import render
-from .lamp import lamp_direction
+from ..shading.lights import CameraLight
 
 FIRST_AZIMUTH = 145.0
 """Azimuth of the first picture of a turntable in degrees: a front view, turned a little."""
+LAMP = (-0.4305284, 0.7653838, 0.4783649)
+"""Direction of the lamp of pictures, as of `CameraLight`: over the viewer's left shoulder."""
 _BACKDROP_TOP, _BACKDROP_BOTTOM = (0.94, 0.945, 0.955), (0.80, 0.82, 0.85)
 _AMBIENT, _SKY, _DIFFUSE = 0.34, 0.20, 0.62  # light from everywhere, from above, and from the lamp
 _WRAP = 0.25  # cosine by which the lamp's light reaches beyond the terminator
@@ -60,7 +62,7 @@ def photograph(
     size = (size, size) if isinstance(size, int) else size
     eye = torch.tensor(get_points_from_angles(distance, elevation, azimuth), device=mesh.vertices.device)
     camera = Camera.look_at(eye, viewing_angle=viewing_angle)
-    lamp, forward = lamp_direction(camera), camera.rotation[0, 2]
+    lamp, forward = CameraLight(direction=LAMP).at(camera).direction[0], camera.rotation[0, 2]
 
     images = render(mesh, camera, size, light=None, outputs=("rgb", "alpha"))
     fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size)

@@ -12,6 +12,7 @@ from PIL import Image
 
 from ..obj.writer import as_bytes
 from ..surface_colors import FileTexture, SurfaceColors, srgb_to_linear
+from .reader import MOST_NUMBERED, NUMBER
 
 _MODES = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
 _MATT: dict[str, Any] = {"metallic": 0.0, "roughness": 1.0, "double_sided": True}
@@ -73,6 +74,8 @@ class _Writer:
         keys = [corners[faces].reshape(-1), *keys]
         _, first, index = np.unique(np.stack(keys, 1), axis=0, return_index=True, return_inverse=True)
         position = points[corners[faces].reshape(-1)[first]].astype("<f4")
+        if len(position) > len(np.unique(keys[0])) and len(points) <= MOST_NUMBERED:
+            flat[NUMBER] = corners[faces].reshape(-1, 1).astype("<f4")
         numbers = {name: self._accessor(values[first]) for name, values in flat.items()}
         self._primitives.append(
             {

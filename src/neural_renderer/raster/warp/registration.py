@@ -52,6 +52,7 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
         with torch.no_grad():
             return plain(*inputs)
 
+    torch.library.register_vmap(name, functools.partial(_one_by_one, call))
     call.operator = registered  # type: ignore[attr-defined]
     call.graph = graph  # type: ignore[attr-defined]
     return cast("Callable[P, R]", call)
