@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -75,7 +74,7 @@ class Page:
 
 
 def run(cell: str, given: dict[str, Any]) -> list[Any]:
-    """Run the pieces of code of a cell that are more than a name or a shape; return the values, None for assignments."""
+    """Run the pieces of code of a cell that are more than a name or a shape; return values, None for assignments."""
     values = []
     for code in _CODE.findall(cell):
         if re.fullmatch(r"\w+|\[[A-Z, 0-9]+\]|\w+=\w+", code) and code not in given:

@@ -219,7 +219,7 @@ def _(given, values):
 
 
 def ico_sphere(level: int) -> tuple[Tensor, Tensor]:
-    """PyTorch3D's sphere: an icosahedron of the cyclic permutations of (±1, ±φ, 0), split at midpoints on the sphere."""
+    """PyTorch3D's sphere: an icosahedron, the cyclic permutations of (±1, ±φ, 0), split at midpoints on the sphere."""
     long, signs = (1 + 5**0.5) / 2, ((1, 1), (1, -1), (-1, 1), (-1, -1))
     corners = torch.tensor([[a, b * long, 0.0] for a, b in signs]).double()
     corners = normalize(torch.cat([corners.roll(n, 1) for n in range(3)]), dim=1)
