@@ -350,8 +350,8 @@ class Camera:
 
         A world point X has clip coordinates (x, y, z, w) = matrix · (X, 1) and appears at (x / w, y / w), y up. Its
         depth is the distance along the viewing direction in world units, whatever the scale of the matrix; ``near`` and
-        ``far`` of `render` replace those of the matrix, which `clip_range` reads. Images of any size show the whole range [−1, 1]², so that the
-        matrix determines the aspect.
+        ``far`` of `render` replace those of the matrix, which `clip_range` reads. Images of any size show the whole
+        range [−1, 1]², so that the matrix determines the aspect.
 
         Args:
             matrix: [4, 4] or [B, 4, 4], for columns of points. A matrix whose second row is negated, for images with

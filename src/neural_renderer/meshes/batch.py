@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
+from ..raster.cube_colors import PackedCubes
 from .mesh import Mesh
 from .normals import vertex_normals
 from .uv_mesh import UVMesh
@@ -49,10 +50,23 @@ def batch(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     if _are_uv_meshes(meshes):
         parts, shared = _together(meshes)
         own = {name: pad(values, -1 if name.endswith("index") else 0) for name, values in parts.items()}
-        vertices, faces = pad([mesh.vertices for mesh in meshes]), pad([mesh.faces for mesh in meshes], -1)
+        vertices, faces = _padded_shapes(meshes)
         return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
-    vertices = pad([mesh.vertices for mesh in meshes])
-    return vertices, pad([mesh.faces for mesh in meshes], -1), pad([mesh.textures for mesh in meshes])
+    return (*_padded_shapes(meshes), pad([mesh.textures for mesh in meshes]))
+
+
+def packed(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, PackedCubes] | UVMesh:
+    """Batch meshes for drawing, as `batch` does but with the textures one after the other: padding takes memory."""
+    if _are_uv_meshes(meshes):
+        return batch(meshes)
+    cubes = torch.cat([mesh.textures for mesh in meshes])
+    firsts = list(itertools.accumulate((len(mesh.textures) for mesh in meshes), initial=0))
+    places = torch.tensor(firsts, dtype=torch.int32, device=cubes.device)
+    return (*_padded_shapes(meshes), PackedCubes(cubes, places))
+
+
+def _padded_shapes(meshes: Sequence[Any]) -> tuple[Tensor, Tensor]:
+    return pad([mesh.vertices for mesh in meshes]), pad([mesh.faces for mesh in meshes], -1)
 
 
 @overload
@@ -89,12 +103,12 @@ def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
 
 
-def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
+def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | PackedCubes | None]:
     """Get (vertices, faces, textures or None) of a `Mesh`, a list of meshes, or a tuple; raise TypeError otherwise."""
     if isinstance(mesh, Mesh):
         return mesh.vertices, mesh.faces, mesh.textures
     if isinstance(mesh, list):
-        return mesh_parts(batch(mesh))
+        return mesh_parts(packed(mesh))
     if isinstance(getattr(mesh, "vertices", None), Tensor) and isinstance(getattr(mesh, "faces", None), Tensor):
         return mesh.vertices, mesh.faces, None
     if isinstance(mesh, tuple) and len(mesh) in (2, 3):

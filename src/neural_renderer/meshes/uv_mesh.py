@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Iterator
-import dataclasses
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
