@@ -166,33 +166,37 @@ def _of_each_mesh(loss: _Loss) -> _Loss:
     """Extend a loss of vertices and faces to faces [B, F, 3], as `batch` makes them: one loss per mesh."""
 
     @functools.wraps(loss)
-    def of_each(vertices: Tensor, faces: Any, *, reduction: str = "mean") -> Tensor:
+    def of_each(vertices: Tensor, faces: Any, *, reduction: str = "mean", **options: Any) -> Tensor:
         if getattr(faces, "ndim", 2) != 3:
-            return loss(vertices, faces, reduction=reduction)
+            return loss(vertices, faces, reduction=reduction, **options)
         validate.floating("vertices", vertices, ("B", "V", 3))
         validate.indices("faces", faces, (len(vertices), "F", 3))
         if not faces.stride(0):  # one mesh, expanded
-            return loss(vertices, faces[0], reduction=reduction)
+            return loss(vertices, faces[0], reduction=reduction, **options)
         losses = []
         for own, rows in zip(vertices, faces, strict=True):
             topology = Topology.of(rows[(rows != -1).any(1)])
             # Vertices beyond the last that a face uses are padding.
             if topology.vertices > len(own):
                 raise ValueError(f"faces: expected indices in [0, {len(own)}), got {topology.vertices - 1}")
-            losses.append(loss(own[: topology.vertices], topology, reduction="sum"))
+            losses.append(loss(own[: topology.vertices], topology, reduction="sum", **options))
         return _reduced(torch.stack(losses) if losses else vertices.sum((1, 2)), reduction)
 
     return of_each  # type: ignore[return-value]
 
 
 @_of_each_mesh
-def laplacian(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "mean") -> Tensor:
+def laplacian(vertices: Tensor, faces: Tensor | Topology, *, squared: bool = True, reduction: str = "mean") -> Tensor:
     """Compute the uniform Laplacian loss: the mean squared distance of vertices to the centroid of their neighbours.
+
+    PyTorch3D's ``mesh_laplacian_smoothing`` is the mean of the distances themselves: ``squared=False``. Its gradient
+    has the same length at every vertex, however close to its neighbours, so that its weights are other ones.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
         faces: [F, 3] whole numbers of any real dtype, or a `Topology` built from them once. torch.compile needs a
             `Topology`. Or [B, F, 3], as `batch` makes them; rows of −1, and vertices behind the last, are padding.
+        squared: Square the distances.
         reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
 
     Returns:
@@ -212,7 +216,8 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "m
     ones = torch.ones_like(start, dtype=vertices.dtype)
     degree = ones.new_zeros(vertices.shape[-2]).index_add(0, start, ones)[:, None]
     offset = (total / degree.clamp(min=1) - vertices) * (degree > 0)
-    return _reduced(offset.square().sum((-2, -1)) / max(offset.shape[-2], 1), reduction)
+    each = offset.square().sum(-1) if validate.flag("squared", squared) else torch.linalg.vector_norm(offset, dim=-1)
+    return _reduced(each.sum(-1) / max(offset.shape[-2], 1), reduction)
 
 
 @_of_each_mesh

@@ -20,7 +20,7 @@ from .raster.ahead import CUBES, IMAGES, SCENE, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.light_pixels import light_pixels
-from .raster.cube_colors import cube_colors
+from .raster.cube_colors import PackedCubes, cube_colors
 from .raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.estimators import Estimator
@@ -97,8 +97,8 @@ def render(
         >>> images.rgb.shape
         torch.Size([8, 3, 120, 160])
     """
-    mesh = as_mesh(mesh)
-    vertices, faces, textures = mesh_parts(mesh)
+    scene = as_mesh(mesh)
+    vertices, faces, textures = mesh_parts(scene)
     model = checked_shading(shading)
     lights = checked_lights(light, flat=model is None)
     outputs = checked_outputs(outputs, OUTPUTS + SURFACE)
@@ -108,35 +108,35 @@ def render(
     vertices, camera = scene_camera(vertices, camera)
     if "rgb" in outputs:
         lights = [light.at(camera) if isinstance(light, CameraLight) else light for light in lights]
-    surface = surface_outputs(outputs, mesh, has_camera)
+    surface = surface_outputs(outputs, scene, has_camera)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     aspect = settings.width / settings.height
     load_kernels(
-        settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, *causes(vertices, camera), scene=SCENE
+        settings, outputs, IMAGES if isinstance(scene, UVMesh) else CUBES, *causes(vertices, camera), scene=SCENE
     )
     corners, faces = screen_corners(camera, vertices, faces, aspect)
     if layers is not None:
-        if not isinstance(mesh, UVMesh):
+        if not isinstance(scene, UVMesh):
             raise TypeError(f"mesh: expected a UVMesh to draw layers, got {type(mesh).__name__}")
         if surface:
             raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)} with layers, got {surface[0]}")
         found = visible_layers(corners, faces, vertices.shape[-2], settings, validate.whole("layers", layers, 1))
         factors = _light_on_faces(lights, vertices, faces, camera, len(corners)) if model is None else None
-        return layered_images(found, mesh, camera, lights, model, factors, background, outputs)
+        return layered_images(found, scene, camera, lights, model, factors, background, outputs)
     visible = visible_fragments(corners, faces, vertices.shape[-2], settings, 1 + 3 * ("rgb" in outputs))
     colors: tuple[Any, ...] = ()
     if "rgb" in outputs and model is not None:
-        colors = _shaded(visible, mesh, textures, camera, lights, model, background)
+        colors = _shaded(visible, scene, textures, camera, lights, model, background)
     elif "rgb" in outputs:
         factors = _light_on_faces(lights, vertices, faces, camera, len(corners))
-        if isinstance(mesh, UVMesh):
-            colors = _image_colors(visible, mesh, factors, background)
+        if isinstance(scene, UVMesh):
+            colors = _image_colors(visible, scene, factors, background)
         else:
             colors = cube_colors(visible, _checked_cubes(textures, faces), factors, background)
     images = visible.images(outputs, *colors)
     if not surface:
         return images
-    return images.replace(**surface_images(surface, visible, mesh, camera, model is not None))
+    return images.replace(**surface_images(surface, visible, scene, camera, model is not None))
 
 
 def _light_on_faces(
@@ -146,8 +146,10 @@ def _light_on_faces(
     return light_factors(lights, vertices, faces, batch, camera.mirrored) if lights else None
 
 
-def _checked_cubes(textures: Tensor | None, faces: Tensor) -> Tensor:
-    """Return texture cubes as [B or 1, F, T, T, T, 3], white without any, or raise TypeError or ValueError."""
+def _checked_cubes(textures: Tensor | PackedCubes | None, faces: Tensor) -> Tensor | PackedCubes:
+    """Return texture cubes as [B or 1, F, T, T, T, 3] or packed, white without any; raise TypeError or ValueError."""
+    if isinstance(textures, PackedCubes):
+        return textures
     if textures is None:
         return torch.ones((1, faces.shape[-2], 1, 1, 1, 3), device=faces.device)
     owners = ("F",) if getattr(textures, "ndim", 6) == 5 else ("B", "F")
@@ -158,7 +160,7 @@ def _checked_cubes(textures: Tensor | None, faces: Tensor) -> Tensor:
 def _shaded(
     visible: Fragments,
     mesh: Any,
-    textures: Tensor | None,
+    textures: Tensor | PackedCubes | None,
     camera: Camera,
     lights: list[AnyLight],
     model: Shading | str,

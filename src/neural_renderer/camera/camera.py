@@ -28,7 +28,7 @@ from .lens import (
     undo_intrinsics,
     viewing_angle,
 )
-from .matrices import clip_frame, view_frame
+from .matrices import clip_frame, clip_range, view_frame
 from .parameters import (
     Array,
     Scalar,
@@ -353,8 +353,8 @@ class Camera:
 
         A world point X has clip coordinates (x, y, z, w) = matrix · (X, 1) and appears at (x / w, y / w), y up. Its
         depth is the distance along the viewing direction in world units, whatever the scale of the matrix; ``near`` and
-        ``far`` of `render` replace those of the matrix. Images of any size show the whole range [−1, 1]², so that the
-        matrix determines the aspect.
+        ``far`` of `render` replace those of the matrix, which `clip_range` reads. Images of any size show the whole
+        range [−1, 1]², so that the matrix determines the aspect.
 
         Args:
             matrix: [4, 4] or [B, 4, 4], for columns of points. A matrix whose second row is negated, for images with
@@ -378,6 +378,29 @@ class Camera:
         """
         K, R, t, mirrored = clip_frame(matrix, float_type(matrix), common_device(matrix))
         return cls(R, torch.zeros_like(t), t, K=K, orig_size=(2.0, 2.0), mirrored=mirrored)
+
+    @staticmethod
+    def clip_range(matrix: Array) -> tuple[float, float]:
+        """Read ``near`` and ``far`` for `render` from a matrix to clip space, where z / w runs from −1 to 1.
+
+        Args:
+            matrix: [4, 4], or [B, 4, 4] with one range: as for `from_clip`, or a projection matrix alone.
+
+        Returns:
+            The depths of the near and of the far plane, in world units. ``far`` is the largest float32 for a plane at
+            infinity.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit, z is no function of the depth, or ranges differ.
+
+        Example:
+            >>> f, near, far = 2.0, 0.5, 10.0
+            >>> z = (far + near) / (near - far), 2 * far * near / (near - far)
+            >>> near, far = nr.Camera.clip_range([[f, 0, 0, 0], [0, f, 0, 0], [0, 0, *z], [0, 0, -1, 0]])
+            >>> round(near, 6), round(far, 6)
+            (0.5, 10.0)
+        """
+        return clip_range(matrix, common_device(matrix))
 
     @classmethod
     def cat(cls, cameras: Sequence[Camera]) -> Camera:

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from .. import validate
 from ..io.files import as_tensor
 from ..io.formats import is_trimesh
+from ..raster.cube_colors import PackedCubes
 from .mesh import Mesh
 from .normals import vertex_normals
 from .uv_mesh import UVMesh
@@ -51,10 +52,23 @@ def batch(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     if _are_uv_meshes(meshes):
         parts, shared = _together(meshes)
         own = {name: pad(values, -1 if name.endswith("index") else 0) for name, values in parts.items()}
-        vertices, faces = pad([mesh.vertices for mesh in meshes]), pad([mesh.faces for mesh in meshes], -1)
+        vertices, faces = _padded_shapes(meshes)
         return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
-    vertices = pad([mesh.vertices for mesh in meshes])
-    return vertices, pad([mesh.faces for mesh in meshes], -1), pad([mesh.textures for mesh in meshes])
+    return (*_padded_shapes(meshes), pad([mesh.textures for mesh in meshes]))
+
+
+def packed(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, PackedCubes] | UVMesh:
+    """Batch meshes for drawing, as `batch` does but with the textures one after the other: padding takes memory."""
+    if _are_uv_meshes(meshes):
+        return batch(meshes)
+    cubes = torch.cat([mesh.textures for mesh in meshes])
+    firsts = list(itertools.accumulate((len(mesh.textures) for mesh in meshes), initial=0))
+    places = torch.tensor(firsts, dtype=torch.int32, device=cubes.device)
+    return (*_padded_shapes(meshes), PackedCubes(cubes, places))
+
+
+def _padded_shapes(meshes: Sequence[Any]) -> tuple[Tensor, Tensor]:
+    return pad([mesh.vertices for mesh in meshes]), pad([mesh.faces for mesh in meshes], -1)
 
 
 @overload
@@ -95,10 +109,10 @@ def as_mesh(mesh: Any) -> Any:
     """Convert a mesh or scene of trimesh to a `UVMesh`, and a list of meshes to a batch; return other values."""
     if is_trimesh(mesh):
         return UVMesh.from_trimesh(mesh)
-    return batch([as_mesh(one) for one in mesh]) if isinstance(mesh, list) else mesh
+    return packed([as_mesh(one) for one in mesh]) if isinstance(mesh, list) else mesh
 
 
-def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
+def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | PackedCubes | None]:
     """Get (vertices, faces, textures or None) of a `Mesh`, a list of meshes, or a tuple; raise TypeError otherwise."""
     if isinstance(mesh, Mesh):
         return mesh.vertices, mesh.faces, mesh.textures
@@ -117,7 +131,7 @@ def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
 
 def _floats(value: Any) -> Any:
     """Convert an array or lists to a tensor, floats to float32; return other values unchanged."""
-    if isinstance(value, Tensor):
+    if isinstance(value, (Tensor, PackedCubes)):
         return value
     value = as_tensor(value)
     return value.float() if getattr(value, "dtype", None) == torch.float64 else value

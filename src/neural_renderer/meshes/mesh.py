@@ -261,6 +261,33 @@ class Mesh(nn.Module):
         """
         save_mesh(path, self.vertices, self.faces, self.textures, overwrite=overwrite)
 
+    def replace(self, **tensors: Any) -> Mesh:
+        """Copy the mesh, with some of its tensors exchanged, to move vertices without losing gradients.
+
+        Args:
+            **tensors: "vertices", "faces" or "textures", as for the class.
+
+        Returns:
+            The copy. It shares the other tensors, parameters too.
+
+        Raises:
+            TypeError, ValueError: A name is none of these, or the tensors do not fit together.
+
+        Example:
+            >>> mesh, offset = nr.Mesh.icosphere(2), torch.zeros(162, 3, requires_grad=True)
+            >>> moved = mesh.replace(vertices=mesh.vertices + offset)
+            >>> nr.render(moved, camera, 32).alpha.sum().backward()
+            >>> offset.grad.shape
+            torch.Size([162, 3])
+        """
+        own = {"vertices": self.vertices, "faces": self.faces, "textures": self.textures}
+        for name in tensors:
+            if name not in own:
+                raise TypeError(f"{name}: expected some of {', '.join(own)}")
+        return Mesh(**{**own, **tensors})
+
+    __replace__ = replace  # `copy.replace` of Python 3.13 and later
+
     def normalize(self) -> Mesh:
         """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
 

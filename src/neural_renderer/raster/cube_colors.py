@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -15,13 +16,26 @@ from .colors.texture_cubes import sample_textures
 from .visible import VisibleFaces
 
 
+@dataclass(frozen=True, eq=False)
+class PackedCubes:
+    """Texture cubes of B meshes one after the other, for images with different numbers of faces.
+
+    Attributes:
+        cubes: [N, T, T, T, 3] floating, N the sum of the meshes' numbers of faces.
+        firsts: Where the cubes of each mesh begin, and N, [B + 1] int32.
+    """
+
+    cubes: Tensor
+    firsts: Tensor
+
+
 def cube_colors(
     visible: VisibleFaces, textures: Any, light: Tensor | None, background: Any
 ) -> tuple[Tensor, Callable[[], Tensor]]:
     """Colour B images by texture cubes.
 
     Args:
-        textures: Cubes [B or 1, F, T, T, T, 3] floating; T = 1 is one colour per face.
+        textures: Cubes [B or 1, F, T, T, T, 3] floating, or packed; T = 1 is one colour per face.
         light: Factors [B or 1, 2, F, 3] on the front and the back of each face; None for 1.
         background: As in `background_image`.
 
@@ -31,10 +45,12 @@ def cube_colors(
     Raises TypeError for another dtype, and ValueError for another shape or device, or for NaN and infinity.
     """
     corners, settings = visible.corners, visible.settings
+    firsts = textures.firsts if isinstance(textures, PackedCubes) else None
     cubes, factors, behind = checked_colors(visible, textures, light, background, torch.float32)
     inside = corners if settings.gradient.differentiates_inside else corners.detach()
-    rgb = sample_textures(cubes, factors, behind, inside, visible.face_index, settings.eps, settings.perspective)
-    return rgb, lambda: texture_edge_hashes(cubes, factors)
+    options = (visible.face_index, settings.eps, settings.perspective, firsts)
+    rgb = sample_textures(cubes, factors, behind, inside, *options)
+    return rgb, lambda: texture_edge_hashes(cubes, factors, firsts)
 
 
 def checked_colors(
@@ -43,11 +59,17 @@ def checked_colors(
     """Check what `cube_colors` takes, and convert it to what `sample_textures` takes, in a dtype.
 
     Returns:
-        Textures [B or 1, F, T, T, T, 3], light [B or 1, 2, F, 3], background [B, 3, H, W].
+        Textures [B or 1, F, T, T, T, 3], or [1, N, T, T, T, 3] of packed ones, light [B or 1, 2, F, 3], background
+            [B, 3, H, W].
     """
     batch, count = visible.corners.shape[:2]
     device = visible.corners.device
-    cubes = _checked_textures(textures, batch, count, device).to(dtype)
+    if isinstance(textures, PackedCubes):
+        cubes = _checked_textures(textures.cubes[None], 1, len(textures.cubes), device).to(dtype)
+        if len(textures.firsts) != batch + 1:
+            raise ValueError(f"mesh: expected a list of {batch} meshes like cameras, got {len(textures.firsts) - 1}")
+    else:
+        cubes = _checked_textures(textures, batch, count, device).to(dtype)
     factors = _checked_light(light, batch, count, device).to(dtype)
     behind = background_image(background, batch, 3, visible.settings, device, dtype)
     return cubes, factors, behind.expand(batch, 3, *visible.face_index.shape[1:])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.nn import functional
 
-from neural_renderer.raster.colors.mipmaps import level_sizes, pyramid, sample_mipmaps
+from neural_renderer.raster.colors.mipmaps import all_levels, level_sizes, pyramid, sample_mipmaps
 from tests.raster.scenes import examples
 from tests.rounding import rounding
 
@@ -33,14 +33,14 @@ def bilinear(image, uv, repeats):
     return result
 
 
-def reference(texels, height, width, uv, face_index, mipmaps, *repeats):
+def reference(texels, height, width, uv, face_index, levels, *repeats):
     """`sample_mipmaps` in float64, pixel by pixel for the level."""
-    sizes = level_sizes(height, width)
+    sizes = level_sizes(height, width)[:levels]
     batch, rows, columns = face_index.shape
     result = []
     for b in range(batch):
         own = texels[min(b, len(texels) - 1)]
-        images = [own[s : s + h * w].T.reshape(-1, h, w) for s, h, w in sizes[: None if mipmaps else 1]]
+        images = [own[s : s + h * w].T.reshape(-1, h, w) for s, h, w in sizes]
         for j in range(rows):
             for i in range(columns):
                 f = int(face_index[b, j, i])
@@ -48,7 +48,7 @@ def reference(texels, height, width, uv, face_index, mipmaps, *repeats):
                     result.append(own.new_zeros(own.shape[1]))
                     continue
                 longest = 0.0
-                for down, right in ((0, 1), (1, 0)) if mipmaps else ():
+                for down, right in ((0, 1), (1, 0)) if levels > 1 else ():
                     for y, x, sign in ((j + down, i + right, 1), (j - down, i - right, -1)):
                         if 0 <= y < rows and 0 <= x < columns and face_index[b, y, x] == f:
                             step = (uv[b, y, x] - uv[b, j, i]).detach() * sign
@@ -70,11 +70,11 @@ def reference(texels, height, width, uv, face_index, mipmaps, *repeats):
     size=st.tuples(st.integers(1, 9), st.integers(1, 9)),
     channels=st.integers(1, 4),
     shared=st.booleans(),
-    mipmaps=st.booleans(),
+    most=st.integers(1, 4),
     repeats=st.tuples(st.booleans(), st.booleans()),
 )
-def test_reference(seed, size, channels, shared, mipmaps, repeats):
-    generator = torch.Generator().manual_seed(seed)
+def test_reference(seed, size, channels, shared, most, repeats):
+    generator, levels = torch.Generator().manual_seed(seed), min(most, all_levels(*size))
     image = torch.rand(1 if shared else 2, channels, *size, generator=generator)
     # Away from the centres of texels, where the slope of the blend jumps.
     uv = (
@@ -86,10 +86,10 @@ def test_reference(seed, size, channels, shared, mipmaps, repeats):
     weight = torch.rand(2, 5, 6, channels, generator=generator)
     results = []
     for dtype in (torch.float32, torch.float64):
-        texels = pyramid(image.to(dtype)) if mipmaps else image.to(dtype).flatten(2).transpose(1, 2)
+        texels = pyramid(image.to(dtype), levels)
         texels, at = texels.detach().requires_grad_(), uv.detach().to(dtype).requires_grad_()
         sample = sample_mipmaps if dtype == torch.float32 else reference
-        colors = sample(texels, *size, at, face_index, mipmaps, *repeats)
+        colors = sample(texels, *size, at, face_index, levels, *repeats)
         (colors * weight).sum().backward()
         results.append((colors.detach(), texels.grad, at.grad))
     # A place is a few roundings of 3 x 9 texels off, which the blend's slopes, up to 9 times the colours, multiply; the
@@ -101,7 +101,7 @@ def test_reference(seed, size, channels, shared, mipmaps, repeats):
 @pytest.mark.parametrize("size", [(8, 8), (5, 9), (1, 7), (1, 1)])
 def test_pyramid(size):
     image = torch.rand(2, 3, *size, generator=torch.Generator().manual_seed(0))
-    texels, sizes = pyramid(image), level_sizes(*size)
+    texels, sizes = pyramid(image, all_levels(*size)), level_sizes(*size)
     assert sizes[-1][1:] == (1, 1) and texels.shape == (2, sizes[-1][0] + 1, 3)
     for before, height, width in sizes:
         level = texels[:, before : before + height * width].transpose(1, 2).reshape(2, 3, height, width)
@@ -111,20 +111,20 @@ def test_pyramid(size):
 
 @pytest.mark.parametrize("repeats", [(True, True), (False, True), (False, False)])
 def test_coordinates_that_are_no_numbers_draw_nothing_out_of_bounds(repeats, device):
-    texels = pyramid(torch.rand(1, 3, 8, 8)).to(device)
+    texels = pyramid(torch.rand(1, 3, 8, 8), 4).to(device)
     uv = torch.tensor([float("nan"), float("inf"), -float("inf"), 1e30], device=device)[None, None, :, None]
     uv = uv.expand(1, 4, 4, 2).contiguous().requires_grad_()
     face_index = torch.zeros(1, 4, 4, dtype=torch.int32, device=device)
-    colors = sample_mipmaps(texels, 8, 8, uv, face_index, True, *repeats)
+    colors = sample_mipmaps(texels, 8, 8, uv, face_index, 4, *repeats)
     colors.sum().backward()
     assert colors.shape == (1, 4, 4, 3)
 
 
 def test_compiles():
-    texels, face_index = pyramid(torch.rand(1, 3, 8, 8)), torch.zeros(1, 4, 4, dtype=torch.int32)
+    texels, face_index = pyramid(torch.rand(1, 3, 8, 8), 4), torch.zeros(1, 4, 4, dtype=torch.int32)
     uv = torch.rand(1, 4, 4, 2)
     torch.library.opcheck(
         torch.ops.neural_renderer.sample_mipmaps.default,
-        (texels.requires_grad_(), 8, 8, uv.requires_grad_(), face_index, True, True, True),
+        (texels.requires_grad_(), 8, 8, uv.requires_grad_(), face_index, 4, True, True),
         test_utils=("test_schema", "test_faketensor"),
     )

@@ -21,10 +21,15 @@ _sample_mipmaps = _KERNELS.kernel("sample_mipmaps", _SampleMipmaps)
 _sample_mipmaps_backward = _KERNELS.kernel("sample_mipmaps_backward", _SampleMipmapsBackward)
 
 
-def pyramid(image: Tensor) -> Tensor:
+def all_levels(height: int, width: int) -> int:
+    """Count the levels of an image, down to one texel."""
+    return max(height, width).bit_length()
+
+
+def pyramid(image: Tensor, count: int) -> Tensor:
     """Append the mipmaps of an image [N, C, h, w], each the mean at half the size, in one list of texels [N, T, C]."""
     levels = [image]
-    while max(image.shape[2:]) > 1:
+    while len(levels) < count:
         half = (max(1, image.shape[2] // 2), max(1, image.shape[3] // 2))
         even = image.shape[2] == 2 * half[0] and image.shape[3] == 2 * half[1]
         # The adaptive mean is equal for even sides, but much slower.
@@ -50,7 +55,7 @@ def sample_mipmaps(
     width: int,
     uv: Tensor,
     face_index: Tensor,
-    mipmaps: bool,
+    levels: int,
     repeat_u: bool,
     repeat_v: bool,
 ) -> Tensor:
@@ -60,8 +65,8 @@ def sample_mipmaps(
         texels: As from `pyramid` of an image of this height and width, [B or 1, T, C] float32.
         uv: Texture coordinates, [B, H, W, 2] float32; u to the right, v up, the image over [0, 1]². Texel centres have
             the colours of the texels.
-        mipmaps: Whether to average over the change of uv to the next pixel of the same face, or from the previous one
-            if there is none; else the image itself is sampled.
+        levels: With more than one, the texture is averaged over the change of uv to the next pixel of the same face, or
+            from the previous one if there is none. With 1 the image itself is sampled.
         repeat_u, repeat_v: Whether the image repeats beyond [0, 1]; else its border is extended.
 
     Returns:
@@ -70,7 +75,7 @@ def sample_mipmaps(
     batch, rows, columns = face_index.shape
     result = empty((batch, rows, columns, texels.shape[2]), texels.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
-    fields = _fields(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v, each)
+    fields = _fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each)
     call = _SampleMipmaps(**fields, result=result)
     launch(_sample_mipmaps, tasks, [call], texels.device, worth_a_thread(each * columns))
     return result
@@ -89,7 +94,7 @@ def sample_mipmaps_backward(
     width: int,
     uv: Tensor,
     face_index: Tensor,
-    mipmaps: bool,
+    levels: int,
     repeat_u: bool,
     repeat_v: bool,
     texels_too: bool,
@@ -107,7 +112,7 @@ def sample_mipmaps_backward(
         each = batch * rows // max(len(texels), 1)
         tasks = len(texels) if each else 0
     call = _SampleMipmapsBackward(
-        **_fields(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v, each),
+        **_fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each),
         grad=grad.contiguous(),
         texels_too=int(texels_too),
         to_texels=to_texels,
@@ -128,7 +133,7 @@ def _fields(
     width: int,
     uv: Tensor,
     face_index: Tensor,
-    mipmaps: bool,
+    levels: int,
     repeat_u: bool,
     repeat_v: bool,
     each: int,
@@ -140,7 +145,7 @@ def _fields(
         channels=texels.shape[2],
         height=height,
         width=width,
-        levels=max(height, width).bit_length() if mipmaps else 1,
+        levels=levels,
         repeat_u=int(repeat_u),
         repeat_v=int(repeat_v),
     )
@@ -151,7 +156,7 @@ def _fields(
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    texels, ctx.height, ctx.width, uv, face_index, ctx.mipmaps, ctx.repeat_u, ctx.repeat_v = inputs
+    texels, ctx.height, ctx.width, uv, face_index, ctx.levels, ctx.repeat_u, ctx.repeat_v = inputs
     ctx.save_for_backward(texels, uv, face_index)
 
 
@@ -159,7 +164,7 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     texels, uv, face_index = ctx.saved_tensors
     texels_too, uv_too = ctx.needs_input_grad[0], ctx.needs_input_grad[3]
     to_texels, to_uv = sample_mipmaps_backward(
-        grad, texels, ctx.height, ctx.width, uv, face_index, ctx.mipmaps, ctx.repeat_u, ctx.repeat_v, texels_too
+        grad, texels, ctx.height, ctx.width, uv, face_index, ctx.levels, ctx.repeat_u, ctx.repeat_v, texels_too
     )
     return to_texels if texels_too else None, None, None, to_uv if uv_too else None, None, None, None, None
 
@@ -168,8 +173,8 @@ differentiable(sample_mipmaps, _to_inputs, _save)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    _, _, *ctx.size, uv, face_index, mipmaps, repeat_u, repeat_v, ctx.texels_too = inputs
-    ctx.options = (mipmaps, repeat_u, repeat_v)
+    _, _, *ctx.size, uv, face_index, levels, repeat_u, repeat_v, ctx.texels_too = inputs
+    ctx.options = (levels, repeat_u, repeat_v)
     ctx.save_for_backward(uv, face_index)
 
 

@@ -33,6 +33,7 @@ def sample_textures(
     face_index: Tensor,
     eps: float,
     perspective: bool,
+    firsts: Tensor | None = None,
 ) -> Tensor:
     """Sample texture cubes, [B, 3, H, W] float32; differentiable in textures, light, background and faces.
 
@@ -46,11 +47,13 @@ def sample_textures(
         background: [B, 3, H, W] float32, for pixels without a face.
         faces, face_index, perspective: As in `barycentrics`.
         eps: Cube coordinates end at T - 1 - eps.
+        firsts: For images with different numbers of faces, whose textures are [1, N, T, T, T, 3] one after the other:
+            where each begins, and N, [B + 1] int32. Then faces are padded, light too.
     """
     batch, height, width = face_index.shape
     color = empty((batch, 3, height, width), faces.device)
     tasks, each = pixel_tasks(batch * height, width, faces.device)
-    scene, cubes = scene_of(faces, face_index, perspective), lit_cubes(textures, light, eps)
+    scene, cubes = scene_of(faces, face_index, perspective), lit_cubes(textures, light, eps, firsts)
     call = _SampleCubes(scene=scene, textures=cubes, background=background_of(background), each=each, color=color)
     launch(_sample_pixels, tasks, [call], faces.device, worth_a_thread(each * width))
     return color
@@ -73,6 +76,7 @@ def sample_textures_backward(
     perspective: bool,
     light_too: bool,
     faces_too: bool,
+    firsts: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Compute the gradients of `sample_textures` to textures, light (0 if not ``light_too``) and faces.
 
@@ -88,7 +92,7 @@ def sample_textures_backward(
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     fields: dict[str, Any] = {
         "scene": scene_of(faces, face_index, perspective),
-        "textures": lit_cubes(textures, light, eps),
+        "textures": lit_cubes(textures, light, eps, firsts),
         "grad": grad.contiguous(),
         "light_too": light_too,
         "faces_too": faces_too,
@@ -101,7 +105,8 @@ def sample_textures_backward(
         launch(_cubes_of_run_backward, tasks, [_SampleCubesBackward(run=run, **fields)], faces.device)
     else:
         # One task sums the gradient to textures that images share, image by image.
-        tasks, least = min(len(textures), batch) * faces.shape[1], face_tasks(faces, height * width)
+        owners = len(textures) if firsts is None else batch
+        tasks, least = min(owners, batch) * faces.shape[1], face_tasks(faces, height * width)
         call = _SampleCubesBackward(visible=visible_faces(face_index, faces.shape[1]), **fields)
         launch(_cubes_of_face_backward, tasks, [call], faces.device, least)
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_faces
@@ -113,12 +118,13 @@ def _(textures: Tensor, light: Tensor, faces: Tensor, faces_too: bool) -> tuple[
     return textures.new_empty(textures.shape), light.new_empty(light.shape), to_faces
 
 
-def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0) -> Call:
+def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0, firsts: Tensor | None = None) -> Call:
     """Make the `LitCubes` of kernels; arguments as of `sample_textures`."""
     return _LitCubes(
         texels=textures.contiguous(),
+        firsts=firsts,
         light=light.contiguous(),
-        cubes=len(textures),
+        cubes=len(textures) if firsts is None else len(firsts) - 1,
         lamps=len(light),
         size=textures.shape[2],
         eps=eps,
@@ -126,7 +132,7 @@ def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0) -> Call:
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    textures, light, _, faces, face_index, ctx.eps, ctx.perspective = inputs
+    textures, light, _, faces, face_index, ctx.eps, ctx.perspective, ctx.firsts = inputs
     ctx.save_for_backward(textures, light, faces, face_index)
 
 
@@ -136,18 +142,18 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     textures_too, light_too, faces_too = (ctx.needs_input_grad[k] for k in (0, 1, 3))
     if textures_too or light_too or faces_too:
         to_textures, to_light, to_faces = sample_textures_backward(
-            grad, textures, light, faces, face_index, ctx.eps, ctx.perspective, light_too, faces_too
+            grad, textures, light, faces, face_index, ctx.eps, ctx.perspective, light_too, faces_too, ctx.firsts
         )
     if ctx.needs_input_grad[2]:
         to_background = grad * (face_index < 0)[:, None]
-    return to_textures, to_light, to_background, to_faces if faces_too else None, None, None, None
+    return to_textures, to_light, to_background, to_faces if faces_too else None, *[None] * 4
 
 
 differentiable(sample_textures, _to_inputs, _save)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    grad, textures, light, faces, face_index, ctx.eps, ctx.perspective, ctx.light_too, _ = inputs
+    grad, textures, light, faces, face_index, ctx.eps, ctx.perspective, ctx.light_too, _, ctx.firsts = inputs
     ctx.save_for_backward(grad, textures, light, faces, face_index)
 
 
@@ -158,13 +164,13 @@ def _to_first(ctx: Any, textures: Tensor, light: Tensor, _: Tensor) -> Any:
     grad, own_textures, own_light, faces, face_index = ctx.saved_tensors
     options = (faces, face_index, ctx.eps, ctx.perspective)
     black = grad.new_zeros(()).expand(grad.shape)
-    to_grad = sample_textures(textures, own_light, black, *options)
+    to_grad = sample_textures(textures, own_light, black, *options, ctx.firsts)
     to_textures = to_light = None
     if ctx.light_too:
-        to_grad = to_grad + sample_textures(own_textures, light, black, *options)
-        to_textures, _, _ = sample_textures_backward(grad, own_textures, light, *options, False, False)
-        _, to_light, _ = sample_textures_backward(grad, textures, own_light, *options, True, False)
-    return to_grad, to_textures, to_light, *[None] * 6
+        to_grad = to_grad + sample_textures(own_textures, light, black, *options, ctx.firsts)
+        to_textures, _, _ = sample_textures_backward(grad, own_textures, light, *options, False, False, ctx.firsts)
+        _, to_light, _ = sample_textures_backward(grad, textures, own_light, *options, True, False, ctx.firsts)
+    return to_grad, to_textures, to_light, *[None] * 7
 
 
 differentiable(sample_textures_backward, _to_first, _save_again)

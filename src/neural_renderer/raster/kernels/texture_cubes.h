@@ -82,7 +82,7 @@ struct SampleCubesBackward {
     int light_too, faces_too;  // whether these gradients are asked for
     const int* visible;        // mask of visible faces, [images, count + 1]; on the CPU
     int run;                   // pixels of a task on CUDA
-    vec3* to_textures;         // [cubes, count, size, size, size]; 0 before, on CUDA
+    vec3* to_textures;         // as the texels; 0 before, on CUDA
     vec3* to_light;            // [images, 2, count], 0 before
     vec3* to_faces;            // [images, count, 3], 0 before
 };
@@ -140,7 +140,7 @@ struct CubeBackward {
 // The pixels of a box that show face f, whose cube is that of image ``own``; ``alone``: no other task writes to it.
 NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, int f, const Box& box, bool alone) {
     const Scene& scene = call.scene;
-    const int64 volume = call.textures.volume(), at = ((int64)own * scene.count + f) * volume;
+    const int64 volume = call.textures.volume(), at = call.textures.place(scene, own, f);
     Face face;
     face.set(scene.corners(image, f), scene);
     const int side = visible_side(face.v, scene.perspective);
@@ -169,9 +169,11 @@ NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, 
 
 // The pixels that show one face, in one image or in all. The task clears its cube: a pass over the memory less.
 NR_FUNC void cubes_of_face_backward(const SampleCubesBackward& call, int task) {
-    const int64 volume = call.textures.volume();
-    memset(call.to_textures + task * volume, 0, volume * sizeof(vec3));
-    for_each_view(call.scene, call.visible, call.textures.cubes, task, [&](int image, int own, int f, const Box& box) {
+    const LitCubes& textures = call.textures;
+    const int owner = task / call.scene.count, face = task % call.scene.count;
+    if (!textures.has(owner, face)) return;
+    memset(call.to_textures + textures.place(call.scene, owner, face), 0, textures.volume() * sizeof(vec3));
+    for_each_view(call.scene, call.visible, textures.cubes, task, [&](int image, int own, int f, const Box& box) {
         cube_backward(call, image, own, f, box, true);
     });
 }
