@@ -74,7 +74,7 @@ def antialias(
         raise TypeError(f"topology_hash: expected {expected}, got {type(topology_hash).__name__}")
     if topology_hash.rings.shape[1] != len(tri):
         raise ValueError(f"topology_hash: expected that of {len(tri)} triangles, got {topology_hash.rings.shape[1]}")
-    return blend_silhouettes(color, rast.detach(), positions, tri, topology_hash.rings, boost)
+    return blend_silhouettes(color, rast.detach(), positions, tri, topology_hash.rings, boost)[0]
 
 
 def antialias_construct_topology_hash(tri: Tensor) -> TopologyHash:

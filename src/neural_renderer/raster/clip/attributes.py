@@ -66,7 +66,7 @@ def interpolate_attributes_backward(
     chosen: Tensor,
     values_too: bool,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the gradients to values (empty if not ``values_too``), to ``rast``, and to ``changes`` (empty if None)."""
+    """Compute the gradients to values, ``rast`` and ``changes``; empty if not ``values_too``, and for no changes."""
     batch, height, width, _ = rast.shape
     device = rast.device
     to_values = zeros(values.shape if values_too else (0, 0, 0), device)

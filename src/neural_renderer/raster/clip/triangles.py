@@ -92,7 +92,7 @@ class NearestTriangles:
         parts = parts.view(4, len(f), 3, 4)
         screen = torch.cat((parts[..., :1], -parts[..., 1:2], parts[..., 2:3]), -1) / parts[..., 3:]
         screen = (screen + screen.new_tensor([0, 0, _DEPTH])).float()
-        batch, count = behind.shape
+        batch = len(behind)
         most = int(behind.sum(1).max()) if len(f) else 0
         place = behind.long().cumsum(1)[image, f] - 1
         extra = corners.new_full((batch, len(parts), most, 3, 3), torch.nan)
@@ -105,7 +105,7 @@ class NearestTriangles:
         return torch.cat((whole, extra.flatten(1, 2)), 1)
 
     def next_layer(self) -> Tensor:
-        """Find the nearest triangle of each pixel behind the last layer: [B, H, W] int32, row 0 at the bottom; or −1."""
+        """Find each pixel's nearest triangle behind the last layer, [B, H, W] int32, row 0 at the bottom."""
         face_index = empty(self._shape, self._corners.device, torch.int32)
         self._floor = draw_behind(self._corners, face_index, Drawing(_NEAR, _FAR, True, False), self._floor, _STEP)
         if self._numbers.shape[1] == 0:

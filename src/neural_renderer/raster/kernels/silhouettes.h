@@ -51,21 +51,16 @@ struct Silhouettes {
     ClipMesh mesh;
     const float* rast;       // as from `show_triangles`, [images, height, width, 4]
     const int* silhouettes;  // as from `find_silhouettes`
-    const float* colors;     // [images, height, width, channels]
-    int channels;
-    int each;  // rows of a task
+    int each;                // rows of a task
 };
 
-// Two adjacent pixels, the second one to the right of the first or above it, and how they blend.
-struct Blend {
-    float alpha;          // d - 1/2; 0 where they do not blend
-    int64 nearer, other;  // pixels
-    int edge;             // number of the silhouette, 3 f + k
-    int i, j;             // the nearer one's column, and row from the bottom
-    bool upright;         // whether one lies above the other
-    float towards;        // whether the other one lies to the right or above (1), or not (-1)
-
-    NR_FUNC int64 changed() const { return alpha > 0.0f ? other : nearer; }
+// The silhouette between two adjacent pixels, the second one to the right of the first or above it.
+struct Crossing {
+    float share;    // (d - 1/2), or (1/2 - d) where the second pixel is nearer; 0 for none
+    int edge;       // number of the silhouette, 3 f + k
+    int i, j;       // the nearer pixel's column, and row from the bottom
+    bool upright;   // whether one pixel lies above the other
+    float towards;  // whether the other one lies to the right or above (1), or not (-1)
 };
 
 // Rounding error of d of a centre that lies on the silhouette.
@@ -97,44 +92,31 @@ struct SeenEdge {
     }
 };
 
-NR_FUNC Blend blend_at(const Silhouettes& call, int image, int i, int j, bool upright) {
+NR_FUNC Crossing crossing_at(const Silhouettes& call, int image, int i, int j, bool upright) {
     const ClipMesh& mesh = call.mesh;
     const int64 first = ((int64)image * mesh.height + j) * mesh.width + i;
-    Blend blend = {0.0f, first, first + (upright ? mesh.width : 1), 0, i, j, upright, 1.0f};
-    const float *a = call.rast + first * 4, *b = call.rast + blend.other * 4;
-    if (a[3] == b[3]) return blend;
+    Crossing found = {0.0f, 0, i, j, upright, 1.0f};
+    const float *a = call.rast + first * 4, *b = a + (upright ? mesh.width : 1) * 4;
+    if (a[3] == b[3]) return found;
     if (a[3] == 0.0f || (b[3] != 0.0f && b[2] < a[2])) {
-        blend.nearer = blend.other, blend.other = first, blend.towards = -1.0f;
-        blend.i += !upright, blend.j += upright;
+        a = b;
+        found.towards = -1.0f, found.i += !upright, found.j += upright;
     }
-    const int f = shown_triangle(call.rast + blend.nearer * 4, mesh.count);
+    const int f = shown_triangle(a, mesh.count);
     const int bits = f < 0 ? 0 : call.silhouettes[(int64)image * mesh.count + f];
-    if (bits == 0) return blend;
-    const float right = pixel_centre(blend.i, mesh.width), up = pixel_centre(blend.j, mesh.height);
+    if (bits == 0) return found;
+    const float right = pixel_centre(found.i, mesh.width), up = pixel_centre(found.j, mesh.height);
     const float size = (float)(upright ? mesh.height : mesh.width), wide = (float)(upright ? mesh.width : mesh.height);
     for (int k = 0; k < 3; ++k) {
         if (!(bits >> k & 1)) continue;
         const SeenEdge seen(mesh, image, 3 * f + k, upright, right, up);
         if (!seen.crosses(size, wide, upright)) continue;
-        const float d = 0.5f * size * blend.towards * seen.top() / seen.bottom();
+        const float d = 0.5f * size * found.towards * seen.top() / seen.bottom();
         if (!(d >= -ON_EDGE && d <= 1.0f + ON_EDGE)) continue;
-        blend.alpha = d - 0.5f, blend.edge = 3 * f + k;
-        return blend;
+        found.share = found.towards * (d - 0.5f), found.edge = 3 * f + k;
+        return found;
     }
-    return blend;
-}
-
-// Call visit(blend) for the pairs that a pixel belongs to.
-template <class Visit>
-NR_FUNC void for_each_blend(const Silhouettes& call, int image, int i, int j, Visit visit) {
-    for (int n = 0; n < 4; ++n) {
-        const bool upright = n >= 2, before = n & 1;
-        const int left = i - (before && !upright), bottom = j - (before && upright);
-        if (left < 0 || bottom < 0 || left + !upright >= call.mesh.width || bottom + upright >= call.mesh.height)
-            continue;
-        const Blend blend = blend_at(call, image, left, bottom, upright);
-        if (blend.alpha != 0.0f) visit(blend);
-    }
+    return found;
 }
 
 // Call visit(image, pixel, i, j) for the pixels of a task; rows j count from the bottom.
@@ -146,28 +128,60 @@ NR_FUNC void for_each_pixel(const Silhouettes& call, int task, Visit visit) {
         for (int i = pixels.left; i < pixels.right; ++i) visit(row / height, (int64)row * width + i, i, row % height);
 }
 
-struct BlendSilhouettes {
+struct FindShares {
     Silhouettes of;
+    float* shares;  // of each pixel with the one to the right and the one above, [images, height, width, 2]
+};
+
+// The pixels of a task.
+NR_FUNC void find_shares(const FindShares& call, int task) {
+    const ClipMesh& mesh = call.of.mesh;
+    for_each_pixel(call.of, task, [&](int image, int64 pixel, int i, int j) {
+        float* shares = call.shares + pixel * 2;
+        shares[0] = i + 1 < mesh.width ? crossing_at(call.of, image, i, j, false).share : 0.0f;
+        shares[1] = j + 1 < mesh.height ? crossing_at(call.of, image, i, j, true).share : 0.0f;
+    });
+}
+
+// Call visit(first, second, share) for the pairs that blend and that a pixel belongs to. The second pixel changes if
+// the share is above 0, else the first one, by the share of their difference.
+template <class Visit>
+NR_FUNC void for_each_share(const ClipMesh& mesh, const float* shares, int64 pixel, int i, int j, Visit visit) {
+    const int64 up = mesh.width;
+    if (const float share = shares[pixel * 2]) visit(pixel, pixel + 1, share);
+    if (const float share = shares[pixel * 2 + 1]) visit(pixel, pixel + up, share);
+    if (const float share = i > 0 ? shares[(pixel - 1) * 2] : 0.0f) visit(pixel - 1, pixel, share);
+    if (const float share = j > 0 ? shares[(pixel - up) * 2 + 1] : 0.0f) visit(pixel - up, pixel, share);
+}
+
+struct BlendPixels {
+    Silhouettes of;
+    const float* shares;  // as from `find_shares`
+    const float* colors;  // [images, height, width, channels]
+    int channels;
     float* result;  // as the colours
 };
 
 // The pixels of a task.
-NR_FUNC void blend_silhouettes(const BlendSilhouettes& call, int task) {
-    const int channels = call.of.channels;
-    const float* colors = call.of.colors;
-    for_each_pixel(call.of, task, [&](int image, int64 pixel, int i, int j) {
+NR_FUNC void blend_pixels(const BlendPixels& call, int task) {
+    const int channels = call.channels;
+    const float* colors = call.colors;
+    for_each_pixel(call.of, task, [&](int, int64 pixel, int i, int j) {
         float* to = call.result + pixel * channels;
         for (int c = 0; c < channels; ++c) to[c] = colors[pixel * channels + c];
-        for_each_blend(call.of, image, i, j, [&](const Blend& blend) {
-            if (blend.changed() != pixel) return;
+        for_each_share(call.of.mesh, call.shares, pixel, i, j, [&](int64 first, int64 second, float share) {
+            if ((share > 0.0f ? second : first) != pixel) return;
             for (int c = 0; c < channels; ++c)
-                to[c] += blend.alpha * (colors[blend.nearer * channels + c] - colors[blend.other * channels + c]);
+                to[c] += share * (colors[first * channels + c] - colors[second * channels + c]);
         });
     });
 }
 
-struct BlendSilhouettesBackward {
+struct BlendPixelsBackward {
     Silhouettes of;
+    const float* shares;  // as from `find_shares`
+    const float* colors;  // [images, height, width, channels]
+    int channels;
     const float* grad;    // of the result
     float boost;          // factor of the gradient to positions
     float* to_colors;     // as the colours
@@ -175,54 +189,54 @@ struct BlendSilhouettesBackward {
 };
 
 // The gradient to colours: the pixels of a task.
-NR_FUNC void blend_colors_backward(const BlendSilhouettesBackward& call, int task) {
-    const int channels = call.of.channels;
-    for_each_pixel(call.of, task, [&](int image, int64 pixel, int i, int j) {
+NR_FUNC void blend_colors_backward(const BlendPixelsBackward& call, int task) {
+    const int channels = call.channels;
+    for_each_pixel(call.of, task, [&](int, int64 pixel, int i, int j) {
         float* to = call.to_colors + pixel * channels;
         for (int c = 0; c < channels; ++c) to[c] = call.grad[pixel * channels + c];
-        for_each_blend(call.of, image, i, j, [&](const Blend& blend) {
-            const float part = pixel == blend.nearer ? blend.alpha : -blend.alpha;
-            for (int c = 0; c < channels; ++c) to[c] += part * call.grad[blend.changed() * channels + c];
+        for_each_share(call.of.mesh, call.shares, pixel, i, j, [&](int64 first, int64 second, float share) {
+            const float* pull = call.grad + (share > 0.0f ? second : first) * channels;
+            for (int c = 0; c < channels; ++c) to[c] += (pixel == first ? share : -share) * pull[c];
         });
     });
 }
 
-// The gradient of a pair to the two vertices of its edge.
-NR_FUNC void blend_backward(const BlendSilhouettesBackward& call, int image, const Blend& blend) {
+// The gradient of a share to the two vertices of its edge.
+NR_FUNC void share_backward(const BlendPixelsBackward& call, int image, const Crossing& found, float to_share) {
     const ClipMesh& mesh = call.of.mesh;
-    const int channels = call.of.channels;
-    float to_alpha = 0.0f;
-    for (int c = 0; c < channels; ++c) {
-        const float *nearer = call.of.colors + blend.nearer * channels,
-                    *other = call.of.colors + blend.other * channels;
-        to_alpha += call.grad[blend.changed() * channels + c] * (nearer[c] - other[c]);
-    }
-    if (to_alpha == 0.0f) return;
-    const float right = pixel_centre(blend.i, mesh.width), up = pixel_centre(blend.j, mesh.height);
-    const SeenEdge seen(mesh, image, blend.edge, blend.upright, right, up);
+    const bool upright = found.upright;
+    const float right = pixel_centre(found.i, mesh.width), up = pixel_centre(found.j, mesh.height);
+    const SeenEdge seen(mesh, image, found.edge, upright, right, up);
     const float part = 1.0f / seen.bottom(), at = seen.top() * part;
-    const float size = (float)(blend.upright ? mesh.height : mesh.width);
-    const float to_top = call.boost * 0.5f * size * blend.towards * to_alpha * part, to_bottom = -to_top * at;
-    const int* corner = mesh.triangles + (int64)(blend.edge / 3) * 3;
+    const float to_top = 0.5f * (float)(upright ? mesh.height : mesh.width) * to_share * part;
+    const float to_bottom = -to_top * at;
+    const int* corner = mesh.triangles + (int64)(found.edge / 3) * 3;
     for (int n = 0; n < 2; ++n) {
         const float sign = n ? -1.0f : 1.0f;  // both terms change sign if the ends are exchanged
         const float to_along = sign * to_top * seen.across[1 - n];
         const float to_across = -sign * (to_top * seen.along[1 - n] + to_bottom * seen.w[1 - n]);
-        const float to_x = blend.upright ? to_across : to_along, to_y = blend.upright ? to_along : to_across;
+        const float to_x = upright ? to_across : to_along, to_y = upright ? to_along : to_across;
         const float to_w = sign * to_bottom * seen.across[1 - n] - right * to_x - up * to_y;
-        float* to = call.to_positions + mesh.start(image) + (int64)corner[(blend.edge + n) % 3] * 4;
+        float* to = call.to_positions + mesh.start(image) + (int64)corner[(found.edge + n) % 3] * 4;
         atomic_add(to, to_x), atomic_add(to + 1, to_y), atomic_add(to + 3, to_w);
     }
 }
 
 // The gradient to positions: the pixels of a task, each with the pairs to the right and above. On the CPU one task has
 // all that show the vertices of an image.
-NR_FUNC void blend_positions_backward(const BlendSilhouettesBackward& call, int task) {
-    for_each_pixel(call.of, task, [&](int image, int64, int i, int j) {
+NR_FUNC void blend_positions_backward(const BlendPixelsBackward& call, int task) {
+    const int channels = call.channels;
+    for_each_pixel(call.of, task, [&](int image, int64 first, int i, int j) {
         for (int n = 0; n < 2; ++n) {
-            if (i + !n >= call.of.mesh.width || j + n >= call.of.mesh.height) continue;
-            const Blend blend = blend_at(call.of, image, i, j, n == 1);
-            if (blend.alpha != 0.0f) blend_backward(call, image, blend);
+            const float share = call.shares[first * 2 + n];
+            if (share == 0.0f) continue;
+            const int64 second = first + (n ? call.of.mesh.width : 1);
+            const float* pull = call.grad + (share > 0.0f ? second : first) * channels;
+            float to_share = 0.0f;
+            for (int c = 0; c < channels; ++c)
+                to_share += pull[c] * (call.colors[first * channels + c] - call.colors[second * channels + c]);
+            if (to_share == 0.0f) continue;
+            share_backward(call, image, crossing_at(call.of, image, i, j, n == 1), call.boost * to_share);
         }
     });
 }

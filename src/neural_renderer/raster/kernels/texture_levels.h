@@ -104,22 +104,37 @@ struct Neighbours {
     }
 };
 
-NR_FUNC int wrapped(int n, int size) { return n < 0 ? n + size : n >= size ? n - size : n; }
+// Place n on a side, which lies beyond it by one step at most, on the side itself.
+NR_FUNC int onto_side(int n, int size, int boundary) {
+    if (boundary == WRAP) return n < 0 ? n + size : n >= size ? n - size : n;
+    return n < 0 ? 0 : n >= size ? size - 1 : n;
+}
 
-// The four texels of a level around a spot, first along s, and their shares. A texel beyond a corner of a cube is the
-// mean of the three others.
+// The four texels of a level around a spot, first along s, and their shares in the level.
 struct LevelBlock {
     int64 texel[4];  // place in the image's texels; -1 for zero
-    float x, y;      // shares of the second texel along s and along t
-    float share;     // share of the level in the sample
-    float slope_s, slope_t;
-    int missing;  // the texel beyond a corner; -1 for none
+    float weight[4];
+    float x, y;              // shares of the second texel along s and along t
+    float slope_s, slope_t;  // of the position by s and t, in texels
+    int missing;             // the texel beyond a corner of a cube, the mean of the three others; -1 for none
+    float share;             // share of the level in the sample
 
-    NR_FUNC float part(int k) const { return (k & 1 ? x : 1.0f - x) * (k & 2 ? y : 1.0f - y); }
-    NR_FUNC float weight(int k) const {
-        return missing < 0 ? part(k) : k == missing ? 0.0f : part(k) + part(missing) * (1.0f / 3.0f);
+    NR_FUNC void weigh() {
+        weight[0] = (1.0f - x) * (1.0f - y), weight[1] = x * (1.0f - y), weight[2] = (1.0f - x) * y, weight[3] = x * y;
     }
 };
+
+// The texels around a spot on a face of a cube. The three at a corner share what belongs to the missing one.
+NR_FUNC void take_cube_texels(LevelBlock& block, const Spot& spot, int i, int j, int size, int64 before) {
+    for (int k = 0; k < 4; ++k) {
+        const int64 own = cube_texel(spot, i + (k & 1), j + (k >> 1), size);
+        if (own < 0) block.missing = k;
+        block.texel[k] = own < 0 ? -1 : before + own;
+    }
+    if (block.missing < 0) return;
+    const float third = block.weight[block.missing] * (1.0f / 3.0f);
+    for (int k = 0; k < 4; ++k) block.weight[k] = k == block.missing ? 0.0f : block.weight[k] + third;
+}
 
 NR_FUNC LevelBlock block_at(const TextureLevels& texture, const Spot& spot, int level, float share) {
     int width = texture.width, height = texture.height;
@@ -131,20 +146,24 @@ NR_FUNC LevelBlock block_at(const TextureLevels& texture, const Spot& spot, int 
     const bool nearest = texture.filter == NEAREST;
     const int boundary = texture.boundary;
     const Neighbours s(spot.s, width, boundary, nearest), t(spot.t, height, boundary, nearest);
-    LevelBlock block = {{}, s.part, t.part, share, s.slope, t.slope, -1};
-    for (int k = 0; k < 4; ++k) {
-        int i = s.first + (k & 1), j = t.first + (k >> 1);
-        if (boundary == CUBE) {
-            const int64 own = cube_texel(spot, i, j, width);
-            if (own < 0) block.missing = k;
-            block.texel[k] = own < 0 ? -1 : before + own;
-            continue;
-        }
-        const bool inside = i >= 0 && i < width && j >= 0 && j < height;
-        if (boundary == WRAP) i = wrapped(i, width), j = wrapped(j, height);
-        i = larger(0, smaller(i, width - 1)), j = larger(0, smaller(j, height - 1));
-        block.texel[k] = boundary == ZERO && !inside ? -1 : before + (int64)j * width + i;
+    LevelBlock block;
+    block.x = s.part, block.y = t.part, block.slope_s = s.slope, block.slope_t = t.slope;
+    block.missing = -1, block.share = share;
+    block.weigh();
+    if (boundary == CUBE) {
+        take_cube_texels(block, spot, s.first, t.first, width, before);
+        return block;
     }
+    const int i[2] = {onto_side(s.first, width, boundary), onto_side(s.first + 1, width, boundary)};
+    const int64 j[2] = {
+        before + (int64)onto_side(t.first, height, boundary) * width,
+        before + (int64)onto_side(t.first + 1, height, boundary) * width};
+    for (int k = 0; k < 4; ++k) block.texel[k] = j[k >> 1] + i[k & 1];
+    if (boundary == ZERO)
+        for (int k = 0; k < 4; ++k) {
+            const int column = s.first + (k & 1), row = t.first + (k >> 1);
+            if (column < 0 || column >= width || row < 0 || row >= height) block.texel[k] = -1;
+        }
     return block;
 }
 
@@ -208,26 +227,33 @@ struct SampleLevels {
     float* result;  // [images, height, width, channels]
 };
 
+// Add a level's colours; ``channels`` apart from the call's, so that it may be known to the compiler.
+NR_FUNC void add_block(const LevelBlock& block, const float* texels, int channels, float* __restrict__ color) {
+    float weight[4];
+    const float* __restrict__ from[4];
+    for (int k = 0; k < 4; ++k) {
+        weight[k] = block.texel[k] < 0 ? 0.0f : block.share * block.weight[k];
+        from[k] = texels + (block.texel[k] < 0 ? 0 : block.texel[k]) * channels;
+    }
+    for (int c = 0; c < channels; ++c)
+        color[c] += weight[0] * from[0][c] + weight[1] * from[1][c] + weight[2] * from[2][c] + weight[3] * from[3][c];
+}
+
 // The pixels of a task. A direction without a face gives 0.
 NR_FUNC void sample_levels(const SampleLevels& call, int task) {
     const TextureLevels& texture = call.texture;
     const int channels = texture.channels;
     for_each_lookup(call.at, task, [&](int image, int64 pixel) {
-        float* __restrict__ color = call.result + pixel * channels;
+        float* color = call.result + pixel * channels;
         for (int c = 0; c < channels; ++c) color[c] = 0.0f;
         const Spot spot = spot_of(texture, call.at, pixel);
         if (spot.face < 0) return;
         const LevelChoice choice = choose_level(texture, call.at, spot, pixel);
         const float* texels = texture.texels + texture.start(image);
         for (int n = 0; n < (choice.part > 0.0f ? 2 : 1); ++n) {
-            const float share = n ? choice.part : 1.0f - choice.part;
-            const LevelBlock block = block_at(texture, spot, choice.low + n, share);
-            for (int k = 0; k < 4; ++k) {
-                const float weight = block.texel[k] < 0 ? 0.0f : share * block.weight(k);
-                if (weight == 0.0f) continue;
-                const float* __restrict__ texel = texels + block.texel[k] * channels;
-                for (int c = 0; c < channels; ++c) color[c] += weight * texel[c];
-            }
+            const LevelBlock block = block_at(texture, spot, choice.low + n, n ? choice.part : 1.0f - choice.part);
+            if (channels == 3) add_block(block, texels, 3, color);
+            else add_block(block, texels, channels, color);
         }
     });
 }
@@ -282,6 +308,20 @@ NR_FUNC void level_backward(
         }
 }
 
+// Send a level's gradient to its texels, unless ``to`` is null, and to their weights.
+NR_FUNC void add_block_backward(
+    const LevelBlock& block, const float* texels, int channels, const float* pull, float* to, float* gain) {
+    for (int k = 0; k < 4; ++k) {
+        if (block.texel[k] < 0) continue;
+        const int64 at = block.texel[k] * channels;
+        const float weight = block.share * block.weight[k];
+        for (int c = 0; c < channels; ++c) {
+            gain[k] += pull[c] * texels[at + c];
+            if (to) add_product(to + at + c, weight, pull[c]);
+        }
+    }
+}
+
 // The pixels of a task. On the CPU one task has all that sample the texels of an image.
 NR_FUNC void sample_levels_backward(const SampleLevelsBackward& call, int task) {
     const TextureLevels& texture = call.texture;
@@ -295,19 +335,14 @@ NR_FUNC void sample_levels_backward(const SampleLevelsBackward& call, int task) 
         float to_s = 0.0f, to_t = 0.0f, to_level = 0.0f;
         for (int n = 0; n < (choice.part > 0.0f || !choice.steady ? 2 : 1); ++n) {
             const float share = n ? choice.part : 1.0f - choice.part;
-            const LevelBlock block = block_at(texture, spot, choice.low + n, share);
+            LevelBlock block = block_at(texture, spot, choice.low + n, share);
             float gain[4] = {};  // gradient with respect to each texel's weight
-            for (int k = 0; k < 4; ++k) {
-                if (block.texel[k] < 0) continue;
-                const int64 at = block.texel[k] * channels;
-                const float weight = share * block.weight(k);
-                for (int c = 0; c < channels; ++c) {
-                    gain[k] += pull[c] * texels[at + c];
-                    if (call.texels_too) atomic_add(call.to_texels + start + at + c, weight * pull[c]);
-                }
-            }
+            float* to = call.texels_too ? call.to_texels + start : nullptr;
+            if (channels == 3) add_block_backward(block, texels, 3, pull, to, gain);
+            else add_block_backward(block, texels, channels, pull, to, gain);
             if (block.missing >= 0) gain[block.missing] = (gain[0] + gain[1] + gain[2] + gain[3]) * (1.0f / 3.0f);
-            for (int k = 0; k < 4; ++k) to_level += (n ? gain[k] : -gain[k]) * block.part(k);
+            block.weigh();
+            for (int k = 0; k < 4; ++k) to_level += (n ? gain[k] : -gain[k]) * block.weight[k];
             if (texture.filter == NEAREST) continue;
             to_s += share * block.slope_s * ((1.0f - block.y) * (gain[1] - gain[0]) + block.y * (gain[3] - gain[2]));
             to_t += share * block.slope_t * ((1.0f - block.x) * (gain[2] - gain[0]) + block.x * (gain[3] - gain[1]));
