@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import difflib
 import importlib
 import itertools
@@ -30,6 +31,7 @@ COMMANDS = {
     "style": "Transfer the style of a painting to a mesh.",
     "dream": "Apply DeepDream to a mesh.",
     "view": "Show meshes, results and records in the browser.",
+    "run": "Run a program that needs nvdiffrast or CUDA, without them.",
     "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
 _GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
@@ -44,7 +46,7 @@ error shows its traceback."""
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line ``args`` (sys.argv without the program's name by default) and return the exit code."""
-    arguments = list(sys.argv[1:] if args is None else args)
+    arguments, others = _split_program(list(sys.argv[1:] if args is None else args))
     debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
     if arguments[0] == "--version":
@@ -53,6 +55,7 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         with _plain_warnings():
             module, options = _parse(arguments)
+            options = dataclasses.replace(options, arguments=tuple(others)) if others else options
             return _load(module).run(options)
     except SystemExit as stop:  # --help (0) and wrong usage (2)
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
@@ -67,6 +70,16 @@ def main(args: Sequence[str] | None = None) -> int:
             raise
         _say(_name_option(_message(error), arguments), "red")
         return 1
+
+
+def _split_program(arguments: list[str]) -> tuple[list[str], list[str]]:
+    """Split the arguments of `run` after the program: the others are its own."""
+    if arguments[:1] != ["run"]:
+        return arguments, []
+    place = 1
+    while place < len(arguments) and arguments[place].startswith("-"):
+        place += 2 if arguments[place] == "--device" else 1
+    return arguments[: place + 1], arguments[place + 1 :]
 
 
 def _parse(

@@ -428,3 +428,23 @@ class DemoOptions:
     seed: int = 0
     """Seed of the order of the views."""
     device: Device = "auto"
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Run a Python program as it is: `nvdiffrast.torch` is this package's where nvdiffrast is not installed, and on a
+    machine without CUDA what the program does on "cuda" happens on the CPU.
+
+    All arguments after the program are its own.
+
+    Example: neural-renderer run fit.py --resolution 256
+    """
+
+    program: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PROGRAM.PY", name="PROGRAM")]
+    """Python file."""
+    device: Annotated[Literal["auto", "cpu"], tyro.conf.arg(help="Where CUDA happens; auto is CUDA if available.")] = (
+        "auto"
+    )
+    ours: bool = False
+    """Use this package's nvdiffrast.torch even where nvdiffrast is installed."""
+    arguments: tyro.conf.Suppress[tuple[str, ...]] = ()
