@@ -98,6 +98,6 @@ def set_log_level(level: int) -> None:
         >>> set_log_level(1)
     """
     global _log_level
-    _log_level = validate.whole("level", level, 0)
-    if _log_level > 3:
+    if validate.whole("level", level, 0) > 3:
         raise ValueError(f"level: expected 0 to 3, got {level}")
+    _log_level = level
