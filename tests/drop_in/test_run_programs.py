@@ -53,6 +53,12 @@ def test_program_runs_with_its_own_arguments(program: Path, capsys: pytest.Captu
     assert "nvdiffrast.torch" not in sys.modules and torch.cuda.is_available() == torch.cuda.is_available()
 
 
+def test_module(program: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(program.parent)
+    assert cli.main(["run", "-m", "--ours", "fit", "--size", "8"]) == 0
+    assert capsys.readouterr().out.startswith("beside False (1, 8, 8, 1)")
+
+
 def test_exit_codes_and_tracebacks(program: Path, capsys: pytest.CaptureFixture[str]) -> None:
     program.write_text("import sys\nsys.exit(7)\n")
     assert cli.main(["run", str(program)]) == 7

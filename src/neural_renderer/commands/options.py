@@ -440,11 +440,13 @@ class RunOptions:
     Example: neural-renderer run fit.py --resolution 256
     """
 
-    program: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PROGRAM.PY", name="PROGRAM")]
-    """Python file."""
+    program: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PROGRAM", name="PROGRAM")]
+    """Python file, or with -m the name of a module."""
     device: Annotated[Literal["auto", "cpu"], tyro.conf.arg(help="Where CUDA happens; auto is CUDA if available.")] = (
         "auto"
     )
     ours: bool = False
     """Use this package's nvdiffrast.torch even where nvdiffrast is installed."""
+    module: Annotated[bool, tyro.conf.arg(aliases=["-m"])] = False
+    """Run a module, as python -m does."""
     arguments: tyro.conf.Suppress[tuple[str, ...]] = ()
