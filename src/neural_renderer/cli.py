@@ -46,16 +46,15 @@ error shows its traceback."""
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line ``args`` (sys.argv without the program's name by default) and return the exit code."""
-    arguments, others = _split_program(list(sys.argv[1:] if args is None else args))
-    debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in arguments
-    arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
+    own, others = _split_program(list(sys.argv[1:] if args is None else args))
+    debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in own
+    arguments = [*(argument for argument in own if argument != "--debug"), *others] or ["--help"]
     if arguments[0] == "--version":
         sys.stdout.write(f"neural-renderer {__version__}\n")
         return 0
     try:
         with _plain_warnings():
             module, options = _parse(arguments)
-            options = dataclasses.replace(options, arguments=tuple(others)) if others else options
             return _load(module).run(options)
     except SystemExit as stop:  # --help (0) and wrong usage (2)
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
@@ -100,10 +99,12 @@ def _parse(
         if name == "render":
             _check_save(arguments, known.SAVED)
             _check_size(arguments)
-        options = getattr(known, f"{name.capitalize()}Options")
-        if hasattr(options, "steps"):  # some commands once called them iterations
+        arguments, others = _split_program(arguments)
+        kind = getattr(known, f"{name.capitalize()}Options")
+        if hasattr(kind, "steps"):  # some commands once called them iterations
             arguments = [re.sub(r"^--iterations(?=$|=)", "--steps", argument) for argument in arguments]
-        return module, tyro.cli(options, prog=f"{prog} {name}", args=arguments[1:])
+        options = tyro.cli(kind, prog=f"{prog} {name}", args=arguments[1:])
+        return module, dataclasses.replace(options, arguments=tuple(others)) if others else options
     if not name.startswith("-"):
         close = difflib.get_close_matches(name, commands, 1)
         advice = f"; did you mean {close[0]}?" if close else ""

@@ -17,7 +17,8 @@ class Antialias:
 
     def image(self, picture: Picture) -> Tensor:
         """Draw without a gradient."""
-        return self.draw(picture, torch.zeros(3, picture.size, picture.size))[0]
+        with torch.enable_grad():
+            return self.draw(picture, torch.zeros(3, picture.size, picture.size))[0]
 
     def draw(self, picture: Picture, pull: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         size, vertices, colors = picture.size, *(t.float().requires_grad_() for t in (picture.vertices, picture.colors))

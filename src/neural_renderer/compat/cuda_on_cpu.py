@@ -201,6 +201,9 @@ def cuda_on_cpu(always: bool = False) -> Iterator[None]:
     Args:
         always: Whether to do so on a machine with CUDA, too.
 
+    Returns:
+        Context manager. It concerns the thread that enters it.
+
     Example:
         >>> with cuda_on_cpu():
         ...     positions = torch.zeros(4, 3, device="cuda")

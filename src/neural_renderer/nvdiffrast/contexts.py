@@ -19,7 +19,8 @@ class RasterizeCudaContext:
         TypeError, ValueError: An operation gets something else as its context, or one that a `DepthPeeler` uses.
 
     Example:
-        >>> glctx = RasterizeCudaContext()
+        >>> import neural_renderer.nvdiffrast as dr
+        >>> glctx = dr.RasterizeCudaContext()
     """
 
     output_db = True
@@ -40,7 +41,8 @@ class RasterizeGLContext(RasterizeCudaContext):
         ValueError: Another mode.
 
     Example:
-        >>> glctx = RasterizeGLContext(output_db=False)
+        >>> import neural_renderer.nvdiffrast as dr
+        >>> glctx = dr.RasterizeGLContext(output_db=False)
     """
 
     def __init__(self, output_db: bool = True, mode: str = "automatic", device: Any = None) -> None:
@@ -53,14 +55,16 @@ class RasterizeGLContext(RasterizeCudaContext):
         """Do nothing; there is no OpenGL context to make current.
 
         Example:
-            >>> RasterizeGLContext(mode="manual").set_context()
+            >>> import neural_renderer.nvdiffrast as dr
+            >>> dr.RasterizeGLContext(mode="manual").set_context()
         """
 
     def release_context(self) -> None:
         """Do nothing, as `set_context`.
 
         Example:
-            >>> RasterizeGLContext(mode="manual").release_context()
+            >>> import neural_renderer.nvdiffrast as dr
+            >>> dr.RasterizeGLContext(mode="manual").release_context()
         """
 
 
@@ -74,10 +78,14 @@ def free_context(glctx: Any) -> RasterizeCudaContext:
 
 
 def get_log_level() -> int:
-    """Return the level that `set_log_level` has set; 1 at first.
+    """Return the level of messages to print.
+
+    Returns:
+        The number that `set_log_level` has set; 1 at first.
 
     Example:
-        >>> get_log_level()
+        >>> import neural_renderer.nvdiffrast as dr
+        >>> dr.get_log_level()
         1
     """
     return _log_level
@@ -95,7 +103,8 @@ def set_log_level(level: int) -> None:
         TypeError, ValueError: Another number.
 
     Example:
-        >>> set_log_level(1)
+        >>> import neural_renderer.nvdiffrast as dr
+        >>> dr.set_log_level(1)
     """
     global _log_level
     if validate.whole("level", level, 0) > 3:

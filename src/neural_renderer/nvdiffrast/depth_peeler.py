@@ -26,10 +26,11 @@ class DepthPeeler:
         TypeError, ValueError: As in `rasterize`.
 
     Example:
+        >>> import neural_renderer.nvdiffrast as dr
         >>> pos = torch.tensor([[-1.0, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]])
         >>> pos = torch.cat((pos, pos + torch.tensor([0, 0, 0.5, 0])))[None]
         >>> tri = torch.tensor([[3, 4, 5], [0, 1, 2]], dtype=torch.int32)
-        >>> with DepthPeeler(RasterizeCudaContext(), pos, tri, [8, 8]) as peeler:
+        >>> with dr.DepthPeeler(dr.RasterizeCudaContext(), pos, tri, [8, 8]) as peeler:
         ...     [peeler.rasterize_next_layer()[0][0, 0, 0, 3].item() for _ in range(3)]
         [2.0, 1.0, 0.0]
     """
@@ -63,8 +64,9 @@ class DepthPeeler:
             RuntimeError: Outside of the ``with`` block.
 
         Example:
+            >>> import neural_renderer.nvdiffrast as dr
             >>> pos = torch.tensor([[[-1.0, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]]])
-            >>> with DepthPeeler(RasterizeCudaContext(), pos, torch.tensor([[0, 1, 2]]).int(), [8, 8]) as peeler:
+            >>> with dr.DepthPeeler(dr.RasterizeCudaContext(), pos, torch.tensor([[0, 1, 2]]).int(), [8, 8]) as peeler:
             ...     rast, rast_db = peeler.rasterize_next_layer()
         """
         if not self._context.peels:

@@ -39,10 +39,11 @@ def interpolate(
         TypeError, ValueError: An argument of another type, shape, device or range.
 
     Example:
+        >>> import neural_renderer.nvdiffrast as dr
         >>> pos = torch.tensor([[[-0.8, -0.8, 0, 1], [0.8, -0.8, 0, 1], [-0.8, 0.8, 0, 1]]])
         >>> tri = torch.tensor([[0, 1, 2]], dtype=torch.int32)
-        >>> rast, rast_db = rasterize(RasterizeCudaContext(), pos, tri, resolution=[64, 64])
-        >>> color, change = interpolate(torch.eye(3)[None], rast, tri, rast_db=rast_db, diff_attrs="all")
+        >>> rast, rast_db = dr.rasterize(dr.RasterizeCudaContext(), pos, tri, resolution=[64, 64])
+        >>> color, change = dr.interpolate(torch.eye(3)[None], rast, tri, rast_db=rast_db, diff_attrs="all")
         >>> color.shape, change.shape
         (torch.Size([1, 64, 64, 3]), torch.Size([1, 64, 64, 6]))
     """

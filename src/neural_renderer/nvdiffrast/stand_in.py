@@ -21,6 +21,9 @@ def stand_in(always: bool = False) -> Iterator[None]:
     Args:
         always: Whether to do so where it is installed, too.
 
+    Returns:
+        Context manager.
+
     Example:
         >>> with stand_in():
         ...     import nvdiffrast.torch as dr

@@ -61,9 +61,10 @@ def texture(
         TypeError, ValueError: An argument of another type, shape, device or name; a side that cannot be halved.
 
     Example:
+        >>> import neural_renderer.nvdiffrast as dr
         >>> uv = torch.rand(1, 64, 64, 2)
         >>> footprint = torch.full((1, 64, 64, 4), 0.05)
-        >>> texture(torch.rand(1, 32, 32, 3), uv, footprint).shape
+        >>> dr.texture(torch.rand(1, 32, 32, 3), uv, footprint).shape
         torch.Size([1, 64, 64, 3])
     """
     if boundary_mode not in BOUNDARIES:
@@ -110,9 +111,10 @@ def texture_construct_mip(tex: Tensor, max_mip_level: int | None = None, cube_mo
         TypeError, ValueError: As in `texture`.
 
     Example:
+        >>> import neural_renderer.nvdiffrast as dr
         >>> tex = torch.rand(1, 32, 32, 3)
-        >>> mip = texture_construct_mip(tex)
-        >>> texture(tex, torch.rand(1, 64, 64, 2), torch.rand(1, 64, 64, 4), mip=mip).shape
+        >>> mip = dr.texture_construct_mip(tex)
+        >>> dr.texture(tex, torch.rand(1, 64, 64, 2), torch.rand(1, 64, 64, 4), mip=mip).shape
         torch.Size([1, 64, 64, 3])
     """
     _checked_texture("tex", tex, validate.flag("cube_mode", cube_mode))
