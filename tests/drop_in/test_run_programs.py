@@ -83,6 +83,10 @@ def test_program_of_the_first_packages(program: Path, capsys: pytest.CaptureFixt
     assert capsys.readouterr().out == "(1, 16, 16)\n"
 
 
+def _ones(device: torch.device) -> torch.Tensor:
+    return torch.ones(2, device=device)
+
+
 CPU = torch.device("cpu")
 MADE = {
     "factories": lambda: torch.zeros(2, device="cuda"),
@@ -96,6 +100,7 @@ MADE = {
     "types": lambda: torch.zeros(2).type("torch.cuda.DoubleTensor"),
     "old constructors": lambda: torch.cuda.FloatTensor([1.0, 2]),
     "modules": lambda: torch.nn.Linear(2, 2, device="cuda").to("cuda").cuda().weight,
+    "scripts": lambda: torch.jit.script(_ones)(torch.device("cuda")),
     "pinned memory": lambda: torch.zeros(2).pin_memory().cuda(),
 }
 

@@ -178,12 +178,17 @@ def _replaced() -> list[tuple[Any, str, Any]]:
         with _OnCPU():
             return run_backward(*args, **kwargs)
 
+    def script(function: Any = None, *_: Any, **__: Any) -> Any:
+        # Its compiled functions ask for devices where no mode hears it, so they stay as they are.
+        return script if function is None else function
+
     names: list[tuple[Any, str, Any]] = [(torch.cuda, name, value) for name, value in _cuda_names().items()]
     names += [(torch.cuda.nvtx, name, _always()) for name in ("range_push", "range_pop", "mark")]
     return [
         *names,
         (torch, "Generator", _Generator),
         (torch, "load", load_here),
+        (torch.jit, "script", script),
         (torch, "set_default_device", lambda device: set_device(_here(device))),
         (torch, "set_default_tensor_type", lambda kind: set_type(_here(kind))),
         (torch.autograd, "_engine_run_backward", backward),
