@@ -12,10 +12,12 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import torch
 
 import neural_renderer as nr
+import neural_renderer.nvdiffrast as dr
 
 from .deodr import SCENES as DEODR_SCENES
 from .deodr import Scene, is_installed, least
@@ -43,6 +45,7 @@ def all_ratios(rounds: int, large: bool) -> Iterator[Row]:
         for output in ("alpha", "rgb"):
             ratio = _ratio(*(scene.step(output) for scene in scenes), 3)
             yield f'"edge" ÷ "nmr", {output}, 1024², 1.3 M faces', f"{ratio:.2f}", "≤ 1.5"
+    yield from _as_nvdiffrast(rounds)
     yield from _against_deodr(rounds)
     yield from _small(20 * rounds)
     yield from _beside_others()
@@ -89,6 +92,31 @@ class _Scene:
 def _ratio(one: Callable[[], None], other: Callable[[], None], rounds: int) -> float:
     (first, _), (second, _) = least([(1, one), (1, other)], rounds)
     return first / second
+
+
+def _as_nvdiffrast(rounds: int) -> Iterator[Row]:
+    """Measure the four primitives under nvdiffrast's names against the same image in the modern way."""
+    side, (vertices, faces) = 512, nr.icosphere(6)
+    vertices, texture = (0.9 * vertices).requires_grad_(), torch.rand(512, 512, 3, requires_grad=True)
+    uv, triangles = (0.5 + 0.5 * vertices.detach()[:, :2]).contiguous(), faces.int()
+    camera = torch.tensor([[1.5, 0, 0, 0], [0, 1.5, 0, 0], [0, 0, -1.02, 2.042], [0, 0, -1, 2.2]])
+    context, grad = dr.RasterizeCudaContext(), torch.randn(3, side, side)
+
+    def theirs() -> None:
+        pos = torch.nn.functional.pad(vertices, (0, 1), value=1.0)[None] @ camera.T
+        rast, rast_db = dr.rasterize(context, pos, triangles, (side, side))
+        texc, change = dr.interpolate(uv[None], rast, triangles, rast_db, "all")
+        color = torch.where(rast[..., 3:] > 0, dr.texture(texture[None], texc, change), 0.0)
+        torch.autograd.grad(dr.antialias(color, rast, pos, triangles)[0], (vertices, texture), grad.permute(1, 2, 0))
+
+    def modern(anti_aliasing: bool) -> None:
+        fragments = nr.fragments((vertices, faces), nr.Camera.from_clip(camera), side, anti_aliasing=anti_aliasing)
+        color = nr.sample_texture(texture, fragments.interpolate(uv), fragments.face_index)
+        torch.autograd.grad(fragments.composite(color)[0], (vertices, texture), grad)
+
+    for sampled, what in ((False, "1 sample"), (True, "2 × 2 samples, the default")):
+        ratio = _ratio(theirs, partial(modern, sampled), rounds)
+        yield f'as nvdiffrast ÷ modern, "edge", {what}, 512², 82k faces', f"{ratio:.2f}", "≤ 1.3"
 
 
 def _against_deodr(rounds: int) -> Iterator[Row]:

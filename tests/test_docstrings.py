@@ -44,6 +44,8 @@ NEVER_RAISES = {
     "Viewer.offer",
     "Viewer.finish",
     "Remeshed",
+    "cuda_on_cpu",
+    "stand_in",
 }
 WITHOUT_EXAMPLE = {
     "Style.losses",  # an edit calls them, as in the example of `MeshEdit`

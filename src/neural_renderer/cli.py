@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import difflib
 import importlib
 import itertools
@@ -30,6 +31,7 @@ COMMANDS = {
     "style": "Transfer the style of a painting to a mesh.",
     "dream": "Apply DeepDream to a mesh.",
     "view": "Show meshes, results and records in the browser.",
+    "run": "Run a program that needs nvdiffrast or CUDA, without them.",
     "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
 _GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
@@ -44,9 +46,9 @@ error shows its traceback."""
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line ``args`` (sys.argv without the program's name by default) and return the exit code."""
-    arguments = list(sys.argv[1:] if args is None else args)
-    debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in arguments
-    arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
+    own, others = _split_program(list(sys.argv[1:] if args is None else args))
+    debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in own
+    arguments = [*(argument for argument in own if argument != "--debug"), *others] or ["--help"]
     if arguments[0] == "--version":
         sys.stdout.write(f"neural-renderer {__version__}\n")
         return 0
@@ -69,6 +71,16 @@ def main(args: Sequence[str] | None = None) -> int:
         return 1
 
 
+def _split_program(arguments: list[str]) -> tuple[list[str], list[str]]:
+    """Split the arguments of `run` after the program: the others are its own."""
+    if arguments[:1] != ["run"]:
+        return arguments, []
+    place = 1
+    while place < len(arguments) and arguments[place].startswith("-"):
+        place += 2 if arguments[place] == "--device" else 1
+    return arguments[: place + 1], arguments[place + 1 :]
+
+
 def _parse(
     arguments: list[str],
     commands: dict[str, str] = COMMANDS,
@@ -87,10 +99,12 @@ def _parse(
         if name == "render":
             _check_save(arguments, known.SAVED)
             _check_size(arguments)
-        options = getattr(known, f"{name.capitalize()}Options")
-        if hasattr(options, "steps"):  # some commands once called them iterations
+        arguments, others = _split_program(arguments)
+        kind = getattr(known, f"{name.capitalize()}Options")
+        if hasattr(kind, "steps"):  # some commands once called them iterations
             arguments = [re.sub(r"^--iterations(?=$|=)", "--steps", argument) for argument in arguments]
-        return module, tyro.cli(options, prog=f"{prog} {name}", args=arguments[1:])
+        options = tyro.cli(kind, prog=f"{prog} {name}", args=arguments[1:])
+        return module, dataclasses.replace(options, arguments=tuple(others)) if others else options
     if not name.startswith("-"):
         close = difflib.get_close_matches(name, commands, 1)
         advice = f"; did you mean {close[0]}?" if close else ""
