@@ -10,8 +10,7 @@ from torch import Tensor
 from ....meshes.remeshing.edges import Edges, lengths
 from ....meshes.remeshing.remesh import remesh_once
 from ....meshes.remeshing.surface import Surface
-from ....meshes.topology import Topology
-from ..descent import SmoothDescent
+from ..descent import smooth_once
 
 _MEAN_DECAY, _SQUARE_DECAY = 0.8, 0.9  # Adam's β₁ and β₂
 _OWN = 8  # columns of position, target length, mean gradient and mean squared gradient
@@ -103,16 +102,15 @@ class AdaptiveDescent:
             smooth: Share of the way to the mean of its neighbours that each vertex moves, too.
             least, most: Limits of the target length, in world units.
             floor: Size of a gradient, relative to the mean of all vertices, below which steps become shorter.
-            reach: λ of `SmoothDescent.blur`, which is applied to the gradient twice; 0 leaves the gradient as it is.
+            reach: λ of `smooth_once`, which is applied to the gradient twice; 0 leaves the gradient as it is.
         """
         rest = self.surface.values[:, _OWN:]
         vertices, target, mean, square = self.surface.values[:, :_OWN].split((3, 1, 3, 1), 1)
         self._count += 1
-        if reach:
-            smoother = SmoothDescent(Topology.of(self.faces), reach)
-            gradient = smoother.blur(smoother.blur(gradient))
-        step, mean, square, speed = self._adam(gradient, mean, square, self._count, floor)
         edges = Edges.of(self.faces, len(vertices))
+        if reach:
+            gradient = smooth_once(smooth_once(gradient, edges.ends, reach), edges.ends, reach)
+        step, mean, square, speed = self._adam(gradient, mean, square, self._count, floor)
         steady = speed + _offset(speed, edges) / 2
         vertices = vertices - rate * target * step
         vertices = vertices + smooth * _offset(vertices, edges)
