@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 
 from .atlas import build_atlas, coordinates
 from .atomic_write import write_file
@@ -17,9 +16,6 @@ from .files import mesh_to_write
 from .gltf.writer import glb_bytes
 from .obj.writer import Part, as_bytes, save_cubes, write_obj
 from .surface_colors import SurfaceColors
-
-if TYPE_CHECKING:
-    import trimesh
 
 _SUFFIXES = (".obj", ".ply", ".glb")
 
@@ -56,23 +52,21 @@ def save_mesh(
     if path.suffix.lower() == ".obj":
         save_cubes(path, vertices, faces, textures, f"{path.stem}_texture", overwrite)
         return
-    import trimesh  # imported here because it is slow
-
     points, corners, cubes = mesh_to_write(vertices, faces, textures)
-    if path.suffix.lower() == ".glb" and cubes is not None and cubes.size and (cubes == cubes[0, 0, 0, 0]).all():
+    if path.suffix.lower() == ".glb" and cubes is not None and cubes.size:
         surface = SurfaceColors.plain(len(corners), 1.0)
-        surface.colors[:] = cubes[0, 0, 0, 0]
+        if (cubes == cubes[0, 0, 0, 0]).all():
+            surface.colors[:] = cubes[0, 0, 0, 0]
+        else:
+            picture, pixels = build_atlas(cubes)
+            surface.image[:], surface.uv = 0, coordinates(pixels, picture)
+            surface.images, surface.wraps = [picture], ["clamp"]
         write_file(path, glb_bytes(points, corners, surface))
         return
-    if cubes is None:
-        mesh = trimesh.Trimesh(points, corners, process=False)
-    elif path.suffix.lower() == ".ply":
-        colors = _vertex_colors(len(points), corners, cubes)
-        mesh = trimesh.Trimesh(points, corners, vertex_colors=colors, process=False)
-    else:
-        picture, pixels = build_atlas(cubes)
-        own = np.arange(corners.size).reshape(-1, 3)
-        mesh = _with_picture(points[corners].reshape(-1, 3), own, coordinates(pixels.reshape(-1, 2), picture), picture)
+    import trimesh  # imported here because it is slow
+
+    colors = None if cubes is None or path.suffix.lower() == ".glb" else _vertex_colors(len(points), corners, cubes)
+    mesh = trimesh.Trimesh(points, corners, vertex_colors=colors, process=False)
     write_file(path, mesh.export(file_type=path.suffix[1:].lower()))  # type: ignore[arg-type]  # bytes
 
 
@@ -135,14 +129,3 @@ def _vertex_colors(count: int, corners: np.ndarray, cubes: np.ndarray) -> np.nda
     np.add.at(faces, corners.reshape(-1), 1)
     colors = np.where(faces > 0, total / faces.clip(1), 0.5)
     return (np.concatenate([colors, np.ones((count, 1))], axis=1) * 255 + 0.5).astype(np.uint8)
-
-
-def _with_picture(points: np.ndarray, corners: np.ndarray, uv: np.ndarray, picture: np.ndarray) -> trimesh.Trimesh:
-    """Make a matt, two-sided mesh with an image [H, W, 3] and texture coordinates [V, 2]."""
-    import trimesh
-
-    material = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=Image.fromarray(picture), metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
-    )
-    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
-    return trimesh.Trimesh(points, corners, visual=visual, process=False)

@@ -6,7 +6,6 @@ import math
 
 import torch
 import torch.nn.functional as F
-from scipy import ndimage
 from torch import Tensor
 
 _OUTLINE = 640  # pixels of a mask's longer side for each two pixels of a soft outline
@@ -72,6 +71,8 @@ def remove_specks(alpha: Tensor) -> Tensor:
     large[0] = False
     if int(torch.count_nonzero(alpha)) == int(count[large].sum()):
         return alpha  # nothing beside them
+    from scipy import ndimage  # imported here because it is slow
+
     outline = 1 + 4 * math.ceil(max(alpha.shape) / _OUTLINE)
     kept = ndimage.maximum_filter(large[label].numpy(), outline)
     return torch.where(torch.from_numpy(kept), alpha, 0.0)
@@ -88,4 +89,6 @@ def fill_holes(mask: Tensor, share: float) -> Tensor:
 
 def label_components(mask: Tensor) -> Tensor:
     """Number the connected components of a mask [H, W] bool, from 1 on: int32 [H, W], 0 outside of the mask."""
+    from scipy import ndimage
+
     return torch.from_numpy(ndimage.label(mask.numpy())[0])
