@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from torch import Tensor
@@ -136,12 +135,7 @@ class SmoothDescent:
     @functools.cached_property
     def _factors(self) -> Any:
         """Factors of 1 + λL, in an order of few entries; it is positive definite, and needs no pivots."""
-        ends = self._topology.edges.cpu().numpy()
-        start, end = np.concatenate((ends, ends[:, ::-1])).T
-        degree = np.bincount(start, minlength=self._topology.vertices)
-        weights = np.full(len(start), -self._smooth, np.float32), (start, end)
-        around = sparse.coo_matrix(weights, shape=(len(degree), len(degree)))
-        matrix = (around + sparse.diags((1 + self._smooth * degree).astype(np.float32))).tocsc()
+        matrix = _smoothing_matrix(self._topology.edges, self._topology.vertices, self._smooth).tocsc()
         order = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
         return splu(matrix, **order)
 
@@ -154,27 +148,36 @@ class SmoothDescent:
         self._adam.load_state_dict(state)
 
 
-def smooth_once(values: Tensor, edges: Tensor, smooth: float, tolerance: float = 1e-3) -> Tensor:
-    """Solve ``(1 + λL) x = values``, [V, C], by conjugate gradients: faster than factors that are used once or twice.
+def smooth_once(values: Tensor, edges: Tensor, smooth: float, times: int = 1, tolerance: float = 1e-3) -> Tensor:
+    """Compute ``(1 + λL)⁻¹ values``, [V, C], on the CPU by conjugate gradients: faster than factors used once or twice.
 
-    ``edges`` [E, 2] are those of the mesh; ``tolerance`` is the largest residual, relative to the values.
+    Args:
+        values: [V, C] float32.
+        edges: [E, 2] int64, edges of the mesh.
+        smooth: λ.
+        times: Number of times that the matrix is inverted.
+        tolerance: Largest residual, relative to the values.
     """
-    start, end = torch.cat((edges, edges.flip(1))).unbind(1)
-    order = torch.argsort(start, stable=True)
-    degree = torch.bincount(start, minlength=len(values))
-    neighbors, first = end[order], degree.cumsum(0) - degree
-    diagonal = 1 + smooth * degree[:, None].to(values.dtype)
+    matrix = _smoothing_matrix(edges, len(values), smooth).tocsr()
+    diagonal = torch.from_numpy(matrix.diagonal())[:, None]
+    result = values.cpu()
+    for _ in range(times):
+        goal = tolerance**2 * result.square().sum(0)
+        solver = ConjugateGradients(lambda x: torch.from_numpy(matrix @ x.numpy()), diagonal, result, result / diagonal)
+        for _ in range(_MOST_ITERATIONS):
+            if bool((solver.residual.square().sum(0) <= goal).all()):
+                break
+            solver.advance()
+        result = solver.solution
+    return result.to(values)
 
-    def multiply(values: Tensor) -> Tensor:
-        return diagonal * values - smooth * F.embedding_bag(neighbors, values, first, mode="sum")
 
-    goal = tolerance**2 * values.square().sum(0)
-    solver = ConjugateGradients(multiply, diagonal, values, values / diagonal)
-    for _ in range(_MOST_ITERATIONS):
-        if bool((solver.residual.square().sum(0) <= goal).all()):
-            break
-        solver.advance()
-    return solver.solution
+def _smoothing_matrix(edges: Tensor, count: int, smooth: float) -> Any:
+    """Make the matrix 1 + λL, float32, of a mesh with these edges [E, 2] and a number of vertices."""
+    low, high = edges.cpu().numpy().T
+    degree = np.bincount(low, minlength=count) + np.bincount(high, minlength=count)
+    half = sparse.csr_matrix((np.full(len(low), -smooth, np.float32), (low, high)), shape=(count, count))
+    return half + half.T + sparse.diags((1 + smooth * degree).astype(np.float32))
 
 
 def _running_mean(mean: Tensor | None, value: Tensor, decay: float) -> Tensor:

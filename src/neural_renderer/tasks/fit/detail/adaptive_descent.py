@@ -70,7 +70,7 @@ class AdaptiveDescent:
         others, colors, mean, square = self.surface.values.split((_OWN, 3, 3, 1), 1)
         self._color_count += 1
         step, mean, square, _ = self._adam(gradient, mean, square, self._color_count)
-        self.surface = Surface(torch.cat((others, colors - rate * step, mean, square), 1), self.faces)
+        self.surface = self.surface.with_values(torch.cat((others, colors - rate * step, mean, square), 1))
 
     def _adam(
         self, gradient: Tensor, mean: Tensor, square: Tensor, count: int, floor: float = 0.0
@@ -107,15 +107,15 @@ class AdaptiveDescent:
         rest = self.surface.values[:, _OWN:]
         vertices, target, mean, square = self.surface.values[:, :_OWN].split((3, 1, 3, 1), 1)
         self._count += 1
-        edges = Edges.of(self.faces, len(vertices))
+        edges = self.surface.edges
         if reach:
-            gradient = smooth_once(smooth_once(gradient, edges.ends, reach), edges.ends, reach)
+            gradient = smooth_once(gradient, edges.ends, reach, times=2)
         step, mean, square, speed = self._adam(gradient, mean, square, self._count, floor)
         steady = speed + _offset(speed, edges) / 2
         vertices = vertices - rate * target * step
         vertices = vertices + smooth * _offset(vertices, edges)
         target = (target * (1 + _GAIN * (steady - _STEADY))).clamp(least, max(least, most))
-        self.surface = Surface(torch.cat((vertices, target, mean, square, rest), 1), self.faces)
+        self.surface = self.surface.with_values(torch.cat((vertices, target, mean, square, rest), 1))
         if self._count % _EVERY == 0:
             self.surface = remesh_once(self.surface, rounds=1, strength=_RELAX)
 
