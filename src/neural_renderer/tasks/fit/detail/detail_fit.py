@@ -175,7 +175,7 @@ class DetailFit(Adjustable):
 
 
 def _corners_of(values: Tensor, faces: Tensor) -> Tensor:
-    """Gather values [V, C] at the corners of faces, [F, 3, C]; the gradient is faster than that of ``values[faces]``."""
+    """Gather values [V, C] at the corners of faces, [F, 3, C]; its gradient is faster than that of indexing."""
     return values.index_select(0, faces.flatten()).unflatten(0, faces.shape)
 
 
