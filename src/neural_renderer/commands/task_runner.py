@@ -19,7 +19,9 @@ from ..tasks.observer import Knob, Observer, goes_on
 from ..version import __version__
 from .common import CHECKPOINT, interruption, say
 
-_SECONDS = 4.0  # seconds between two previews and checkpoints, unless a number of steps is given
+# Least seconds between two previews and checkpoints, and the share of the time that they may take; unless a number of
+# steps is given.
+_SECONDS, _SHARE = 4.0, 0.02
 
 
 class Task(Protocol):
@@ -100,7 +102,8 @@ class TaskRunner:
         """
         if resume and self._checkpoint.is_file():
             self._restore()
-        task, start, saved = self._task, time.monotonic() - self.seconds, self.seconds
+        task, start = self._task, time.monotonic() - self.seconds
+        following = self.seconds + _SECONDS
         label, note = TextColumn("{task.description:<8}"), TextColumn("{task.fields[note]}")
         columns = label, BarColumn(), note, TimeElapsedColumn(), TimeRemainingColumn()
         with Progress(*columns, console=Console()) as progress, interruption() as interrupted:
@@ -116,9 +119,10 @@ class TaskRunner:
                 progress.update(bars[task.phase], completed=task.step, total=task.steps, note=text)
                 self._observe(row, task.phase != phase)
                 self.seconds = time.monotonic() - start
-                if self.seconds - saved > _SECONDS if self._every is None else task.step % self._every == 0:
+                if self.seconds > following if self._every is None else task.step % self._every == 0:
                     self._save()
-                    saved = self.seconds
+                    following = time.monotonic() - start
+                    following += max(_SECONDS, (following - self.seconds) / _SHARE)
             self._save()
             self.stopped = not task.done and not interrupted
         return not interrupted and not self.stopped

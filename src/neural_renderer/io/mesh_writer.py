@@ -53,14 +53,14 @@ def save_mesh(
         save_cubes(path, vertices, faces, textures, f"{path.stem}_texture", overwrite)
         return
     points, corners, cubes = mesh_to_write(vertices, faces, textures)
-    if path.suffix.lower() == ".glb" and cubes is not None:
+    if path.suffix.lower() == ".glb" and cubes is not None and cubes.size:
         surface = SurfaceColors.plain(len(corners), 1.0)
         if (cubes == cubes[0, 0, 0, 0]).all():
             surface.colors[:] = cubes[0, 0, 0, 0]
         else:
             picture, pixels = build_atlas(cubes)
-            uv = coordinates(pixels, picture)
-            surface.paint(np.arange(len(corners)), picture.astype(np.float32) / 255, uv, "clamp")
+            surface.image[:], surface.uv = 0, coordinates(pixels, picture)
+            surface.images, surface.wraps = [picture], ["clamp"]
         write_file(path, glb_bytes(points, corners, surface))
         return
     write_file(path, as_trimesh(vertices, faces, textures).export(file_type=path.suffix[1:].lower()))
@@ -71,7 +71,7 @@ def as_trimesh(vertices: Any, faces: Any, textures: Any = None) -> Any:
     import trimesh  # imported here because it is slow
 
     points, corners, cubes = mesh_to_write(vertices, faces, textures)
-    colors = None if cubes is None else _vertex_colors(len(points), corners, cubes)
+    colors = None if cubes is None or not cubes.size else _vertex_colors(len(points), corners, cubes)
     return trimesh.Trimesh(points, corners, vertex_colors=colors, process=False)
 
 

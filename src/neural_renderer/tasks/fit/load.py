@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from ... import validate
@@ -16,8 +17,8 @@ from ...camera import Camera
 from ...camera.files import CameraFile, PosedImage, find_camera_file, read_camera_file
 from ...camera.files.distortion import undistort
 from ...camera.files.read import find_image
-from ...io import load_image
 from ...io.files import existing, reason
+from ...io.images import load_reduced
 from ...meshes.primitives import cube
 from ..masks.rule import MaskRule, mask_in_file, transparency
 from .detail.maps import MapFormat, load_maps
@@ -25,6 +26,7 @@ from .fit_views import Views, downscale, mask_values
 from .settings import short_names
 
 _LEAST_SIZE = 16  # least longer side of images in pixels
+_FINER = 3  # larger photographs are reduced on reading, to at least this multiple of the size that is fitted
 _MASK_FOLDERS = ("masks", "mask")
 _MASK_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 
@@ -114,10 +116,10 @@ def load_views(
     for entry in source.images:
         try:
             file, mask_file = find_files(source, entry, folder, allow_outside)
-            image = _load_as_calibrated(file, entry)
-            shape = full if found else (image.shape[0], image.shape[1])
-            _check_size(file, image, shape)
-            mask = _mask(file, mask_file, image, photos, rule, box is not None)
+            image, own = _load_as_calibrated(file, entry, _FINER * size)
+            shape = full if found else own
+            _check_size(file, own, shape)
+            mask = _mask(file, mask_file, image, own, photos, rule, box is not None)
             rgba = _premultiplied(file, mask_file, image, mask)
         except (OSError, ValueError) as error:
             if bad is None:
@@ -215,24 +217,27 @@ def load_photo(
         torch.Size([32, 32])
     """
     size = validate.whole("size", size, _LEAST_SIZE)
-    image = load_image(existing(path))
-    mask = _mask(Path(path), None, image, photos, rule, False)
+    image, full = load_reduced(existing(path), least=_FINER * size)
+    mask = _mask(Path(path), None, image, full, photos, rule, False)
     small = downscale(_premultiplied(Path(path), None, image, mask), size)
     return small[3], small[:3] if photos else None
 
 
-def _load_as_calibrated(file: Path, entry: PosedImage) -> Tensor:
-    """Load an image as its pixels are stored, or turned by its EXIF data if only this fits the calibrated size."""
-    image = load_image(file)
-    if entry.lens.size is None or _has_aspect(image, entry.lens.size):
-        return image
-    upright = load_image(file, upright=True)
-    return upright if _has_aspect(upright, entry.lens.size) else image
+def _load_as_calibrated(file: Path, entry: PosedImage, least: int) -> tuple[Tensor, tuple[int, int]]:
+    """Load an image as its pixels are stored, or turned by its EXIF data if only this fits the calibrated size.
+
+    As `load_reduced`, whose ``least`` tells how small it may become.
+    """
+    image, full = load_reduced(file, least=least)
+    if entry.lens.size is None or _has_aspect(full, entry.lens.size):
+        return image, full
+    upright = load_reduced(file, upright=True, least=least)
+    return upright if _has_aspect(upright[1], entry.lens.size) else (image, full)
 
 
-def _has_aspect(image: Tensor, size: tuple[float, float]) -> bool:
-    """Tell whether an image [H, W, C] has the aspect of a size (height, width), to a pixel."""
-    height, width = image.shape[:2]
+def _has_aspect(full: tuple[int, int], size: tuple[float, float]) -> bool:
+    """Tell whether an image of a height and width has the aspect of a size (height, width), to a pixel."""
+    height, width = full
     return abs(width * size[0] - height * size[1]) <= max(size[0], size[1], height, width)
 
 
@@ -243,27 +248,34 @@ def _premultiplied(file: Path, mask_file: Path | None, image: Tensor, mask: Tens
     return torch.cat((image[..., :3] * mask[..., None], mask[..., None]), 2).permute(2, 0, 1)
 
 
-def _check_size(path: Path, image: Tensor, full: tuple[int, int]) -> None:
-    """Raise ValueError if an image [H, W, ...] is not of this height and width."""
-    if tuple(image.shape[:2]) != full:
-        raise ValueError(
-            f"{path}: expected {full[1]} x {full[0]} pixels like the others, got {image.shape[1]} x {image.shape[0]}"
-        )
+def _check_size(path: Path, size: tuple[int, int], full: tuple[int, int]) -> None:
+    """Raise ValueError if a height and width are not those of the other images."""
+    if size != full:
+        raise ValueError(f"{path}: expected {full[1]} x {full[0]} pixels like the others, got {size[1]} x {size[0]}")
 
 
-def _mask(file: Path, mask_file: Path | None, image: Tensor, photos: bool, rule: MaskRule, has_box: bool) -> Tensor:
-    """Find the mask of an image, [H, W] in [0, 1]; see `load_views`."""
+def _mask(
+    file: Path,
+    mask_file: Path | None,
+    image: Tensor,
+    full: tuple[int, int],
+    photos: bool,
+    rule: MaskRule,
+    has_box: bool,
+) -> Tensor:
+    """Find the mask [H, W] in [0, 1] of an image, which may be smaller than its full size; see `load_views`."""
+    height = image.shape[0]
     if mask_file is not None:
         mask = mask_in_file(mask_file)
-        _check_size(mask_file, mask, (image.shape[0], image.shape[1]))
-        return mask
+        _check_size(mask_file, (mask.shape[0], mask.shape[1]), full)
+        return mask if mask.shape[0] == height else F.avg_pool2d(mask[None], full[0] // height)[0]
     alpha = transparency(image)
     if alpha is not None:
         return alpha
     if not photos and rule.background is None and rule.below is None:
         return image[..., :3].mean(2)
     try:
-        return rule.find(image)
+        return rule.reduced(full[0] // height).find(image)
     except ValueError:
         if has_box:
             return torch.ones(image.shape[:2])
