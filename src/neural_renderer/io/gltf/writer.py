@@ -72,7 +72,7 @@ class _Writer:
         # A glTF vertex has one value of each attribute, so a vertex with several is duplicated.
         first, index = _distinct([corners[faces].reshape(-1), *(part for values in flat.values() for part in values.T)])
         position = points[corners[faces].reshape(-1)[first]].astype("<f4")
-        if len(position) > len(np.unique(keys[0])) and len(points) <= MOST_NUMBERED:
+        if len(position) > len(np.unique(corners[faces])) and len(points) <= MOST_NUMBERED:
             flat[NUMBER] = corners[faces].reshape(-1, 1).astype("<f4")
         numbers = {name: self._accessor(values[first]) for name, values in flat.items()}
         self._primitives.append(
