@@ -46,6 +46,15 @@ def all_ratios(rounds: int, large: bool) -> Iterator[Row]:
             ratio = _ratio(*(scene.step(output) for scene in scenes), 3)
             yield f'"edge" ÷ "nmr", {output}, 1024², 1.3 M faces', f"{ratio:.2f}", "≤ 1.5"
     yield from _as_nvdiffrast(rounds)
+    for level, side in ((4, 256), (6, 512)):
+        for output in ("alpha", "rgb"):
+            faces = f"{20 * 4**level:,}"
+            ratio = _columns(level, side, output, rounds)
+            yield (
+                f'six columns of a camera ÷ backward, "edge", {output}, {side}², {faces} faces',
+                f"{ratio:.2f}",
+                "≤ 2.5",
+            )
     yield from _against_deodr(rounds)
     yield from _small(20 * rounds)
     yield from _beside_others()
@@ -87,6 +96,28 @@ class _Scene:
                 drawn.backward(grad)
 
         return run
+
+
+def _columns(level: int, side: int, output: str, rounds: int) -> float:
+    """Compare what forward mode adds to a forward pass, for six directions at once, with what backward adds."""
+    scene = _Scene(1, side, level, True, "edge")
+    mesh = (scene.vertices.detach(), scene.faces, scene.cubes.detach())
+    places = torch.tensor([0.0, 0.0, -2.7, 0.0, 0.0, 0.0])
+
+    def draw(places: torch.Tensor) -> torch.Tensor:
+        camera = nr.Camera.look_at(places[:3], places[3:], viewing_angle=20.0)
+        image: torch.Tensor = getattr(nr.render(mesh, camera, side, outputs=(output,)), output)
+        return image
+
+    leaf = places.clone().requires_grad_()
+    grad = torch.randn(draw(places).shape, generator=torch.Generator().manual_seed(0))
+    jobs = (
+        lambda: draw(places),
+        lambda: torch.func.jacfwd(draw)(places),
+        lambda: torch.autograd.grad(draw(leaf), leaf, grad),
+    )
+    forward, columns, step = (used for used, _ in least([(1, job) for job in jobs], rounds))
+    return (columns - forward) / (step - forward)
 
 
 def _ratio(one: Callable[[], None], other: Callable[[], None], rounds: int) -> float:

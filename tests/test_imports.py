@@ -30,6 +30,7 @@ ROOMS = [
     "shading",
     "transparency",
     "losses",
+    "optim",
     "surface_images",
     "rendering",
     "compat",

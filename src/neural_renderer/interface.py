@@ -2,7 +2,7 @@
 
 import torch
 
-from . import losses, metrics, rotations
+from . import losses, metrics, optim, rotations
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
 from .comparators.reinforce import reinforce
 from .comparators.soft_silhouettes import soft_silhouettes
@@ -89,6 +89,7 @@ __all__ = [
     "look_at",
     "losses",
     "metrics",
+    "optim",
     "orthographic",
     "perspective",
     "projection",

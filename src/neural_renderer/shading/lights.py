@@ -15,7 +15,7 @@ from ..camera.parameters import Array, Scalar, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
 from ..raster.faces import corner_indices, world_corners
 from ..raster.ops.flat_light import flat_light
-from ..raster.warp.registration import is_plain
+from ..raster.warp.registration import is_eager, is_plain
 
 
 @runtime_checkable
@@ -290,7 +290,7 @@ def light_factors(lights: Sequence[FaceLight], vertices: Tensor, faces: Tensor, 
         images: Number of images B.
     """
     points = vertices if vertices.dim() == 3 else vertices[None]
-    is_simple = points.dtype == torch.float32 and is_plain((points,))
+    is_simple = points.dtype == torch.float32 and is_eager((points,))
     corners: Tensor | None = None
     several = []
     for light in lights:

@@ -2,6 +2,7 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -12,13 +13,16 @@ from ..warp.launch import launch
 from ..warp.layout import in_any_order, pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, fake, operator, refuse_second
+from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, refuse_second, sum_of
 
 _KERNELS = Kernels(__name__, "mipmaps.h")
 _Mipmaps, _Samples = _KERNELS.struct("Mipmaps"), _KERNELS.struct("Samples")
 _SampleMipmaps, _SampleMipmapsBackward = _KERNELS.struct("SampleMipmaps"), _KERNELS.struct("SampleMipmapsBackward")
+_FORWARD = Kernels(__name__ + ".forward", "mipmaps.h")
+_SampleMipmapsForward = _FORWARD.struct("SampleMipmapsForward")
 _sample_mipmaps = _KERNELS.kernel("sample_mipmaps", _SampleMipmaps)
 _sample_mipmaps_backward = _KERNELS.kernel("sample_mipmaps_backward", _SampleMipmapsBackward)
+_sample_mipmaps_forward = _FORWARD.kernel("sample_mipmaps_forward", _SampleMipmapsForward)
 
 
 def all_levels(height: int, width: int) -> int:
@@ -127,6 +131,33 @@ def _(texels: Tensor, uv: Tensor, texels_too: bool) -> tuple[Tensor, Tensor]:
     return texels.new_empty(texels.shape if texels_too else (0, 0, 0)), uv.new_empty(uv.shape)
 
 
+@forward_operator(1)
+def sample_mipmaps_forward(
+    motion: Tensor,
+    texels: Tensor,
+    height: int,
+    width: int,
+    uv: Tensor,
+    face_index: Tensor,
+    levels: int,
+    repeat_u: bool,
+    repeat_v: bool,
+) -> Tensor:
+    """Compute the change [T, B, H, W, C] of `sample_mipmaps` for changes of uv, [T, B, H, W, 2] float32."""
+    batch, rows, columns = face_index.shape
+    change = zeros((len(motion), batch, rows, columns, texels.shape[2]), texels.device)
+    tasks, each = pixel_tasks(batch * rows, columns, texels.device)
+    fields = _fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each)
+    call = _SampleMipmapsForward(**fields, motion=motion.contiguous(), directions=len(motion), change=change)
+    launch(_sample_mipmaps_forward, tasks, [call], texels.device, worth_a_thread(each * columns * len(motion)))
+    return change
+
+
+@fake(sample_mipmaps_forward)
+def _(motion: Tensor, texels: Tensor, face_index: Tensor) -> Tensor:
+    return motion.new_empty((len(motion), *face_index.shape, texels.shape[2]))
+
+
 def _fields(
     texels: Tensor,
     height: int,
@@ -169,7 +200,17 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     return to_texels if texels_too else None, None, None, to_uv if uv_too else None, None, None, None, None
 
 
-differentiable(sample_mipmaps, _to_inputs, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    texels, *others = inputs
+    parts = []
+    if tangents[0] is not None:
+        parts.append(sample_mipmaps(tangents[0], *others))
+    if tangents[3] is not None:
+        parts.append(in_direction(sample_mipmaps_forward, tangents[3:4], texels, *others))
+    return sum_of(parts)
+
+
+differentiable(sample_mipmaps, _to_inputs, _save, _forward)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:

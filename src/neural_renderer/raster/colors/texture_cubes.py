@@ -2,16 +2,18 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+from collections.abc import Sequence
 from typing import Any
 
 from torch import Tensor
 
+from ..ops.barycentrics import motion_of
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp.launch import launch
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, fake, operator, refuse_second
+from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, refuse_second, sum_of
 from .composite import background_of
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
@@ -19,9 +21,12 @@ _KERNELS = Kernels(__name__, "texture_cubes.h", fused=False)
 _LitCubes, _SampleCubes, _SampleCubesBackward = (
     _KERNELS.struct(name) for name in ("LitCubes", "SampleCubes", "SampleCubesBackward")
 )
+_FORWARD = Kernels(__name__ + ".forward", "texture_cubes.h", fused=False)
+_SampleCubesForward = _FORWARD.struct("SampleCubesForward")
 _sample_pixels = _KERNELS.kernel("sample_pixels", _SampleCubes)
 _cubes_of_face_backward = _KERNELS.kernel("cubes_of_face_backward", _SampleCubesBackward)
 _cubes_of_run_backward = _KERNELS.kernel("cubes_of_run_backward", _SampleCubesBackward, only_cuda=True)
+_sample_pixels_forward = _FORWARD.kernel("sample_pixels_forward", _SampleCubesForward)
 
 
 @operator
@@ -118,6 +123,33 @@ def _(textures: Tensor, light: Tensor, faces: Tensor, faces_too: bool) -> tuple[
     return textures.new_empty(textures.shape), light.new_empty(light.shape), to_faces
 
 
+@forward_operator(1)
+def sample_textures_forward(
+    motion: Tensor,
+    textures: Tensor,
+    light: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    eps: float,
+    perspective: bool,
+    firsts: Tensor | None,
+) -> Tensor:
+    """Compute the change [T, B, 3, H, W] of `sample_textures` for motions of the corners, [T, B, F, 3, 3] float32."""
+    batch, height, width = face_index.shape
+    change = empty((len(motion), batch, 3, height, width), faces.device)
+    tasks, moved = motion_of(motion, face_index)
+    scene, cubes = scene_of(faces, face_index, perspective), lit_cubes(textures, light, eps, firsts)
+    call = _SampleCubesForward(scene=scene, textures=cubes, motion=moved, change=change)
+    launch(_sample_pixels_forward, tasks, [call], faces.device, worth_a_thread(moved.each * width * len(motion)))
+    return change
+
+
+@fake(sample_textures_forward)
+def _(motion: Tensor, face_index: Tensor) -> Tensor:
+    batch, height, width = face_index.shape
+    return motion.new_empty((len(motion), batch, 3, height, width))
+
+
 def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0, firsts: Tensor | None = None) -> Call:
     """Make the `LitCubes` of kernels; arguments as of `sample_textures`."""
     return _LitCubes(
@@ -149,7 +181,24 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     return to_textures, to_light, to_background, to_faces if faces_too else None, *[None] * 4
 
 
-differentiable(sample_textures, _to_inputs, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    textures, light, background, faces, face_index, eps, perspective, firsts = inputs
+    to_textures, to_light, to_background, motion = tangents[:4]
+    options = (faces, face_index, eps, perspective, firsts)
+    black = background.new_zeros(()).expand(background.shape)
+    parts = []
+    if to_textures is not None:
+        parts.append(sample_textures(to_textures, light, black, *options))
+    if to_light is not None:
+        parts.append(sample_textures(textures, to_light, black, *options))
+    if to_background is not None:
+        parts.append(to_background * (face_index < 0)[:, None])
+    if motion is not None:
+        parts.append(in_direction(sample_textures_forward, (motion,), textures, light, *options))
+    return sum_of(parts)
+
+
+differentiable(sample_textures, _to_inputs, _save, _forward)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
