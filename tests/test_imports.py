@@ -37,6 +37,7 @@ ROOMS = [
     "nvdiffrast",
     "features",
     "pictures",
+    "many",
     "tasks",
     "viewer",
     "commands",

@@ -27,6 +27,7 @@ COMMANDS = {
     "render": "Draw a mesh file as a picture or a turntable.",
     "info": "Show versions and devices, and check that rendering works.",
     "fit": "Recover a textured mesh from images with known cameras.",
+    "dataset": "Draw views of many models.",
     "reconstruct": "Reconstruct a mesh from a single picture.",
     "style": "Transfer the style of a painting to a mesh.",
     "dream": "Apply DeepDream to a mesh.",
