@@ -27,6 +27,7 @@ class Watching:
         self._progress = Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=self._console)
         self._task = self._progress.add_task(what, total=total, note="")
         self._what, self._lock = what, threading.Lock()
+        self._before = 0
         self.workers: dict[str, Done] = {}
         self.total = Done()
 
@@ -49,7 +50,8 @@ class Watching:
             for text in done.problems:
                 self._console.print(text, style="red", markup=False, soft_wrap=True, highlight=False)
             if worker == "before":
-                self._progress.reset(self._task, completed=done.models)
+                self._before += done.models
+                self._progress.reset(self._task, completed=self._before)
                 return
             self.workers.setdefault(worker, Done()).add(done)
             self.total.add(done)
