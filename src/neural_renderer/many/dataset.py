@@ -14,9 +14,10 @@ from typing import Any
 
 from ..io.atomic_write import replacing, write_file
 from ..version import __version__
+from .done import Done
 from .engines import Engine, Watch
 from .models import ModelFile, load_parquet
-from .shards import MANIFEST, MODELS, SHARDS, Done, MakeShard, Shard, read_entry
+from .shards import MANIFEST, MODELS, SHARDS, MakeShard, Shard, read_entry
 from .views import RenderModel, ViewSettings
 
 DESCRIPTION, FAILED = "dataset.json", "failed.jsonl"

@@ -15,7 +15,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from .shards import Done, Report
+from .done import Done, Report
 from .workers import Limits, Stopped, Worker, WorkerHere
 
 Part = TypeVar("Part")

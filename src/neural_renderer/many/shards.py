@@ -9,13 +9,13 @@ import os
 import shutil
 import tarfile
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..io.atomic_write import replacing, write_file, writing
 from ..io.files import file_checksum
+from .done import Done, Report
 from .models import ModelFile
 from .views import ModelViews, RenderModel, Sample
 from .workers import JobError, Worker
@@ -34,34 +34,6 @@ class Shard:
     @property
     def name(self) -> str:
         return f"{self.number:06d}"
-
-
-@dataclass
-class Done:
-    """What was done: numbers of models, views and failures, seconds by part, and what to tell people.
-
-    Attributes:
-        models, views, failures: Numbers.
-        seconds: Processor seconds by part of the work.
-        problems, notes: Failures and warnings in words; sums do not keep them.
-    """
-
-    models: int = 0
-    views: int = 0
-    failures: int = 0
-    seconds: dict[str, float] = field(default_factory=dict)
-    problems: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-
-    def add(self, other: Done) -> None:
-        """Add the numbers of another."""
-        self.models, self.views = self.models + other.models, self.views + other.views
-        self.failures += other.failures
-        for part, seconds in other.seconds.items():
-            self.seconds[part] = self.seconds.get(part, 0.0) + seconds
-
-
-Report = Callable[[Done], None]
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 import warnings
@@ -42,6 +43,14 @@ class Limits:
 
 class JobError(Exception):
     """Failure of one job; its message is the reason."""
+
+
+class _TimeLimit(Exception):
+    """The time is over."""
+
+
+class _MemoryLimit(Exception):
+    """A process takes too much memory."""
 
 
 class Stopped(Exception):
@@ -80,12 +89,12 @@ class Worker:
                 death = self._end()
                 if attempt == _TRIES:
                     raise JobError(f"expected a result, got a process that died ({death})") from None
-            except MemoryError:
+            except _MemoryLimit:
                 self._end()
                 if is_new:
                     most = (self.limits.memory or 0) / 2**30
                     raise JobError(f"expected to need at most {most:g} GiB of memory, got more") from None
-            except TimeoutError:
+            except _TimeLimit:
                 self._end()
                 raise JobError(f"expected an end within {self.limits.seconds:g} s, got none") from None
             except BaseException:  # told to stop, or Ctrl-C
@@ -129,9 +138,9 @@ class Worker:
                 if self.limits.seconds is not None:  # the process has begun with the job
                     deadline = time.monotonic() + self.limits.seconds
             elif deadline is not None and time.monotonic() > deadline:
-                raise TimeoutError
+                raise _TimeLimit
             if self.limits.memory is not None and self._memory() > self.limits.memory:
-                raise MemoryError
+                raise _MemoryLimit
 
     def _memory(self) -> int:
         """Return the bytes of memory of the process; 0 where the system does not tell."""
@@ -183,10 +192,10 @@ def _performed(work: Work, job: Any) -> tuple[str, Any, list[str]]:
 
 def _serve(pipe: Connection) -> None:
     """Do jobs from a pipe until it closes: the main function of a process."""
-    import torch
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is left to the parent
-    torch.set_num_threads(1)
+    os.environ["OMP_NUM_THREADS"] = "1"  # for torch, which the first job imports, if nobody has done so
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
     parent = multiprocessing.parent_process()
 
     def end_with_parent() -> None:
