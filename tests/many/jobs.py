@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import time
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+import pytest
 
 from neural_renderer.many.done import Done, Report
 from neural_renderer.many.workers import JobError, Worker
@@ -73,5 +76,15 @@ class Doubled:
         return found
 
 
-if __name__ == "__main__":
-    sys.exit("these are functions for tests")
+@contextmanager
+def watched_ray(wanted: bool) -> Iterator[None]:
+    """Start Ray once for a test, without its dashboard, or skip the test; nothing if it is not ``wanted``."""
+    if not wanted:
+        yield
+        return
+    ray = pytest.importorskip("ray")
+    ray.init(num_cpus=2, include_dashboard=False, logging_level="ERROR", log_to_driver=False)
+    try:
+        yield
+    finally:
+        ray.shutdown()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from neural_renderer.many.done import Done
-from neural_renderer.many.engines import Engine, Local, OnRay
+from neural_renderer.many.engines import Engine, Local
 from neural_renderer.many.workers import JobError, Limits, Stopped, Worker, WorkerHere
 from tests.many import jobs
 
@@ -101,9 +101,3 @@ def test_an_engine_that_is_closed_ends_its_workers() -> None:
     for process in done:
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
-
-
-def test_ray(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("ray")
-    monkeypatch.setenv("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
-    check_engine(OnRay(processes=2))

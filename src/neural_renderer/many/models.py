@@ -80,9 +80,12 @@ def _listed(path: Path) -> Iterator[tuple[str, str, str]]:
         for place, name, file, member in _rows(path):
             target = os.path.join(path.resolve().parent, file)
             if member or _suffix(target) in MESHES:
-                yield name or (f"{file}/{member}" if member else file), os.path.abspath(target), member
+                inside = f"{os.path.splitext(file)[0]}/{member}" if member else file
+                yield name + _suffix(inside) if name else inside, os.path.abspath(target), member
             elif _suffix(target) in _ARCHIVES:
-                yield from ((f"{name or file}/{inner}", out, m) for inner, out, m in _in_archive(target))
+                yield from (
+                    (f"{name or os.path.splitext(file)[0]}/{inner}", *rest) for inner, *rest in _in_archive(target)
+                )
             else:
                 raise ValueError(f"{place}: expected a path that ends in {', '.join(MESHES + _ARCHIVES)}, got {file!r}")
     elif _suffix(path) in _ARCHIVES:
@@ -104,11 +107,11 @@ def _in_folder(folder: Path) -> Iterator[tuple[str, str, str]]:
             if _suffix(file) in MESHES:
                 yield name, os.path.abspath(path), ""
             elif _suffix(file) in _ARCHIVES:
-                yield from ((f"{os.path.splitext(name)[0]}/{inner}", out, m) for inner, out, m in _in_archive(path))
+                yield from _in_archive(path, os.path.splitext(name)[0])
 
 
-def _in_archive(path: str) -> Iterator[tuple[str, str, str]]:
-    """List the meshes in an archive; the archive itself if it has none or cannot be read."""
+def _in_archive(path: str, name: str = "") -> Iterator[tuple[str, str, str]]:
+    """List the meshes in an archive with a name; the archive itself if it has none or cannot be read."""
     whole = os.path.abspath(path)
     try:
         with _Archive(whole) as archive:
@@ -116,8 +119,8 @@ def _in_archive(path: str) -> Iterator[tuple[str, str, str]]:
     except (OSError, ValueError):
         meshes = []
     if not meshes:
-        yield os.path.basename(path), whole, ""
-    yield from ((name, whole, name) for name in meshes)
+        yield f"{name or os.path.basename(path)}.archive", whole, ""
+    yield from ((f"{name}/{mesh}" if name else mesh, whole, mesh) for mesh in meshes)
 
 
 def _rows(path: Path) -> Iterator[tuple[str, str, str, str]]:

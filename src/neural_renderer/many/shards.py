@@ -82,7 +82,8 @@ class MakeShard:
         except JobError as error:
             row = {"name": model.name, "path": model.path, "member": model.member, "problem": str(error)}
             entry["failed"].append(row)
-            report(Done(1, failures=1, problems=(f"{model.name}: {error}",)))
+            sentence = str(error) if str(error).startswith(model.name) else f"{model.name}: {error}"
+            report(Done(1, failures=1, problems=(sentence,)))
             return None
         entry["views"] += result.views
         entry["notes"] += [{"name": model.name, "note": note} for note in result.notes]
