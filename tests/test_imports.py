@@ -38,6 +38,7 @@ ROOMS = [
     "features",
     "pictures",
     "many",
+    "data",
     "tasks",
     "viewer",
     "commands",

@@ -28,6 +28,7 @@ COMMANDS = {
     "info": "Show versions and devices, and check that rendering works.",
     "fit": "Recover a textured mesh from images with known cameras.",
     "dataset": "Draw views of many models.",
+    "batch": "Run fit, style or dream many times.",
     "reconstruct": "Reconstruct a mesh from a single picture.",
     "style": "Transfer the style of a painting to a mesh.",
     "dream": "Apply DeepDream to a mesh.",

@@ -131,15 +131,15 @@ class EngineOptions:
     engine: Literal["local", "ray"] = "local"
     """local: processes of this machine; ray: tasks of Ray, on this machine or a cluster (needs the extra "cluster")."""
     processes: Annotated[int, tyro.conf.arg(aliases=["-j"])] = field(default_factory=lambda: os.cpu_count() or 1)
-    """Processes of this machine, one model each (0: none, and no limits)."""
+    """Processes of this machine, one model or run each (0: none, and no limits)."""
     address: str | None = None
     """Address of a Ray cluster; auto on one of its nodes. By default Ray is started on this machine."""
     shard: str | None = None
     """Do one part of the work, such as 3/64: the fourth of 64, from 0/64 on, for as many jobs of a scheduler."""
     time_limit: float = 600.0
-    """Seconds after which a model is given up (0: none)."""
+    """Seconds after which a model or run is given up (0: none)."""
     memory_limit: float = 4.0
-    """GiB of memory of a process above which its model is given up (0: none). On Linux."""
+    """GiB of memory of a process above which its model or run is given up (0: none). On Linux."""
 
 
 Engine = Annotated[EngineOptions, tyro.conf.arg(name="")]
@@ -217,6 +217,30 @@ class DatasetOptions:
     allow_outside: bool = False
     """Allow mesh files to name materials and images outside of their folders. For trusted files only."""
     engine: Engine = field(default_factory=EngineOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchOptions:
+    """Run fit, style or dream many times: a row of a table is a run, its columns are the options.
+
+    TABLE is a .csv whose header names options of the command, such as images, mesh, painting, steps or seed; empty
+    cells are left out, and paths are relative to its folder. The column name names the results. The folder OUTPUT gets
+    a folder for each row, reports.csv with the numbers of all reports, sheet.png with the meshes, and failed.jsonl.
+
+    Example: neural-renderer batch fit scans.csv -o fitted
+
+    Example: neural-renderer batch style pairs.csv -o styled --engine ray --address auto
+
+    Ctrl-C keeps finished runs. The same command continues the others, from their last checkpoint.
+    """
+
+    command: Annotated[Literal["fit", "style", "dream"], tyro.conf.Positional]
+    """Command to run."""
+    table: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")]
+    """Table of the runs, .csv."""
+    output: Output
+    """Folder for the results; it is made if missing. For several machines, one that all of them see."""
+    engine: Engine = field(default_factory=lambda: EngineOptions(time_limit=0.0, memory_limit=8.0))
 
 
 @dataclass(frozen=True)

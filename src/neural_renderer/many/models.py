@@ -83,9 +83,7 @@ def _listed(path: Path) -> Iterator[tuple[str, str, str]]:
                 inside = f"{os.path.splitext(file)[0]}/{member}" if member else file
                 yield name + _suffix(inside) if name else inside, os.path.abspath(target), member
             elif _suffix(target) in _ARCHIVES:
-                yield from (
-                    (f"{name or os.path.splitext(file)[0]}/{inner}", *rest) for inner, *rest in _in_archive(target)
-                )
+                yield from _in_archive(target, name or os.path.splitext(file)[0])
             else:
                 raise ValueError(f"{place}: expected a path that ends in {', '.join(MESHES + _ARCHIVES)}, got {file!r}")
     elif _suffix(path) in _ARCHIVES:
@@ -181,21 +179,27 @@ def load_parquet(path: Path) -> Any:
 
 
 def _named(found: Sequence[tuple[str, str, str]]) -> list[ModelFile]:
-    """Make the names unique and plain."""
-    stems = [_plain(str(PurePosixPath(name.replace("\\", "/")).with_suffix(""))) for name, _, _ in found]
+    """Make models with unique names."""
+    names = plain_names([name for name, _, _ in found])
+    return sorted(ModelFile(name, path, member) for name, (_, path, member) in zip(names, found, strict=True))
+
+
+def plain_names(names: Sequence[str]) -> list[str]:
+    """Convert paths to unique names as of `ModelFile`, without suffixes where they differ without."""
+    stems = [_plain(str(PurePosixPath(name.replace("\\", "/")).with_suffix(""))) for name in names]
     counts = Counter(stems)
     counts.update({str(folder) for stem in stems for folder in PurePosixPath(stem).parents})  # also names of folders
     taken: set[str] = set()
-    models = []
-    for stem, (name, path, member) in zip(stems, found, strict=True):
-        stem = stem if counts[stem] == 1 else f"{stem}_{_suffix(name)[1:]}"
+    plain = []
+    for stem, name in zip(stems, names, strict=True):
+        stem = stem if counts[stem] == 1 else f"{stem}_{_suffix(name)[1:]}".rstrip("_")
         unique, number = stem, 1
         while unique in taken:
             number += 1
             unique = f"{stem}_{number}"
         taken.add(unique)
-        models.append(ModelFile(unique, path, member))
-    return sorted(models)
+        plain.append(unique)
+    return plain
 
 
 def _plain(name: str) -> str:
