@@ -105,7 +105,7 @@ def test_styles_and_rows(tmp_path: Path) -> None:
         Job(
             "x",
             (f"{home}/ball.obj", f"{home}/painting.png", "--weights", str(weights), "--iterations", "1", "--size", "32")
-            + ("--batch", "1", "--turntable", "0", "--no-seamless", "--light", "0.5", "0.5"),
+            + ("--batch", "1", "--turntable", "0", "--seamless", "False", "--light", "0.5", "0.5"),
         )
     ]
     assert cli.main(["batch", "style", str(table), "-o", str(tmp_path / "out"), "-j", "0"]) == 0

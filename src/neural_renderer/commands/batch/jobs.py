@@ -8,7 +8,7 @@ import json
 import shlex
 import typing
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +69,7 @@ class DoJob:
         ):
             try:
                 arguments = [*job.arguments, "--output", str(folder), "--resume"]
-                chosen = tyro.cli(_options_of(self.command), args=arguments)
+                chosen: Any = tyro.cli(_options_of(self.command), args=arguments)
                 code = importlib.import_module(f"neural_renderer.commands.{self.command}").run(chosen)
             except SystemExit:
                 log.flush()
@@ -157,14 +157,13 @@ def _arguments(home: Path, row: dict[str, str], kinds: dict[str, Any], positiona
         option = column.replace("-", "_")
         if not text or column == "name" or option in positional:
             continue
-        if kinds.get(option) is bool and text.lower() in _YES + _NO:
-            arguments.append(f"--{'' if text.lower() in _YES else 'no-'}{column.replace('_', '-')}")
+        flag = column.replace("_", "-")
+        kind = kinds[option.partition(".")[0]]
+        truth = text.lower() in _YES if text.lower() in _YES + _NO else None
+        if kind is bool and truth is not None:
+            arguments.append(f"--{'' if truth else 'no-'}{flag}")
+        elif kind == bool | None and truth is not None:
+            arguments += [f"--{flag}", str(truth)]
         else:
-            nested = kinds[option.partition(".")[0]]
-            is_group = (
-                is_dataclass(nested)
-                and "." in option
-                and any(f.name == option.partition(".")[2] for f in fields(nested))
-            )
-            arguments += [f"--{column.replace('_', '-')}", *([text] if is_group else values(option, text))]
+            arguments += [f"--{flag}", *([text] if "." in option else values(option, text))]
     return tuple(arguments)
