@@ -10,9 +10,9 @@ from rich.table import Table
 from ...io import save_image
 from ...many.engines import Engine
 from ...many.progress import Watching
-from ...tasks.reconstruction.data.arrays import SPLITS, open_split
+from ...tasks.reconstruction.data.arrays import open_split
 from ...tasks.reconstruction.data.dataset import Settings, assemble, existing_names, make_objects
-from ...tasks.reconstruction.data.framing import SIZE, VIEWS
+from ...tasks.reconstruction.data.framing import SIZE, SPLITS, VIEWS
 from ...tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
 from ...tasks.reconstruction.evaluation.check_axes import check_axes
 from ...tasks.reconstruction.evaluation.sheets import data_sheet

@@ -23,9 +23,9 @@ from ....many.engines import Engine, Watch
 from ....many.workers import JobError, Worker
 from ....rendering import render
 from ....version import __version__
-from .arrays import DESCRIPTION, SPLITS
+from .arrays import DESCRIPTION
 from .drawing import SHOULDER
-from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirror, scale_to_unit, view_camera
+from .framing import DISTANCE, ELEVATION, GRID, SIZE, SPLITS, VIEWING_ANGLE, VIEWS, mirror, scale_to_unit, view_camera
 from .models_folder import Model, is_mesh
 from .voxels import voxelize_model
 
