@@ -211,7 +211,8 @@ def hostile(models: Path, out: Path, count: int = 1000) -> None:
     failed = [json.loads(line) for line in (out / "hostile" / "failed.jsonl").read_text().splitlines()]
     bad = [row for row in failed if row["name"].startswith("good")]
     print(
-        f"{time.monotonic() - start:.0f} s, {len(failed)} failed, of them good: {len(bad)}; most memory {most / 2**30:.2f} GiB"
+        f"{time.monotonic() - start:.0f} s, {len(failed)} failed, of them good: {len(bad)}; "
+        f"most memory {most / 2**30:.2f} GiB"
     )
     for kind in dict.fromkeys(row["name"].rpartition("_")[0].rpartition("/")[0] or row["name"][:5] for row in failed):
         row = next(row for row in failed if row["name"].startswith(kind))

@@ -1,4 +1,4 @@
-"""Views of models by Blender's module bpy, for `many_models.py`: colours, depth and normals of 12 views of 512 pixels."""
+"""Views of models by Blender's module bpy, for `many_models.py`: 12 of 512 pixels, with depth and normals."""
 
 from __future__ import annotations
 

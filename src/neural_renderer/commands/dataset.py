@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from ..camera.files.load import load_cameras
-from ..io.values import open_exr
+from ..io.values import import_exr
 from ..many.cameras import CameraPlan
 from ..many.dataset import FAILED, DataSet
 from ..many.models import list_models
@@ -14,7 +14,7 @@ from ..many.progress import Watching
 from ..many.views import ViewSettings, check_outputs
 from ..raster.settings import image_size
 from ..shading.environments.light import EnvironmentLight
-from .common import check_between, check_counts, make_folder, say
+from .common import check_between, check_counts, check_folder, say
 from .engine import choose_engine, chosen_share, say_rates
 from .options import DatasetOptions
 
@@ -25,7 +25,7 @@ def run(options: DatasetOptions) -> int:
     settings = _settings(options)
     models = list_models(options.models)
     data = DataSet(options.output.resolve(), models, settings, options.layout, options.models_per_shard, options.index)
-    make_folder("--output", options.output)
+    check_folder("--output", options.output)
     data.describe()
     shards = data.shards()[share[0] :: share[1]]
     if share != (0, 1):
@@ -64,7 +64,7 @@ def _settings(options: DatasetOptions) -> ViewSettings:
         raise ValueError(f"--background: expected three numbers from 0 to 1, got {options.background}")
     check_outputs(options.outputs)
     if any(output.endswith(".exr") for output in options.outputs):
-        open_exr(options.output)
+        import_exr(options.output)
     size = image_size("size", options.size)
     if options.environment is not None:
         EnvironmentLight.load(options.environment)

@@ -15,6 +15,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
+from ..io.files import import_library
 from .done import Done, Report
 from .workers import Limits, Stopped, Worker, WorkerHere
 
@@ -125,7 +126,7 @@ class OnRay:
         self, perform: Perform[Part, Result], parts: Sequence[Part], watch: Watch
     ) -> Generator[tuple[Part, Result], None, None]:
         """See `Engine.run`."""
-        ray = load_ray()
+        ray = import_library("ray", "for --engine ray")
         started = not ray.is_initialized()
         if started:
             here = {} if self.address else {"num_cpus": self.processes, "include_dashboard": None}
@@ -185,14 +186,3 @@ def _perform_on_ray(shared: tuple[Perform[Any, Any], Limits], part: Any) -> tupl
     result = perform(part, _worker, report)
     total.problems = tuple(told)
     return f"{platform.node()} {os.getpid()}", total, result
-
-
-def load_ray() -> Any:
-    """Import Ray; raise ModuleNotFoundError with the command that installs it."""
-    try:
-        import ray
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError(
-            "--engine ray: expected Ray to be installed (pip install 'neural-renderer[cluster]')", name="ray"
-        ) from None
-    return ray

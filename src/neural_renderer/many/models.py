@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from ..io.files import existing, read_text, reason
+from ..io.files import existing, import_library, read_text, reason
 
 MESHES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")
 _ARCHIVES = (".zip", ".tar")
@@ -167,15 +167,8 @@ def _parquet_rows(path: Path) -> Iterator[dict[str, str]]:
 
 
 def load_parquet(path: Path) -> Any:
-    """Import pyarrow.parquet; raise ModuleNotFoundError with the command that installs it."""
-    try:
-        import pyarrow.parquet as parquet
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError(
-            f"{path}: expected pyarrow to be installed for Parquet (pip install 'neural-renderer[data]')",
-            name="pyarrow",
-        ) from None
-    return parquet
+    """Import pyarrow.parquet, for a file."""
+    return import_library("pyarrow.parquet", f"for {path.name}")
 
 
 def _named(found: Sequence[tuple[str, str, str]]) -> list[ModelFile]:

@@ -68,7 +68,7 @@ class DoJob:
             contextlib.redirect_stderr(log),
         ):
             try:
-                arguments = [*job.arguments, "--output", str(folder), "--resume"]
+                arguments = [*job.arguments, "--output", str(folder), "--resume", "--force"]
                 chosen: Any = tyro.cli(_options_of(self.command), args=arguments)
                 code = importlib.import_module(f"neural_renderer.commands.{self.command}").run(chosen)
             except SystemExit:

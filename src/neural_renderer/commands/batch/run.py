@@ -8,7 +8,7 @@ from contextlib import closing
 from ...io.atomic_write import write_file
 from ...many.done import Done
 from ...many.progress import Watching
-from ..common import make_folder, say
+from ..common import check_folder, say
 from ..engine import choose_engine, chosen_share, say_rates
 from ..options import BatchOptions
 from .jobs import DoJob, read_entry, read_jobs
@@ -22,7 +22,7 @@ def run(options: BatchOptions) -> int:
     folder = options.output.resolve()
     share = jobs[part::count]
     missing = [job for job in share if read_entry(folder, job) is None]
-    make_folder("--output", options.output)
+    check_folder("--output", options.output)
     is_whole = True
     with Watching(len(share), "jobs") as watching:
         watching("before", Done(len(share) - len(missing)))
