@@ -97,14 +97,14 @@ def test_styles_and_rows(tmp_path: Path) -> None:
     weights = saved_vgg(tmp_path)
     table = tmp_path / "styles.csv"
     table.write_text(
-        "name,mesh,painting,weights,iterations,size,batch,turntable,seamless,light\n"
+        "name,mesh,painting,weights,steps,size,batch,turntable,seamless,light\n"
         f"x,ball.obj,painting.png,{weights},1,32,1,0,no,0.5 0.5\n"
     )
     home = str(tmp_path.resolve())
     assert read_jobs(table, "style") == [
         Job(
             "x",
-            (f"{home}/ball.obj", f"{home}/painting.png", "--weights", str(weights), "--iterations", "1", "--size", "32")
+            (f"{home}/ball.obj", f"{home}/painting.png", "--weights", str(weights), "--steps", "1", "--size", "32")
             + ("--batch", "1", "--turntable", "0", "--seamless", "False", "--light", "0.5", "0.5"),
         )
     ]
