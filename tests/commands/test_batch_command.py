@@ -14,7 +14,7 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.commands.batch.jobs import Job, read_jobs
+from neural_renderer.commands.many.jobs import Job, read_jobs
 from neural_renderer.many.done import Done
 from neural_renderer.many.progress import Watching
 from neural_renderer.tasks.fit import Views

@@ -18,17 +18,14 @@ from ..io.files import file_checksum, short
 from ..io.values import encode_output
 from ..meshes.bounds import bounding_box
 from ..meshes.uv_mesh import UVMesh
-from ..pictures.lamp import lamp_direction
 from ..pictures.outputs import depth_range, draw_outputs, radius_of
 from ..shading.environments.light import EnvironmentLight
-from ..shading.lights import Light
+from ..shading.lights import CameraLight, Light
 from .cameras import CameraPlan
 from .models import ModelFile, opened
 
 _GREY = 0.82  # colour of meshes without colours
-_AMBIENT, _DIRECTIONAL = 0.4, 0.65
-_LAMP = (-0.4, 0.6, 0.7)  # right, up, backward of the camera
-_SUN = (0.35, 0.75, 0.55)  # in the world of the drawn mesh
+_AMBIENT, _DIRECTIONAL, _SUN = 0.4, 0.65, (0.35, 0.75, 0.55)  # light "sun", and its direction in the world
 _LEVEL = 1  # compression of .png
 _PICTURES = ("png", "jpg", "webp", "npy", "exr")
 _VALUES = ("npy", "exr")
@@ -203,8 +200,7 @@ def draw_view(mesh: UVMesh, camera: Camera, settings: ViewSettings, names: Any) 
     if settings.environment is not None:
         light = _environment(settings.environment)
     elif settings.light != "none":
-        direction = lamp_direction(camera, _LAMP) if settings.light == "lamp" else torch.tensor(_SUN)
-        light = Light(_AMBIENT, _DIRECTIONAL, direction=direction)
+        light = CameraLight() if settings.light == "lamp" else Light(_AMBIENT, _DIRECTIONAL, direction=_SUN)
     scene = {"light": light, "shading": settings.shading, "background": settings.background, "layers": settings.layers}
     return draw_outputs(mesh, camera, settings.size, names, **scene, near=near, far=far)
 

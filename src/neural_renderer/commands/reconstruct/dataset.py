@@ -17,7 +17,7 @@ from ...tasks.reconstruction.data.models_folder import Model, default_splits, fi
 from ...tasks.reconstruction.evaluation.check_axes import check_axes
 from ...tasks.reconstruction.evaluation.sheets import data_sheet
 from ..common import check_counts, check_folder, say
-from ..engine import choose_engine
+from ..many.engine import choose_engine
 from .options import DatasetOptions
 
 Splits = dict[str, dict[str, list[Model]]]

@@ -6,11 +6,11 @@ import re
 
 from rich.console import Console
 
-from ..many.engines import Engine, Local, OnRay
-from ..many.progress import Watching
-from ..many.workers import Limits
-from .common import check_counts, say
-from .options import EngineOptions
+from ...many.engines import Engine, Local, OnRay
+from ...many.progress import Watching
+from ...many.workers import Limits
+from ..common import check_counts, say
+from ..options import EngineOptions
 
 
 def choose_engine(options: EngineOptions) -> Engine:

@@ -1,4 +1,4 @@
-"""The command `neural-renderer batch`."""
+"""`neural-renderer batch`: many runs of `fit`, `style` or `dream`, one for each row of a table."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from ...io.atomic_write import write_file
 from ...many.done import Done
 from ...many.progress import Watching
 from ..common import check_folder, say
-from ..engine import choose_engine, chosen_share, say_rates
 from ..options import BatchOptions
+from .engine import choose_engine, chosen_share, say_rates
 from .jobs import DoJob, read_entry, read_jobs
 from .results import SHEET, TABLE, write_sheet, write_table
 

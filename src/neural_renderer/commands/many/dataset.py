@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from ..camera.files.load import load_cameras
-from ..io.values import import_exr
-from ..many.cameras import CameraPlan
-from ..many.dataset import FAILED, DataSet
-from ..many.models import list_models
-from ..many.progress import Watching
-from ..many.views import ViewSettings, check_outputs
-from ..raster.settings import image_size
-from ..shading.environments.light import EnvironmentLight
-from .common import check_between, check_counts, check_folder, say
+from ...camera.files.load import load_cameras
+from ...io.exr import open_exr
+from ...many.cameras import CameraPlan
+from ...many.dataset import FAILED, DataSet
+from ...many.models import list_models
+from ...many.progress import Watching
+from ...many.views import ViewSettings, check_outputs
+from ...raster.settings import image_size
+from ...shading.environments.light import EnvironmentLight
+from ..common import check_between, check_counts, check_folder, say
+from ..options import DatasetOptions
 from .engine import choose_engine, chosen_share, say_rates
-from .options import DatasetOptions
 
 
 def run(options: DatasetOptions) -> int:
@@ -64,7 +64,7 @@ def _settings(options: DatasetOptions) -> ViewSettings:
         raise ValueError(f"--background: expected three numbers from 0 to 1, got {options.background}")
     check_outputs(options.outputs)
     if any(output.endswith(".exr") for output in options.outputs):
-        import_exr(options.output)
+        open_exr(options.output)
     size = image_size("size", options.size)
     if options.environment is not None:
         EnvironmentLight.load(options.environment)
