@@ -22,6 +22,7 @@ import time
 import zipfile
 from pathlib import Path
 
+_KILLED = ("ray::part", "ray::_perform", "ray::IDLE")  # not Ray's agents, whose end is that of their node
 _HERE = Path(__file__).parent
 _VIEWS = ["--views", "12", "--size", "512", "--outputs", "rgba.png", "depth.png", "normal.png"]
 _SMALL = ["--views", "4", "--size", "128", "--outputs", "rgba.png", "depth.png"]
@@ -104,7 +105,7 @@ def cluster(models: Path, out: Path, count: int = 500) -> None:
                 extra.append(nodes.add_node(num_cpus=1))
             else:
                 names = ((process, _name(process)) for process in children(os.getpid()))
-                workers = [process for process, name in names if "ray::" in name or "spawn_main" in name]
+                workers = [process for process, name in names if name.startswith(_KILLED) or "spawn_main" in name]
                 if workers:
                     os.kill(chance.choice(workers), signal.SIGKILL)
         time.sleep(0.05)

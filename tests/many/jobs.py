@@ -83,7 +83,7 @@ def watched_ray(wanted: bool) -> Iterator[None]:
         yield
         return
     ray = pytest.importorskip("ray")
-    ray.init(num_cpus=2, include_dashboard=False, logging_level="ERROR", log_to_driver=False)
+    ray.init("local", num_cpus=2, include_dashboard=False, logging_level="ERROR", log_to_driver=False)
     try:
         yield
     finally:

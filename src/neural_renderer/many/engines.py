@@ -129,8 +129,8 @@ class OnRay:
         ray = import_library("ray", "for --engine ray")
         started = not ray.is_initialized()
         if started:
-            here = {} if self.address else {"num_cpus": self.processes, "include_dashboard": None}
-            ray.init(self.address, logging_level="ERROR", log_to_driver=False, **here)
+            here = {} if self.address else {"num_cpus": self.processes}
+            ray.init(self.address or "local", logging_level="ERROR", log_to_driver=False, **here)
         task = ray.remote(num_cpus=1, max_retries=-1)(_perform_on_ray)
         shared = ray.put((perform, self.limits))
         waiting = list(reversed(parts))
