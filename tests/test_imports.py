@@ -37,6 +37,8 @@ ROOMS = [
     "nvdiffrast",
     "features",
     "pictures",
+    "many",
+    "data",
     "tasks",
     "viewer",
     "commands",

@@ -27,6 +27,8 @@ COMMANDS = {
     "render": "Draw a mesh file as a picture or a turntable.",
     "info": "Show versions and devices, and check that rendering works.",
     "fit": "Recover a textured mesh from images with known cameras.",
+    "dataset": "Draw views of many models.",
+    "batch": "Run fit, style or dream many times.",
     "reconstruct": "Reconstruct a mesh from a single picture.",
     "style": "Transfer the style of a painting to a mesh.",
     "dream": "Apply DeepDream to a mesh.",
@@ -35,6 +37,7 @@ COMMANDS = {
     "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
 _GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
+_MANY = ("dataset", "batch")  # commands whose modules are in the package `many`
 
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
 --version shows the version.
@@ -90,7 +93,7 @@ def _parse(
 ) -> tuple[str, Any]:
     """Parse arguments: return the module of the command, relative to `commands`, and its options."""
     name = arguments[0]
-    module = package + name
+    module = f"many.{name}" if name in _MANY and not package else package + name
     if name in _GROUPS:
         group = _load(module)
         return _parse(arguments[1:] or ["--help"], group.COMMANDS, f"{module}.", f"{prog} {name}", group.DESCRIPTION)

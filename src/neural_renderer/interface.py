@@ -2,7 +2,7 @@
 
 import torch
 
-from . import losses, metrics, optim, rotations
+from . import data, losses, metrics, optim, rotations
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
 from .comparators.reinforce import reinforce
 from .comparators.soft_silhouettes import soft_silhouettes
@@ -75,6 +75,7 @@ __all__ = [
     "corner_tangents",
     "cross",
     "cube",
+    "data",
     "fill_gutters",
     "fragments",
     "get_points_from_angles",

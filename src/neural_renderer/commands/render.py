@@ -24,6 +24,7 @@ from ..meshes.batch import join
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
+from ..pictures.outputs import depth_range, distance_to_see, draw_outputs, radius_of, scale_to_see
 from ..raster.settings import image_size
 from ..rendering import render
 from ..shading.environments.light import EnvironmentLight
@@ -34,9 +35,7 @@ from .render_names import has_number, numbered, scenes
 
 _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours
-_MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the picture
 _SIZE = 512  # side of pictures by default
-_PLANES = 0.05  # distance of the near and far planes from the mesh, in its extent in depth
 _FRAMES = 60  # pictures of a turntable by default
 _DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
 _CREASE, _CREASES = math.cos(math.radians(30)), 0.15  # angle of a crease; share of corners that may have one
@@ -92,9 +91,11 @@ def _draw_scene(options: RenderOptions) -> None:
     elif options.output is not None:
         save_image(options.output, draw(options, mesh, cameras, size, background, surroundings))
     if options.save:
-        near, far = _planes(options, mesh, cameras)
+        near, far = depth_range(mesh, cameras)
         look = _look(options, cameras, size, background, surroundings)
-        _save_outputs(options, mesh, cameras, size, **look, near=near, far=far)
+        images = draw_outputs(mesh, cameras, size, dict(options.save), **look, near=near, far=far)
+        for name, path in options.save:
+            save_output(path, images[name], name, options.depth_scale)
     for path in outputs:
         say(str(path))
 
@@ -190,31 +191,13 @@ def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, tuple
     size = image_size("size", given or _photo_size(options) or _SIZE)
     count = (options.turntable or _FRAMES) if animated else 1
     azimuth = options.azimuth + 360 * torch.arange(count, dtype=torch.float64) / count
-    aspect = min(1.0, size[1] / size[0])
-    radius, distance = _distance(options, mesh, aspect)
+    aspect, radius = size[1] / size[0], radius_of(mesh.vertices)
+    distance = options.distance or distance_to_see(radius, options.viewing_angle, aspect)
     eyes = get_points_from_angles(distance, options.elevation, azimuth.to(mesh.vertices))
     lens: dict[str, Any] = {"viewing_angle": options.viewing_angle}
     if options.orthographic:
-        lens = {"orthographic": True, "scale": aspect / (_MARGIN * radius)}
+        lens = {"orthographic": True, "scale": scale_to_see(radius, aspect)}
     return Camera.look_at(eyes, **lens), size
-
-
-def _distance(options: RenderOptions, mesh: Mesh | UVMesh, aspect: float) -> tuple[float, float]:
-    """Return the radius of the mesh around the origin, and the distance of the camera."""
-    radius = max(mesh.vertices.detach().norm(dim=1).max().item(), 1e-6)
-    if options.distance is not None:
-        return radius, options.distance
-    return radius, _MARGIN * radius / (math.sin(math.radians(options.viewing_angle)) * max(aspect, 1e-6))
-
-
-def _planes(options: RenderOptions, mesh: Mesh | UVMesh, camera: Camera) -> tuple[float, float]:
-    """Return near and far planes that contain what the camera sees of the mesh."""
-    depth = camera(mesh.vertices.detach())[0, :, 2]
-    low, high = depth.min().item(), depth.max().item()
-    if high <= 0:
-        raise ValueError(f"--camera: expected a camera that sees the mesh, got all of it behind {options.camera}")
-    margin = _PLANES * max(high - low, 1e-3 * high)
-    return max(low - margin, 1e-3 * high), high + margin
 
 
 def _photo_size(options: RenderOptions) -> tuple[int, int] | None:
@@ -261,7 +244,7 @@ def draw(
     surroundings: EnvironmentLight | None = None,
 ) -> Tensor:
     """Draw one view: [3, H, W] in [0, 1]; [4, H, W] with a transparent background; [H, W] for silhouettes and depth."""
-    near, far = _planes(options, mesh, camera)
+    near, far = depth_range(mesh, camera)
     if options.mode in ("silhouettes", "depth"):
         shape = mesh.vertices, mesh.faces
         images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far)
@@ -310,26 +293,3 @@ def _check_saved(save: Sequence[tuple[str, Path]]) -> None:
             raise ValueError(f"--save {name}: expected a name that ends in {', '.join(suffixes)}, got {path.name!r}")
         if path.suffix.lower() == ".exr":
             open_exr(path)
-
-
-@torch.no_grad()
-def _save_outputs(options: RenderOptions, mesh: Any, camera: Camera, size: tuple[int, int], **scene: Any) -> None:
-    """Draw the outputs of ``--save`` from one camera, with the other arguments of `render`, and write them."""
-    names = dict(options.save)  # each once
-    smooth = [name for name in names if name in ("rgb", "alpha")]
-    plain = [name for name in names if name not in smooth]
-    images: dict[str, Any] = {}
-    if smooth:
-        drawn = render(mesh, camera, size, outputs=smooth, **scene)
-        images |= {name: getattr(drawn, name)[0] for name in smooth}
-    if plain:
-        geometry = {name: scene[name] for name in ("near", "far")}
-        drawn = render(
-            mesh, camera, size, outputs=(*plain, "alpha"), anti_aliasing=False, shading="smooth", light=None, **geometry
-        )
-        images |= {name: getattr(drawn, name)[0] for name in plain}
-        if "depth" in images:
-            images["depth"] = images["depth"] * drawn.alpha[0]  # 0 in place of the far plane
-    for name, path in options.save:
-        image = images[name].cpu()
-        save_output(path, (image.movedim(0, 2) if image.dim() == 3 else image).numpy(), name, options.depth_scale)

@@ -89,22 +89,28 @@ def save_cameras(
     ``size`` is the height and width of the images in pixels, for cameras without K. ValueError: The cameras are
     parallel or fisheye ones, or the number of names is another.
     """
-    if not camera.perspective or camera.is_fisheye:
-        raise ValueError("camera: expected perspective without a fisheye lens, got another")
     if len(names) != len(camera):
         raise ValueError(f"names: expected {len(camera)} names, got {len(names)}")
+    views = [{"file": name, **row} for name, row in zip(names, camera_rows(camera, size), strict=True)]
+    write_file(path, json.dumps({"views": views}, indent=1) + "\n")
+
+
+def camera_rows(camera: Camera, size: tuple[int, int] | None = None) -> list[dict[str, Any]]:
+    """Describe each camera of a batch as in a file; arguments and errors as `save_cameras`."""
+    if not camera.perspective or camera.is_fisheye:
+        raise ValueError("camera: expected perspective without a fisheye lens, got another")
     rotation, translation = camera.rotation, camera.translation
     if camera.K is None:
         rotation = camera.axes * camera.axes.new_tensor([1.0, -1.0, 1.0])[:, None]
     translation = translation - torch.einsum("bij,bj->bi", rotation, camera.origin)
     K, (height, width) = _intrinsics(camera, size)
-    views: list[dict[str, Any]] = []
-    for row, name in enumerate(names):
-        view: dict[str, Any] = {"file": name, "width": width, "height": height, "K": K[row].tolist()}
+    rows: list[dict[str, Any]] = []
+    for number in range(len(camera)):
+        row: dict[str, Any] = {"width": width, "height": height, "K": K[number].tolist()}
         if camera.dist_coeffs is not None:
-            view["dist"] = camera.dist_coeffs[row].tolist()
-        views.append({**view, "R": rotation[row].tolist(), "t": translation[row].tolist()})
-    write_file(path, json.dumps({"views": views}, indent=1) + "\n")
+            row["dist"] = camera.dist_coeffs[number].tolist()
+        rows.append({**row, "R": rotation[number].tolist(), "t": translation[number].tolist()})
+    return rows
 
 
 def _intrinsics(camera: Camera, size: tuple[int, int] | None) -> tuple[Tensor, tuple[float, float]]:

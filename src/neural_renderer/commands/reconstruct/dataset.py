@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections import Counter
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from ...io import save_image
-from ...tasks.reconstruction.data.arrays import SPLITS, open_split
+from ...many.engines import Engine
+from ...many.progress import Watching
+from ...tasks.reconstruction.data.arrays import open_split
 from ...tasks.reconstruction.data.dataset import Settings, assemble, existing_names, make_objects
-from ...tasks.reconstruction.data.framing import SIZE, VIEWS
+from ...tasks.reconstruction.data.framing import SIZE, SPLITS, VIEWS
 from ...tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
 from ...tasks.reconstruction.evaluation.check_axes import check_axes
 from ...tasks.reconstruction.evaluation.sheets import data_sheet
 from ..common import check_counts, check_folder, say
+from ..many.engine import choose_engine
 from .options import DatasetOptions
 
 Splits = dict[str, dict[str, list[Model]]]
@@ -24,7 +26,10 @@ Splits = dict[str, dict[str, list[Model]]]
 
 def run(options: DatasetOptions) -> int:
     """Make a data set; return the exit code: 0, or 130 after Ctrl-C."""
-    check_counts(options, views=1, size=8, samples=4, processes=0)
+    check_counts(options, views=1, size=8, samples=4)
+    engine = choose_engine(options.engine)
+    if options.engine.shard is not None:
+        raise ValueError("--shard: expected no part here, where the files of all objects are put together at the end")
     if options.splits is not None and options.set is not None:
         raise ValueError("--set: expected only one of --set and --splits, got both")
     models, broken = find_models(options.models)
@@ -32,7 +37,7 @@ def run(options: DatasetOptions) -> int:
     _check_earlier_splits(options, chosen)
     settings = Settings(options.views, options.size, options.samples)
     check_folder("OUT", options.out)
-    if not _make(options, [model for model in models if _key(model) in chosen], settings, broken):
+    if not _make(options, [model for model in models if _key(model) in chosen], settings, engine, broken):
         say(f"interrupted; the same command continues with the finished objects in {options.out}")
         return 130
     splits: Splits = {}
@@ -80,20 +85,16 @@ def _check_earlier_splits(options: DatasetOptions, chosen: dict[tuple[str, str],
                     )
 
 
-def _make(options: DatasetOptions, models: list[Model], settings: Settings, broken: dict[str, str]) -> bool:
+def _make(
+    options: DatasetOptions, models: list[Model], settings: Settings, engine: Engine, broken: dict[str, str]
+) -> bool:
     """Make the objects with a progress bar, and record broken models. Returns False after Ctrl-C."""
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as progress:
-        task = progress.add_task("objects", total=len(models))
-        objects = make_objects(models, options.out, settings, options.processes, options.allow_outside)
+    with Watching(len(models), "objects") as watching:
+        objects = make_objects(models, options.out, settings, engine, options.allow_outside, watching)
         try:
-            for model, problem, notes in objects:
-                for text in notes:
-                    progress.console.print(text, style="yellow", markup=False, soft_wrap=True)
+            for model, problem, _ in objects:
                 if problem is not None:
                     broken[f"{model.category}/{model.name}"] = problem
-                    progress.console.print(problem, style="red", markup=False, soft_wrap=True)
-                progress.advance(task)
         except KeyboardInterrupt:
             return False
     return True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from ...tasks.settings import ConfigName, ModelName
-from ..options import Device, Output, Watch, WatchOptions
+from ..options import Device, Engine, EngineOptions, Output, Watch, WatchOptions
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,7 @@ class DatasetOptions:
     allow_outside: bool = False
     """Allow mesh files to name materials and images outside of their folders, as ShapeNetCore.v2 does. For trusted
     models only."""
-    processes: Annotated[int, tyro.conf.arg(aliases=["-j"])] = field(default_factory=lambda: os.cpu_count() or 1)
-    """Worker processes, one model each (0: none)."""
+    engine: Engine = field(default_factory=EngineOptions)
 
 
 @dataclass(frozen=True)

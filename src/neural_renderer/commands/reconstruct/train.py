@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ...features import FeatureNetwork
 from ...io.files import import_library
-from ...tasks.reconstruction.data.arrays import Split, open_split
+from ...tasks.reconstruction.data.arrays import Split, classes_of, open_split
 from ...tasks.reconstruction.networks.checkpoint import BEST, HEADER, LAST, read_checkpoint
 from ...tasks.reconstruction.networks.configs import Config, make_config
 from ...tasks.reconstruction.networks.encoders import FeatureEncoder
@@ -82,7 +82,8 @@ def _watch_options(options: TrainOptions) -> WatchOptions:
 def _open_data(options: TrainOptions) -> tuple[Split, Split | None]:
     """Open training and validation split; warn about classes without validation data."""
     data = open_split(options.data, "train", options.classes or None)
-    present = [name for name in data.classes if (options.data / f"{name}_val_images.npz").exists()]
+    there = classes_of(options.data, "val")
+    present = [name for name in data.classes if name in there]
     missing = [name for name in data.classes if name not in present]
     if missing:
         consequence = "" if present else f"; {BEST} will be the network of the last step"

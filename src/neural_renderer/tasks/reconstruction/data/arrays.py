@@ -25,9 +25,9 @@ import numpy as np
 
 from ....io.atomic_write import replacing
 from ....io.files import reason, short
-from .framing import GRID, SIZE, VIEWS
+from .framing import GRID, SIZE, SPLITS, VIEWS
+from .shard_images import is_shards, open_shards
 
-SPLITS = ("train", "val", "test")
 DESCRIPTION = "dataset.json"
 _CHUNK = 1 << 22  # bytes unpacked at once
 _KINDS = {"images": ("uint8", (VIEWS, 4, SIZE, SIZE)), "voxels": ("bool", (GRID,) * 3)}  # dtype, shape of an object
@@ -41,7 +41,7 @@ class Split:
         folder: Folder of the data set.
         split: "train", "val" or "test".
         classes: Names of the classes.
-        images: Class → uint8 [N, 24, 4, 64, 64], memory-mapped.
+        images: Class → uint8 [N, 24, 4, 64, 64], memory-mapped, or read from shards (`ShardImages`).
         voxels: Class → bool [N, 32, 32, 32], memory-mapped; classes without voxels are missing.
         names: Class → names of its N objects.
     """
@@ -49,7 +49,7 @@ class Split:
     folder: Path
     split: str
     classes: tuple[str, ...]
-    images: dict[str, np.ndarray]
+    images: dict[str, Any]
     voxels: dict[str, np.ndarray]
     names: dict[str, tuple[str, ...]]
 
@@ -64,6 +64,7 @@ class Split:
 def open_split(folder: str | os.PathLike[str], split: str, classes: Sequence[str] | None = None) -> Split:
     """Open a split, "train", "val" or "test", with some of its classes or, by default, all.
 
+    The folder is in the published format, or a data set of `neural-renderer dataset` (see `shard_images.open_shards`).
     Files are unpacked at first use: beside the npz, or in the user's cache folder if that is not writable. Several
     processes may do this at the same time.
 
@@ -79,8 +80,9 @@ def open_split(folder: str | os.PathLike[str], split: str, classes: Sequence[str
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing there"
         raise FileNotFoundError(f"{folder}: expected a folder of {{class}}_{split}_images.npz, got {found}")
-    pattern = re.compile(rf"(.+)_{split}_images\.npz")
-    present = sorted(match[1] for path in folder.iterdir() if (match := pattern.fullmatch(path.name)))
+    if is_shards(folder):
+        return _open_shards(folder, split, classes)
+    present = _classes(folder, split)
     if not present:
         raise FileNotFoundError(f"{folder}: expected files {{class}}_{split}_images.npz, got none")
     selected = tuple(dict.fromkeys(present if classes is None else classes))
@@ -112,6 +114,31 @@ def open_split(folder: str | os.PathLike[str], split: str, classes: Sequence[str
         if len(names[name]) != count:
             raise ValueError(f"{folder / DESCRIPTION}: expected {count} names of {path.name}, got {len(names[name])}")
     return Split(folder, split, selected, images, voxels, names)
+
+
+def classes_of(folder: str | os.PathLike[str], split: str) -> list[str]:
+    """List the classes that a split of a data set has; none if there is no such split."""
+    folder = Path(folder)
+    return sorted(open_shards(folder)[0].get(split, {})) if is_shards(folder) else _classes(folder, split)
+
+
+def _classes(folder: Path, split: str) -> list[str]:
+    pattern = re.compile(rf"(.+)_{split}_images\.npz")
+    return sorted(match[1] for path in folder.iterdir() if (match := pattern.fullmatch(path.name)))
+
+
+def _open_shards(folder: Path, split: str, classes: Sequence[str] | None) -> Split:
+    """Open a split of the views in shards; arguments and errors as `open_split`."""
+    all_images, all_names = open_shards(folder)
+    images, names = all_images.get(split, {}), all_names.get(split, {})
+    selected = tuple(dict.fromkeys(sorted(images) if classes is None else classes))
+    missing = [name for name in selected if name not in images]
+    if missing or not selected:
+        raise FileNotFoundError(
+            f"{folder}: expected {missing[0] if missing else 'models'} in the split {split}, got none; the classes are "
+            f"{', '.join(sorted(images)) or 'none'}"
+        )
+    return Split(folder, split, selected, {n: images[n] for n in selected}, {}, {n: names[n] for n in selected})
 
 
 def _read_names(folder: Path, split: str) -> dict[str, list[str]]:

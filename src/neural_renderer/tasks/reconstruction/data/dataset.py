@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import threading
-import time
-import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +18,14 @@ from torch import Tensor
 
 from ....io import load_mesh
 from ....io.atomic_write import replacing, write_file
+from ....many.done import Done, Report
+from ....many.engines import Engine, Watch
+from ....many.workers import JobError, Worker
 from ....rendering import render
 from ....version import __version__
-from .arrays import DESCRIPTION, SPLITS
+from .arrays import DESCRIPTION
 from .drawing import SHOULDER
-from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirror, scale_to_unit, view_camera
+from .framing import DISTANCE, ELEVATION, GRID, SIZE, SPLITS, VIEWING_ANGLE, VIEWS, mirror, scale_to_unit, view_camera
 from .models_folder import Model, is_mesh
 from .voxels import voxelize_model
 
@@ -108,71 +103,68 @@ def make_object(path: Path, settings: Settings = Settings(), allow_outside: bool
         raise ValueError(f"{path}: {error}") from None
 
 
+@dataclass(frozen=True)
+class _Object:
+    """Object to make: its model, and the key of its finished file."""
+
+    model: Model
+    key: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.model.category}/{self.model.name}"
+
+
+@dataclass(frozen=True)
+class _MakeFile:
+    """Makes the file of an object with a worker; returns an error message or None, and warnings."""
+
+    folder: Path
+    settings: Settings
+    allow_outside: bool
+
+    def __call__(self, part: _Object, worker: Worker, report: Report) -> tuple[str | None, list[str]]:
+        path = part.model.path
+        try:
+            (images, voxels), notes = worker.run(self._make, path)
+        except JobError as error:
+            problem = str(error) if str(path) in str(error) else f"{path}: {error}"
+            report(Done(1, failures=1, problems=(problem,)))
+            return problem, []
+        arrays: dict[str, Any] = {"images": images, "voxels": voxels, "notes": np.array(notes, np.str_)}
+        with replacing(object_file(part.model, self.folder)) as fresh, open(fresh, "wb") as file:
+            np.savez_compressed(file, key=np.array(part.key), **arrays)
+        report(Done(1, len(images), notes=tuple(notes)))
+        return None, notes
+
+    def _make(self, path: Path) -> tuple[np.ndarray, np.ndarray]:
+        images, voxels = make_object(path, self.settings, self.allow_outside)
+        return images.numpy(), voxels.numpy()
+
+
 def make_objects(
-    models: Sequence[Model], folder: Path, settings: Settings, processes: int, allow_outside: bool = False
+    models: Sequence[Model],
+    folder: Path,
+    settings: Settings,
+    engine: Engine,
+    allow_outside: bool = False,
+    watch: Watch = lambda *_: None,
 ) -> Iterator[tuple[Model, str | None, list[str]]]:
     """Render and voxelise models, one file per model in ``folder``; finished models are skipped.
 
-    With 0 ``processes``, this process does the work. Yields each model when it is finished, with an error message or
-    None, and warnings.
+    Yields each model when it is finished, with an error message or None, and warnings. ``watch`` is told the same.
     """
-    waiting: dict[Model, str] = {}
+    parts = []
     for model, key in _keys(models, settings, allow_outside).items():
         notes = _finished_notes(model, folder, key)
-        if notes is not None:
-            yield model, None, notes
-        elif processes == 0:
-            yield model, *_make_file(model, folder, settings, key, allow_outside)
+        if notes is None:
+            parts.append(_Object(model, key))
         else:
-            waiting[model] = key
-    while waiting:
-        # A worker that dies breaks the whole pool. A second pass with one worker finds the model that kills it.
-        for count in dict.fromkeys((processes, 1)):
-            yield from _make_in_pool(waiting, folder, settings, count, allow_outside)
-            if not waiting:
-                return
-        culprit = next(iter(waiting))
-        del waiting[culprit]
-        yield culprit, f"{culprit.path}: expected to render it, got a worker process that died (out of memory?)", []
-
-
-def _make_in_pool(
-    waiting: dict[Model, str], folder: Path, settings: Settings, processes: int, allow_outside: bool
-) -> Iterator[tuple[Model, str | None, list[str]]]:
-    """Make objects in worker processes until all are finished, and no longer in ``waiting``, or a worker dies."""
-    with _pool(processes) as pool:
-        futures = {
-            pool.submit(_make_file, model, folder, settings, key, allow_outside): model
-            for model, key in waiting.items()
-        }
-        with suppress(BrokenProcessPool):
-            for future in as_completed(futures):
-                problem, notes = future.result()
-                del waiting[futures[future]]
-                yield futures[future], problem, notes
-
-
-@contextmanager
-def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    """Open a pool of worker processes; at its end, waiting tasks are cancelled."""
-    pool = ProcessPoolExecutor(processes, get_context("spawn"), _start_worker, (os.getpid(),))
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _start_worker(parent: int) -> None:
-    """Initialise a worker: one thread, Ctrl-C is left to the parent, and the worker ends if the parent is killed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    torch.set_num_threads(1)
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+            watch("before", Done(1, notes=tuple(notes)))
+            yield model, None, notes
+    with closing(engine.run(_MakeFile(folder, settings, allow_outside), parts, watch)) as finished:
+        for part, (problem, notes) in finished:
+            yield part.model, problem, notes
 
 
 def object_file(model: Model, folder: Path) -> Path:
@@ -217,25 +209,6 @@ def _finished_notes(model: Model, folder: Path, key: str) -> list[str] | None:
             return arrays["notes"].tolist() if str(arrays["key"]) == key else None
     except Exception:  # the file is missing or damaged
         return None
-
-
-def _make_file(
-    model: Model, folder: Path, settings: Settings, key: str, allow_outside: bool
-) -> tuple[str | None, list[str]]:
-    """Make one object; return an error message or None, and warnings."""
-    target = object_file(model, folder)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            images, voxels = make_object(model.path, settings, allow_outside)
-        except Exception as error:  # one broken model must not stop the others
-            expected = isinstance(error, (ValueError, OSError)) and str(error)
-            return (str(error) if expected else f"{model.path}: {type(error).__name__}: {error}"), []
-    notes = sorted({str(warning.message) for warning in caught})
-    arrays: dict[str, Any] = {"images": images.numpy(), "voxels": voxels.numpy(), "notes": np.array(notes, np.str_)}
-    with replacing(target) as fresh, open(fresh, "wb") as file:
-        np.savez_compressed(file, key=np.array(key), **arrays)
-    return None, notes
 
 
 def assemble(

@@ -20,6 +20,7 @@ VIEWING_ANGLE = 15.0
 VIEWS = 24  # views per object
 SIZE = 64  # side of the images in pixels
 GRID = 32  # voxels along each axis
+SPLITS = ("train", "val", "test")
 
 
 def mirror(vertices: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ....io.files import existing, read_text, short
-from .arrays import SPLITS
+from .framing import SPLITS
 
 _SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")  # the first one that exists is used
 _NESTED = ("models/model_normalized.obj", "model_normalized.obj", "models/model.obj", "model.obj")

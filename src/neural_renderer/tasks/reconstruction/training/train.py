@@ -10,12 +10,16 @@ import torch
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from ....features import FeatureNetwork
+from ....io.files import reason
 from ...observer import Observer
 from ..data.arrays import Split
+from ..networks.checkpoint import LAST
 from ..networks.configs import Config
 from .callbacks import Checkpoints, Log, Watch
 from .sampling import Batches
 from .training import Training
+
+_LOST = ("gloo", "NCCL", "Connection closed", "Connection reset")  # in errors of torch when a process is lost
 
 
 def train(
@@ -59,7 +63,7 @@ def train(
 
     Raises:
         ValueError: A loss or gradient is not finite, or a batch cannot be shared by the processes.
-        OSError: A file cannot be written.
+        OSError: A file cannot be written, or another process of the training was lost.
     """
     Batches(data, config, seed, 0, 0, 0, devices * nodes)  # raises before any process is started
     out.mkdir(parents=True, exist_ok=True)
@@ -86,7 +90,15 @@ def train(
         enable_model_summary=False,
         inference_mode=False,  # validation uses averaged weights, which later steps change in place
     )
-    trainer.fit(training, ckpt_path=checkpoint, weights_only=True if checkpoint else None)
+    try:
+        trainer.fit(training, ckpt_path=checkpoint, weights_only=True if checkpoint else None)
+    except RuntimeError as error:
+        if many and any(word in str(error) for word in _LOST):
+            raise ConnectionError(
+                f"expected all {devices * nodes} processes to go on, got none from one of them "
+                f"({reason(error)}); --resume continues from {out / LAST}"
+            ) from error
+        raise
     return training
 
 

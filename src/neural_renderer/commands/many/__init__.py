@@ -1,0 +1,1 @@
+"""Commands for many models or runs: `dataset` and `batch`."""

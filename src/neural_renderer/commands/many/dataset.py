@@ -1,0 +1,93 @@
+"""`neural-renderer dataset`: views of many models, in shards or folders."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from ...camera.files.load import load_cameras
+from ...io.exr import open_exr
+from ...many.cameras import CameraPlan
+from ...many.dataset import FAILED, DataSet
+from ...many.models import list_models
+from ...many.progress import Watching
+from ...many.views import ViewSettings, check_outputs
+from ...raster.settings import image_size
+from ...shading.environments.light import EnvironmentLight
+from ..common import check_between, check_counts, check_folder, say
+from ..options import DatasetOptions
+from .engine import choose_engine, chosen_share, say_rates
+
+
+def run(options: DatasetOptions) -> int:
+    """Make a data set; return the exit code: 0, or 130 after Ctrl-C."""
+    engine, share = choose_engine(options.engine), chosen_share(options.engine)
+    settings = _settings(options)
+    models = list_models(options.models)
+    data = DataSet(options.output.resolve(), models, settings, options.layout, options.models_per_shard, options.index)
+    check_folder("--output", options.output)
+    data.describe()
+    shards = data.shards()[share[0] :: share[1]]
+    if share != (0, 1):
+        say(f"part {share[0]} of {share[1]}: {len(shards)} of {len(data.shards())} shards")
+    is_whole = True
+    with Watching(sum(len(shard.models) for shard in shards)) as watching:
+        try:
+            data.make(engine, watching, share)
+        except KeyboardInterrupt:
+            is_whole = False
+    if not is_whole:
+        say(f"interrupted; the same command continues after the finished shards in {options.output}", "yellow")
+        return 130
+    is_complete = data.summarize()
+    say_rates(watching)
+    failed = (options.output / FAILED).read_text(encoding="utf-8").count("\n")
+    if failed:
+        say(f"{failed} of {len(models)} models are left out; {options.output / FAILED} gives the reasons", "red")
+    rest = "" if is_complete else "; other parts are not finished, the last one writes the index"
+    say(f"{watching.total.views} views in {watching.seconds:.0f} s; the data set is in {options.output}{rest}")
+    return 0
+
+
+def _settings(options: DatasetOptions) -> ViewSettings:
+    """Check the options of views and collect them; raise ValueError for those that are out of range."""
+    check_counts(options, views=1, layers=1, models_per_shard=1, seed=0)
+    check_between("viewing-angle", options.viewing_angle, 0, 90)
+    check_between("depth-scale", options.depth_scale, 0, math.inf)
+    if options.distance is not None:
+        check_between("distance", options.distance, 0, math.inf)
+    for height in options.elevation:
+        check_between("elevation", height, -90.001, 90.001)
+    if not math.isfinite(options.azimuth):
+        raise ValueError(f"--azimuth: expected a finite number of degrees, got {options.azimuth}")
+    if not all(0 <= value <= 1 for value in options.background):
+        raise ValueError(f"--background: expected three numbers from 0 to 1, got {options.background}")
+    check_outputs(options.outputs)
+    if any(output.endswith(".exr") for output in options.outputs):
+        open_exr(options.output)
+    size = image_size("size", options.size)
+    if options.environment is not None:
+        EnvironmentLight.load(options.environment)
+    kind, elevation = options.cameras, options.elevation or (20.0,)
+    if kind == "sphere":
+        elevation = options.elevation or (-90.0, 90.0)
+    elif kind != "orbit":
+        load_cameras(Path(kind), size)
+        kind = str(Path(kind).resolve())
+    cameras = CameraPlan(
+        kind, options.views, elevation, options.azimuth, options.distance, options.viewing_angle, options.seed
+    )
+    return ViewSettings(
+        options.outputs,
+        size,
+        cameras,
+        options.light,
+        None if options.environment is None else str(options.environment.resolve()),
+        options.shading,
+        options.background,
+        options.layers,
+        options.normalize,
+        options.depth_scale,
+        options.sample,
+        options.allow_outside,
+    )

@@ -1,0 +1,217 @@
+"""`Worker`: a process that does jobs one by one, within limits of time and memory.
+
+A job that crashes, hangs or takes too much memory costs its process, and nothing else: the next job gets another one.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+_LOOK = 0.05  # seconds between two looks at the memory of a process
+_GRACE = 60  # seconds after the time limit at which a process ends itself, if nobody has ended it
+_TRIES = 3  # of a job whose process dies: others may have killed it
+_RECYCLED = 0.5  # share of the memory limit above which an idle process is replaced
+_FAILED = "failed"
+Work = Callable[[Any], Any]
+"""Function of a job. It can be pickled, and so can jobs and results."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a job.
+
+    Attributes:
+        seconds: Time, or None.
+        memory: Bytes of memory of its process, or None. On Linux; elsewhere memory is not measured.
+    """
+
+    seconds: float | None = None
+    memory: int | None = None
+
+
+class JobError(Exception):
+    """Failure of one job; its message is the reason."""
+
+
+class _TimeLimit(Exception):
+    """The time is over."""
+
+
+class _MemoryLimit(Exception):
+    """A process takes too much memory."""
+
+
+class Stopped(Exception):
+    """The worker is told to stop."""
+
+
+class Worker:
+    """Does jobs in a process of its own, which is started when needed and replaced when it is lost.
+
+    Args:
+        limits: Limits of each job.
+        stop: When it is set, a job ends with `Stopped` at once.
+    """
+
+    def __init__(self, limits: Limits = Limits(), stop: threading.Event | None = None) -> None:
+        self.limits, self._stop = limits, stop or threading.Event()
+        self._process: Any = None
+        self._jobs = 0  # done by the present process
+
+    def run(self, work: Work, job: Any) -> tuple[Any, list[str]]:
+        """Compute ``work(job)``: return the result and the warnings.
+
+        A failure of the process counts only if it cannot come from outside or from earlier jobs: a job whose process
+        dies is tried up to three times, one that takes too much memory again in a new process.
+
+        Raises:
+            JobError: The work raised an exception, its process died, or a limit was exceeded.
+            Stopped: The worker is told to stop.
+        """
+        for attempt in range(1, _TRIES + 1):
+            is_new = self._start()
+            try:
+                self._pipe.send((work, job, self.limits.seconds))
+                kind, value, notes = self._answer()
+            except (EOFError, OSError):  # the pipe is closed or broken
+                death = self._end()
+                if attempt == _TRIES:
+                    raise JobError(f"expected a result, got a process that died ({death})") from None
+            except _MemoryLimit:
+                self._end()
+                if is_new:
+                    most = (self.limits.memory or 0) / 2**30
+                    raise JobError(f"expected to need at most {most:g} GiB of memory, got more") from None
+            except _TimeLimit:
+                self._end()
+                raise JobError(f"expected an end within {self.limits.seconds:g} s, got none") from None
+            except BaseException:  # told to stop, or Ctrl-C
+                self._end()
+                raise
+            else:
+                self._jobs += 1
+                if self._memory() > _RECYCLED * (self.limits.memory or float("inf")):
+                    self.close()
+                if kind == _FAILED:
+                    raise JobError(value)
+                return value, notes
+        raise JobError("expected a result, got none")  # pragma: no cover
+
+    def close(self) -> None:
+        """End the process, if there is one."""
+        if self._process is not None:
+            self._end()
+
+    def _start(self) -> bool:
+        """Start a process if there is none; return whether it has done nothing yet."""
+        if self._process is None:
+            context = multiprocessing.get_context("spawn")
+            self._pipe, other = context.Pipe()
+            self._process = context.Process(target=_serve, args=(other,), daemon=True)
+            self._process.start()
+            other.close()
+            self._jobs = 0
+        return self._jobs == 0
+
+    def _answer(self) -> tuple[str, Any, list[str]]:
+        """Wait for the answer of the process and look at its memory; raises what `run` converts."""
+        deadline = None
+        while True:
+            if self._stop.is_set():
+                raise Stopped
+            if wait([self._pipe], _LOOK):
+                answer = self._pipe.recv()
+                if answer is not None:
+                    return answer
+                if self.limits.seconds is not None:  # the process has begun with the job
+                    deadline = time.monotonic() + self.limits.seconds
+            elif deadline is not None and time.monotonic() > deadline:
+                raise _TimeLimit
+            if self.limits.memory is not None and self._memory() > self.limits.memory:
+                raise _MemoryLimit
+
+    def _memory(self) -> int:
+        """Return the bytes of memory of the process; 0 where the system does not tell."""
+        try:
+            pages = Path(f"/proc/{self._process.pid}/statm").read_text().split()[1]
+            return int(pages) * os.sysconf("SC_PAGE_SIZE")
+        except (OSError, ValueError, IndexError, AttributeError):
+            return 0
+
+    def _end(self) -> str:
+        """Kill the process and forget it; say how it had ended."""
+        process, self._process = self._process, None
+        with suppress(OSError):
+            self._pipe.close()
+        process.join(_LOOK)
+        status = process.exitcode
+        process.kill()
+        process.join()
+        process.close()
+        if status is not None and status < 0:
+            with suppress(ValueError):
+                return signal.Signals(-status).name
+        return f"exit status {status}"
+
+
+class WorkerHere(Worker):
+    """Does jobs in this process, without limits."""
+
+    def run(self, work: Work, job: Any) -> tuple[Any, list[str]]:
+        """Compute ``work(job)``; see `Worker.run`."""
+        kind, value, notes = _performed(work, job)
+        if kind == _FAILED:
+            raise JobError(value)
+        return value, notes
+
+
+def _performed(work: Work, job: Any) -> tuple[str, Any, list[str]]:
+    """Do a job: return "done" with the result, or "failed" with the reason; and the warnings."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            value = work(job)
+        except Exception as error:  # one job must not stop the others
+            expected = isinstance(error, (ValueError, OSError)) and str(error)
+            text = str(error) if expected else f"{type(error).__name__}: {error}"
+            return _FAILED, " ".join(text.split()), []
+    return "done", value, sorted({str(warning.message) for warning in caught if warning.category is UserWarning})
+
+
+def _serve(pipe: Connection) -> None:
+    """Do jobs from a pipe until it closes: the main function of a process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is left to the parent
+    os.environ["OMP_NUM_THREADS"] = "1"  # for torch, which the first job imports, if nobody has done so
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
+    parent = multiprocessing.parent_process()
+
+    def end_with_parent() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    with suppress(EOFError, OSError):
+        while True:
+            work, job, seconds = pipe.recv()
+            pipe.send(None)
+            if seconds is not None and hasattr(signal, "setitimer"):
+                # A signal ends a process even if it holds Python's lock and its parent was killed.
+                signal.setitimer(signal.ITIMER_REAL, seconds + _GRACE)
+            answer = _performed(work, job)
+            if hasattr(signal, "setitimer"):
+                signal.setitimer(signal.ITIMER_REAL, 0)
+            pipe.send(answer)

@@ -1,0 +1,84 @@
+"""Outputs of `render` as files keep them, and the distance and planes of cameras that suit a mesh."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..camera import Camera
+from ..rendering import render
+
+_MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the picture
+_PLANES = 0.05  # distance of the near and far planes from the mesh, in its extent in depth
+
+
+def radius_of(vertices: Tensor) -> float:
+    """Return the radius of vertices [V, 3] around the origin, above 0."""
+    return max(vertices.detach().norm(dim=1).max().item(), 1e-6)
+
+
+def distance_to_see(radius: float, viewing_angle: float, aspect: float = 1.0) -> float:
+    """Return a camera's distance from the centre of a ball that its picture, aspect = width / height, then contains."""
+    return _MARGIN * radius / (math.sin(math.radians(viewing_angle)) * max(min(1.0, aspect), 1e-6))
+
+
+def scale_to_see(radius: float, aspect: float = 1.0) -> float:
+    """Return the scale of a camera without perspective whose picture contains a ball around its centre."""
+    return min(1.0, aspect) / (_MARGIN * radius)
+
+
+def depth_range(mesh: Any, camera: Camera) -> tuple[float, float]:
+    """Return near and far planes that contain what a camera sees of a mesh.
+
+    Raises:
+        ValueError: All of the mesh is behind the camera.
+    """
+    depth = camera(mesh.vertices.detach())[0, :, 2]
+    low, high = depth.min().item(), depth.max().item()
+    if high <= 0:
+        raise ValueError("camera: expected a camera that sees the mesh, got all of it behind it")
+    margin = _PLANES * max(high - low, 1e-3 * high)
+    return max(low - margin, 1e-3 * high), high + margin
+
+
+@torch.no_grad()
+def draw_outputs(
+    mesh: Any, camera: Camera, size: int | tuple[int, int], names: Collection[str], **scene: Any
+) -> dict[str, np.ndarray]:
+    """Draw outputs from one camera: [H, W] or [H, W, C] by name.
+
+    "rgb", "alpha" and "rgba" are anti-aliased. The others are those at the pixels' centres, with smooth normals: 0
+    where no face is visible, -1 for "face_index". The colours of "rgba" are not multiplied by alpha, whatever the
+    background.
+
+    Args:
+        mesh, camera, size: As `render` takes them.
+        names: Outputs of `render`, and "rgba".
+        scene: Further arguments of `render`. The planes ``near`` and ``far`` hold for all outputs.
+    """
+    images: dict[str, Tensor] = {}
+    if "rgba" in names:
+        drawn = render(mesh, camera, size, outputs=("rgb", "alpha"), **{**scene, "background": 0.0})
+        alpha = drawn.alpha[0]
+        images["rgba"] = torch.cat((drawn.rgb[0] / alpha.clamp(min=1e-6), alpha[None]))
+        images["alpha"] = alpha
+    smooth = [name for name in names if name in ("rgb", "alpha") and name not in images]
+    plain = [name for name in names if name not in ("rgb", "alpha", "rgba")]
+    if smooth:
+        drawn = render(mesh, camera, size, outputs=smooth, **scene)
+        images |= {name: getattr(drawn, name)[0] for name in smooth}
+    if plain:
+        geometry = {name: scene[name] for name in ("near", "far") if name in scene}
+        drawn = render(
+            mesh, camera, size, outputs=(*plain, "alpha"), anti_aliasing=False, shading="smooth", light=None, **geometry
+        )
+        images |= {name: getattr(drawn, name)[0] for name in plain}
+        if "depth" in images:
+            images["depth"] = images["depth"] * drawn.alpha[0]  # 0 in place of the far plane
+    arrays = {name: images[name].cpu() for name in names}
+    return {name: (image.movedim(0, 2) if image.dim() == 3 else image).numpy() for name, image in arrays.items()}
