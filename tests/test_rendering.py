@@ -220,3 +220,18 @@ def test_wrong_arguments():
         nr.render(
             (torch.rand(2, 9, 3), torch.zeros(1, 3, dtype=torch.int32)), nr.Camera.look_at(torch.rand(3, 3) + 1), 8
         )
+
+
+def test_plain_tensors_compile_in_one_graph():
+    vertices, faces = nr.icosphere(1)
+    camera = nr.Camera.look_at((0.3, 1.0, 2.5), viewing_angle=25)
+
+    def draw(points):
+        return nr.render((points, faces), camera, 16, outputs="alpha").alpha
+
+    found = []
+    for function in (draw, torch.compile(draw, fullgraph=True, backend="aot_eager")):
+        points = vertices.clone().requires_grad_()
+        alpha = function(points)
+        found.append((alpha.detach(), *torch.autograd.grad(alpha.sum(), points)))
+    assert all(torch.equal(plain, compiled) for plain, compiled in zip(*found, strict=True))

@@ -107,9 +107,11 @@ def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
 
 def as_mesh(mesh: Any) -> Any:
     """Convert a mesh or scene of trimesh to a `UVMesh`, and a list of meshes to a batch; return other values."""
-    if is_trimesh(mesh):
-        return UVMesh.from_trimesh(mesh)
-    return packed([as_mesh(one) for one in mesh]) if isinstance(mesh, list) else mesh
+    if isinstance(mesh, list):
+        return packed([as_mesh(one) for one in mesh])
+    if isinstance(mesh, (Mesh, UVMesh, tuple)):  # also keeps torch.compile away from trimesh's classes
+        return mesh
+    return UVMesh.from_trimesh(mesh) if is_trimesh(mesh) else mesh
 
 
 def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | PackedCubes | None]:
