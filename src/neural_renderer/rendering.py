@@ -12,14 +12,14 @@ from . import validate
 from .camera import Camera
 from .camera.screen import causes, scene_camera, screen_corners
 from .deferred import Fragments, visible_fragments, visible_layers
-from .meshes.batch import batch, mesh_parts
+from .meshes.batch import drawn_batch, mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ahead import CUBES, IMAGES, SCENE, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.light_pixels import light_pixels
-from .raster.cube_colors import cube_colors
+from .raster.cube_colors import checked_textures, cube_colors
 from .raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.estimators import Estimator
@@ -55,7 +55,8 @@ def render(
     Args:
         mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); or (vertices, faces) or
             (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces [F, 3] or [B, F, 3] integer,
-            textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating.
+            textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating, or colours of the faces' corners [F, 3, 3] or
+            [B, F, 3, 3].
         camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], whose "rgb" needs
             ``light=None``.
         size: Side of the images, or (height, width), in pixels, for all images. Pixels are square. Images of different
@@ -94,7 +95,7 @@ def render(
         >>> images.rgb.shape
         torch.Size([8, 3, 120, 160])
     """
-    mesh = batch(mesh) if isinstance(mesh, list) else mesh
+    mesh = drawn_batch(mesh) if isinstance(mesh, list) else mesh
     vertices, faces, textures = mesh_parts(mesh)
     lights = _checked_lights(light)
     model = checked_shading(shading)
@@ -129,7 +130,7 @@ def render(
         if isinstance(mesh, UVMesh):
             colors = _image_colors(visible, mesh, factors, background)
         else:
-            colors = cube_colors(visible, _checked_cubes(textures), factors, background)
+            colors = cube_colors(visible, _checked_cubes(textures), factors, background, _has_vertex_colors(mesh))
     images = visible.images(outputs, *colors)
     if not surface:
         return images
@@ -144,12 +145,19 @@ def _light_on_faces(
 
 
 def _checked_cubes(textures: Tensor | None) -> Tensor:
-    """Return texture cubes as [B or 1, F, T, T, T, 3] or raise TypeError or ValueError."""
+    """Return texture cubes as [B or 1, F, T, T, T, 3], or colours of corners as [B or 1, F, 3, 3].
+
+    Raises TypeError or ValueError.
+    """
     if textures is None:
         raise ValueError('mesh: expected textures to draw "rgb", got (vertices, faces) alone')
-    owners = ("F",) if getattr(textures, "ndim", 6) == 5 else ("B", "F")
-    textures = validate.cubes("textures", textures, *owners)
-    return textures if textures.dim() == 6 else textures[None]
+    shared = getattr(textures, "ndim", 6) in (3, 5)
+    textures = checked_textures(textures, *(("F",) if shared else ("B", "F")))
+    return textures[None] if shared else textures
+
+
+def _has_vertex_colors(mesh: Any) -> bool:
+    return isinstance(mesh, Mesh) and mesh.vertex_colors is not None
 
 
 def _shaded(
@@ -160,13 +168,13 @@ def _shaded(
     lights: list[AnyLight],
     model: Shading | str,
     background: Any,
-) -> tuple[Tensor, Callable[[], Tensor]]:
+) -> tuple[Tensor, Callable[[], Tensor] | None]:
     """Colour an image with light in each pixel; results as in `cube_colors`."""
     inside = visible.for_shading
     if isinstance(mesh, UVMesh):
         albedo = mesh.shade(inside)
     else:
-        rgb, edge_hashes = cube_colors(inside, _checked_cubes(textures), None, 0.0)
+        rgb, edge_hashes = cube_colors(inside, _checked_cubes(textures), None, 0.0, _has_vertex_colors(mesh))
         albedo = rgb.movedim(1, -1)
     colors = shade_pixels(model, inside, mesh, albedo, camera, lights)
     behind = background_image(background, len(colors), 3, visible.settings, colors.device)

@@ -46,7 +46,9 @@ def test_trainable_copies_with_parameters():
     assert set(copied.trainable().state_dict()) == {"vertices", "textures"}
     parameter = torch.nn.Parameter(mesh.vertices.clone())
     assert next(Mesh(parameter, mesh.faces).parameters()) is parameter
-    with pytest.raises(ValueError, match="names: expected some of vertices, textures, got 'faces'"):
+    with pytest.raises(
+        ValueError, match="names: expected some of vertices, textures, vertex_colors, face_colors, got 'faces'"
+    ):
         mesh.trainable("faces")
 
 
@@ -95,7 +97,7 @@ def test_colours_of_vertices_and_faces():
     flat = Mesh(vertices, faces, face_colors=paint, texture_size=1)
     assert torch.equal(flat.textures.reshape(-1, 3), paint)
     for wrong, sentence in [
-        ({"vertex_colors": colors, "face_colors": paint}, "face_colors: expected one of"),
+        ({"vertex_colors": colors, "face_colors": paint}, "textures: expected one of"),
         ({"vertex_colors": colors, "textures": flat.textures}, "textures: expected one of"),
         ({"vertex_colors": paint}, r"vertex_colors: expected shape \[162, 3\]"),
         ({"face_colors": colors}, r"face_colors: expected shape \[320, 3\]"),

@@ -51,8 +51,21 @@ def batch(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
         own = {name: pad(values, -1 if name.endswith("index") else 0) for name, values in parts.items()}
         vertices, faces = pad([mesh.vertices for mesh in meshes]), pad([mesh.faces for mesh in meshes], -1)
         return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
-    vertices = pad([mesh.vertices for mesh in meshes])
-    return vertices, pad([mesh.faces for mesh in meshes], -1), pad([mesh.textures for mesh in meshes])
+    return (*_padded(meshes), pad([mesh.cubes() for mesh in meshes]))
+
+
+def drawn_batch(meshes: list[Any]) -> tuple[Tensor, ...] | UVMesh:
+    """Pad meshes like `batch`, with colours as from `Mesh.colors_of_faces` if all meshes have those of one shape."""
+    if _are_uv_meshes(meshes, of_one_size=False):
+        return batch(meshes)
+    colors = [mesh.colors_of_faces() for mesh in meshes]
+    if len({own.shape[1:] for own in colors}) > 1:
+        return batch(meshes)
+    return (*_padded(meshes), pad(colors))
+
+
+def _padded(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor]:
+    return pad([mesh.vertices for mesh in meshes]), pad([mesh.faces for mesh in meshes], -1)
 
 
 @overload
@@ -83,18 +96,21 @@ def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     faces = torch.cat([mesh.faces + first for mesh, first in zip(meshes, firsts, strict=True)])
     vertices = torch.cat([mesh.vertices for mesh in meshes])
     if not is_uv:
-        return vertices, faces, torch.cat([mesh.textures for mesh in meshes])
+        return vertices, faces, torch.cat([mesh.cubes() for mesh in meshes])
     parts, shared = _together(meshes)
     own = {name: torch.cat(values) for name, values in parts.items()}
     return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
 
 
 def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Get (vertices, faces, textures or None) of a `Mesh`, a list of meshes, or a tuple; raise TypeError otherwise."""
+    """Get (vertices, faces, colours or None) of a `Mesh`, a list of meshes, or a tuple; raise TypeError otherwise.
+
+    Colours are those of a tuple, or `Mesh.colors_of_faces`.
+    """
     if isinstance(mesh, Mesh):
-        return mesh.vertices, mesh.faces, mesh.textures
+        return mesh.vertices, mesh.faces, mesh.colors_of_faces()
     if isinstance(mesh, list):
-        return mesh_parts(batch(mesh))
+        return mesh_parts(drawn_batch(mesh))
     if isinstance(getattr(mesh, "vertices", None), Tensor) and isinstance(getattr(mesh, "faces", None), Tensor):
         return mesh.vertices, mesh.faces, None
     if isinstance(mesh, tuple) and len(mesh) in (2, 3):
@@ -105,8 +121,11 @@ def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
     )
 
 
-def _are_uv_meshes(meshes: Any) -> bool:
-    """Tell which kind of meshes a list has; raise TypeError or ValueError unless they fit together."""
+def _are_uv_meshes(meshes: Any, of_one_size: bool = True) -> bool:
+    """Tell which kind of meshes a list has; raise TypeError or ValueError unless they fit together.
+
+    ``of_one_size``: whether the textures of `Mesh` must have one size.
+    """
     if not isinstance(meshes, (list, tuple)) or not all(isinstance(mesh, (Mesh, UVMesh)) for mesh in meshes):
         kinds = [type(mesh).__name__ for mesh in meshes] if isinstance(meshes, (list, tuple)) else type(meshes).__name__
         raise TypeError(f"meshes: expected a list of Mesh, or of UVMesh, got {kinds}")
@@ -122,8 +141,8 @@ def _are_uv_meshes(meshes: Any) -> bool:
             if mesh.faces.dim() != 2 or mesh.vertices.dim() != 2:
                 raise ValueError(f"meshes[{i}]: expected one mesh, got a batch")
         return True
-    sizes = sorted({mesh.textures.shape[-2] for mesh in meshes})
-    if len(sizes) > 1:
+    sizes = sorted({mesh.texture_size for mesh in meshes})
+    if of_one_size and len(sizes) > 1:
         raise ValueError(f"meshes: expected textures of one size, got {' and '.join(map(str, sizes))}")
     return False
 

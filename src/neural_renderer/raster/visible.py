@@ -87,7 +87,7 @@ class VisibleFaces(OneLine):
         """Make the requested images, of "rgb", "alpha" and "depth".
 
         ``rgb`` are colours with their background, [B, 3, H, W] float32; ``edge_hashes`` as in
-        `Settings.through_visibility`.
+        `Settings.through_visibility`, or None where colours do not jump between adjacent faces.
         """
         layers = {} if rgb is None else {"rgb": rgb}
         through = "depth" in outputs and self.settings.gradient.differentiates_inside
@@ -101,7 +101,7 @@ class VisibleFaces(OneLine):
             layers["depth"] = depth[:, None]
         if layers and not alone:
             image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
-            image = self.image(image, seams=rgb is not None, edge_hashes=edge_hashes)
+            image = self.image(image, seams=edge_hashes is not None, edge_hashes=edge_hashes)
             layers = _split(image, layers)
         if depth is not None and not through:
             layers["depth"] = self._average_depth(depth)[:, None]

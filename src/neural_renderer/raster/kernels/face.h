@@ -167,26 +167,20 @@ struct CornerSums {
             to[3 * k + 2] += share * (face.perspective ? -g[k] * face.inverse[k] : to_depth);
         }
     }
-    // Add the sums to the corners; ``alone``: no other task writes them, and they are written once.
-    NR_FUNC void give(vec3* corners, bool alone) const;
-};
-
-template <>
-NR_FUNC void CornerSums<float>::give(vec3* corners, bool alone) const {
-    for (int k = 0; k < 3; ++k) {
-        const vec3 part = {to[3 * k], to[3 * k + 1], to[3 * k + 2]};
-        if (alone) corners[k] = part;
-        else atomic_add(corners + k, part);
+    // Add the sums of several lanes.
+    template <class G>
+    NR_FUNC void add(const CornerSums<G>& other) {
+        for (int k = 0; k < 9; ++k) to[k] += sum(other.to[k]);
     }
-}
-#if NR_LANES
-template <>
-inline void CornerSums<floats8>::give(vec3* corners, bool alone) const {
-    CornerSums<float> sums;
-    for (int k = 0; k < 9; ++k) sums.to[k] = sum(to[k]);
-    sums.give(corners, alone);
-}
-#endif
+    // Add the sums to the corners; ``alone``: no other task writes them, and they are written once.
+    NR_FUNC void give(vec3* corners, bool alone) const {
+        for (int k = 0; k < 3; ++k) {
+            const vec3 part = {to[3 * k], to[3 * k + 1], to[3 * k + 2]};
+            if (alone) corners[k] = part;
+            else atomic_add(corners + k, part);
+        }
+    }
+};
 
 // A pixel that a loop visits: column i, row j from the bottom of an image, and its place in a map [images, H, W].
 struct Place {
@@ -259,35 +253,34 @@ NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) 
 
 // Visit the pixels of a box that show face f of an image, by eights on the CPU where ``in_eights``.
 //
-// The visitor has these methods; each returns nothing:
-//     one(face, point, place)          a pixel
-//     eight(face, points, place, here)    eight neighbours from the place on; ``here`` marks those that show the face
-//     finish_eights()                  after all pixels were visited by eights
-//     restart()                        before all pixels are visited one by one after all
+// The visitor has these methods:
+//     one(face, point, place)             a pixel
+//     eight(face, points, place, here)    eight neighbours from the place on; ``here`` marks those to visit
+//     finish_eights()                     after all pixels, if some may have been visited by eights
 template <class Visitor>
 NR_FUNC void over_face(
     const Scene& scene, const Face& face, int image, int f, const Box& box, bool in_eights, Visitor& visitor) {
-    bool done = false;
     const int width = scene.width;
 #if NR_LANES
     if (face.is_usual() && width >= 8 && in_eights) {
-        done = true;
-        for (int j = box.bottom; j <= box.top && done; ++j) {
+        for (int j = box.bottom; j <= box.top; ++j) {
             const int64 row = scene.row_start(image, j);
-            for (int i = box.left; i <= box.right && done; i += 8) {
+            for (int i = box.left; i <= box.right; i += 8) {
                 const int at = i < width - 8 ? i : width - 8;
                 const ints8 here = (load<ints8>(scene.face_index + row + at) == f) & (lane_numbers<ints8>() >= i - at);
                 if (!any(here)) continue;
                 Point<floats8> points;
-                done = !any(points.by_matrix(face, to_floats(lane_numbers<ints8>() + at), (float)j) & here);
-                if (done) visitor.eight(face, points, Place{image, f, at, j, row + at}, here);
+                const ints8 lost = points.by_matrix(face, to_floats(lane_numbers<ints8>() + at), (float)j) & here;
+                visitor.eight(face, points, Place{image, f, at, j, row + at}, here & ~lost);
+                if (!any(lost)) continue;
+                for (int n = 0; n < 8; ++n)
+                    if (lost[n]) visitor.one(face, point_at(face, at + n, j), Place{image, f, at + n, j, row + at + n});
             }
         }
-        if (done) visitor.finish_eights();
-        else visitor.restart();
+        return visitor.finish_eights();
     }
 #endif
-    for (int j = box.bottom; j <= box.top && !done; ++j) {
+    for (int j = box.bottom; j <= box.top; ++j) {
         const int64 row = scene.row_start(image, j);
         for (int i = box.left; i <= box.right; ++i) {
             if (scene.face_index[row + i] != f) continue;

@@ -43,6 +43,12 @@ struct Box {
     NR_FUNC bool is_empty() const { return left > right || bottom > top; }
 };
 
+// Channel c of the attributes of a face, by its corners' weights.
+template <class F>
+NR_FUNC F interpolated(const F* weights, const float* from, int c, int channels) {
+    return weights[0] * from[c] + weights[1] * from[channels + c] + weights[2] * from[2 * channels + c];
+}
+
 // The screen coordinate of the centre of pixel i.
 NR_FUNC float pixel_centre(int i, int size) { return (float)(2 * i + 1 - size) / (float)size; }
 
