@@ -21,8 +21,8 @@ def cube_colors(
     """Colour B images by texture cubes or colours of corners.
 
     Args:
-        textures: Cubes [B or 1, F, T, T, T, 3] floating; T = 1 is one colour per face. Or colours of the faces' corners,
-            [B or 1, F, 3, 3] floating.
+        textures: Cubes [B or 1, F, T, T, T, 3] floating; T = 1 is one colour per face. Or colours of the faces'
+            corners, [B or 1, F, 3, 3] floating.
         light: Factors [B or 1, 2, F, 3] on the front and the back of each face; None for 1.
         background: As in `background_image`.
         of_vertices: Whether faces that share a vertex have the same colour there.

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from ..raster.colors.mipmaps import pyramid, sample_mipmaps
+from ..raster.colors.mipmaps import kept_pyramid, sample_mipmaps
 
 WRAPS = ("repeat", "clamp", "mirror")
 
@@ -74,7 +74,7 @@ def sampled(image: Tensor, uv: Tensor, face_index: Tensor | None, wrap: Wrap) ->
     if face_index is None:
         face_index = torch.zeros(uv.shape[:3], dtype=torch.int32, device=uv.device)
         return sample_mipmaps(image.flatten(1, 2), height, width, uv, face_index, False, *repeats)
-    texels = pyramid(image.permute(0, 3, 1, 2))
+    texels = kept_pyramid(image)
     return sample_mipmaps(texels, height, width, uv, face_index.int(), True, *repeats)
 
 

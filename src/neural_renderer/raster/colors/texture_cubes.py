@@ -41,8 +41,8 @@ def sample_textures(
     the colours inside them, through the weights.
 
     Args:
-        textures: Cubes, [B or 1, F, T, T, T, 3] float32; texel [a][b][c] belongs to corner weights (0, 1, 2). Or colours
-            of the corners, [B or 1, F, 3, 3] float32.
+        textures: Cubes, [B or 1, F, T, T, T, 3] float32; texel [a][b][c] belongs to corner weights (0, 1, 2). Or
+            colours of the corners, [B or 1, F, 3, 3] float32.
         light: Factors on the front and the back of each face, [B or 1, 2, F, 3] float32. On the front, corners run
             counter-clockwise.
         background: [B, 3, H, W] float32, for pixels without a face.

@@ -77,12 +77,21 @@ struct Cube {
             for (int c = 0; c < 3; ++c) color[c] = interpolated(up, texels[0].c, c, 3);
             return color;
         }
+#if NR_LANES
+        floats4 sum = {};
+        for (int n = 0; n < 8; ++n) {
+            const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
+            sum += part(0, i) * part(1, j) * part(2, k) * as_vector(texels[texel(i, j, k)]);
+        }
+        return as_vec3(sum);
+#else
         vec3 sum = {};
         for (int n = 0; n < 8; ++n) {
             const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
             sum += part(0, i) * part(1, j) * part(2, k) * texels[texel(i, j, k)];
         }
         return sum;
+#endif
     }
     // Add the gradient of a colour to the texels; ``alone``: no other task writes them.
     NR_FUNC void scatter(vec3* texels, const vec3& color, bool alone) const {
@@ -93,6 +102,30 @@ struct Cube {
             add(texels + texel(i, j, k), part(0, i) * part(1, j) * part(2, k) * color, alone);
         }
     }
+#if NR_LANES
+    // The blend of a cube of several texels; and its derivatives by the weights of the corners, times ``color``.
+    void blend_and_slope(const vec3* texels, const vec3& color, vec3& blended, vec3& slope) const {
+        NR_FUSED
+        floats4 along[2], by_last[2], by_middle[2];  // blends along the last two axes, and their slopes
+        for (int i = 0; i < 2; ++i) {
+            floats4 row[2], rise[2];
+            for (int j = 0; j < 2; ++j) {
+                const vec3* at = texels + texel(i, j, 0);
+                rise[j] = as_vector(at[1]) - as_vector(at[0]);
+                row[j] = as_vector(at[0]) + up[2] * rise[j];
+            }
+            by_middle[i] = row[1] - row[0];
+            along[i] = row[0] + up[1] * by_middle[i];
+            by_last[i] = rise[0] + up[1] * (rise[1] - rise[0]);
+        }
+        const floats4 by_first = along[1] - along[0];
+        blended = as_vec3(along[0] + up[0] * by_first);
+        const floats4 by[3] = {
+            by_first, by_middle[0] + up[0] * (by_middle[1] - by_middle[0]),
+            by_last[0] + up[0] * (by_last[1] - by_last[0])};
+        for (int k = 0; k < 3; ++k) slope[k] = free[k] ? dot(as_vec3(by[k]), color) * (float)(size - 1) : 0.0f;
+    }
+#endif
     // The derivative of the blend, times ``color``, by the weights of the corners.
     NR_FUNC vec3 slope(const vec3* texels, const vec3& color) const {
         if (size == 0) return {dot(texels[0], color), dot(texels[1], color), dot(texels[2], color)};

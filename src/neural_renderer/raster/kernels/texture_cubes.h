@@ -126,7 +126,12 @@ struct CubeBackward {
             for (int k = 0; k < 3; ++k) to_weights[k] = floats8{};
             for (unsigned left = bits(here); left; left &= left - 1) {
                 const int n = lowest_bit(left);
-                const vec3 slope = texels(Cube(inside, n, size), {pull[0][n], pull[1][n], pull[2][n]});
+                const Cube at(inside, n, size);
+                const vec3 own = {pull[0][n], pull[1][n], pull[2][n]}, seen = times(own, factor);
+                vec3 color, slope;
+                at.blend_and_slope(cube, seen, color, slope);
+                lit += times(color, own);
+                if (call.textures_too) at.scatter(to_cube, seen, alone);
                 for (int k = 0; k < 3; ++k) to_weights[k][n] = slope[k];
             }
         }
