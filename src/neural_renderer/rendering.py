@@ -8,7 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
-from . import validate
+from . import strips, validate
 from .camera import Camera
 from .camera.screen import causes, scene_camera, screen_corners
 from .deferred import Fragments, visible_fragments, visible_layers
@@ -46,6 +46,7 @@ def render(
     gradient: str | Estimator = "edge",
     eps: float = 1e-3,
     layers: int | None = None,
+    tile: int | None = None,
 ) -> Images:
     """Render a mesh from every camera of a batch, differentiably.
 
@@ -79,6 +80,9 @@ def render(
         eps: Added to distances in the denominators of ``"nmr"``, in screen units; cube coordinates end at T - 1 - eps.
         layers: Number of faces that are blended at each pixel, for a `UVMesh` whose materials are transparent, cut out
             or not double-sided. None draws the visible faces, all opaque. Depth is that of the nearest face.
+        tile: For images larger than the memory: draw strips of about tile² pixels, one after the other. The images are
+            equal to the bit. Backward draws each strip again, so that gradients take the memory of one strip, too; not
+            with ``"nmr"``, whose gradient acts over the whole image. ≥ 16; None draws all at once.
 
     Returns:
         Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, and what else ``outputs`` names.
@@ -118,23 +122,33 @@ def render(
             raise TypeError(f"mesh: expected a UVMesh to draw layers, got {type(mesh).__name__}")
         if surface:
             raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)} with layers, got {surface[0]}")
+        if tile is not None:
+            raise ValueError(f"tile: expected None with layers, got {tile}")
         found = visible_layers(corners, faces, vertices.shape[-2], settings, validate.whole("layers", layers, 1))
         factors = _light_on_faces(lights, vertices, faces, camera, len(corners)) if model is None else None
         return layered_images(found, mesh, camera, lights, model, factors, background, outputs)
-    visible = visible_fragments(corners, faces, vertices.shape[-2], settings, 1 + 3 * ("rgb" in outputs))
-    colors: tuple[Any, ...] = ()
-    if "rgb" in outputs and model is not None:
-        colors = _shaded(visible, mesh, textures, camera, lights, model, background)
-    elif "rgb" in outputs:
+    factors = None
+    if "rgb" in outputs and model is None:
         factors = _light_on_faces(lights, vertices, faces, camera, len(corners))
-        if isinstance(mesh, UVMesh):
+
+    def drawn(settings: Settings, background: Any) -> Images:
+        visible = visible_fragments(corners, faces, vertices.shape[-2], settings, 1 + 3 * ("rgb" in outputs))
+        colors: tuple[Any, ...] = ()
+        if "rgb" in outputs and model is not None:
+            colors = _shaded(visible, mesh, textures, camera, lights, model, background)
+        elif "rgb" in outputs and isinstance(mesh, UVMesh):
             colors = _image_colors(visible, mesh, factors, background)
-        else:
-            colors = cube_colors(visible, _checked_cubes(textures), factors, background, _has_vertex_colors(mesh))
-    images = visible.images(outputs, *colors)
-    if not surface:
-        return images
-    return images.replace(**surface_images(surface, visible, mesh, camera, model is not None))
+        elif "rgb" in outputs:
+            cubes = _checked_cubes(textures)
+            colors = cube_colors(visible, cubes, factors, background, _has_vertex_colors(mesh))
+        images = visible.images(outputs, *colors)
+        if not surface:
+            return images
+        return images.replace(**surface_images(surface, visible, mesh, camera, model is not None))
+
+    if tile is None:
+        return drawn(settings, background)
+    return strips.drawn_whole(drawn, settings, background, corners, validate.whole("tile", tile, 16))
 
 
 def _light_on_faces(

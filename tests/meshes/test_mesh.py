@@ -46,7 +46,7 @@ def test_trainable_copies_with_parameters():
     assert set(copied.trainable().state_dict()) == {"vertices", "textures"}
     parameter = torch.nn.Parameter(mesh.vertices.clone())
     assert next(Mesh(parameter, mesh.faces).parameters()) is parameter
-    with pytest.raises(ValueError, match="names: expected some of vertices, textures, .*, got 'faces'"):
+    with pytest.raises(ValueError, match="names: expected some of vertices, textures, "):
         mesh.trainable("faces")
 
 

@@ -138,7 +138,7 @@ class Mesh(nn.Module):
             before = self.__dict__.get("_colored", name)
             self.__dict__["_colored"] = name
             if before != name:
-                super().__setattr__(before, None)
+                super().__setattr__(before, None)  # type: ignore[arg-type]  # a buffer may be None
 
     @classmethod
     def load(

@@ -36,7 +36,8 @@ def cube_colors(
     corners, settings = visible.corners, visible.settings
     cubes, factors, behind = checked_colors(visible, textures, light, background, torch.float32)
     inside = corners if settings.gradient.differentiates_inside else corners.detach()
-    rgb = sample_textures(cubes, factors, behind, inside, visible.face_index, settings.eps, settings.perspective)
+    options = (settings.eps, settings.perspective, *settings.drawn_strip)
+    rgb = sample_textures(cubes, factors, behind, inside, visible.face_index, *options)
     if of_vertices and light is None and visible.rings is not None and visible.rings.alone == 0:
         return rgb, None
     return rgb, lambda: texture_edge_hashes(cubes, factors)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..one_line import OneLine
 from .colors.downsample import halve
+from .colors.interpolate import interpolate
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette
 from .ops.rings import Rings
@@ -64,7 +65,13 @@ class VisibleFaces(OneLine):
 
     def _locate(self) -> tuple[Tensor, Tensor]:
         settings = self.settings
-        return barycentrics(self.corners, self.face_index, settings.near, settings.far, settings.perspective)
+        limits = settings.near, settings.far
+        return barycentrics(self.corners, self.face_index, *limits, settings.perspective, *settings.drawn_strip)
+
+    def at_pixels(self, attributes: Tensor) -> Tensor:
+        """Interpolate attributes of corners, [1 or B, F, 3, C] float32, at each pixel, [B, H, W, C]."""
+        settings = self.settings
+        return interpolate(attributes, self.corners, self.face_index, settings.perspective, *settings.drawn_strip)
 
     @property
     def for_shading(self: Faces) -> Faces:

@@ -22,7 +22,9 @@ _attributes_of_run_backward = _KERNELS.kernel("attributes_of_run_backward", _Int
 
 
 @operator
-def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
+def interpolate(
+    attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, below: int = 0, above: int = 0
+) -> Tensor:
     """Interpolate corners' attributes [B or 1, F, 3, C] float32 at pixels, [B, H, W, C]; differentiable, also in faces.
 
     The weights of `barycentrics` are computed again, here and in the backward pass; storing them would be slower. The
@@ -32,7 +34,7 @@ def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspecti
     result = empty((batch, height, width, attributes.shape[3]), faces.device)
     tasks, each = pixel_tasks(batch * height, width, faces.device)
     call = _Interpolate(
-        scene=scene_of(faces, face_index, perspective),
+        scene=scene_of(faces, face_index, perspective, below, above),
         attributes=attributes.contiguous(),
         owners=len(attributes),
         channels=attributes.shape[3],
@@ -50,7 +52,14 @@ def _(attributes: Tensor, faces: Tensor, face_index: Tensor) -> Tensor:
 
 @operator
 def interpolate_backward(
-    grad: Tensor, attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, faces_too: bool
+    grad: Tensor,
+    attributes: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    perspective: bool,
+    faces_too: bool,
+    below: int = 0,
+    above: int = 0,
 ) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `interpolate` to attributes and to faces, [B, F, 3, 3]; empty if not ``faces_too``."""
     batch, height, width = face_index.shape
@@ -58,7 +67,7 @@ def interpolate_backward(
     to_attributes = zeros(attributes.shape, faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     fields: dict[str, Any] = {
-        "scene": scene_of(faces, face_index, perspective),
+        "scene": scene_of(faces, face_index, perspective, below, above),
         "attributes": attributes.contiguous(),
         "owners": len(attributes),
         "channels": attributes.shape[3],
@@ -84,21 +93,23 @@ def _(attributes: Tensor, faces: Tensor, faces_too: bool) -> tuple[Tensor, Tenso
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    *tensors, ctx.perspective = inputs
+    *tensors, ctx.perspective, below, above = inputs
+    ctx.strip = (below, above)
     ctx.save_for_backward(*tensors)
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     (attributes, faces, face_index), faces_too = ctx.saved_tensors, ctx.needs_input_grad[1]
-    to_attributes, to_faces = interpolate_backward(grad, attributes, faces, face_index, ctx.perspective, faces_too)
-    return to_attributes, to_faces if faces_too else None, None, None
+    options = (ctx.perspective, faces_too, *ctx.strip)
+    to_attributes, to_faces = interpolate_backward(grad, attributes, faces, face_index, *options)
+    return to_attributes, to_faces if faces_too else None, *[None] * 4
 
 
 differentiable(interpolate, _to_inputs, _save)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    _, _, faces, face_index, ctx.perspective, _ = inputs
+    _, _, faces, face_index, ctx.perspective, _, *ctx.strip = inputs
     ctx.save_for_backward(faces, face_index)
 
 
@@ -107,7 +118,7 @@ def _to_gradient(ctx: Any, attributes: Tensor, _: Tensor) -> Any:
     if ctx.needs_input_grad[2]:
         refuse_second("interpolate_backward")
     faces, face_index = ctx.saved_tensors
-    return interpolate(attributes, faces, face_index, ctx.perspective), *[None] * 5
+    return interpolate(attributes, faces, face_index, ctx.perspective, *ctx.strip), *[None] * 7
 
 
 differentiable(interpolate_backward, _to_gradient, _save_again)

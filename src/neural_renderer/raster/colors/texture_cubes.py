@@ -33,6 +33,8 @@ def sample_textures(
     face_index: Tensor,
     eps: float,
     perspective: bool,
+    below: int = 0,
+    above: int = 0,
 ) -> Tensor:
     """Sample colours of faces, [B, 3, H, W] float32; differentiable in textures, light, background and faces.
 
@@ -46,13 +48,13 @@ def sample_textures(
         light: Factors on the front and the back of each face, [B or 1, 2, F, 3] float32. On the front, corners run
             counter-clockwise.
         background: [B, 3, H, W] float32, for pixels without a face.
-        faces, face_index, perspective: As in `barycentrics`.
+        faces, face_index, perspective, below, above: As in `barycentrics`.
         eps: Cube coordinates end at T - 1 - eps.
     """
     batch, height, width = face_index.shape
     color = empty((batch, 3, height, width), faces.device)
     tasks, each = pixel_tasks(batch * height, width, faces.device)
-    scene, cubes = scene_of(faces, face_index, perspective), lit_cubes(textures, light, eps)
+    scene, cubes = scene_of(faces, face_index, perspective, below, above), lit_cubes(textures, light, eps)
     call = _SampleCubes(scene=scene, textures=cubes, background=background_of(background), each=each, color=color)
     launch(_sample_pixels, tasks, [call], faces.device, worth_a_thread(each * width))
     return color
@@ -76,6 +78,8 @@ def sample_textures_backward(
     textures_too: bool,
     light_too: bool,
     faces_too: bool,
+    below: int = 0,
+    above: int = 0,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Compute the gradients of `sample_textures` to textures, light (0 if not ``light_too``) and faces.
 
@@ -90,7 +94,7 @@ def sample_textures_backward(
     to_light = zeros((batch, *light.shape[1:]), faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     fields: dict[str, Any] = {
-        "scene": scene_of(faces, face_index, perspective),
+        "scene": scene_of(faces, face_index, perspective, below, above),
         "textures": lit_cubes(textures, light, eps),
         "grad": grad.contiguous(),
         "textures_too": textures_too,
@@ -133,7 +137,7 @@ def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0) -> Call:
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    textures, light, _, faces, face_index, ctx.eps, ctx.perspective = inputs
+    textures, light, _, faces, face_index, ctx.eps, ctx.perspective, *ctx.strip = inputs
     ctx.save_for_backward(textures, light, faces, face_index)
 
 
@@ -144,20 +148,22 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     if asked[2] and textures.dim() == 6 and textures.shape[2] == 1:  # a face of one colour has no slope
         asked[2], to_faces = False, faces.new_zeros(()).expand(faces.shape)
     if any(asked):
-        options = (ctx.eps, ctx.perspective, *asked)
+        options = (ctx.eps, ctx.perspective, *asked, *ctx.strip)
         results = sample_textures_backward(grad, textures, light, faces, face_index, *options)
         to_textures, to_light = (to if too else None for to, too in zip(results[:2], asked[:2], strict=True))
         to_faces = results[2] if asked[2] else to_faces
     if ctx.needs_input_grad[2]:
         to_background = grad * (face_index < 0)[:, None]
-    return to_textures, to_light, to_background, to_faces, None, None, None
+    return to_textures, to_light, to_background, to_faces, *[None] * 5
 
 
 differentiable(sample_textures, _to_inputs, _save)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    grad, textures, light, faces, face_index, ctx.eps, ctx.perspective, ctx.textures_too, ctx.light_too, _ = inputs
+    grad, textures, light, faces, face_index, *options, _, below, above = inputs
+    ctx.eps, ctx.perspective, ctx.textures_too, ctx.light_too = options
+    ctx.strip = (below, above)
     ctx.save_for_backward(grad, textures, light, faces, face_index)
 
 
@@ -170,15 +176,19 @@ def _to_first(ctx: Any, textures: Tensor, light: Tensor, _: Tensor) -> Any:
     black = grad.new_zeros(()).expand(grad.shape)
     to_grad = to_textures = to_light = None
     if ctx.textures_too:
-        to_grad = sample_textures(textures, own_light, black, *options)
+        to_grad = sample_textures(textures, own_light, black, *options, *ctx.strip)
         if ctx.needs_input_grad[2]:
-            _, to_light, _ = sample_textures_backward(grad, textures, own_light, *options, False, True, False)
+            _, to_light, _ = sample_textures_backward(
+                grad, textures, own_light, *options, False, True, False, *ctx.strip
+            )
     if ctx.light_too:
-        more = sample_textures(own_textures, light, black, *options)
+        more = sample_textures(own_textures, light, black, *options, *ctx.strip)
         to_grad = more if to_grad is None else to_grad + more
         if ctx.needs_input_grad[1]:
-            to_textures, _, _ = sample_textures_backward(grad, own_textures, light, *options, True, False, False)
-    return to_grad, to_textures, to_light, *[None] * 7
+            to_textures, _, _ = sample_textures_backward(
+                grad, own_textures, light, *options, True, False, False, *ctx.strip
+            )
+    return to_grad, to_textures, to_light, *[None] * 9
 
 
 differentiable(sample_textures_backward, _to_first, _save_again)

@@ -37,10 +37,10 @@ struct Face {
     float inverse[3];  // 1 / z of each corner in perspective, else 1
     bool front;        // whether it is in front of the camera; other visible faces cross the camera's plane
     bool known;        // whether the matrix gives weights
-    int perspective, height, width;
+    int perspective, height, width, below;  // size of the whole image, and rows of it below the strip
 
     NR_FUNC void set(const vec3* corners, const Scene& scene) {
-        perspective = scene.perspective, height = scene.height, width = scene.width;
+        perspective = scene.perspective, height = scene.whole_height(), width = scene.width, below = scene.below;
         float x[3], y[3], far = 0.0f;
         for (int k = 0; k < 3; ++k) {
             v[k] = corners[k];
@@ -102,6 +102,7 @@ struct Point {
 // The point at pixel i of row j from the bottom, of any face that shows it.
 NR_FUNC Point<float> point_at(const Face& face, int i, int j) {
     Point<float> point;
+    j += face.below;
     if (!face.front) {
         const vec3d a = homogeneous_weights(face.v, pixel_centre(i, face.width), pixel_centre(j, face.height));
         const double sum = a[0] + a[1] + a[2];
@@ -238,7 +239,8 @@ NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) 
                 int run = 1;
                 while (run < 8 && i + run < right && shown[i + run] == f) ++run;
                 Point<floats8> points;
-                const ints8 lost = points.by_matrix(face, to_floats(lane_numbers<ints8>() + i), (float)place.j);
+                const ints8 lost =
+                    points.by_matrix(face, to_floats(lane_numbers<ints8>() + i), (float)(face.below + place.j));
                 if (!any(lost & (lane_numbers<ints8>() < run))) {
                     visitor.run(face, points, run, place, extras[slot]);
                     i += run - 1;
@@ -270,7 +272,8 @@ NR_FUNC void over_face(
                 const ints8 here = (load<ints8>(scene.face_index + row + at) == f) & (lane_numbers<ints8>() >= i - at);
                 if (!any(here)) continue;
                 Point<floats8> points;
-                const ints8 lost = points.by_matrix(face, to_floats(lane_numbers<ints8>() + at), (float)j) & here;
+                const ints8 lost =
+                    points.by_matrix(face, to_floats(lane_numbers<ints8>() + at), (float)(face.below + j)) & here;
                 visitor.eight(face, points, Place{image, f, at, j, row + at}, here & ~lost);
                 if (!any(lost)) continue;
                 for (int n = 0; n < 8; ++n)

@@ -67,13 +67,15 @@ def edge_gradient(
     rings: Optional[Tensor] = None,  # noqa: UP045
     halved: bool = False,
     alone: int = -1,
+    below: int = 0,
+    above: int = 0,
 ) -> Tensor:
     """Return the image, and in backward send a gradient through visibility to the faces.
 
     Args:
         image: Any number of channels with their background, before anti-aliasing, [B, C, H, W] float32. None stands for
             the silhouette, of one channel.
-        faces, two_sided, perspective: As in `coverage`, which finds the ``face_index``.
+        faces, two_sided, perspective, below, above: As in `coverage`, which finds the ``face_index``.
         seams: Whether colours may jump between adjacent faces of a surface, as with texture cubes and flat shading. If
             False, edges between adjacent faces have no gradient, which is right, and less noisy, for interpolated
             colours.
@@ -107,6 +109,8 @@ def edge_gradient_backward(
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045
     rings: Optional[Tensor] = None,  # noqa: UP045
     alone: int = -1,
+    below: int = 0,
+    above: int = 0,
 ) -> Tensor:
     """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces; arguments as there.
 
@@ -122,9 +126,10 @@ def edge_gradient_backward(
         adjacent = empty((*faces.shape[:2], 3), faces.device, torch.int32)
     else:
         adjacent = neighbors(faces, two_sided, perspective, known)
-    add_edges(result, grad, image, faces, face_index, adjacent, perspective, seams, edge_hashes, search=search)
+    strip = (below, above)
+    add_edges(result, grad, image, faces, face_index, adjacent, perspective, seams, edge_hashes, None, search, strip)
     if image is not None:  # where two faces of a silhouette meet, both are 1
-        add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
+        add_intersections(result, grad, image, faces, face_index, adjacent, perspective, *strip)
     return result
 
 
@@ -140,6 +145,7 @@ def add_edges(
     edge_hashes: Tensor | None,
     folds: Tensor | None = None,
     search: tuple[Rings, bool] | None = None,
+    strip: tuple[int, int] = (0, 0),
 ) -> None:
     """Compute the gradient of outlines and seams; arguments as in `edge_gradient_backward`.
 
@@ -149,12 +155,13 @@ def add_edges(
         folds: Faces that the surface folds back to, as from `neighbors`; where a surface folds, only the front
             face receives the gradient. None: edges behind folds are hidden anyway.
         search: On CUDA, rings without edges that are alone, and ``two_sided``, to find ``adjacent``, which is written.
+        strip: Rows of a whole image below and above this strip of it.
     """
     batch, height, width = face_index.shape
     count, device = faces.shape[1], faces.device
     if edge_hashes is None and seams:
         edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=device)  # 0 matches nothing
-    scene = scene_of(faces, face_index, perspective)
+    scene = scene_of(faces, face_index, perspective, *strip)
     rings, two_sided = search or (None, False)
     searched = Neighbors(
         scene=scene, two_sided=int(two_sided), way=-1, rings=rings_of(rings), adjacent=adjacent.contiguous()
@@ -187,9 +194,8 @@ def _(faces: Tensor) -> Tensor:
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, edge_hashes, rings, ctx.halved, ctx.alone = (
-        inputs
-    )
+    image, faces, face_index, *ctx.options, edge_hashes, rings, ctx.halved, ctx.alone, below, above = inputs
+    ctx.strip = (below, above)
     ctx.save_for_backward(image, faces, face_index, edge_hashes, rings)  # callers may change the output in place
 
 
@@ -199,9 +205,9 @@ def _backward(ctx: Any, grad: Tensor) -> Any:
     if image is not None:
         to_image = grad = halve_backward(grad) if ctx.halved else grad
     if ctx.needs_input_grad[1]:
-        options = (ctx.two_sided, ctx.perspective, ctx.seams, *rest, ctx.alone)
+        options = (*ctx.options, *rest, ctx.alone, *ctx.strip)
         to_faces = edge_gradient_backward(grad, image, faces, face_index, *options)
-    return to_image, to_faces, *[None] * 8
+    return to_image, to_faces, *[None] * 10
 
 
 differentiable(edge_gradient, _backward, _save)

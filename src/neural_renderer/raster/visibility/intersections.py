@@ -36,14 +36,22 @@ def pictures_of(image: Tensor | None, grad: Tensor, width: int) -> Call:
 
 
 def add_intersections(
-    result: Tensor, grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, adjacent: Tensor, perspective: bool
+    result: Tensor,
+    grad: Tensor,
+    image: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    adjacent: Tensor,
+    perspective: bool,
+    below: int = 0,
+    above: int = 0,
 ) -> None:
     """Add the gradient of the intersections of faces to ``result``, in place; arguments as in `add_edges`."""
     batch, count = faces.shape[:2]
     height, width = face_index.shape[1:]
     tasks, each = pixel_tasks(batch * height, width, faces.device)
     fields: dict[str, Any] = {
-        "scene": scene_of(faces, face_index, perspective),
+        "scene": scene_of(faces, face_index, perspective, below, above),
         "pictures": pictures_of(image, grad, width),
         "adjacent": adjacent,
         "each": each,
