@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+import inspect
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -27,6 +28,11 @@ from .shading.lights import AnyLight, Light, light_factors, pixel_lights
 from .shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from .surface_images import surface_images, surface_outputs
 from .transparency import layered_images
+
+# Options of `render` that `_prepared` takes, in this order.
+_OPTIONS = (
+    "light", "shading", "outputs", "near", "far", "anti_aliasing", "two_sided", "gradient", "eps", "layers"
+)  # fmt: skip
 
 
 @validate.checked_together
@@ -99,6 +105,40 @@ def render(
         >>> images.rgb.shape
         torch.Size([8, 3, 120, 160])
     """
+    options = (light, shading, outputs, near, far, anti_aliasing, two_sided, gradient, eps, layers)  # _OPTIONS
+    draw, settings, corners = _prepared(mesh, camera, size, *options)
+    if tile is None:
+        return draw(settings, background)
+    if layers is not None:
+        raise ValueError(f"tile: expected None with layers, got {tile}")
+    return strips.drawn_whole(draw, settings, background, corners, validate.whole("tile", tile, 16))
+
+
+def render_strips(mesh: Any, camera: Camera, size: tuple[int, int], tile: int, **options: Any) -> Iterator[Images]:
+    """Render an image like `render`, and yield it in strips of about tile² pixels, from the top; without gradients."""
+    plain = inspect.signature(render).parameters
+    given = [options.get(name, plain[name].default) for name in _OPTIONS]
+    draw, settings, corners = _prepared(mesh, camera, size, *given)
+    background = options.get("background", plain["background"].default)
+    yield from strips.drawn_strips(draw, settings, background, len(corners), corners.device, tile)
+
+
+def _prepared(
+    mesh: Any,
+    camera: Camera | None,
+    size: int | tuple[int, int],
+    light: Any,
+    shading: Any,
+    outputs: Any,
+    near: float,
+    far: float,
+    anti_aliasing: bool,
+    two_sided: bool,
+    gradient: Any,
+    eps: float,
+    layers: int | None,
+) -> tuple[strips.Draw, Settings, Tensor]:
+    """Check the arguments of `render`; return the function that draws, the settings, and corners [B, F, 3, 3]."""
     mesh = drawn_batch(mesh) if isinstance(mesh, list) else mesh
     vertices, faces, textures = mesh_parts(mesh)
     lights = _checked_lights(light)
@@ -122,16 +162,15 @@ def render(
             raise TypeError(f"mesh: expected a UVMesh to draw layers, got {type(mesh).__name__}")
         if surface:
             raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)} with layers, got {surface[0]}")
-        if tile is not None:
-            raise ValueError(f"tile: expected None with layers, got {tile}")
-        found = visible_layers(corners, faces, vertices.shape[-2], settings, validate.whole("layers", layers, 1))
-        factors = _light_on_faces(lights, vertices, faces, camera, len(corners)) if model is None else None
-        return layered_images(found, mesh, camera, lights, model, factors, background, outputs)
+        layers = validate.whole("layers", layers, 1)
     factors = None
     if "rgb" in outputs and model is None:
         factors = _light_on_faces(lights, vertices, faces, camera, len(corners))
 
-    def drawn(settings: Settings, background: Any) -> Images:
+    def draw(settings: Settings, background: Any) -> Images:
+        if layers is not None:
+            found = visible_layers(corners, faces, vertices.shape[-2], settings, layers)
+            return layered_images(found, mesh, camera, lights, model, factors, background, outputs)
         visible = visible_fragments(corners, faces, vertices.shape[-2], settings, 1 + 3 * ("rgb" in outputs))
         colors: tuple[Any, ...] = ()
         if "rgb" in outputs and model is not None:
@@ -146,9 +185,7 @@ def render(
             return images
         return images.replace(**surface_images(surface, visible, mesh, camera, model is not None))
 
-    if tile is None:
-        return drawn(settings, background)
-    return strips.drawn_whole(drawn, settings, background, corners, validate.whole("tile", tile, 16))
+    return draw, settings, corners
 
 
 def _light_on_faces(

@@ -17,9 +17,10 @@ from .raster.warp.registration import needs_gradient
 Draw: TypeAlias = Callable[[Settings, Any], Images]
 """Draw the images of settings, over a background."""
 
-# Rows that are drawn beyond each border of a strip and cut off. Mipmaps compare a pixel with the next one, and the
-# gradient through visibility with the next two and, for faces thinner than a pixel, with those behind them.
-_BESIDE = 4
+# Rows that are drawn beyond each border of a strip and cut off. Mipmaps compare a pixel with the next one. The gradient
+# through visibility looks at the next two, at faces thinner than a pixel behind them, and at seams at the middles of
+# the faces beside.
+_BESIDE = 16
 
 
 def drawn_strips(

@@ -17,14 +17,17 @@ from .. import deferred
 from ..camera import Camera, get_points_from_angles
 from ..camera.files.load import load_cameras
 from ..io import load_image, load_mesh, save_animation, save_image
+from ..io.images import as_pixels
+from ..io.png_strips import save_png_strips
 from ..io.values import VALUE_SUFFIXES, open_exr, save_output
 from ..meshes.batch import join
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
 from ..pictures.lamp import lamp_direction
+from ..raster.outputs import Images
 from ..raster.settings import image_size
-from ..rendering import render
+from ..rendering import render, render_strips
 from ..shading.environments.light import EnvironmentLight
 from ..shading.lights import Light
 from .common import check_between, check_counts, check_outputs, choose_device, say
@@ -38,6 +41,7 @@ _MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the
 _SIZE = 512  # side of pictures by default
 _PLANES = 0.05  # distance of the near and far planes from the mesh, in its extent in depth
 _FRAMES = 60  # pictures of a turntable by default
+_TILE = 2048  # pictures of more than its square of pixels are drawn in strips
 _DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
 _PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
 _PICTURES_OF = {"rgb": _PICTURES, "alpha": _PICTURES, "depth": (".png",), "normal": (".png",), "barycentric": (".png",)}
@@ -62,7 +66,12 @@ def run(options: RenderOptions) -> int:
         tracked = track(pictures, "Turntable", total=len(cameras), console=console, transient=True)
         save_animation(options.output, tracked, options.fps)
     elif options.output is not None:
-        save_image(options.output, draw(options, mesh, cameras, size, background, surroundings))
+        scene = (options, mesh, cameras, size, background, surroundings)
+        if _is_streamed(options, size):
+            pixels = (as_pixels("image", strip) for strip in _strips(*scene))
+            save_png_strips(options.output, pixels, *size)
+        else:
+            save_image(options.output, draw(*scene))
     if options.save:
         near, far = _planes(options, mesh, cameras)
         look = _look(options, cameras, size, background, surroundings)
@@ -208,6 +217,47 @@ def _look(
     return {"light": light, "shading": options.shading, "background": background, "layers": options.layers}
 
 
+def _tile(size: tuple[int, int]) -> int | None:
+    """Return the `tile` of `render`: large pictures are drawn in strips."""
+    return _TILE if size[0] * size[1] > _TILE**2 else None
+
+
+def _is_streamed(options: RenderOptions, size: tuple[int, int]) -> bool:
+    """Tell whether a picture goes to its file strip by strip: no mode but these knows a pixel without all others."""
+    is_png = options.output is not None and options.output.suffix.lower() == ".png"
+    return is_png and options.mode in ("rgb", "silhouettes") and options.layers is None and _tile(size) is not None
+
+
+@torch.no_grad()
+def _strips(
+    options: RenderOptions,
+    mesh: Mesh | UVMesh,
+    camera: Camera,
+    size: tuple[int, int],
+    background: Any,
+    surroundings: EnvironmentLight | None,
+) -> Iterator[Tensor]:
+    """Draw one view as `draw` does, strip by strip."""
+    near, far = _planes(options, mesh, camera)
+    if options.mode == "silhouettes":
+        shape = mesh.vertices, mesh.faces
+        for images in render_strips(shape, camera, size, _TILE, outputs=("alpha",), near=near, far=far):
+            yield images.alpha[0]
+        return
+    look = _look(options, camera, size, background, surroundings)
+    for images in render_strips(mesh, camera, size, _TILE, **look, outputs=("rgb", "alpha"), near=near, far=far):
+        yield _on_background(options, images)
+
+
+def _on_background(options: RenderOptions, images: Images) -> Tensor:
+    """Return the colours, with alpha if the background is transparent: PNG stores colours without it."""
+    rgb, alpha = images.rgb[0], images.alpha[0]
+    if options.background != "transparent":
+        return rgb
+    # Colours over black are multiplied by alpha at the outline.
+    return torch.cat((rgb / alpha.clamp(min=1e-6), alpha[None]))
+
+
 @torch.no_grad()
 def draw(
     options: RenderOptions,
@@ -221,30 +271,26 @@ def draw(
     near, far = _planes(options, mesh, camera)
     if options.mode in ("silhouettes", "depth"):
         shape = mesh.vertices, mesh.faces
-        images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far)
+        images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far, tile=_tile(size))
         alpha, depth = images.alpha[0], images.depth[0]
         return alpha if options.mode == "silhouettes" else _shade_depth(depth, alpha, far)
     look = _look(options, camera, size, background, surroundings)
     if options.mode == "normals":
-        rgb, alpha = _draw_normals(mesh, camera, size, look["background"], near, far)
-    else:
-        images = render(mesh, camera, size, **look, outputs=("rgb", "alpha"), near=near, far=far)
-        rgb, alpha = images.rgb[0], images.alpha[0]
-    if options.background != "transparent":
-        return rgb
-    # Colours over black are multiplied by alpha at the outline; PNG stores them without.
-    return torch.cat((rgb / alpha.clamp(min=1e-6), alpha[None]))
+        return _on_background(options, _draw_normals(mesh, camera, size, look["background"], near, far))
+    tile = _tile(size) if options.layers is None else None
+    images = render(mesh, camera, size, **look, outputs=("rgb", "alpha"), near=near, far=far, tile=tile)
+    return _on_background(options, images)
 
 
 def _draw_normals(
     mesh: Mesh | UVMesh, camera: Camera, size: tuple[int, int], background: Any, near: float, far: float
-) -> tuple[Tensor, Tensor]:
-    """Draw normals in camera space as colours [3, H, W], and the silhouette [H, W]."""
+) -> Images:
+    """Draw normals in camera space as colours, and the silhouette."""
     fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size, near=near, far=far)
     axes = camera.axes[0] * camera.rotation.new_tensor([1.0, 1.0, -1.0])[:, None]  # right, up, backward
     normals = fragments.interpolate(vertex_normals(mesh.vertices, mesh.faces)[0] @ axes.T)
-    alpha = fragments.composite(torch.ones_like(normals[..., :1]))[0, 0]
-    return fragments.composite((normals + 1) / 2, background)[0], alpha
+    alpha = fragments.composite(torch.ones_like(normals[..., :1]))[:, 0]
+    return Images(fragments.composite((normals + 1) / 2, background), alpha)
 
 
 def _shade_depth(depth: Tensor, alpha: Tensor, far: float) -> Tensor:
@@ -277,13 +323,13 @@ def _save_outputs(options: RenderOptions, mesh: Any, camera: Camera, size: tuple
     plain = [name for name in names if name not in smooth]
     images: dict[str, Any] = {}
     if smooth:
-        drawn = render(mesh, camera, size, outputs=smooth, **scene)
+        tile = _tile(size) if options.layers is None else None
+        drawn = render(mesh, camera, size, outputs=smooth, **scene, tile=tile)
         images |= {name: getattr(drawn, name)[0] for name in smooth}
     if plain:
-        geometry = {name: scene[name] for name in ("near", "far")}
-        drawn = render(
-            mesh, camera, size, outputs=(*plain, "alpha"), anti_aliasing=False, shading="smooth", light=None, **geometry
-        )
+        geometry: dict[str, Any] = {name: scene[name] for name in ("near", "far")}
+        geometry |= {"anti_aliasing": False, "shading": "smooth", "light": None, "tile": _tile(size)}
+        drawn = render(mesh, camera, size, outputs=(*plain, "alpha"), **geometry)
         images |= {name: getattr(drawn, name)[0] for name in plain}
         if "depth" in images:
             images["depth"] = images["depth"] * drawn.alpha[0]  # 0 in place of the far plane

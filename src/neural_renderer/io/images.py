@@ -121,7 +121,7 @@ def save_image(path: str | os.PathLike[str], image: Tensor | np.ndarray) -> None
     path = Path(path)
     if path.suffix.lower() not in _IMAGE_SUFFIXES:
         raise ValueError(f"path: expected a name that ends in {', '.join(_IMAGE_SUFFIXES)}, got {path.name!r}")
-    pixels = _pixels("image", image)
+    pixels = as_pixels("image", image)
     _check_side("image", path, pixels)
     file = io.BytesIO()
     if path.suffix.lower() == ".png":
@@ -162,7 +162,7 @@ def save_animation(
         raise TypeError(f"frames: expected pictures, got {type(frames).__name__}") from None
     pictures: list[np.ndarray] = []
     for index, frame in enumerate(frames):
-        picture = _opaque(_pixels(f"frames[{index}]", frame))
+        picture = _opaque(as_pixels(f"frames[{index}]", frame))
         if pictures and picture.shape != pictures[0].shape:
             first, other = (f"{p.shape[1]} x {p.shape[0]}" for p in (pictures[0], picture))
             raise ValueError(f"frames[{index}]: expected {first} pixels like the first frame, got {other}")
@@ -215,7 +215,7 @@ def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
         raise OSError("the encoder wrote a file that cannot be played")
 
 
-def _pixels(name: str, image: Any) -> np.ndarray:
+def as_pixels(name: str, image: Any) -> np.ndarray:
     """Convert an image to uint8, [H, W], [H, W, 3] or [H, W, 4]; arguments and errors as `save_image`."""
     if isinstance(image, Tensor):
         image = validate.has_numbers(name, validate.dense(name, image)).detach().cpu().resolve_neg()
