@@ -30,6 +30,7 @@ ROOMS = [
     "transparency",
     "losses",
     "surface_images",
+    "strips",
     "rendering",
     "compat",
     "features",
