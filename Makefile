@@ -68,7 +68,8 @@ package: $(VENV)/installed
 		$(PYTHON) -m venv --clear build/package \
 		&& build/package/bin/python -m pip install --quiet "$(TORCH)" \
 		&& build/package/bin/python -m pip install --quiet --constraint constraints.txt "$$file" \
-		&& (cd build && package/bin/neural-renderer info) || exit 1; \
+		&& (cd build && package/bin/neural-renderer info \
+			&& package/bin/neural-renderer demo -o demo --frames 4 --steps 20 && test -s demo/knot.png) || exit 1; \
 	done
 	mkdir build/sdist && tar -xzf dist/*.tar.gz --strip-components 1 -C build/sdist
 	build/package/bin/python -m pip install --quiet --constraint constraints.txt "build/sdist[dev]"

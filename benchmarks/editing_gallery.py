@@ -30,7 +30,7 @@ PAINTINGS = {
     "gogh2": "van Gogh, The Starry Night",
 }
 UV_PAINTINGS = ("hokusai1", "munch1", "gogh2")  # for meshes that are painted in their own texture coordinates
-STYLE = ["--iterations", "300", "--batch", "2"]
+STYLE = ["--steps", "300", "--batch", "2"]
 _SIDE = 256
 
 

@@ -12,10 +12,12 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import torch
 
 import neural_renderer as nr
+import neural_renderer.nvdiffrast as dr
 
 from .deodr import SCENES as DEODR_SCENES
 from .deodr import Scene, is_installed, least
@@ -43,6 +45,16 @@ def all_ratios(rounds: int, large: bool) -> Iterator[Row]:
         for output in ("alpha", "rgb"):
             ratio = _ratio(*(scene.step(output) for scene in scenes), 3)
             yield f'"edge" ÷ "nmr", {output}, 1024², 1.3 M faces', f"{ratio:.2f}", "≤ 1.5"
+    yield from _as_nvdiffrast(rounds)
+    for level, side in ((4, 256), (6, 512)):
+        for output in ("alpha", "rgb"):
+            faces = f"{20 * 4**level:,}"
+            ratio = _columns(level, side, output, rounds)
+            yield (
+                f'six columns of a camera ÷ backward, "edge", {output}, {side}², {faces} faces',
+                f"{ratio:.2f}",
+                "≤ 2.5",
+            )
     yield from _against_deodr(rounds)
     yield from _small(20 * rounds)
     yield from _beside_others()
@@ -86,9 +98,56 @@ class _Scene:
         return run
 
 
+def _columns(level: int, side: int, output: str, rounds: int) -> float:
+    """Compare what forward mode adds to a forward pass, for six directions at once, with what backward adds."""
+    scene = _Scene(1, side, level, True, "edge")
+    mesh = (scene.vertices.detach(), scene.faces, scene.cubes.detach())
+    places = torch.tensor([0.0, 0.0, -2.7, 0.0, 0.0, 0.0])
+
+    def draw(places: torch.Tensor) -> torch.Tensor:
+        camera = nr.Camera.look_at(places[:3], places[3:], viewing_angle=20.0)
+        image: torch.Tensor = getattr(nr.render(mesh, camera, side, outputs=(output,)), output)
+        return image
+
+    leaf = places.clone().requires_grad_()
+    grad = torch.randn(draw(places).shape, generator=torch.Generator().manual_seed(0))
+    jobs = (
+        lambda: draw(places),
+        lambda: torch.func.jacfwd(draw)(places),
+        lambda: torch.autograd.grad(draw(leaf), leaf, grad),
+    )
+    forward, columns, step = (used for used, _ in least([(1, job) for job in jobs], rounds))
+    return (columns - forward) / (step - forward)
+
+
 def _ratio(one: Callable[[], None], other: Callable[[], None], rounds: int) -> float:
     (first, _), (second, _) = least([(1, one), (1, other)], rounds)
     return first / second
+
+
+def _as_nvdiffrast(rounds: int) -> Iterator[Row]:
+    """Measure the four primitives under nvdiffrast's names against the same image in the modern way."""
+    side, (vertices, faces) = 512, nr.icosphere(6)
+    vertices, texture = (0.9 * vertices).requires_grad_(), torch.rand(512, 512, 3, requires_grad=True)
+    uv, triangles = (0.5 + 0.5 * vertices.detach()[:, :2]).contiguous(), faces.int()
+    camera = torch.tensor([[1.5, 0, 0, 0], [0, 1.5, 0, 0], [0, 0, -1.02, 2.042], [0, 0, -1, 2.2]])
+    context, grad = dr.RasterizeCudaContext(), torch.randn(3, side, side)
+
+    def theirs() -> None:
+        pos = torch.nn.functional.pad(vertices, (0, 1), value=1.0)[None] @ camera.T
+        rast, rast_db = dr.rasterize(context, pos, triangles, (side, side))
+        texc, change = dr.interpolate(uv[None], rast, triangles, rast_db, "all")
+        color = torch.where(rast[..., 3:] > 0, dr.texture(texture[None], texc, change), 0.0)
+        torch.autograd.grad(dr.antialias(color, rast, pos, triangles)[0], (vertices, texture), grad.permute(1, 2, 0))
+
+    def modern(anti_aliasing: bool) -> None:
+        fragments = nr.fragments((vertices, faces), nr.Camera.from_clip(camera), side, anti_aliasing=anti_aliasing)
+        color = nr.sample_texture(texture, fragments.interpolate(uv), fragments.face_index)
+        torch.autograd.grad(fragments.composite(color)[0], (vertices, texture), grad)
+
+    for sampled, what in ((False, "1 sample"), (True, "2 × 2 samples, the default")):
+        ratio = _ratio(theirs, partial(modern, sampled), rounds)
+        yield f'as nvdiffrast ÷ modern, "edge", {what}, 512², 82k faces', f"{ratio:.2f}", "≤ 1.3"
 
 
 def _against_deodr(rounds: int) -> Iterator[Row]:

@@ -16,7 +16,7 @@ import torch
 import tyro
 
 from neural_renderer.features import load_features
-from neural_renderer.losses import silhouette_iou_loss
+from neural_renderer.losses import soft_iou_loss
 from neural_renderer.tasks.reconstruction.data.arrays import open_split
 from neural_renderer.tasks.reconstruction.networks.configs import make_config
 from neural_renderer.tasks.reconstruction.training.sampling import prepare_batch
@@ -66,7 +66,7 @@ def main(
         paired, paired_views, target = pair_with_views(leaf, alpha, views)
         drawn = network.silhouettes(paired, paired_views)
         clock = took("renderer, forward", clock)
-        error = silhouette_iou_loss(drawn, downsample_like(drawn, target))
+        error = soft_iou_loss(drawn, downsample_like(drawn, target))
         (pull,) = torch.autograd.grad(error, drawn, retain_graph=True)
         regularizer = network.regularizer(leaf)
         (rest,) = torch.autograd.grad(regularizer, leaf) if regularizer.requires_grad else (0.0,)

@@ -64,11 +64,11 @@ def test_the_default_device_does_not_matter(tmp_path, default):
 
 def test_views_that_numpy_does_not_know(tmp_path, scene):
     (vertices, faces, textures), camera = scene
-    want = nr.render((vertices, faces, textures), camera, 16)
+    want = nr.render((vertices, faces, textures), camera, 16, light=nr.Light())
     views = torch._neg_view(-vertices), torch.complex(vertices, -vertices).conj().imag
     for view in views:
         assert view.is_neg()
-        found = nr.render((view, faces, textures), camera, 16)
+        found = nr.render((view, faces, textures), camera, 16, light=nr.Light())
         assert all(torch.equal(a, b) for a, b in zip(found, want, strict=True))
         nr.save_obj(tmp_path / "ball.obj", view, faces)
         assert torch.equal(nr.load_obj(tmp_path / "ball.obj", False)[0], vertices.cpu())
@@ -79,8 +79,8 @@ def test_views_that_numpy_does_not_know(tmp_path, scene):
 def test_tracers_are_not_asked_for_numbers(scene):
     mesh, camera = scene
     vertices, *others = mesh
-    traced = make_fx(lambda v: nr.render((v, *others), camera, 16).rgb)(vertices)
-    assert torch.equal(traced(vertices), nr.render(mesh, camera, 16).rgb)
+    traced = make_fx(lambda v: nr.render((v, *others), camera, 16, light=nr.Light()).rgb)(vertices)
+    assert torch.equal(traced(vertices), nr.render(mesh, camera, 16, light=nr.Light()).rgb)
     with FakeTensorMode() as mode:
         fakes = [mode.from_tensor(tensor) for tensor in mesh]
         found = nr.render(tuple(fakes), nr.Camera.look_at((0.0, 0.0, -3.0)), 16)
@@ -169,8 +169,10 @@ def test_what_does_not_fit_is_named(scene, change, message):
 
 def test_arrays_and_bad_angles_are_named(scene):
     (vertices, faces, _), camera = scene
+    arrays = nr.render((vertices.cpu().double().numpy(), faces.tolist()), camera, 16)
+    assert torch.equal(arrays.rgb, nr.render((vertices.cpu(), faces.cpu()), camera, 16).rgb)
     with pytest.raises(TypeError, match="vertices"):
-        nr.render((vertices.cpu().numpy(), faces.cpu().numpy()), camera)
+        nr.render(([[0.0, 1.0, 2.0], [0.0]], faces.cpu().numpy()), camera)
     with pytest.raises(ValueError, match="viewing_angle"):
         nr.Renderer(camera_mode="look_at", viewing_angle=0)
 

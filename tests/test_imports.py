@@ -24,15 +24,18 @@ ROOMS = [
     "comparators",
     "textures",
     "camera",
+    "rotations",
     "meshes",
     "deferred",
     "shading",
     "transparency",
     "losses",
+    "optim",
     "surface_images",
     "strips",
     "rendering",
     "compat",
+    "nvdiffrast",
     "features",
     "pictures",
     "tasks",
@@ -47,6 +50,7 @@ RASTER = [
     "warp",
     "ops",
     "colors",
+    "clip",
     "visibility",
     "reference",
     "settings",
@@ -128,4 +132,6 @@ def test_public_names_are_there_on_demand() -> None:
     for name in neural_renderer.__all__:
         value = getattr(neural_renderer, name)
         assert isinstance(value, ModuleType) or (name,) not in files, f"{name} is a module and a function"
-    assert set(neural_renderer.__all__) <= set(dir(neural_renderer))
+    listed = dir(neural_renderer)
+    assert set(neural_renderer.__all__) == {name for name in listed if not name.startswith("__")} | {"__version__"}
+    assert len(set(listed)) == len(listed)

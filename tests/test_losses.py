@@ -51,9 +51,45 @@ def test_silhouette_iou():
         empty.grad, torch.zeros(1, 4, 4)
     )
     assert losses.silhouette_iou_loss(empty, torch.ones(1, 4, 4)) == 1
-    assert metrics.silhouette_iou(s, t).tolist() == pytest.approx([1 / 3, 0])  # 0.5 is not above the threshold
+    assert metrics.silhouette_iou(s, t).tolist() == pytest.approx([1 / 3, 1 / 2])
+    assert metrics.silhouette_iou(s, t, threshold=0.5).tolist() == pytest.approx([1 / 3, 0])  # 0.5 is not above it
     assert metrics.silhouette_iou(s * 0, s > 9).tolist() == [1, 1]
     assert gradcheck(losses.silhouette_iou_loss, (torch.rand(2, 3, 3).double().requires_grad_(), torch.rand(2, 3, 3)))
+
+
+def test_equal_anti_aliased_silhouettes_have_iou_1(tmp_path):
+    camera = nr.Camera.look_at((0.4, 0.7, -2.7))
+    for size in (32, 64, 128):
+        alpha = nr.render(nr.Mesh.icosphere(2), camera, size, outputs="alpha").alpha
+        partial = int(((alpha > 0) & (alpha < 1)).sum())
+        assert (
+            partial > 0 and losses.silhouette_iou_loss(alpha, alpha) == 0 and metrics.silhouette_iou(alpha, alpha) == 1
+        )
+        assert losses.soft_iou_loss(alpha, alpha) > 0.01  # the paper's formula keeps a remainder
+        nr.save_image(tmp_path / "a.png", alpha[0])
+        loaded = nr.load_image(tmp_path / "a.png")[None, ..., 0]
+        # Rounding to eight bits moves each of them by up to 1/510; the second term is for the float32 sums.
+        bound = partial / 510 / float(alpha.sum()) + 1e-6
+        assert 0 <= 1 - metrics.silhouette_iou(alpha, loaded).item() <= bound
+        # In the loss, a pixel's part is at most about (1/510)² / (1/2), at a coverage of 1/2; others round less.
+        assert losses.silhouette_iou_loss(alpha, loaded).item() <= bound / 200 + 1e-6
+    assert metrics.silhouette_iou(alpha * torch.nan, alpha).isnan()
+
+
+def test_iou_losses_agree_on_binary_targets_with_gradients():
+    target = (torch.rand(2, 6, 6) > 0.5).double()
+    values = torch.rand(2, 6, 6).double()
+    values[:, :3] = target[:, :3]  # ties
+    found = []
+    for loss in (losses.silhouette_iou_loss, losses.soft_iou_loss):
+        predicted = values.clone().requires_grad_()
+        value = loss(predicted, target)
+        found.append((value.detach(), *torch.autograd.grad(value, predicted)))
+    for pair in zip(*found, strict=True):
+        torch.testing.assert_close(*pair)
+    half = torch.full((1, 4, 4), 0.5, requires_grad=True)
+    losses.silhouette_iou_loss(half, half.detach()).backward()
+    assert torch.equal(half.grad, torch.zeros(1, 4, 4))  # a minimum within (0, 1)
 
 
 def test_photometric():
@@ -207,7 +243,21 @@ def test_they_compile_in_one_graph():
     torch.testing.assert_close(torch.compile(loss, fullgraph=True, backend="aot_eager")(v, image), loss(v, image))
 
 
+@pytest.mark.parametrize("name", ["laplacian", "edge_length", "normal_consistency", "smoothness"])
+def test_losses_of_faces_compile_in_one_graph(name):
+    """The number of edges depends on the values of the faces, so an operator finds them."""
+    loss, (start, faces) = getattr(losses, name), nr.icosphere(1)
+    compiled = torch.compile(loss, fullgraph=True, backend="aot_eager")
+    for points in (start, start.expand(2, -1, -1)):
+        points = points.clone().requires_grad_()
+        found, want = compiled(points, faces), loss(points, faces)
+        torch.testing.assert_close(found, want)
+        gradients = (torch.autograd.grad(value, points)[0] for value in (found, want))
+        torch.testing.assert_close(*gradients)
+
+
 REDUCED = {
+    "soft_iou_loss": lambda n: (torch.rand(n, 4, 5).double(), torch.rand(n, 4, 5).double()),
     "silhouette_iou_loss": lambda n: (torch.rand(n, 4, 5).double(), torch.rand(n, 4, 5).double()),
     "photometric": lambda n: (torch.rand(n, 3, 4, 5).double(), torch.rand(n, 3, 4, 5).double()),
     "photometric, mask": lambda n: (*torch.rand(2, n, 3, 4, 5).double(), torch.rand(n, 4, 5)),

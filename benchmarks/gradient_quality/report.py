@@ -11,6 +11,7 @@ COLORS = {
     "nmr": "tab:red",
     "opendr": "tab:green",
     "reinforce": "tab:gray",
+    "nvdiffrast AA (ours)": "tab:cyan",
     "DEODR": "tab:orange",
     "DRTK": "tab:brown",
     "PyTorch3D hard": "tab:pink",

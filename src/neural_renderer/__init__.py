@@ -8,11 +8,13 @@
 Where to look; `help(nr.render)` and so on explain each name:
 
     a scene      Mesh, UVMesh, Camera; icosphere, cube, torus, batch, join
-    light        Light, PointLight, SpotLight, SphericalHarmonicLight, EnvironmentLight, ShadowedLight
+    light        CameraLight, Light, PointLight, SpotLight, SphericalHarmonicLight, EnvironmentLight, ShadowedLight
     materials    Material, Texture; Phong, PBR
     its images   render, which returns Images
     your shader  fragments, which returns Fragments or Layers; sample_texture, VisibleSurface, shade_pbr, …
     losses       the modules losses and metrics
+    rotations    the module rotations: axis and angle, quaternions, six numbers
+    solvers      the module optim
     files        load_mesh, save_mesh, load_image, save_image, save_animation
     old code     Renderer, look_at, look, load_obj, Adam, …: the names of the first `neural_renderer` packages
 
@@ -52,4 +54,4 @@ else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
     def __dir__() -> list[str]:
-        return [*globals(), *__getattr__("__all__")]
+        return sorted({*(name for name in globals() if name.startswith("__")), *__getattr__("__all__")})

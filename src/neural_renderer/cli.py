@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import difflib
 import importlib
 import itertools
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import tyro
 from rich.console import Console
@@ -28,23 +31,24 @@ COMMANDS = {
     "style": "Transfer the style of a painting to a mesh.",
     "dream": "Apply DeepDream to a mesh.",
     "view": "Show meshes, results and records in the browser.",
+    "run": "Run a program that needs nvdiffrast or CUDA, without them.",
     "demo": "Draw a turntable, and fit a sphere to a duck.",
 }
-_EXTRAS = {"lightning": "reconstruction", "tensorboard": "reconstruction"}  # packages that commands import
 _GROUPS = ("reconstruct",)  # commands with subcommands; the package of each lists them as COMMANDS
 
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
 --version shows the version.
 
-Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 130 interrupted. With --debug after the command, or
-NEURAL_RENDERER_DEBUG=1 in the environment, an error shows its traceback."""
+Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 3 a fit whose outlines do not match the masks (its
+results are written), 130 interrupted. With --debug after the command, or NEURAL_RENDERER_DEBUG=1 in the environment, an
+error shows its traceback."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line ``args`` (sys.argv without the program's name by default) and return the exit code."""
-    arguments = list(sys.argv[1:] if args is None else args)
-    debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in arguments
-    arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
+    own, others = _split_program(list(sys.argv[1:] if args is None else args))
+    debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in own
+    arguments = [*(argument for argument in own if argument != "--debug"), *others] or ["--help"]
     if arguments[0] == "--version":
         sys.stdout.write(f"neural-renderer {__version__}\n")
         return 0
@@ -67,6 +71,16 @@ def main(args: Sequence[str] | None = None) -> int:
         return 1
 
 
+def _split_program(arguments: list[str]) -> tuple[list[str], list[str]]:
+    """Split the arguments of `run` after the program: the others are its own."""
+    if arguments[:1] != ["run"]:
+        return arguments, []
+    place = 1
+    while place < len(arguments) and arguments[place].startswith("-"):
+        place += 2 if arguments[place] == "--device" else 1
+    return arguments[: place + 1], arguments[place + 1 :]
+
+
 def _parse(
     arguments: list[str],
     commands: dict[str, str] = COMMANDS,
@@ -84,8 +98,17 @@ def _parse(
         known = _load(f"{package}options")
         if name == "render":
             _check_save(arguments, known.SAVED)
-        options = getattr(known, f"{name.capitalize()}Options")
-        return module, tyro.cli(options, prog=f"{prog} {name}", args=arguments[1:])
+            _check_size(arguments)
+        arguments, others = _split_program(arguments)
+        kind = getattr(known, f"{name.capitalize()}Options")
+        if hasattr(kind, "steps"):  # some commands once called them iterations
+            arguments = [re.sub(r"^--iterations(?=$|=)", "--steps", argument) for argument in arguments]
+        options = tyro.cli(kind, prog=f"{prog} {name}", args=arguments[1:])
+        return module, dataclasses.replace(options, arguments=tuple(others)) if others else options
+    if not name.startswith("-"):
+        close = difflib.get_close_matches(name, commands, 1)
+        advice = f"; did you mean {close[0]}?" if close else ""
+        _refuse(f"{prog}: expected one of {', '.join(commands)}, got {name!r}{advice}")
     choices: dict[str, Any] = {command: _placeholder(summary) for command, summary in commands.items()}
     return module, tyro.extras.subcommand_cli_from_dict(choices, prog=prog, description=description, args=arguments)
 
@@ -105,7 +128,21 @@ def _check_save(arguments: list[str], known: tuple[str, ...]) -> None:
         problem = f"expected names and files in turn, such as {known[0]} {known[0]}.png, got {' '.join(words)!r}"
     else:
         return
-    _say(f"--save: {problem}", "red")
+    _refuse(f"--save: {problem}")
+
+
+def _check_size(arguments: list[str]) -> None:
+    """End with a message if the first value of --size is no number: tyro's message is long."""
+    for place, argument in enumerate(arguments):
+        option, equals, value = argument.partition("=")
+        value = value if equals else "".join(arguments[place + 1 : place + 2])
+        if option == "--size" and not re.fullmatch(r"[+-]?\d+", value):
+            _refuse(f"--size: expected a side, or height and width such as --size 480 640, in pixels, got {value!r}")
+
+
+def _refuse(message: str) -> NoReturn:
+    """Print a message about wrong usage, and end."""
+    _say(message, "red")
     raise SystemExit(2)
 
 
@@ -149,13 +186,8 @@ def _message(error: Exception) -> str:
     message = " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
         return f"{os.fsdecode(error.filename)}: {error.strerror}" if error.filename else error.strerror
-    if isinstance(error, ModuleNotFoundError):
-        missing = str(error.name).partition(".")[0]
-        if missing in _EXTRAS:
-            install = f"pip install 'neural-renderer[{_EXTRAS[missing]}]'"
-            return f"expected {missing} to be installed for this command ({install})"
-        if "pip install" in message:
-            return message
+    if isinstance(error, ModuleNotFoundError) and "pip install" in message:
+        return message
     if isinstance(error, (ValueError, TypeError, OSError)) and message:
         return message
     return f"{type(error).__name__}: {message} (--debug shows a traceback)"

@@ -1,6 +1,8 @@
 """Public names of the package. `__init__` loads this module at the first use of one of them."""
 
-from . import losses, metrics
+import torch
+
+from . import losses, metrics, optim, rotations
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
 from .comparators.reinforce import reinforce
 from .comparators.soft_silhouettes import soft_silhouettes
@@ -24,7 +26,7 @@ from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
 from .rendering import render
 from .shading.environments.light import EnvironmentLight
-from .shading.lights import Light
+from .shading.lights import CameraLight, Light
 from .shading.pbr import PBR, shade_pbr
 from .shading.phong import Phong, shade_diffuse, shade_phong
 from .shading.pixels.normal_maps import corner_tangents
@@ -45,6 +47,7 @@ __all__ = [
     "PBR",
     "Adam",
     "Camera",
+    "CameraLight",
     "EnvironmentLight",
     "Fragments",
     "Images",
@@ -86,6 +89,7 @@ __all__ = [
     "look_at",
     "losses",
     "metrics",
+    "optim",
     "orthographic",
     "perspective",
     "projection",
@@ -97,6 +101,7 @@ __all__ = [
     "reinforce",
     "remesh",
     "render",
+    "rotations",
     "sample_points",
     "sample_texture",
     "save_animation",
@@ -117,3 +122,11 @@ __all__ = [
 ]
 
 _show_in_notebooks()
+
+# torch.load reads these by default: they hold tensors and plain values alone.
+torch.serialization.add_safe_globals(
+    [
+        *(Camera, CameraLight, EnvironmentLight, Images, Light, Material, Mesh, PBR, Phong, PointLight, ShadowedLight),
+        *(SphericalHarmonicLight, SpotLight, Texture, UVMesh),
+    ]
+)

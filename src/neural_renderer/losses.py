@@ -23,10 +23,12 @@ _Loss = TypeVar("_Loss", bound=Callable[..., Tensor])
 
 
 def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *, reduction: str = "mean") -> Tensor:
-    """Compute 1 − IoU of soft silhouettes, averaged over the batch.
+    """Compute 1 − IoU of anti-aliased silhouettes, averaged over the batch.
 
-    The loss of one image is 1 − Σ(s·ŝ) / Σ(s + ŝ − s·ŝ). It is 0 for equal silhouettes and 1 for disjoint ones. The
-    paper's silhouette loss (section 4.1) is this minus 1.
+    The loss of one image is D / U, where D = Σ|s − ŝ| and U = Σ(s + ŝ + |s − ŝ|) / 2 over its pixels, which is
+    1 − Σ min(s, ŝ) / Σ max(s, ŝ): 0 for equal silhouettes, also where their borders cover pixels in part, and 1 for
+    disjoint ones. Where s and ŝ both lie within (0, 1), a smooth (s − ŝ)² / (s + ŝ − 2sŝ) ≤ |s − ŝ| is in the place of
+    |s − ŝ|, so that descent comes to rest. For a binary target the loss equals `soft_iou_loss`.
 
     Args:
         predicted: [B, H, W] floating, in [0, 1].
@@ -46,13 +48,55 @@ def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *,
         >>> silhouette_iou_loss(square, square.roll(1, 2))  # 12 pixels of 20 are shared
         tensor(0.4000)
     """
+    return _iou_loss(_smooth_difference, predicted, target, eps, reduction)
+
+
+def soft_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *, reduction: str = "mean") -> Tensor:
+    """Compute 1 − Σ(s·ŝ) / Σ(s + ŝ − s·ŝ): the paper's silhouette loss (section 4.1) plus 1.
+
+    Products count a pixel that both silhouettes cover by half as a quarter. So equal anti-aliased silhouettes have a
+    loss above 0; `silhouette_iou_loss` has no such remainder.
+
+    Args:
+        predicted, target, eps, reduction: As in `silhouette_iou_loss`.
+
+    Returns:
+        Scalar tensor in [0, 1]; [B] for "none".
+
+    Raises:
+        TypeError, ValueError: As `silhouette_iou_loss`.
+
+    Example:
+        >>> half = torch.full((1, 8, 8), 0.5)
+        >>> soft_iou_loss(half, half)  # 1 − 0.25 / 0.75
+        tensor(0.6667)
+    """
+    return _iou_loss(_difference, predicted, target, eps, reduction)
+
+
+def _iou_loss(
+    difference: Callable[[Tensor, Tensor], Tensor], predicted: Any, target: Any, eps: float, reduction: str
+) -> Tensor:
+    """Compute 1 − IoU from the part of each pixel that one silhouette covers and the other does not."""
     predicted = _wide(validate.floating("predicted", predicted, ("B", "H", "W")))
     target = _like("target", target, predicted)
-    intersection = (predicted * target).sum((1, 2))
-    union = (predicted + target - predicted * target).sum((1, 2))
-    iou = intersection / union.clamp(min=eps)
-    each = 1 - torch.where(union <= eps, torch.ones_like(iou), iou)  # this way round NaN stays NaN
+    apart = difference(predicted, target)
+    union = (predicted + target + apart).sum((1, 2)) / 2
+    each = torch.where(union <= eps, 0.0, apart.sum((1, 2)) / union.clamp(min=eps))  # this way round NaN stays NaN
     return _reduced(each, reduction)
+
+
+def _difference(a: Tensor, b: Tensor) -> Tensor:
+    """Compute a + b − 2ab, the difference if both cover parts of a pixel that have nothing to do with each other."""
+    return a + b - 2 * a * b
+
+
+def _smooth_difference(a: Tensor, b: Tensor) -> Tensor:
+    """Compute (a − b)² / (a + b − 2ab): |a − b| if one is 0 or 1, otherwise less, and smooth."""
+    apart = _difference(a, b)
+    # If both are 0, or both 1, apart is |a − b|, with the derivative towards the only side.
+    quotient = (a - b) * ((a - b) / torch.where(apart == 0, 1.0, apart))
+    return torch.where((a == b) & (a * b == a), apart, quotient)
 
 
 def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None, *, reduction: str = "mean") -> Tensor:
@@ -122,33 +166,37 @@ def _of_each_mesh(loss: _Loss) -> _Loss:
     """Extend a loss of vertices and faces to faces [B, F, 3], as `batch` makes them: one loss per mesh."""
 
     @functools.wraps(loss)
-    def of_each(vertices: Tensor, faces: Any, *, reduction: str = "mean") -> Tensor:
+    def of_each(vertices: Tensor, faces: Any, *, reduction: str = "mean", **options: Any) -> Tensor:
         if getattr(faces, "ndim", 2) != 3:
-            return loss(vertices, faces, reduction=reduction)
+            return loss(vertices, faces, reduction=reduction, **options)
         validate.floating("vertices", vertices, ("B", "V", 3))
         validate.indices("faces", faces, (len(vertices), "F", 3))
         if not faces.stride(0):  # one mesh, expanded
-            return loss(vertices, faces[0], reduction=reduction)
+            return loss(vertices, faces[0], reduction=reduction, **options)
         losses = []
         for own, rows in zip(vertices, faces, strict=True):
             topology = Topology.of(rows[(rows != -1).any(1)])
             # Vertices beyond the last that a face uses are padding.
             if topology.vertices > len(own):
                 raise ValueError(f"faces: expected indices in [0, {len(own)}), got {topology.vertices - 1}")
-            losses.append(loss(own[: topology.vertices], topology, reduction="sum"))
+            losses.append(loss(own[: topology.vertices], topology, reduction="sum", **options))
         return _reduced(torch.stack(losses) if losses else vertices.sum((1, 2)), reduction)
 
     return of_each  # type: ignore[return-value]
 
 
 @_of_each_mesh
-def laplacian(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "mean") -> Tensor:
+def laplacian(vertices: Tensor, faces: Tensor | Topology, *, squared: bool = True, reduction: str = "mean") -> Tensor:
     """Compute the uniform Laplacian loss: the mean squared distance of vertices to the centroid of their neighbours.
+
+    PyTorch3D's ``mesh_laplacian_smoothing`` is the mean of the distances themselves: ``squared=False``. Its gradient
+    has the same length at every vertex, however close to its neighbours, so that its weights are other ones.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
         faces: [F, 3] whole numbers of any real dtype, or a `Topology` built from them once. torch.compile needs a
             `Topology`. Or [B, F, 3], as `batch` makes them; rows of −1, and vertices behind the last, are padding.
+        squared: Square the distances.
         reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
 
     Returns:
@@ -168,7 +216,8 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "m
     ones = torch.ones_like(start, dtype=vertices.dtype)
     degree = ones.new_zeros(vertices.shape[-2]).index_add(0, start, ones)[:, None]
     offset = (total / degree.clamp(min=1) - vertices) * (degree > 0)
-    return _reduced(offset.square().sum((-2, -1)) / max(offset.shape[-2], 1), reduction)
+    each = offset.square().sum(-1) if validate.flag("squared", squared) else torch.linalg.vector_norm(offset, dim=-1)
+    return _reduced(each.sum(-1) / max(offset.shape[-2], 1), reduction)
 
 
 @_of_each_mesh

@@ -7,24 +7,25 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from . import strips, validate
 from .camera import Camera
 from .camera.screen import causes, scene_camera, screen_corners
 from .deferred import Fragments, visible_fragments, visible_layers
-from .meshes.batch import drawn_batch, mesh_parts
+from .meshes.batch import as_mesh, mesh_parts
 from .meshes.mesh import Mesh
 from .meshes.uv_mesh import UVMesh
 from .raster.ahead import CUBES, IMAGES, SCENE, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.light_pixels import light_pixels
-from .raster.cube_colors import checked_textures, cube_colors
+from .raster.cube_colors import PackedCubes, checked_textures, cube_colors
 from .raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.estimators import Estimator
-from .shading.lights import AnyLight, Light, light_factors, pixel_lights
+from .shading.lights import AnyLight, CameraLight, FaceLight, checked_lights, light_factors
 from .shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from .surface_images import surface_images, surface_outputs
 from .transparency import layered_images
@@ -41,7 +42,7 @@ def render(
     camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
-    light: AnyLight | Sequence[AnyLight] | None = Light(),  # noqa: B008 (immutable)
+    light: AnyLight | CameraLight | Sequence[AnyLight | CameraLight] | None = CameraLight(),  # noqa: B008 (immutable)
     shading: str | Shading = "flat",
     background: Any = (0.0, 0.0, 0.0),
     outputs: Collection[str] = OUTPUTS,
@@ -60,16 +61,18 @@ def render(
     the parameters of cameras and lights, and the background.
 
     Args:
-        mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); or (vertices, faces) or
+        mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); a ``trimesh.Trimesh`` or
+            ``Scene`` (see `UVMesh.from_trimesh`, once for many calls); or (vertices, faces), which is white, or
             (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces [F, 3] or [B, F, 3] integer,
             textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating, or colours of the faces' corners [F, 3, 3] or
-            [B, F, 3, 3].
+            [B, F, 3, 3]; tensors or arrays.
         camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], whose "rgb" needs
             ``light=None``.
         size: Side of the images, or (height, width), in pixels, for all images. Pixels are square. Images of different
             sizes take a call each: ``[nr.render(mesh, one, size) for one, size in zip(camera, sizes)]``.
-        light: `Light`, `PointLight`, `SpotLight`, `SphericalHarmonicLight`, `EnvironmentLight`, another object with
-            their method `two_sided`, or a list of lights, which add up. None draws textures without lighting.
+        light: `CameraLight`, `Light`, `PointLight`, `SpotLight`, `SphericalHarmonicLight`, `EnvironmentLight`; another
+            object with their method `two_sided`, for flat shading, or else `beam` or `ambience`; or a list of lights,
+            which add up. None draws textures without lighting.
         shading: ``"flat"`` lights each face as a whole. The others light each pixel, with smooth normals and the normal
             maps of materials: ``"smooth"`` a matt surface, ``"phong"`` also highlights, ``"pbr"`` metals and
             dielectrics; with the mesh's materials, or `Phong` or `PBR` for a mesh without. Or an object with their
@@ -139,26 +142,26 @@ def _prepared(
     layers: int | None,
 ) -> tuple[strips.Draw, Settings, Tensor]:
     """Check the arguments of `render`; return the function that draws, the settings, and corners [B, F, 3, 3]."""
-    mesh = drawn_batch(mesh) if isinstance(mesh, list) else mesh
-    vertices, faces, textures = mesh_parts(mesh)
-    lights = _checked_lights(light)
+    scene = as_mesh(mesh)
+    vertices, faces, textures = mesh_parts(scene)
     model = checked_shading(shading)
-    if model is not None:
-        pixel_lights(lights)
+    lights = checked_lights(light, flat=model is None)
     outputs = checked_outputs(outputs, OUTPUTS + SURFACE)
     if camera is None and (lights or model is not None) and "rgb" in outputs:
         raise ValueError('light: expected None, and shading "flat", to draw "rgb" of vertices in clip space')
     has_camera = camera is not None
     vertices, camera = scene_camera(vertices, camera)
-    surface = surface_outputs(outputs, mesh, has_camera)
+    if "rgb" in outputs:
+        lights = [light.at(camera) if isinstance(light, CameraLight) else light for light in lights]
+    surface = surface_outputs(outputs, scene, has_camera)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     aspect = settings.width / settings.height
     load_kernels(
-        settings, outputs, IMAGES if isinstance(mesh, UVMesh) else CUBES, *causes(vertices, camera), scene=SCENE
+        settings, outputs, IMAGES if isinstance(scene, UVMesh) else CUBES, *causes(vertices, camera), scene=SCENE
     )
     corners, faces = screen_corners(camera, vertices, faces, aspect)
     if layers is not None:
-        if not isinstance(mesh, UVMesh):
+        if not isinstance(scene, UVMesh):
             raise TypeError(f"mesh: expected a UVMesh to draw layers, got {type(mesh).__name__}")
         if surface:
             raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)} with layers, got {surface[0]}")
@@ -170,38 +173,40 @@ def _prepared(
     def draw(settings: Settings, background: Any) -> Images:
         if layers is not None:
             found = visible_layers(corners, faces, vertices.shape[-2], settings, layers)
-            return layered_images(found, mesh, camera, lights, model, factors, background, outputs)
+            return layered_images(found, scene, camera, lights, model, factors, background, outputs)
         visible = visible_fragments(corners, faces, vertices.shape[-2], settings, 1 + 3 * ("rgb" in outputs))
         colors: tuple[Any, ...] = ()
         if "rgb" in outputs and model is not None:
-            colors = _shaded(visible, mesh, textures, camera, lights, model, background)
-        elif "rgb" in outputs and isinstance(mesh, UVMesh):
-            colors = _image_colors(visible, mesh, factors, background)
+            colors = _shaded(visible, scene, textures, camera, lights, model, background)
+        elif "rgb" in outputs and isinstance(scene, UVMesh):
+            colors = _image_colors(visible, scene, factors, background)
         elif "rgb" in outputs:
-            cubes = _checked_cubes(textures)
-            colors = cube_colors(visible, cubes, factors, background, _has_vertex_colors(mesh))
+            cubes = _checked_cubes(textures, faces)
+            colors = cube_colors(visible, cubes, factors, background, _has_vertex_colors(scene))
         images = visible.images(outputs, *colors)
         if not surface:
             return images
-        return images.replace(**surface_images(surface, visible, mesh, camera, model is not None))
+        return images.replace(**surface_images(surface, visible, scene, camera, model is not None))
 
     return draw, settings, corners
 
 
 def _light_on_faces(
-    lights: list[AnyLight], vertices: Tensor, faces: Tensor, camera: Camera, batch: int
+    lights: list[FaceLight], vertices: Tensor, faces: Tensor, camera: Camera, batch: int
 ) -> Tensor | None:
     """Add up the light on both sides of faces, [B, 2, F, 3]; None without lights."""
     return light_factors(lights, vertices, faces, batch, camera.mirrored) if lights else None
 
 
-def _checked_cubes(textures: Tensor | None) -> Tensor:
-    """Return texture cubes as [B or 1, F, T, T, T, 3], or colours of corners as [B or 1, F, 3, 3].
+def _checked_cubes(textures: Tensor | PackedCubes | None, faces: Tensor) -> Tensor | PackedCubes:
+    """Return texture cubes as [B or 1, F, T, T, T, 3], or colours of corners as [B or 1, F, 3, 3], or packed ones.
 
-    Raises TypeError or ValueError.
+    Without textures faces are white. Raises TypeError or ValueError.
     """
+    if isinstance(textures, PackedCubes):
+        return textures
     if textures is None:
-        raise ValueError('mesh: expected textures to draw "rgb", got (vertices, faces) alone')
+        return torch.ones((1, faces.shape[-2], 1, 1, 1, 3), device=faces.device)
     shared = getattr(textures, "ndim", 6) in (3, 5)
     textures = checked_textures(textures, *(("F",) if shared else ("B", "F")))
     return textures[None] if shared else textures
@@ -214,7 +219,7 @@ def _has_vertex_colors(mesh: Any) -> bool:
 def _shaded(
     visible: Fragments,
     mesh: Any,
-    textures: Tensor | None,
+    textures: Tensor | PackedCubes | None,
     camera: Camera,
     lights: list[AnyLight],
     model: Shading | str,
@@ -225,7 +230,8 @@ def _shaded(
     if isinstance(mesh, UVMesh):
         albedo = mesh.shade(inside)
     else:
-        rgb, edge_hashes = cube_colors(inside, _checked_cubes(textures), None, 0.0, _has_vertex_colors(mesh))
+        cubes = _checked_cubes(textures, visible.triangles)
+        rgb, edge_hashes = cube_colors(inside, cubes, None, 0.0, _has_vertex_colors(mesh))
         albedo = rgb.movedim(1, -1)
     colors = shade_pixels(model, inside, mesh, albedo, camera, lights)
     behind = background_image(background, len(colors), 3, visible.settings, colors.device)
@@ -243,13 +249,3 @@ def _image_colors(
     if light is not None:
         rgb = light_pixels(rgb, light, visible.corners.detach(), visible.face_index, visible.settings.perspective)
     return rgb, partial(flat_edge_hashes, mesh, light)
-
-
-def _checked_lights(light: Any) -> list[AnyLight]:
-    lights = list(light) if isinstance(light, (list, tuple)) else [] if light is None else [light]
-    for one in lights:
-        if not isinstance(one, AnyLight) or isinstance(one, type):
-            raise TypeError(f"light: expected a Light, PointLight, …, a list of them or None, got {type(one).__name__}")
-    if light is not None and not lights:
-        raise ValueError("light: expected at least one, got an empty list; None draws the textures as they are")
-    return lights

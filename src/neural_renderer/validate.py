@@ -137,7 +137,9 @@ def floating(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
 def real(name: str, value: Tensor) -> Tensor:
     """Return ``value`` if its dtype is floating, of 16 to 64 bits; raise TypeError otherwise."""
     if value.dtype not in FLOATING:
-        raise TypeError(f"{name}: expected a floating-point tensor of 16 to 64 bits, got {shape_of(value)}")
+        is_picture = value.dtype == torch.uint8 and name.endswith(("image", "colors", "textures"))
+        hint = f"; {name} / 255 is in [0, 1]" if is_picture else ""
+        raise TypeError(f"{name}: expected a floating-point tensor of 16 to 64 bits, got {shape_of(value)}{hint}")
     return value
 
 

@@ -70,6 +70,39 @@ def test_wrong_usage_is_2(arguments: list[str]) -> None:
     assert cli.main(arguments) == 2
 
 
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (
+            ["rendr", "a.obj"],
+            "neural-renderer: expected one of render, info, fit, .*, got 'rendr'; did you mean render",
+        ),
+        (["xyz"], "neural-renderer: expected one of render, .*, demo, got 'xyz'$"),
+        (["reconstruct", "trian"], "neural-renderer reconstruct: expected one of .*, got 'trian'; did you mean train"),
+        (["render", "a.obj", "-o", "b.png", "--size", "100x200"], "--size: expected a side, or .*, got '100x200'"),
+        (["render", "a.obj", "-o", "b.png", "--size"], "--size: expected a side, or height and width .*, got ''"),
+        (["render", "a.obj", "-o", "b.png", "--size=big"], "--size: expected .* such as --size 480 640, .*, got 'big'"),
+    ],
+)
+def test_wrong_usage_is_one_sentence(arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(arguments) == 2
+    said = capsys.readouterr().err
+    assert re.match(sentence, said) and said.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [["--iterations", "0"], ["--iterations=0"], ["--steps", "0"]])
+@pytest.mark.parametrize("command", ["fit x", "style x y", "dream x", "demo"])
+def test_steps_have_one_name(command: str, words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """And a former one, which still works."""
+    assert fails(capsys, *command.split(), "-o", "out", *words) == "--steps: expected at least 1, got 0"
+
+
+def test_exit_codes_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--help"]) == 0
+    codes = " ".join(capsys.readouterr().out.split()).partition("Exit codes: ")[2].partition(". With")[0]
+    assert re.findall(r"\b\d+\b", codes) == ["0", "1", "2", "3", "130"]
+
+
 QUICK = """
 import sys
 from neural_renderer import cli
@@ -233,7 +266,10 @@ def test_turntable(ball: str, tmp_path: Path) -> None:
         (["-o", "a.png", "--distance", "-1"], "--distance: expected a number above 0, got -1.0"),
         (["-o", "a.png", "--azimuth", "inf"], "--azimuth: expected a finite number of degrees, got inf"),
         (["-o", "a.png", "--texture-size", "0"], "--texture-size: expected at least 1, got 0"),
-        (["-o", "a.png", "--turntable", "9"], "--output: expected a .gif or .mp4 for a turntable, got 'a.png'"),
+        (
+            ["-o", "a.png", "--turntable", "9"],
+            "--output: expected a .gif or .mp4, a folder or numbers such as %03d.png",
+        ),
         (["-o", "a.gif", "--turntable", "0"], "--turntable: expected at least 1, got 0"),
         (["-o", "a.gif", "--fps", "0"], "--fps: expected a number above 0, got 0.0"),
         (["-o", "a.jpg", "--background", "transparent"], "--background transparent: expected a .png, got 'a.jpg'"),

@@ -15,12 +15,13 @@ from neural_renderer.pictures.sheet import sheet
 
 
 def test_demo_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    small = {"frames": 2, "size": 32, "iterations": 8, "views": 3, "view-size": 24}
+    small = {"frames": 2, "size": 32, "steps": 8, "views": 3, "view-size": 24}
     options = [text for name, value in small.items() for text in (f"--{name}", str(value))]
     assert cli.main(["demo", "-o", str(tmp_path / "out"), *options]) == 0
     out = capsys.readouterr().out
     assert "Silhouette IoU over 3 views" in out
-    for name in ("turntable.gif", "fit.png", "fit.gif", "fitted.obj"):
+    assert "knot.png after " in out  # before all others
+    for name in ("knot.png", "turntable.gif", "fit.png", "fit.gif", "fitted.obj"):
         assert (tmp_path / "out" / name).stat().st_size > 100
         assert name in out
     assert (tmp_path / "out" / "turntable.mp4").is_file()

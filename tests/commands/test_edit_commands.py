@@ -15,6 +15,7 @@ from PIL import Image
 import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.tasks.editing import MeshEdit, edit_pictures
+from tests.faults import contents
 from tests.tasks.editing.networks import saved_vgg
 
 SMALL = ["--size", "32", "--batch", "2", "--turntable", "2"]
@@ -46,7 +47,7 @@ def files(tmp_path: Path) -> dict[str, str]:
 def style(files: dict[str, str], *options: str, **other: str) -> int:
     given = files | other
     start = ["style", given["mesh"], given["painting"], "-o", given["out"], "--weights", given["weights"]]
-    return cli.main([*start, "--iterations", "4", *SMALL, *options])
+    return cli.main([*start, "--steps", "4", *SMALL, *options])
 
 
 def test_style_writes_its_results(files: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,7 +99,7 @@ def test_style_in_the_texture_coordinates_of_the_file(
 
 def test_dream_writes_its_results(files: dict[str, str]) -> None:
     arguments = ["dream", files["mesh"], "-o", files["out"], "--weights", files["weights"], "--layer", "conv3_1"]
-    assert cli.main([*arguments, "--iterations", "3", "--channel", "2", *SMALL]) == 0
+    assert cli.main([*arguments, "--steps", "3", "--channel", "2", *SMALL]) == 0
     for name in FILES:
         assert (Path(files["out"]) / name).stat().st_size > 50, name
     report = json.loads((Path(files["out"]) / "report.json").read_text())
@@ -114,7 +115,7 @@ def test_presets(files: dict[str, str], command: str, capsys: pytest.CaptureFixt
     for preset in ("paper", "published"):
         out = Path(files["out"]) / preset
         arguments = [command, *inputs, "-o", str(out), "--weights", files["weights"], "--preset", preset, *layer]
-        assert cli.main([*arguments, "--iterations", "1", *SMALL, "--turntable", "0"]) == 0
+        assert cli.main([*arguments, "--steps", "1", *SMALL, "--turntable", "0"]) == 0
         warned = "its loss weights suit the features of VGG-16, not those of VGG-13" in capsys.readouterr().err
         assert warned == (preset == "published" and command == "style")
         found[preset] = json.loads((out / "report.json").read_text())["settings"]
@@ -152,7 +153,7 @@ def test_interrupted_and_resumed(
     elsewhere.mkdir()
     Path(files["painting"]).rename(elsewhere / "painting.png")
     moved = {"painting": str(elsewhere / "painting.png")}
-    assert style(files, "--resume", "--iterations", "5", "--preview", "9", **moved) == 0
+    assert style(files, "--resume", "--steps", "5", "--preview", "9", **moved) == 0
     for option, values, named in (
         ("--texture-size", ["3"], "(texture_size 3), got one of texture_size 4"),
         ("--size", ["40"], "(size 40), got one of size 32"),
@@ -162,8 +163,8 @@ def test_interrupted_and_resumed(
     ):
         assert style(files, "--resume", option, *values, **moved) == 1
         assert f"expected a checkpoint of this run {named}" in capsys.readouterr().err
-    assert style(files, "--resume", "--iterations", "3", **moved) == 1
-    assert "--iterations: expected at least the 5 steps already taken, got 3" in capsys.readouterr().err
+    assert style(files, "--resume", "--steps", "3", **moved) == 1
+    assert "--steps: expected at least the 5 steps already taken, got 3" in capsys.readouterr().err
     Image.new("RGB", (40, 32)).save(elsewhere / "painting.png")
     assert style(files, "--resume", **moved) == 1
     assert "of this run (painting painting.png #" in capsys.readouterr().err
@@ -172,13 +173,35 @@ def test_interrupted_and_resumed(
     assert "expected a checkpoint, got another file" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("left", [["report.json"], ["checkpoint.pt"], ["report.json", "checkpoint.pt"]])
+def test_results_are_replaced_only_if_asked_for(
+    files: dict[str, str], left: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert style(files) == 0
+    out = Path(files["out"])
+    for name in {"report.json", "checkpoint.pt"} - set(left):
+        (out / name).unlink()
+    before = contents(out)
+    assert style(files, "--seed", "1") == 1
+    resume = "--resume continues it, " if "checkpoint.pt" in left else ""
+    assert capsys.readouterr().err == (
+        f"--output: expected a folder without results, got {out}, which has those of an earlier run; "
+        f"{resume}--force replaces it, another folder keeps it\n"
+    )
+    assert contents(out) == before
+    assert style(files, "--seed", "1", "--resume") == 1  # with a checkpoint it is one of seed 0
+    assert contents(out) == before
+    assert style(files, "--seed", "1", "--force") == 0 and contents(out) != before
+
+
 def test_grey_and_transparent_paintings(files: dict[str, str], tmp_path: Path) -> None:
     with Image.open(files["painting"]) as image:
         image.convert("L").save(tmp_path / "grey.png")
         image.putalpha(Image.linear_gradient("L").resize(image.size))
         image.save(tmp_path / "clear.png")
     for name in ("grey.png", "clear.png"):
-        assert style(files, "--turntable", "0", "--iterations", "1", painting=str(tmp_path / name)) == 0
+        given = {"painting": str(tmp_path / name), "out": str(tmp_path / f"{name} out")}
+        assert style(files, "--turntable", "0", "--steps", "1", **given) == 0
 
 
 def test_what_is_refused(
@@ -202,7 +225,7 @@ def test_what_is_refused(
         (["--painting-scale", "100"], {}, "--painting-scale: expected at most 64 for images of 32 pixels, got 100"),
         (["--content", "-1"], {}, "--content: expected a number of at least 0, got -1"),
         (["--palette", "inf"], {}, "--palette: expected a finite number, got inf"),
-        (["--iterations", "0"], {}, "--iterations: expected at least 1, got 0"),
+        (["--steps", "0"], {}, "--steps: expected at least 1, got 0"),
         (["--size", "16"], {}, "--size: expected at least 32, got 16"),
         (["--layers", "conv2_3"], {}, "expected one of conv1_1, conv1_2,"),
         (["--elevation", "40", "20"], {}, "--elevation: expected two numbers between -90 and 90"),
@@ -222,4 +245,5 @@ def test_what_is_refused(
 
     monkeypatch.setattr(torch.hub, "load_state_dict_from_url", offline)
     assert cli.main(["style", files["mesh"], files["painting"], "-o", files["out"]]) == 1
-    assert "give the path of the file" in capsys.readouterr().err
+    assert capsys.readouterr().err.endswith("; download it elsewhere and give the path of the file with --weights\n")
+    assert not Path(files["out"]).exists()

@@ -346,6 +346,30 @@ def test_images_outside_are_read_only_if_asked_for(folder: Path, key: str, absol
         assert cli.main(command) == 1 and cli.main([*command, "--allow-outside"]) == 0
 
 
+def test_bad_photos_are_skipped_if_asked_for(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "r_0.png").write_bytes((folder / "r_0.png").read_bytes()[:300])
+    (folder / "r_2.png").unlink()
+    Image.new("RGBA", (24, 48), "red").save(folder / "r_5.png")
+    command = ["fit", str(folder / "transforms.json"), "-o", str(tmp_path / "out"), *SMALL]
+    assert cli.main(command) == 1 and "r_2" in capsys.readouterr().err
+    assert cli.main([*command, "--skip-bad", "--no-check"]) in (0, 3)  # three views say little
+    told = capsys.readouterr().err
+    assert told.count(" is skipped: ") == 3
+    skipped = json.loads((tmp_path / "out" / "report.json").read_text())["skipped"]
+    assert list(skipped) == ["./r_0", "./r_2", "./r_5"]
+    for why, expected in zip(
+        skipped.values(), ("cannot be read", "expected a file", "expected 48 x 48 pixels"), strict=True
+    ):
+        assert expected in why and why in told
+    (folder / "r_3.png").unlink()
+    assert cli.main([*command, "--skip-bad", "--force"]) == 1
+    assert "expected at least 3 of 6 images that can be used, got 2; " in capsys.readouterr().err
+    bad: dict[str, str] = {}
+    with pytest.raises(ValueError, match=r"transforms\.json: expected at least 3 of 6 images"):
+        load_views(folder / "transforms.json", bad=bad)
+    assert len(bad) == 4
+
+
 def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, sentence in (
         ([str(tmp_path / "nothing")], "expected a folder of images or a camera file"),

@@ -239,6 +239,15 @@ def _shift(one: Instruction) -> str:
     return _write(one.operands[0], kind, f"{by} >= {bits} ? {beyond} : {value} {symbol} {by}")
 
 
+def _insert_bits(one: Instruction) -> str:
+    """The lowest ``length`` bits of the first operand in place of those of the second one from ``start`` on."""
+    kind = _plain(one.operation[-1])
+    bits, into = (_read(operand, kind) for operand in one.operands[1:3])
+    start, length = (_read(operand, "u32") for operand in one.operands[3:5])
+    mask = f"((((uint64_t)1 << {length}) - 1) << {start})"
+    return _write(one.operands[0], kind, f"({into} & ~{mask}) | (((uint64_t){bits} << {start}) & {mask})")
+
+
 def _multiply(one: Instruction) -> str:
     kind, way = _plain(one.operation[-1]), one.operation[1]
     if kind[0] == "f":
@@ -305,6 +314,7 @@ _WRITERS: dict[str, Callable[[Instruction], str]] = {
     "selp": _select,
     **dict.fromkeys(_BINARY, _arithmetic),
     **dict.fromkeys(("shl", "shr"), _shift),
+    "bfi": _insert_bits,
     **dict.fromkeys(("mul", "mad"), _multiply),
     **dict.fromkeys(("div", "rem"), _divide),
     **dict.fromkeys(_FLOAT_CALLS, _call),

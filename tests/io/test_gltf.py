@@ -6,12 +6,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 import trimesh
 from torch import Tensor
 
 import neural_renderer as nr
+from tests.paths import EXAMPLES
 
 FACTORS = ("opacity", "metallic", "roughness", "emissive", "occlusion_strength", "normal_scale")
 
@@ -216,3 +218,21 @@ def test_a_damaged_material_is_an_error_of_its_file(tmp_path: Path, broken: dict
     mesh().save(tmp_path / "m.glb")
     with pytest.raises(ValueError, match=r"m\.glb: cannot be read as GLB"):
         nr.UVMesh.load(changed(tmp_path / "m.glb", lambda tree: [one.update(broken) for one in tree["materials"]]))
+
+
+def test_a_glb_of_ours_has_the_vertices_that_it_was_made_of(tmp_path: Path) -> None:
+    """Each face has its own tile, so each corner is a vertex of the file; reading makes them one again, in order."""
+    mesh = nr.Mesh.icosphere(2)
+    mesh = nr.Mesh(mesh.vertices[torch.randperm(162)], mesh.faces, torch.rand(320, 2, 2, 2, 3))
+    mesh.save(tmp_path / "m.glb")
+    found = nr.Mesh.load(tmp_path / "m.glb", 2)
+    assert torch.equal(found.vertices, mesh.vertices) and torch.equal(found.faces, mesh.faces)
+    assert (found.textures - mesh.textures)[:, [0, 0, 1], [0, 1, 0], [1, 0, 0]].abs().max() < 0.51 / 255
+    spot = nr.UVMesh.load(EXAMPLES / "data" / "spot.obj")
+    spot.save(tmp_path / "spot.glb")
+    assert torch.equal(nr.UVMesh.load(tmp_path / "spot.glb").faces, spot.faces)
+    # A file in which the numbers do not fit the places is read as it is.
+    data = (tmp_path / "m.glb").read_bytes()
+    begin = data.index(mesh.vertices.numpy()[mesh.faces[0]].astype("<f4")[:1].tobytes())
+    (tmp_path / "moved.glb").write_bytes(data[:begin] + np.float32(9).tobytes() + data[begin + 4 :])
+    assert nr.Mesh.load(tmp_path / "moved.glb", 2).num_vertices == 960

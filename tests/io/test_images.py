@@ -72,7 +72,7 @@ def test_errors(tmp_path):
     (tmp_path / "text.png").write_text("no picture")
     with pytest.raises(ValueError, match=r"text\.png: expected a picture, got a file of an unknown format$"):
         load_image(tmp_path / "text.png")
-    with pytest.raises(ValueError, match=r"\.png, \.jpg, \.jpeg, got 'a\.webp'"):
+    with pytest.raises(ValueError, match=r"\.jpeg, \.hdr, \.exr, got 'a\.webp'"):
         save_image(tmp_path / "a.webp", torch.zeros(2, 2))
     with pytest.raises(ValueError, match="1 that are NaN"):
         save_image(tmp_path / "a.png", torch.tensor([[0.0, float("nan")]]))
@@ -184,6 +184,22 @@ def test_a_photo_of_a_turned_camera(tmp_path):
     stored, upright = load_image(tmp_path / "photo.png"), load_image(tmp_path / "photo.png", upright=True)
     assert stored.shape == (4, 6, 3) and stored[0, 0].min() == 1
     assert upright.shape == (6, 4, 3) and upright[0, -1].min() == 1
+
+
+def test_gif_has_no_bands_and_a_still_background(tmp_path):
+    """Eight gradients share 256 colours: a band is wider than a tile, so the error of its mean would be as large."""
+    ramp = torch.linspace(0.1, 0.9, 1024).expand(3, 8, 1024)
+    color = torch.tensor([[1.0, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 0.5, 0]])
+    bands = torch.cat([ramp * c[:, None, None] for c in color], 1)
+    frames = [torch.cat((torch.ones(3, 32, 1024), bands.roll(8 * shift, 1)), 1) for shift in range(3)]
+    save_animation(tmp_path / "a.gif", frames)
+    with Image.open(tmp_path / "a.gif") as gif:
+        for index, frame in enumerate(frames):
+            gif.seek(index)
+            picture = torch.from_numpy(np.array(gif.convert("RGB"))).movedim(2, 0) / 255
+            assert torch.equal(picture[:, :32], torch.ones(3, 32, 1024))
+            error = (picture - frame)[:, 32:]
+            assert torch.nn.functional.avg_pool2d(error[None], 8).abs().mean() < 0.5 * error.abs().mean() < 0.02
 
 
 def test_gif(tmp_path):

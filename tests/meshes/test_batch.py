@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 import torch
 
 import neural_renderer as nr
+from tests.paths import ROOT
 from tests.rounding import rounding
 
 
@@ -171,3 +174,51 @@ def test_layers_of_a_list_are_those_of_each_mesh():
             torch.testing.assert_close(getattr(together, name)[b], getattr(alone, name)[0], rtol=1e-4, atol=1e-4)
     with pytest.raises(ValueError, match="outputs: expected some of rgb, alpha, depth with layers, got normal"):
         nr.render(meshes, camera, 8, layers=2, outputs=("rgb", "normal"))
+
+
+def test_the_rows_of_the_page_on_batches_run():
+    page = ROOT / "docs" / "guides" / "batches.md"
+    if not page.is_file():
+        pytest.skip("the documentation is not here")
+    camera = nr.Camera.look_at([[0.3, 1.0, -2.5], [1.5, 0.2, -2.0]], viewing_angle=30)
+    ball, faces = nr.icosphere(1)
+    mesh1, mesh2 = nr.Mesh(ball, faces), nr.Mesh(*nr.cube())
+    given = {"nr": nr, "mesh": mesh1, "mesh1": mesh1, "mesh2": mesh2, "faces": faces}
+    given["vertices"] = torch.stack((ball, 0.5 * ball))
+    row = r"^\| (.*) \| `(nr\.render.*?)`.* \| (B|1|one for each) \|$"
+    rows = re.findall(row, page.read_text("utf-8"), re.MULTILINE)
+    assert len(rows) == 4
+    for what, code, count in rows:
+        cameras = camera[:1] if "one camera" in what or count == "1" else camera
+        images = eval(code, {**given, "camera": cameras})
+        assert len(images.rgb) == (1 if count == "1" else 2), what
+    white = nr.render((ball, faces), camera, 32).rgb
+    torch.testing.assert_close(white, nr.render(mesh1, camera, 32).rgb, **rounding(64, 1))
+    assert white.max() > 0.5 and len(nr.render((given["vertices"], faces), camera, 32).rgb) == 2
+    assert nr.render((ball, faces), camera, 32, shading="smooth").rgb.max() > 0.5
+
+
+@pytest.mark.parametrize("light", [None, nr.Light()])
+def test_a_list_draws_and_differentiates_each_mesh_as_a_call_of_its_own(light):
+    generator = torch.Generator().manual_seed(0)
+    shapes = [nr.icosphere(2), nr.cube(), nr.icosphere(0)]
+    cubes = [torch.rand(len(faces), 3, 3, 3, 3, generator=generator) for _, faces in shapes]
+    meshes = [nr.Mesh(*shape, own).trainable() for shape, own in zip(shapes, cubes, strict=True)]
+    cameras = nr.Camera.look_at(
+        nr.get_points_from_angles(4.0, 30.0, torch.tensor([0.0, 50.0, 200.0])), viewing_angle=30
+    )
+    weight = torch.rand(3, 3, 32, 32, generator=generator)
+
+    def gradients(draw):
+        for mesh in meshes:
+            mesh.zero_grad()
+        rgb = draw()
+        (rgb * weight).sum().backward()
+        return rgb.detach(), [part.grad.clone() for mesh in meshes for part in mesh.parameters()]
+
+    together = gradients(lambda: nr.render(meshes, cameras, 32, light=light).rgb)
+    alone = gradients(lambda: torch.cat([nr.render(m, cameras[i], 32, light=light).rgb for i, m in enumerate(meshes)]))
+    assert torch.equal(together[0], alone[0])
+    for one, other in zip(together[1], alone[1], strict=True):
+        assert one.abs().max() > 0
+        torch.testing.assert_close(one, other)

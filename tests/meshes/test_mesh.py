@@ -287,7 +287,7 @@ def test_a_broken_mesh_is_not_saved(tmp_path, suffix, checked):
     ("change", "error", "sentence"),
     [
         ({"vertices": torch.zeros(8, 2)}, ValueError, r"vertices: expected shape \[V, 3\], got \[8, 2\] float32"),
-        ({"vertices": [[0.0, 0, 0]]}, TypeError, "vertices: expected a floating-point torch tensor, got list"),
+        ({"vertices": [[0.0, 0, 0], [1.0]]}, TypeError, "vertices: expected a floating-point torch tensor, got list"),
         ({"vertices": torch.full((8, 3), torch.nan)}, ValueError, "vertices: expected finite"),
         ({"faces": torch.full((12, 3), 0.5)}, ValueError, "faces: expected whole numbers"),
         ({"faces": torch.zeros(0, 3, dtype=torch.int32)}, ValueError, "faces: expected at least one"),

@@ -15,7 +15,7 @@ from neural_renderer.meshes.remeshing.edges import Edges, area_vectors, lengths
 from neural_renderer.meshes.remeshing.operations import collapse_short, flip_edges, split, split_long
 from neural_renderer.meshes.remeshing.remesh import remesh_once
 from neural_renderer.meshes.remeshing.surface import Surface
-from neural_renderer.tasks.components import connected_components
+from neural_renderer.tasks.fit.hull import connected_components
 
 
 def bumpy_sphere(level: int) -> tuple[Tensor, Tensor]:
@@ -39,7 +39,7 @@ def surface_of(vertices: Tensor, faces: Tensor, length: float) -> Surface:
 def topology(vertices: Tensor, faces: Tensor) -> tuple[bool, int, int]:
     """Watertight with consistent orientation, and Euler characteristic, as trimesh sees them; components."""
     mesh = trimesh.Trimesh(vertices.numpy(), faces.numpy(), process=False)
-    components = len(torch.unique(connected_components(faces, len(vertices))))
+    components = len(torch.unique(connected_components(faces)))
     return mesh.is_watertight and mesh.is_winding_consistent, mesh.euler_number, components
 
 

@@ -126,7 +126,7 @@ def test_an_object_with_the_method_is_a_light(device):
     vertices, faces = (part.to(device) for part in nr.icosphere(1))
     textures = torch.rand(len(faces), 1, 1, 1, 3, generator=torch.Generator().manual_seed(0)).to(device)
     camera = nr.Camera.look_at((0.0, 0.0, -2.7))
-    once = nr.render((vertices, faces, textures), camera, 16, outputs="rgb").rgb
+    once = nr.render((vertices, faces, textures), camera, 16, outputs="rgb", light=nr.Light()).rgb
     twice = nr.render((vertices, faces, textures), camera, 16, outputs="rgb", light=Twice()).rgb
     torch.testing.assert_close(twice, 2 * once)
     with pytest.raises(TypeError, match="light: expected a Light, PointLight, …, a list of them or None, got type"):
@@ -172,3 +172,58 @@ def test_lights_per_image(device):
     both = nr.render(mesh, camera, 24, light=nr.SphericalHarmonicLight(harmonics)).rgb
     one = nr.render(mesh, camera[1], 24, light=nr.SphericalHarmonicLight(harmonics[1])).rgb
     torch.testing.assert_close(both[1], one[0], **rounding(64, 1))
+
+
+class Rim:
+    def beam(self, points):
+        towards = torch.tensor([0.0, 0.6, -0.8], device=points.device)
+        return towards.expand_as(points), torch.full_like(points, 0.7)
+
+
+class Glow:
+    def ambience(self, directions, roughness=None):
+        return torch.full_like(directions, 0.4)
+
+
+@pytest.mark.parametrize("shading", ["smooth", "phong", "pbr"])
+def test_a_light_of_one_method(shading):
+    mesh, camera = nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 0.0, -2.7))
+    beam = nr.Light(0.0, 0.7, direction=(0.0, 0.6, -0.8))
+    for own, same in ((Rim(), beam), (Glow(), nr.Light(0.4, 0.0)), ([Rim(), Glow()], [beam, nr.Light(0.4, 0.0)])):
+        found, want = (nr.render(mesh, camera, 24, light=light, shading=shading).rgb for light in (own, same))
+        torch.testing.assert_close(found, want)
+    with pytest.raises(TypeError, match='light: expected a method two_sided for shading="flat", got Rim'):
+        nr.render(mesh, camera, 24, light=Rim())
+    with pytest.raises(TypeError, match="got object, without a method beam, ambience or two_sided"):
+        nr.render(mesh, camera, 24, light=object(), shading=shading)
+
+
+@pytest.mark.parametrize("shading", ["flat", "smooth"])
+def test_the_default_light_goes_with_each_camera(shading):
+    """A ball looks the same from everywhere: within the rounding of its facets, which smooth normals hide."""
+    mesh = nr.Mesh.icosphere(4)
+    eyes = nr.get_points_from_angles(2.7, torch.tensor([0.0, 50.0, -70.0]), torch.tensor([0.0, 120.0, 260.0]))
+    camera = nr.Camera.look_at(eyes)
+    images = nr.render(mesh, camera, 48, shading=shading)
+    inside = (images.alpha > 0.99).all(0)
+    spread = (images.rgb - images.rgb[:1]).abs().amax((0, 1))[inside]
+    assert spread.max() < 0.05
+    assert images.rgb[:, 0][:, inside].min() > 0.4 - 1e-6  # no visible face is darker than the ambient light
+    left, right = images.rgb[:, 0, :, :24][:, 8:24].mean(), images.rgb[:, 0, 8:24, 24:].mean()
+    assert left > right + 0.02 and images.rgb[:, 0, 8:24].mean() > images.rgb[:, 0, 24:40].mean() + 0.02
+    for number, one in enumerate(camera):
+        alone = nr.render(mesh, one, 48, light=nr.CameraLight().at(one), shading=shading).rgb[0]
+        torch.testing.assert_close(alone, images.rgb[number], atol=1e-5, rtol=0)
+
+
+def test_a_camera_light_of_each_image_and_its_gradient():
+    mesh = nr.Mesh.icosphere(2)
+    camera = nr.Camera.look_at([[0.0, 0.0, -2.7], [2.7, 0.0, 0.0]])
+    direction = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], requires_grad=True)
+    images = nr.render(mesh, camera, 24, light=[nr.CameraLight(0.2, 0.5, direction)])
+    world = nr.Light(0.2, 0.5, direction=torch.tensor([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))
+    torch.testing.assert_close(images.rgb, nr.render(mesh, camera, 24, light=world).rgb)
+    images.rgb.sum().backward()
+    assert direction.grad.abs().sum(1).min() > 0
+    with pytest.raises(ValueError, match="camera: expected a batch of 1 or 3"):
+        nr.render(mesh, camera, 24, light=nr.CameraLight(direction=torch.eye(3)))

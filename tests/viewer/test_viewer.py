@@ -333,6 +333,17 @@ class TestServer:
         out, err = capfd.readouterr()
         assert out == f"viewer: {url}\n" and err == ""
 
+    def test_requests_of_other_kinds_are_no_news(
+        self, open_viewer: Callable[..., Viewer], capfd: pytest.CaptureFixture[str]
+    ) -> None:
+        """``curl -I`` asks for the head of the page; a port scanner sends anything."""
+        host, _, port = open_viewer().url.removeprefix("http://").partition(":")
+        for request in (b"HEAD / HTTP/1.1\r\nHost: here\r\n\r\n", b"\x16\x03nonsense\r\n\r\n"):
+            with socket.create_connection((host, int(port)), timeout=10) as connection:
+                connection.sendall(request)
+                connection.recv(100)  # the server has dealt with it
+        assert capfd.readouterr().err == ""
+
     def test_no_public_address_can_be_asked_for(self, open_viewer: Callable[..., Viewer]) -> None:
         assert open_viewer()._page.server.request_share_url() is None
 
@@ -345,7 +356,7 @@ class TestServer:
     def test_viser_is_named_where_it_is_missing(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "viser", None)
         before = threading.active_count()
-        with pytest.raises(ModuleNotFoundError, match=r"pip install 'neural-renderer\[view\]'"):
+        with pytest.raises(ModuleNotFoundError, match="pip install viser"):
             nr.view()
         assert threading.active_count() <= before
 

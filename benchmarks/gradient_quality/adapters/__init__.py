@@ -48,9 +48,10 @@ PEERS = {
 def available(names: list[str] | None = None) -> tuple[list[Adapter], list[str]]:
     """Make the adapters that can run here, of these names or all; also return a sentence for each that cannot."""
     from .ours import Ours, Reinforce
+    from .silhouettes import Antialias
 
-    adapters: list[Adapter] = [Ours("edge"), Ours("nmr"), Ours("opendr"), Reinforce()]
-    missing = ["nvdiffrast, kaolin: not measured, they need CUDA"]
+    adapters: list[Adapter] = [Ours("edge"), Ours("nmr"), Ours("opendr"), Reinforce(), Antialias()]
+    missing = ["nvdiffrast, kaolin: not measured, they need CUDA; nvdiffrast's antialiasing by our implementation"]
     for module, (title, how) in PEERS.items():
         if names is not None and not any(name.startswith(title) for name in names):
             continue

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -25,7 +28,7 @@ from .lens import (
     undo_intrinsics,
     viewing_angle,
 )
-from .matrices import clip_frame, view_frame
+from .matrices import clip_frame, clip_range, view_frame
 from .parameters import (
     Array,
     Scalar,
@@ -350,8 +353,8 @@ class Camera:
 
         A world point X has clip coordinates (x, y, z, w) = matrix · (X, 1) and appears at (x / w, y / w), y up. Its
         depth is the distance along the viewing direction in world units, whatever the scale of the matrix; ``near`` and
-        ``far`` of `render` replace those of the matrix. Images of any size show the whole range [−1, 1]², so that the
-        matrix determines the aspect.
+        ``far`` of `render` replace those of the matrix, which `clip_range` reads. Images of any size show the whole
+        range [−1, 1]², so that the matrix determines the aspect.
 
         Args:
             matrix: [4, 4] or [B, 4, 4], for columns of points. A matrix whose second row is negated, for images with
@@ -375,6 +378,29 @@ class Camera:
         """
         K, R, t, mirrored = clip_frame(matrix, float_type(matrix), common_device(matrix))
         return cls(R, torch.zeros_like(t), t, K=K, orig_size=(2.0, 2.0), mirrored=mirrored)
+
+    @staticmethod
+    def clip_range(matrix: Array) -> tuple[float, float]:
+        """Read ``near`` and ``far`` for `render` from a matrix to clip space, where z / w runs from −1 to 1.
+
+        Args:
+            matrix: [4, 4], or [B, 4, 4] with one range: as for `from_clip`, or a projection matrix alone.
+
+        Returns:
+            The depths of the near and of the far plane, in world units. ``far`` is the largest float32 for a plane at
+            infinity.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit, z is no function of the depth, or ranges differ.
+
+        Example:
+            >>> f, near, far = 2.0, 0.5, 10.0
+            >>> z = (far + near) / (near - far), 2 * far * near / (near - far)
+            >>> near, far = nr.Camera.clip_range([[f, 0, 0, 0], [0, f, 0, 0], [0, 0, *z], [0, 0, -1, 0]])
+            >>> round(near, 6), round(far, 6)
+            (0.5, 10.0)
+        """
+        return clip_range(matrix, common_device(matrix))
 
     @classmethod
     def cat(cls, cameras: Sequence[Camera]) -> Camera:
@@ -417,6 +443,52 @@ class Camera:
         if any(camera.dist_coeffs is not None for camera in cameras):
             parts["dist_coeffs"] = torch.cat([_distortion(camera) for camera in cameras])
         return replace(first, **parts)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], size: tuple[int, int] | None = None) -> Camera:
+        """Read the cameras of a file: what `save` wrote, or NeRF's, COLMAP's and the other files that `fit` reads.
+
+        Args:
+            path: The file, or a folder that holds one.
+            size: Height and width of the images in pixels, for files that do not tell it.
+
+        Returns:
+            B cameras in torch's default dtype, or float32.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: The file is malformed, or `Camera` does not have the lens.
+
+        Example:
+            >>> nr.Camera.look_at((0.0, 1.0, -2.5)).save("cameras.json")
+            >>> nr.Camera.load("cameras.json")
+            Camera(1 camera, viewing angle 30, cpu)
+        """
+        camera: Camera = import_module(f"{__package__}.files.load").load_cameras(Path(path), size)[0]
+        return camera
+
+    def save(
+        self, path: str | os.PathLike[str], size: tuple[int, int] | None = None, names: Sequence[str] = ()
+    ) -> None:
+        """Write the cameras as JSON, completely or not at all. `load` and ``render --camera`` read the file.
+
+        Cameras with K, or with perspective and ``size``, are written as K, R and t of OpenCV, which `fit` reads, too;
+        ``size`` makes K of a viewing angle. Others are written with their attributes: fisheye and mirrored ones, those
+        without perspective or without ``size``. Without ``size``, `load` returns the same cameras.
+
+        Args:
+            path: Name of the file, such as cameras.json. Missing folders are made.
+            size: Height and width of the images in pixels, for cameras without K.
+            names: Name of each image, for `fit`; by default 000.png, 001.png and so on.
+
+        Raises:
+            ValueError: The number of names is another.
+            OSError: The file cannot be written. An existing file stays as it was.
+
+        Example:
+            >>> nr.Camera.look_at((0.0, 1.0, -2.5)).save("views/cameras.json", size=(256, 256), names=["front.png"])
+        """
+        import_module(f"{__package__}.files.load").save(path, self, size, names)
 
     @property
     def perspective(self) -> bool:

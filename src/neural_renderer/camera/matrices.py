@@ -90,6 +90,27 @@ def clip_frame(matrix: Any, dtype: torch.dtype, device: torch.device) -> tuple[T
     return K.to(dtype), R.to(dtype), t.to(dtype), mirrored
 
 
+def clip_range(matrix: Any, device: torch.device) -> tuple[float, float]:
+    """Read the near and the far depth from a perspective clip matrix, or several of one range.
+
+    Raises:
+        TypeError, ValueError: As `Camera.clip_range`.
+    """
+    clip = _matrix("matrix", matrix, (4,), device).detach().double().reshape(-1, 4, 4)
+    z, w = clip[:, 2], clip[:, 3]
+    slope = _dot(z[:, :3], w[:, :3]) / _dot(w[:, :3], w[:, :3])
+    rest = z - slope[:, None] * w  # z = slope · w + offset, if the first three numbers are 0
+    offset, size = rest[:, 3], clip.abs().amax((1, 2))
+    if not bool((rest[:, :3].abs().amax(1) <= _TOLERANCE * size).all()):
+        raise ValueError("matrix: expected a perspective projection whose z depends on the depth alone")
+    depths = torch.stack((-offset / (1 + slope), offset / (1 - slope)), 1) / w[:, :3].norm(dim=1)[:, None]
+    near, far = depths[0].tolist()
+    far = torch.finfo(torch.float32).max if not 0 < far < torch.finfo(torch.float32).max else far
+    if not 0 <= near < far or not bool(((depths - depths[0]).abs() <= _TOLERANCE * depths[0].abs()).all()):
+        raise ValueError(f"matrix: expected one range of depths, 0 <= near < far, got {depths.tolist()}")
+    return near, far
+
+
 def _view_matrix(name: str, value: Any, in_rows: bool, dtype: torch.dtype, device: torch.device) -> Tensor:
     """Convert a matrix [3, 4], [4, 4] or with a batch; ``in_rows`` is for matrices that multiply rows of points."""
     matrix = _matrix(name, value, (4,) if in_rows else (3, 4), device).to(dtype)

@@ -13,7 +13,7 @@ from ..constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
 from ..raster.ops.project_corners import project_corners
 from ..raster.warp.layout import images_of
-from ..raster.warp.registration import is_plain
+from ..raster.warp.registration import is_eager
 from .camera import Camera
 from .lens import viewing_angle
 from .parameters import batch_of, batch_size, scalar
@@ -93,7 +93,8 @@ def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) 
 def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
     """Return the points, rotation, origin and width for the operator `project_corners`; None for other cameras."""
     is_simple = type(camera) is Camera and camera.K is None and not camera.is_fisheye
-    if not is_simple or getattr(vertices, "dtype", None) != torch.float32 or not is_plain((vertices, camera.rotation)):
+    is_simple = is_simple and is_eager((vertices, camera.rotation))
+    if not is_simple or getattr(vertices, "dtype", None) != torch.float32:
         return None
     validate.vertices(vertices)
     rotation, origin = on_device(camera.rotation, vertices), on_device(camera.origin, vertices)
@@ -124,7 +125,9 @@ def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
     else:
         name, width = "scale", scalar("scale", camera.scale, torch.float32, device)
     if not isinstance(width, Tensor):
-        return _constant(width, is_angle, device)
+        # What is made in a transformation of torch.func belongs to it.
+        kept = not torch._C._are_functorch_transforms_active()
+        return (_constant if kept else _constant.__wrapped__)(width, is_angle, device)
     batch_size(vertices=images, **{name: batch_of(width, 0)})
     return (torch.tan(torch.deg2rad(width)) if is_angle else width).reshape(-1)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import signal
@@ -14,7 +15,11 @@ from typing import Any
 import torch
 from rich.console import Console
 
+from ..features import FeatureNetwork, load_features
 from ..io.named_files import names_file
+
+CHECKPOINT, REPORT = "checkpoint.pt", "report.json"
+"""Files in the folder of a run."""
 
 
 def choose_device(name: str) -> torch.device:
@@ -49,15 +54,24 @@ def check_between(name: str, value: float, low: float, high: float) -> None:
         raise ValueError(f"--{name}: expected a number above {low}{limit}, got {value}")
 
 
-def make_folder(option: str, folder: Path) -> None:
-    """Make the folder of an option if it is missing. Raises OSError if that fails, or if it is not writable."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        reason = None if os.access(folder, os.W_OK) else "no permission"
-    except OSError as error:
-        reason = error.strerror
-    if reason:
+def check_folder(option: str, folder: Path) -> None:
+    """Raise OSError unless the folder of an option can be written, or made. An error later leaves no empty folder."""
+    place = next(path for path in (folder, *folder.absolute().parents) if os.path.exists(path))
+    if not place.is_dir() or not os.access(place, os.W_OK):
+        reason = os.strerror(errno.EACCES if place.is_dir() else errno.ENOTDIR)
         raise OSError(f"{option}: expected a folder that can be written, got {folder} ({reason})")
+
+
+def check_earlier(folder: Path, resume: bool, force: bool) -> None:
+    """Raise FileExistsError if a run would replace the results of an earlier one, which it neither resumes nor may."""
+    has_checkpoint = (folder / CHECKPOINT).is_file()
+    if force or (resume and has_checkpoint) or not (has_checkpoint or (folder / REPORT).is_file()):
+        return
+    continues = "--resume continues it, " if has_checkpoint else ""
+    raise FileExistsError(
+        f"--output: expected a folder without results, got {folder}, which has those of an earlier run; {continues}"
+        "--force replaces it, another folder keeps it"
+    )
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
@@ -71,6 +85,14 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> Non
         for path in given:
             if names_file(path, output):
                 raise ValueError(f"--output: expected a file that may be replaced, got {output}, which {path} uses")
+
+
+def load_network(source: str | Path, option: str) -> FeatureNetwork:
+    """Load a feature network; if a published one cannot be downloaded, name the option that takes a file."""
+    try:
+        return load_features(source)
+    except ConnectionError as error:
+        raise ConnectionError(f"{error} with {option}") from None
 
 
 def say(text: str, color: str | None = None, markup: bool = False) -> None:

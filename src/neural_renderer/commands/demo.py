@@ -28,7 +28,8 @@ _STAGES = 24  # stages of the fit in the animation
 _RATE, _SMOOTH = 0.02, 1.0  # settings of the shape fit
 _TEXTURE_SIZE, _TEXTURE_STEPS, _BATCH = 8, 20, 8
 _RESULTS = {
-    "turntable.gif": "a lit, textured mesh (.mp4 too)",
+    "knot.png": "a lit, textured mesh",
+    "turntable.gif": "the same from all sides (.mp4 too)",
     "fit.png": "from a sphere to a duck",
     "fit.gif": "the fit as an animation, beside the target",
     "fitted.obj": "the result, with material and texture",
@@ -38,14 +39,20 @@ _RESULTS = {
 def run(options: DemoOptions) -> int:
     """Make all pictures; return the exit code."""
     start = time.perf_counter()
-    check_counts(options, frames=1, size=32, iterations=1, views=1, view_size=16)
+    check_counts(options, frames=1, size=32, steps=1, views=1, view_size=16)
     check_own(options.output / "fitted.obj", None, "-o names another folder")
     device = choose_device(options.device)
     torch.manual_seed(options.seed)
+    say(f"Draws a knot, then fits a sphere to silhouettes of a duck; pictures go to {options.output}.")
+    say("The first picture takes longest: kernels are compiled once for this machine.")
+    mesh = knot().to(device)
+    first = options.output / "knot.png"
+    save_image(first, photograph(mesh, FIRST_AZIMUTH, size=options.size))
+    say(f"{first} after {time.perf_counter() - start:.0f} s")
     label, note = TextColumn("{task.description:<28}"), TextColumn("{task.fields[note]}")
     columns = (label, BarColumn(), note, TimeElapsedColumn())
     with Progress(*columns, console=Console()) as progress:
-        _make_turntable(options, knot().to(device), progress)
+        _make_turntable(options, mesh, progress)
         iou = _fit_sphere(options, duck().to(device), progress)
     seconds = time.perf_counter() - start
     numbers = f"[bold]{iou.mean():.3f}[/bold] (least {iou.min():.3f}); {seconds:.0f} s in total."
@@ -58,7 +65,7 @@ def run(options: DemoOptions) -> int:
 
 def _make_turntable(options: DemoOptions, mesh: Mesh, progress: Progress) -> None:
     """Write turntable.gif and turntable.mp4."""
-    task = progress.add_task("Turntable", total=options.frames, note="compiling kernels at the first run")
+    task = progress.add_task("Turntable", total=options.frames, note="")
     pictures = []
     for picture in turntable(mesh, options.frames, 180, size=options.size):
         pictures.append(picture)
@@ -71,20 +78,20 @@ def _fit_sphere(options: DemoOptions, target: Mesh, progress: Progress) -> Tenso
     """Fit a sphere to silhouettes of the target, then its texture; write results and return the IoU of each view."""
     cameras = make_cameras(options.views, target.vertices.device)
     views = Views.of(target, cameras, options.view_size)
-    fit = sphere_fit(views, options.iterations, options.seed)
+    fit = sphere_fit(views, options.steps, options.seed)
     vertices, faces = fit.shape[:2]
     history = [vertices]
     task = progress.add_task("Sphere to duck: shape", total=fit.steps, note="")
     while not fit.done:
         row = fit.advance()
-        if fit.step % max(options.iterations // _STAGES, 1) == 0:
+        if fit.step % max(options.steps // _STAGES, 1) == 0:
             history.append(fit.shape[0].detach())
         progress.update(task, advance=1, note=f"loss {row['loss']:.3f}  IoU {row['iou']:.3f}")
     iou = views.quality(fit.shape)["iou"]
     progress.update(task, note=f"IoU {iou.mean():.3f}")
 
     photos = Views.of(target, cameras, 2 * options.view_size)
-    steps = min(_TEXTURE_STEPS, options.iterations)
+    steps = min(_TEXTURE_STEPS, options.steps)
     texture = TextureFit(photos, fit.shape[0], faces, size=_TEXTURE_SIZE, steps=steps, batch=_BATCH)
     task = progress.add_task("Sphere to duck: colours", total=texture.steps, note="")
     while not texture.done:

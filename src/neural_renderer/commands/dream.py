@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ..tasks.editing import PUBLISHED_DREAM, Dream, DreamWeights
-from .common import make_folder
-from .edit import Preset, check_options, load_initial_mesh, load_network, loss_weights, run_edit
+from .common import check_folder, choose_device, load_network
+from .edit import Preset, check_options, load_initial_mesh, loss_weights, run_edit
 from .options import DreamOptions
 
 _PRESETS = {
@@ -17,9 +17,9 @@ def run(options: DreamOptions) -> int:
     """Run DeepDream and write the results; return the exit code."""
     check_options(options)
     mesh, colored = load_initial_mesh(options)
-    make_folder("--output", options.output)  # fails before a network is downloaded
+    check_folder("--output", options.output)  # fails before a network is downloaded
     published = options.preset == "published"
     weights = loss_weights(options, PUBLISHED_DREAM if published else DreamWeights())
-    network = load_network(options, "googlenet")
+    network = load_network(options.weights or "googlenet", "--weights").to(choose_device(options.device))
     dream = Dream(network, layer=options.layer, channel=options.channel, weights=weights, relative=not published)
     return run_edit(options, mesh, colored, dream, _PRESETS[options.preset], weights)

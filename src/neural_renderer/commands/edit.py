@@ -9,8 +9,6 @@ from typing import Any, Literal, TypeVar
 
 import torch
 
-from .. import validate
-from ..features import FeatureNetwork, load_features
 from ..io import load_mesh, save_animation, save_image
 from ..io.atomic_write import write_file
 from ..io.obj.writer import check_own
@@ -22,15 +20,15 @@ from ..tasks.editing.edit import Objective
 from ..tasks.editing.edit_pictures import preview, six_views, turn
 from ..tasks.editing.paint import check_cubes, check_images
 from ..version import __version__
-from .common import check_counts, check_outputs, choose_device, say, say_finished
+from .common import REPORT, check_counts, check_earlier, check_outputs, choose_device, say, say_finished
 from .options import EditOptions
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching
 
-_MAY_DIFFER = ("output", "iterations", "preview", "turntable", "allow_outside", "resume", "force", "device", "watch")
+_MAY_DIFFER = ("output", "steps", "preview", "turntable", "allow_outside", "resume", "force", "device", "watch")
 """Options that may differ when an edit is resumed."""
 _PICTURES, _TURNTABLES = ("preview.png", "views.png", "loss.png"), ("turntable.mp4", "turntable.gif")
-RESULTS = ("mesh.obj", "mesh.glb", *_PICTURES, *_TURNTABLES, "report.json")
+RESULTS = ("mesh.obj", "mesh.glb", *_PICTURES, *_TURNTABLES, REPORT)
 """Files that a run writes."""
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
@@ -39,7 +37,7 @@ _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 class Preset:
     """Default values of options."""
 
-    iterations: int
+    steps: int
     vertex_rate: float
     texture_rate: float
     settle: float
@@ -57,8 +55,9 @@ class Preset:
 
 def check_options(options: EditOptions, *inputs: Path) -> None:
     """Check options, with input files besides the mesh and the weights, before anything is read or downloaded."""
-    check_counts(options, batch=1, size=32, texture_size=1, preview=1, turntable=0, seed=0, iterations=1, uv=16)
+    check_counts(options, batch=1, size=32, texture_size=1, preview=1, turntable=0, seed=0, steps=1, uv=16)
     check_outputs([options.output / name for name in RESULTS], [options.mesh, options.weights, *inputs])
+    check_earlier(options.output, options.resume, options.force)
     if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
 
@@ -79,11 +78,6 @@ def load_initial_mesh(options: EditOptions) -> tuple[Mesh | UVMesh, bool]:
     white = torch.ones(len(faces), *(options.texture_size,) * 3, 3)
     mesh = Mesh(vertices, faces, white if textures is None else textures)
     return mesh.to(device), textures is not None
-
-
-def load_network(options: EditOptions, published: str) -> FeatureNetwork:
-    """Load the network of --weights, or else the published one."""
-    return load_features(published if options.weights is None else options.weights).to(choose_device(options.device))
 
 
 def loss_weights(options: EditOptions, default: _Weights) -> _Weights:
@@ -116,7 +110,7 @@ def run_edit(
         mesh.resized(options.uv) if isinstance(mesh, UVMesh) and options.uv else mesh,
         objective,
         RandomViews(chosen["elevation"], chosen["distance"], light=chosen["light"]),
-        steps=chosen["iterations"],
+        steps=chosen["steps"],
         batch=options.batch,
         size=options.size,
         vertex_rate=chosen["vertex_rate"],
@@ -143,8 +137,7 @@ def run_edit(
             viewer,
             lambda: {"mesh": edit.mesh(fill=False)},
         )
-        with validate.called(steps="--iterations"):
-            finished = runner.run(options.resume)
+        finished = runner.run(options.resume)
         _write(options, edit, mesh, runner, settings)
         stay(viewer, finished or runner.stopped)
     return 0 if finished or runner.stopped else 130
@@ -183,7 +176,7 @@ def _write(
         "changes": runner.changes,
         "history": history,
     }
-    write_file(folder / "report.json", json.dumps(report, indent=1, default=str) + "\n")
+    write_file(folder / REPORT, json.dumps(report, indent=1, default=str) + "\n")
     change = f"{edit.before:.4g} → {after:.4g} on held-out views, mean displacement {moved['mean']:.2%}"
     say(f"[bold]{change}[/bold] of the mesh's longest side", markup=True)
     say_finished(runner.seconds, folder, None if edit.done else edit.step)

@@ -6,7 +6,7 @@ import json
 import math
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -39,10 +39,21 @@ from ..tasks.fit import (
 )
 from ..tasks.fit.agreement import REFINED_MARGIN
 from ..tasks.fit.fit_pictures import comparison, up_axis, upright
-from ..tasks.fit.load import list_images
+from ..tasks.fit.load import find_files
 from ..tasks.fit.result import Verdict, judge
 from ..version import __version__
-from .common import check_counts, check_most, check_outputs, choose_device, make_folder, say, say_finished
+from .common import (
+    REPORT,
+    check_counts,
+    check_earlier,
+    check_folder,
+    check_most,
+    check_outputs,
+    choose_device,
+    interruption,
+    say,
+    say_finished,
+)
 from .options import FitOptions
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching
@@ -52,7 +63,7 @@ if TYPE_CHECKING:
 
 _MAY_DIFFER = (
     *("images", "masks", "output", "steps", "camera_steps", "detail_steps", "texture_steps", "turntable", "unwrap"),
-    *("allow_outside", "resume", "force", "device", "watch"),
+    *("skip_bad", "allow_outside", "resume", "force", "device", "watch"),
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _TURNTABLE_SIZE = 256  # side of the pictures in pixels
@@ -70,7 +81,7 @@ _RESULTS = (
     "comparison.png",
     "loss.png",
     "turntable.gif",
-    "report.json",
+    REPORT,
     _CAMERAS,
 )
 """Files that a fit may write."""
@@ -102,6 +113,7 @@ def run(options: FitOptions) -> int:
         raise ValueError(f"--up: expected a direction, got {' '.join(map(str, options.up))}")
     if options.recover != "shape" and options.mesh is None:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
+    check_earlier(options.output, options.resume, options.force)
     if options.recover != "camera" and not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
     outputs = [options.output / name for name in _RESULTS]
@@ -109,8 +121,13 @@ def run(options: FitOptions) -> int:
         check_outputs(outputs, [options.images, options.mesh])
         return _fit_camera(options, options.mesh)
     cameras = read_camera_file(find_camera_file(options.images))
-    found = list_images(cameras, options.masks, options.allow_outside)
-    images = [file for _, *files in found for file in files]
+    images: list[Path | None] = []
+    for entry in cameras.images:
+        try:
+            images += find_files(cameras, entry, options.masks, options.allow_outside)
+        except (OSError, ValueError):
+            if not options.skip_bad:
+                raise
     check_outputs(outputs, [cameras.path, *images, options.mesh])
     return _fit_mesh(options, cameras)
 
@@ -123,6 +140,7 @@ def _mask_rule(options: FitOptions) -> MaskRule:
 
 def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
     """Fit a mesh, or the texture of a known mesh; return the exit code."""
+    bad: dict[str, str] = {}
     views = load_views(
         cameras,
         size=options.size,
@@ -133,7 +151,11 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
         map_format=MapFormat(options.normals_in, options.depth_scale),
         allow_outside=options.allow_outside,
         rule=_mask_rule(options),
+        bad=bad if options.skip_bad else None,
     ).to(choose_device(options.device))
+    for name, why in bad.items():
+        say(f"{name} is skipped: {why}", "yellow")
+    cameras = replace(cameras, images=[entry for entry in cameras.images if entry.name not in bad])
     if options.check:
         _check(views, cameras, options)
     kept, left = _split(len(views), options.held_out)
@@ -146,7 +168,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
         if viewer is not None:
             viewer.set_up(up_axis(fitted))
             viewer.show_cameras(fitted.camera, fitted.photos, fitted.masks)
-        return _run_mesh_fit(options, fitted, held_out, names, start, viewer)
+        return _run_mesh_fit(options, fitted, held_out, names, bad, start, viewer)
 
 
 def _run_mesh_fit(
@@ -154,10 +176,11 @@ def _run_mesh_fit(
     fitted: Views,
     held_out: Views | None,
     names: list[str],
+    skipped: dict[str, str],
     start: Literal["hull", "sphere"] | Mesh,
     viewer: Viewer | None,
 ) -> int:
-    """Fit a mesh to views with names, and write the results; return the exit code."""
+    """Fit a mesh to views with names, and write the results, with what was skipped; return the exit code."""
     fit = MeshFit(
         fitted,
         start,
@@ -169,18 +192,34 @@ def _run_mesh_fit(
         cameras=CameraSettings(options.refine_cameras, options.camera_steps),
         descent=DescentSettings(options.batch, options.gradient, options.seed),
     )
-    make_folder("--output", options.output)
+    check_folder("--output", options.output)
     camera = (getattr(fitted.camera, part.name) for part in fields(fitted.camera))
     images = fitted.masks, fitted.photos, fitted.normals, fitted.depth, *camera
     runner = _runner(options, fit, images, lambda: (fit.views, fit.shape), viewer, fit.mesh)
     finished = runner.run(options.resume)
+    if not finished:
+        _add_texture(fit)
     _write_mesh(options, fit, fitted)
     if options.refine_cameras:
         _write_cameras(options, fit, names)
     result = fit.result(held_out)
-    _report_mesh(options, runner, fit, result, finished, names)
+    _report_mesh(options, runner, fit, result, finished, names, skipped)
     stay(viewer, finished or runner.stopped)
     return _exit_code(finished or runner.stopped, result.verdict, result.advice)
+
+
+def _add_texture(fit: MeshFit) -> None:
+    """Give the shape of a fit that was ended early its texture. The checkpoint, written before, keeps the phase."""
+    try:
+        if fit.phase == "texture" or not fit.skip_to_texture():
+            return
+    except ValueError as error:
+        say(str(error), "yellow")
+        return
+    say("the texture of this shape follows; Ctrl-C leaves it out")
+    with interruption() as interrupted:
+        while not fit.done and not interrupted:
+            fit.advance()
 
 
 def _fit_camera(options: FitOptions, file: Path) -> int:
@@ -200,7 +239,7 @@ def _fit_camera(options: FitOptions, file: Path) -> int:
         gradient=options.gradient,
         seed=options.seed,
     )
-    make_folder("--output", options.output)
+    check_folder("--output", options.output)
 
     def state() -> tuple[Views, tuple[Tensor, ...]]:
         return Views(fit.best(), mask[None], None if photo is None else photo[None]), shape
@@ -306,11 +345,19 @@ def _write_cameras(options: FitOptions, fit: MeshFit, names: list[str]) -> None:
 
 
 def _report_mesh(
-    options: FitOptions, runner: TaskRunner, fit: MeshFit, result: FitResult, finished: bool, names: list[str]
+    options: FitOptions,
+    runner: TaskRunner,
+    fit: MeshFit,
+    result: FitResult,
+    finished: bool,
+    names: list[str],
+    skipped: dict[str, str],
 ) -> None:
     """Write the figures of a fit of the images with these names to ``report.json``, and print a summary."""
     mesh, gains = result.mesh, fit.views.gains
     results: dict[str, Any] = {"views": len(fit.views), "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    if skipped:
+        results["skipped"] = skipped
     if gains is not None:
         rows = [[round(gain, 4) for gain in row] for row in gains.tolist()]
         results["gains"] = dict(zip(names, rows, strict=True))
@@ -361,7 +408,7 @@ def _report(options: FitOptions, runner: TaskRunner, results: dict[str, Any], fi
         "changes": runner.changes,
         "history": runner.history,
     }
-    write_file(options.output / "report.json", json.dumps(report, indent=1) + "\n")
+    write_file(options.output / REPORT, json.dumps(report, indent=1) + "\n")
     if runner.history:
         save_image(options.output / "loss.png", curve(runner.history, "loss", "iou"))
     for name in _NAMES:

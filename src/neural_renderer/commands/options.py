@@ -19,8 +19,8 @@ class WatchOptions:
     """Follow the run."""
 
     view: bool = False
-    """Show the mesh in the browser while it changes, with curves, pause, stop and settings. Needs viser: pip install
-    'neural-renderer[view]'."""
+    """Show the mesh in the browser while it changes, with curves, pause, stop and settings. Needs viser (pip install
+    viser)."""
     host: str = "127.0.0.1"
     """Name or address of this machine to listen on, for --view. Everybody who reaches another address sees the meshes
     and can stop the run."""
@@ -43,11 +43,13 @@ SAVED = get_args(Saved)
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """Draw mesh files as a picture (.png, .jpg) or an animation (.gif, .mp4), or save what the pixels show.
+    """Draw mesh files as pictures (.png, .jpg) or animations (.gif, .mp4), or save what the pixels show.
 
     Example: neural-renderer render bunny.obj -o bunny.png --size 512
 
     Example: neural-renderer render bunny.obj -o bunny.gif --turntable 60
+
+    Example: neural-renderer render models -o pictures --turntable 24
 
     Example: neural-renderer render chair.glb table.glb -o room.png --camera cameras.json --background room.jpg
 
@@ -57,11 +59,14 @@ class RenderOptions:
     """
 
     meshes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MESH", name="MESH")]
-    """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf. Several are drawn as one scene."""
+    """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf, or folders of such. Several are drawn as one scene, or, if the
+    output is a folder or has %s in its name, each for itself."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Picture to write: .png or .jpg; .gif or .mp4 for an animation. Must not be a texture of a mesh."""
+    """Picture to write: .png or .jpg; .gif or .mp4 for an animation; a folder for the pictures of models or of a
+    turntable. In a name, %s is the name of a model, and %03d the number of a view: one of a turntable, or of a camera
+    in the file. An existing file is replaced, but not a texture of a mesh."""
     save: Annotated[tuple[tuple[Saved, Path], ...], tyro.conf.arg(metavar="OUTPUT FILE …")] = ()
-    """Outputs and the files to write: .npy, .exr (needs the extra "exr"), or .png for all but position, uv and
+    """Outputs and the files to write: .npy, .exr (pip install OpenEXR), or .png for all but position, uv and
     face_index. rgb and alpha are anti-aliased, the others are those at the pixels' centres; 0 where no face is visible,
     -1 for face_index. Normals (smooth) and positions are in world space; depth is along the viewing axis."""
     depth_scale: float = 1000.0
@@ -101,9 +106,10 @@ class RenderOptions:
     """Light the model from over the viewer's shoulder. Without light, colours are drawn unchanged."""
     environment: Path | None = None
     """Image of the surroundings (equirectangular: .hdr, .exr, .jpg, …) that lights the model in place of this lamp."""
-    shading: Literal["flat", "smooth", "phong", "pbr"] = "flat"
+    shading: Literal["flat", "smooth", "phong", "pbr"] | None = None
     """Light on faces as a whole (flat), or on each pixel, with smooth normals and normal maps: matt (smooth), with
-    highlights (phong), or with metal and roughness of the file's materials (pbr)."""
+    highlights (phong), or with metal and roughness of the file's materials (pbr). By default smooth for meshes with
+    normals and for those that have hardly any creases, else flat."""
     layers: int | None = None
     """Number of faces that are blended at each pixel (at least 1), for transparent and cut-out materials; 4 is enough
     for two bodies, one behind the other. By default all faces are opaque."""
@@ -183,6 +189,9 @@ class FitOptions:
     """Space of the normal maps. camera: x right, y up, z towards the viewer."""
     depth_scale: float = 1000.0
     """Steps of a 16-bit depth .png for one unit of the world (above 0); 0 in the .png is no depth."""
+    skip_bad: bool = False
+    """Leave out images that cannot be used, such as damaged or missing ones, as long as at least half of them remain.
+    They are named, also in report.json. By default the first one ends the fit."""
     check: bool = True
     """Check first whether masks and cameras agree, and end with an error if they do not."""
     up: tuple[float, float, float] | None = None
@@ -227,8 +236,8 @@ class FitOptions:
     detail_weights: DetailWeights = field(default_factory=DetailWeights)
     """Weights of the losses of the steps for normals and depth."""
     unwrap: int = 0
-    """Side in pixels of one texture image with large charts (16 to 8192; needs the extra "unwrap"); 0: the image has a
-    small tile for each face."""
+    """Side in pixels of one texture image with large charts (16 to 8192; needs xatlas: pip install xatlas); 0: the
+    image has a small tile for each face."""
     turntable: int = 36
     """Pictures of the turntable (0: none)."""
     seed: int = 0
@@ -239,7 +248,8 @@ class FitOptions:
     """Resume from the checkpoint in the output folder, if there is one. Images and options must be the same, except for
     numbers of steps."""
     force: bool = False
-    """Replace mesh.mtl and mesh_texture.png in the output folder even if another program wrote them."""
+    """Replace what is in the output folder: the results of an earlier run, and mesh.mtl and mesh_texture.png even if
+    another program wrote them."""
     device: Device = "auto"
     watch: Watch = field(default_factory=WatchOptions)
 
@@ -257,7 +267,7 @@ class EditOptions:
     published code, for the paper's network only."""
     weights: Path | None = None
     """File with the weights of the network, .safetensors or .pth. By default they are downloaded once."""
-    iterations: int | None = None
+    steps: int | None = None
     """Number of steps (at least 1); by default the preset's."""
     batch: int = 4
     """Views per step (at least 1)."""
@@ -301,7 +311,8 @@ class EditOptions:
     resume: bool = False
     """Resume from the checkpoint in the output folder, if there is one. Files and settings must be the same."""
     force: bool = False
-    """Replace mesh.mtl and mesh_texture.png in the output folder even if another program wrote them."""
+    """Replace what is in the output folder: the results of an earlier run, and mesh.mtl and mesh_texture.png even if
+    another program wrote them."""
     device: Device = "auto"
     watch: Watch = field(default_factory=WatchOptions)
 
@@ -315,7 +326,7 @@ class StyleOptions(EditOptions):
 
     Example: neural-renderer style bunny.obj starry_night.jpg -o out
 
-    Example: neural-renderer style teapot.obj wave.jpg -o out --iterations 400 --size 160 --weights vgg19.safetensors
+    Example: neural-renderer style teapot.obj wave.jpg -o out --steps 400 --size 160 --weights vgg19.safetensors
 
     Preset paper: 5000 steps, learning rates 2.5e-4 and 0.05, elevations 20 to 40, distance 2.732, light 0.75 and 0.5,
     the mesh's colours. Preset published: 1000 steps, learning rates 5e-4 and 0.05, light 0.5 and 0.5, random colours,
@@ -367,7 +378,7 @@ class ViewOptions:
 
     A file is a mesh or a record (.html); several meshes stand side by side. A folder is the output of `fit`, `style`,
     `dream` or `reconstruct`, or one of meshes: what went in, what came out, pictures, curves, cameras with their
-    photographs, and a slider through the frames of a record. Needs viser: pip install 'neural-renderer[view]'.
+    photographs, and a slider through the frames of a record. Needs viser (pip install viser).
 
     Example: neural-renderer view bunny.obj teapot.obj
 
@@ -408,7 +419,7 @@ class DemoOptions:
     """Pictures of the turntable (at least 1)."""
     size: int = 320
     """Side of the pictures in pixels (at least 32)."""
-    iterations: int = 300
+    steps: int = 300
     """Steps of gradient descent for the shape (at least 1)."""
     views: int = 24
     """Silhouettes to fit (at least 1)."""
@@ -417,3 +428,25 @@ class DemoOptions:
     seed: int = 0
     """Seed of the order of the views."""
     device: Device = "auto"
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Run a Python program as it is: `nvdiffrast.torch` is this package's where nvdiffrast is not installed, and on a
+    machine without CUDA what the program does on "cuda" happens on the CPU.
+
+    All arguments after the program are its own.
+
+    Example: neural-renderer run fit.py --resolution 256
+    """
+
+    program: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PROGRAM", name="PROGRAM")]
+    """Python file, or with -m the name of a module."""
+    device: Annotated[Literal["auto", "cpu"], tyro.conf.arg(help="Where CUDA happens; auto is CUDA if available.")] = (
+        "auto"
+    )
+    ours: bool = False
+    """Use this package's nvdiffrast.torch even where nvdiffrast is installed."""
+    module: Annotated[bool, tyro.conf.arg(aliases=["-m"])] = False
+    """Run a module, as python -m does."""
+    arguments: tyro.conf.Suppress[tuple[str, ...]] = ()

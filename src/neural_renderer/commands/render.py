@@ -1,9 +1,10 @@
-"""`neural-renderer render`: mesh files as a picture or an animation, and files of what the pixels show."""
+"""`neural-renderer render`: mesh files as pictures or animations, and files of what the pixels show."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,24 +18,23 @@ from .. import deferred
 from ..camera import Camera, get_points_from_angles
 from ..camera.files.load import load_cameras
 from ..io import load_image, load_mesh, save_animation, save_image
+from ..io.exr import open_exr
 from ..io.images import as_pixels
 from ..io.png_strips import save_png_strips
-from ..io.values import VALUE_SUFFIXES, open_exr, save_output
+from ..io.values import VALUE_SUFFIXES, save_output
 from ..meshes.batch import join
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
-from ..pictures.lamp import lamp_direction
 from ..raster.outputs import Images
 from ..raster.settings import image_size
 from ..rendering import render, render_strips
 from ..shading.environments.light import EnvironmentLight
-from ..shading.lights import Light
+from ..shading.lights import CameraLight
 from .common import check_between, check_counts, check_outputs, choose_device, say
 from .options import RenderOptions
+from .render_names import has_number, numbered, scenes
 
-_LAMP = (-0.4, 0.6, 0.7)  # right, up, backward; more frontal than `pictures.lamp.LAMP`: no visible face is dark
-_AMBIENT, _DIRECTIONAL = 0.4, 0.65
 _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours
 _MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the picture
@@ -43,28 +43,56 @@ _PLANES = 0.05  # distance of the near and far planes from the mesh, in its exte
 _FRAMES = 60  # pictures of a turntable by default
 _TILE = 2048  # pictures of more than its square of pixels are drawn in strips
 _DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
+_CREASE, _CREASES = math.cos(math.radians(30)), 0.15  # angle of a crease; share of corners that may have one
 _PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
 _PICTURES_OF = {"rgb": _PICTURES, "alpha": _PICTURES, "depth": (".png",), "normal": (".png",), "barycentric": (".png",)}
 
 
 def run(options: RenderOptions) -> int:
-    """Draw mesh files; return the exit code."""
-    _check(options)
+    """Draw mesh files; return the exit code: 0, or 1 if one of several models cannot be drawn."""
+    if not options.meshes:
+        say("MESH: expected at least one mesh file, got none", "red")
+        raise SystemExit(2)
+    drawings = scenes(options)
+    _check(drawings[0])  # they differ in names
+    failed = False
+    for one in drawings:
+        try:
+            _draw_scene(one)
+        except (OSError, ValueError) as error:
+            if len(drawings) == 1:
+                raise
+            failed = True
+            say(" ".join(f"{one.meshes[0]} is not drawn: {error}".split()), "red")
+    return int(failed)
+
+
+def _draw_scene(options: RenderOptions) -> None:
+    """Draw mesh files as one scene."""
     outputs = [path for path in (options.output, *(path for _, path in options.save)) if path is not None]
     photo = options.background if isinstance(options.background, Path) else None
-    check_outputs(outputs, [*options.meshes, options.camera, options.environment, photo])
+    inputs = [*options.meshes, options.camera, options.environment, photo]
+    check_outputs(outputs, inputs)
     device = choose_device(options.device)
     mesh = _load(options).to(device)
+    if options.shading is None:
+        options = replace(options, shading="smooth" if _is_smooth(mesh) else "flat")
     if options.normalize and options.camera is None:
         mesh = mesh.normalize()
     cameras, size = _cameras(options, mesh)
     background = _background(options, size, device)
     surroundings = None if options.environment is None else EnvironmentLight.load(options.environment)
-    if options.output is not None and options.output.suffix.lower() in _ANIMATIONS:
+    if options.output is not None and _is_animated(options):
         pictures: Iterator[Tensor] = (draw(options, mesh, one, size, background, surroundings).cpu() for one in cameras)
         console = Console(stderr=True)
         tracked = track(pictures, "Turntable", total=len(cameras), console=console, transient=True)
-        save_animation(options.output, tracked, options.fps)
+        if has_number(options.output):
+            outputs = [numbered(options.output, number) for number in range(len(cameras))]
+            check_outputs(outputs, inputs)
+            for path, picture in zip(outputs, tracked, strict=True):
+                save_image(path, picture)
+        else:
+            save_animation(options.output, tracked, options.fps)
     elif options.output is not None:
         scene = (options, mesh, cameras, size, background, surroundings)
         if _is_streamed(options, size):
@@ -78,7 +106,23 @@ def run(options: RenderOptions) -> int:
         _save_outputs(options, mesh, cameras, size, **look, near=near, far=far)
     for path in outputs:
         say(str(path))
-    return 0
+
+
+def _is_animated(options: RenderOptions) -> bool:
+    """Tell whether the output is an animation, or numbered pictures."""
+    output = options.output
+    return output is not None and (output.suffix.lower() in _ANIMATIONS or has_number(output))
+
+
+def _is_smooth(mesh: Mesh | UVMesh) -> bool:
+    """Tell whether a mesh has normals, or a surface that is smooth almost everywhere, unlike furniture."""
+    if getattr(mesh, "normals", None) is not None:
+        return True
+    corners = mesh.vertices.detach()[mesh.faces.long()]
+    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    smooth = vertex_normals(mesh.vertices.detach(), mesh.faces)[0][mesh.faces.long()]
+    cosines = (functional.normalize(normals, dim=1)[:, None] * smooth).sum(2)
+    return bool((cosines < _CREASE).float().mean() < _CREASES)
 
 
 def _load(options: RenderOptions) -> Mesh | UVMesh:
@@ -97,9 +141,6 @@ def _load(options: RenderOptions) -> Mesh | UVMesh:
 
 def _check(options: RenderOptions) -> None:
     """Raise ValueError for options that are out of range or do not fit each other."""
-    if not options.meshes:
-        say("MESH: expected at least one mesh file, got none", "red")
-        raise SystemExit(2)
     if options.output is None and not options.save:
         raise ValueError("--output: expected a picture to write, or --save with outputs and files, got neither")
     suffix = options.output.suffix.lower() if options.output is not None else ".png"
@@ -108,13 +149,15 @@ def _check(options: RenderOptions) -> None:
         expected = ", ".join(_PICTURES + _ANIMATIONS)
         raise ValueError(f"--output: expected a name that ends in {expected}, got {name!r}")
     check_counts(options, turntable=1, texture_size=1, frame=0, layers=1)
-    if options.turntable is not None and suffix in _PICTURES:
-        raise ValueError(f"--output: expected a .gif or .mp4 for a turntable, got {name!r}")
+    if options.turntable is not None and not _is_animated(options):
+        raise ValueError(
+            f"--output: expected a .gif or .mp4, a folder or numbers such as %03d.png for a turntable, got {name!r}"
+        )
     if options.frame and options.camera is None:
         raise ValueError(f"--frame: expected --camera with it, got frame {options.frame} of no file")
     if options.turntable is not None and options.camera is not None:
         raise ValueError("--turntable: expected a turntable or --camera, got both")
-    if options.save and suffix in _ANIMATIONS:
+    if options.save and _is_animated(options):
         raise ValueError(f"--save: expected a picture beside it, got the animation {name!r}")
     _check_saved(options.save)
     if options.layers is not None and options.texture_size is not None:
@@ -145,7 +188,7 @@ def _check(options: RenderOptions) -> None:
 
 def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, tuple[int, int]]:
     """Make the camera of a picture, or those of an animation, and the height and width of pictures."""
-    animated = options.output is not None and options.output.suffix.lower() in _ANIMATIONS
+    animated = _is_animated(options)
     given = None if options.size is None else image_size("size", options.size)
     if options.camera is not None:
         cameras, own = load_cameras(options.camera, given)
@@ -211,7 +254,7 @@ def _look(
     """Return the light, the shading, the background and the layers of a view, as `render` takes them."""
     light: Any = surroundings
     if surroundings is None and options.light:
-        light = Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera, _LAMP))
+        light = CameraLight()
     if surroundings is not None and options.background == "environment":
         background = surroundings.background(camera, size).to(camera.rotation)
     return {"light": light, "shading": options.shading, "background": background, "layers": options.layers}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from ..io import load_image
 from ..io.files import warn
 from ..tasks.editing import PUBLISHED_STYLE, Style, StyleWeights
-from .common import choose_device, make_folder
-from .edit import Preset, check_options, load_initial_mesh, load_network, loss_weights, run_edit
+from .common import check_folder, choose_device, load_network
+from .edit import Preset, check_options, load_initial_mesh, loss_weights, run_edit
 from .options import StyleOptions
 
 _PRESETS = {
@@ -18,12 +18,13 @@ _PRESETS = {
 def run(options: StyleOptions) -> int:
     """Transfer a style and write the results; return the exit code."""
     check_options(options, options.painting)
-    painting = load_image(options.painting, upright=True).permute(2, 0, 1).to(choose_device(options.device))
+    device = choose_device(options.device)
+    painting = load_image(options.painting, upright=True).permute(2, 0, 1).to(device)
     mesh, colored = load_initial_mesh(options)
-    make_folder("--output", options.output)  # fails before a network is downloaded
+    check_folder("--output", options.output)  # fails before a network is downloaded
     published = options.preset == "published"
     weights = loss_weights(options, PUBLISHED_STYLE if published else StyleWeights())
-    network = load_network(options, "vgg16-original")
+    network = load_network(options.weights or "vgg16-original", "--weights").to(device)
     if published and network.name != "VGG-16":
         warn(f"--preset published: its loss weights suit the features of VGG-16, not those of {network.name}")
     style = Style(

@@ -17,9 +17,11 @@ from ..io.atomic_write import write_file
 from ..io.files import load_tensors, why_not_loaded
 from ..tasks.observer import Knob, Observer, goes_on
 from ..version import __version__
-from .common import interruption, say
+from .common import CHECKPOINT, interruption, say
 
-_SECONDS = 4.0  # seconds between two previews and checkpoints, unless a number of steps is given
+# Least seconds between two previews and checkpoints, and the share of the time that they may take; unless a number of
+# steps is given.
+_SECONDS, _SHARE = 4.0, 0.02
 
 
 class Task(Protocol):
@@ -79,7 +81,7 @@ class TaskRunner:
         mesh: Callable[[], Any] = dict,
     ) -> None:
         self._folder, self._task, self._settings, self._preview, self._every = folder, task, settings, preview, every
-        self._checkpoint, self._device = folder / "checkpoint.pt", device
+        self._checkpoint, self._device = folder / CHECKPOINT, device
         self._observer, self._mesh = observer, mesh
         self.history: list[dict[str, Any]] = []
         self.changes: list[dict[str, Any]] = []
@@ -100,7 +102,8 @@ class TaskRunner:
         """
         if resume and self._checkpoint.is_file():
             self._restore()
-        task, start, saved = self._task, time.monotonic() - self.seconds, self.seconds
+        task, start = self._task, time.monotonic() - self.seconds
+        following = self.seconds + _SECONDS
         label, note = TextColumn("{task.description:<8}"), TextColumn("{task.fields[note]}")
         columns = label, BarColumn(), note, TimeElapsedColumn(), TimeRemainingColumn()
         with Progress(*columns, console=Console()) as progress, interruption() as interrupted:
@@ -116,9 +119,10 @@ class TaskRunner:
                 progress.update(bars[task.phase], completed=task.step, total=task.steps, note=text)
                 self._observe(row, task.phase != phase)
                 self.seconds = time.monotonic() - start
-                if self.seconds - saved > _SECONDS if self._every is None else task.step % self._every == 0:
+                if self.seconds > following if self._every is None else task.step % self._every == 0:
                     self._save()
-                    saved = self.seconds
+                    following = time.monotonic() - start
+                    following += max(_SECONDS, (following - self.seconds) / _SHARE)
             self._save()
             self.stopped = not task.done and not interrupted
         return not interrupted and not self.stopped
@@ -162,9 +166,10 @@ class TaskRunner:
                 f"{self._checkpoint}: expected a checkpoint, got another file ({why_not_loaded(error)})"
             ) from None
         # Settings absent from older checkpoints compare as None.
-        names = [name for name in (self._settings | settings) if self._settings.get(name) != settings.get(name)]
+        own, found = _flat(self._settings), _flat(settings)
+        names = [name for name in (own | found) if own.get(name) != found.get(name)]
         if names:
-            mine, theirs = (", ".join(f"{k} {each.get(k)}" for k in names) for each in (self._settings, settings))
+            mine, theirs = (", ".join(f"{name} {each.get(name)}" for name in names) for each in (own, found))
             raise ValueError(f"{self._checkpoint}: expected a checkpoint of this run ({mine}), got one of {theirs}")
         try:
             self._task.load_state_dict(task)
@@ -173,6 +178,14 @@ class TaskRunner:
                 f"{self._checkpoint}: expected a checkpoint of version {__version__}, got one of another version (it "
                 f"has no {error}); start anew"
             ) from None
+
+
+def _flat(settings: dict[str, Any]) -> dict[str, Any]:
+    """Name the settings of groups one by one, as options do: weights.laplacian."""
+    flat: dict[str, Any] = {}
+    for name, value in settings.items():
+        flat |= {f"{name}.{key}": each for key, each in value.items()} if isinstance(value, dict) else {name: value}
+    return flat
 
 
 def setting_value(value: Any) -> Any:

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..io.files import existing, load_tensors, reason, why_not_loaded
+from ..io.files import existing, import_library, load_tensors, reason, why_not_loaded
 from .googlenet import googlenet, is_googlenet
 from .network import FeatureNetwork, Plan
 from .vgg import is_vgg, vgg
@@ -102,14 +102,9 @@ def _finite(network: FeatureNetwork) -> FeatureNetwork:
 def _read(path: Path) -> dict[str, Any]:
     """Read the tensors of a weight file, by name."""
     if path.suffix.lower() == ".safetensors":
+        safetensors = import_library("safetensors.torch", f"to read {path}")
         try:
-            from safetensors.torch import load_file
-        except ModuleNotFoundError:
-            raise ModuleNotFoundError(
-                f"{path}: expected safetensors to be installed to read it (pip install 'neural-renderer[editing]')"
-            ) from None
-        try:
-            return load_file(path)
+            return dict(safetensors.load_file(path))
         except Exception as error:  # its own error class, and others after a broken header
             raise ValueError(
                 f"{path}: expected a .safetensors file, got one that cannot be read ({reason(error)})"

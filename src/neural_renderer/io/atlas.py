@@ -12,6 +12,8 @@ import math
 
 import numpy as np
 
+from .cubes import trilinear_texels
+
 _LARGEST = 8192  # pixels: all viewers and GPUs accept textures of this width
 _GOOD_WIDTH = 1024  # pixels: tiles grow as long as the picture stays this narrow
 _LEAST_SPAN, _MOST_SPAN = 12, 48  # pixels of n, unless the picture would be wider than `_LARGEST`
@@ -118,12 +120,8 @@ def _trilinear(barycentric: np.ndarray, size: int) -> np.ndarray:
     used = _face_texels(size)
     column = np.zeros(size**3, dtype=np.int64)  # unused texels have weight 0, so their column does not matter
     column[used] = np.arange(len(used))
-    at = barycentric * (size - 1)
-    low = np.floor(at + 1e-9).clip(0, max(size - 2, 0)).astype(np.int64)
-    part = (at - low).clip(0, 1)
-    weights = np.zeros((len(at), len(used)), dtype=np.float32)
-    for corner in np.ndindex(2, 2, 2):
-        share = np.where(corner, part, 1 - part).prod(axis=1)
-        texel = np.ravel_multi_index(tuple(np.minimum(low + corner, size - 1).T), (size, size, size))
-        weights[np.arange(len(at)), column[texel]] += share
+    index, shares = trilinear_texels(barycentric, size)
+    weights = np.zeros((len(barycentric), len(used)), dtype=np.float32)
+    for corner in range(8):
+        weights[np.arange(len(index)), column[index[:, corner]]] += shares[:, corner]
     return weights

@@ -25,6 +25,30 @@ def barycentric_grid(size: int) -> np.ndarray:
     return grid / grid.sum(axis=1, keepdims=True)
 
 
+def trilinear_texels(weights: np.ndarray, size: int, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Find the eight texels that the renderer blends at barycentric weights [N, 3], and their shares.
+
+    Args:
+        weights: [N, 3] floating, ≥ 0, sum 1.
+        size: T, texels along the edge of a cube.
+        margin: Coordinates in the cube end at T − 1 − margin; the ``eps`` of `render`.
+
+    Returns:
+        Indices into the T · T · T texels, [N, 8] int64, and shares [N, 8] of the dtype of the weights, of sum 1.
+    """
+    at = (weights * (size - 1)).clip(0, size - 1 - margin if size > 1 else 0)
+    low = np.floor(at + 1e-9).clip(0, max(size - 2, 0)).astype(np.int64)
+    up = (at - low).clip(0, 1)
+    index = np.zeros((len(at), 1), dtype=np.int64)
+    shares = np.ones((len(at), 1), dtype=at.dtype)
+    for axis in range(3):
+        ends = np.stack((low[:, axis], np.minimum(low[:, axis] + 1, size - 1)), 1)
+        parts = np.stack((1 - up[:, axis], up[:, axis]), 1)
+        index = (index[:, :, None] * size + ends[:, None]).reshape(len(at), -1)
+        shares = (shares[:, :, None] * parts[:, None]).reshape(len(at), -1)
+    return index, shares
+
+
 def check_size(faces: int, size: int) -> None:
     """Raise TypeError or ValueError if T is not an int ≥ 1, or if cubes for F faces would take more than 8 GiB."""
     if isinstance(size, bool) or not isinstance(size, (int, np.integer)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import importlib
 import os
 import sys
 import warnings
@@ -34,6 +35,23 @@ def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
         found = "a folder" if Path(path).is_dir() else "nothing there"
         raise FileNotFoundError(f"{path}: expected {what}, got {found}")
     return Path(path)
+
+
+def import_library(name: str, use: str) -> Any:
+    """Import an optional library, or one of its modules; ``use`` says what for: "to make charts".
+
+    Raises ModuleNotFoundError with the command that installs the library itself: extras of this package would name it
+    on an index, where the name may belong to somebody else.
+    """
+    library = name.partition(".")[0]
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name not in (library, name):
+            raise
+        raise ModuleNotFoundError(
+            f"expected {library} to be installed {use} (pip install {library})", name=library
+        ) from None
 
 
 def fits_float32(values: np.ndarray) -> np.ndarray:
@@ -105,10 +123,16 @@ def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.n
 
 
 def as_tensor(value: Any) -> Any:
-    """Convert an array to a tensor; return other values unchanged."""
-    if isinstance(value, np.ndarray):
-        value = torch.from_numpy(value.astype(np.int64) if value.dtype.kind in "iu" else np.ascontiguousarray(value))
-    return value
+    """Convert an array, or nested lists of numbers, to a tensor; return other values unchanged."""
+    array = value
+    if isinstance(value, (list, tuple)):
+        try:
+            array = np.asarray(value)
+        except (TypeError, ValueError, RuntimeError):  # rows of different lengths, or tensors that need gradients
+            return value
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+        return value
+    return torch.from_numpy(np.ascontiguousarray(array, array.dtype.newbyteorder("=")))
 
 
 def _on_host(name: str, value: Any) -> Any:

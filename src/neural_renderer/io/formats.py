@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +18,7 @@ from torch import Tensor
 
 from .cubes import check_size
 from .files import existing, fits_float32, read_bytes, reason, short, warn
-from .gltf.reader import prepared
+from .gltf.reader import NUMBER, prepared
 from .named_files import find_file
 from .obj import obj_surface_colors
 from .obj.parse import read_obj
@@ -30,7 +31,8 @@ if TYPE_CHECKING:
 # trimesh logs a traceback for each missing image. This package warns instead, so the log is not printed by default.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
-_READABLE = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+"""Suffixes of mesh files that can be read."""
 _GLB_HEADER = 12  # bytes
 _CHUNK_HEADER = 8  # bytes: length and type
 
@@ -41,7 +43,8 @@ def load_mesh(
     """Read a mesh file and bake its colours into texture cubes. The mesh is not normalised.
 
     Vertices and faces keep the file's order. STL files repeat each vertex for every face; equal vertices are merged.
-    The parts of a glTF scene are transformed and joined.
+    The parts of a glTF scene are transformed and joined. glTF duplicates a vertex at the seams of textures and normals;
+    in files of this package it is one again, in others `Mesh.merge_vertices` mends the seams.
 
     Args:
         path: File that ends in .obj, .ply, .stl, .off, .glb or .gltf.
@@ -86,8 +89,8 @@ def read_mesh(
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in _READABLE:
-        raise ValueError(f"path: expected a file that ends in {', '.join(_READABLE)}, got {path.name!r}")
+    if suffix not in MESH_SUFFIXES:
+        raise ValueError(f"path: expected a file that ends in {', '.join(MESH_SUFFIXES)}, got {path.name!r}")
     existing(path)
     if suffix == ".obj":
         obj = read_obj(path, with_uv=True)
@@ -113,11 +116,39 @@ def _read_others(
         options: dict[str, Any] = {"process": False, "maintain_order": True, "resolver": named}
         loaded = trimesh.load(source, file_type=suffix[1:], **options)
         parts = list(_parts(loaded))
-    count = sum(len(part.faces) for part, _ in parts)
-    if not count:
+    if not sum(len(part.faces) for part, _ in parts):
         known = sum(len(part.vertices) for part, _ in parts) or len(getattr(loaded, "vertices", ()))
         raise ValueError(f"{path}: expected faces, got {known} vertices but no faces")
+    return _joined(path, parts, parser, suffix)
+
+
+def is_trimesh(value: Any) -> bool:
+    """Tell whether a value is a mesh or scene of trimesh, without importing it."""
+    kinds = getattr(sys.modules.get("trimesh"), "Trimesh", ()), getattr(sys.modules.get("trimesh"), "Scene", ())
+    return isinstance(value, kinds)
+
+
+def read_trimesh(mesh: Any) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
+    """Convert a mesh or scene of trimesh, as `read_mesh` does files; colours are display values.
+
+    Raises:
+        TypeError: It is something else.
+        ValueError: It has no faces, a vertex that is not finite, or an index out of range.
+    """
+    if not is_trimesh(mesh):
+        raise TypeError(f"mesh: expected a Trimesh or Scene of trimesh, got {type(mesh).__name__}")
+    parts = list(_parts(mesh))
+    if not sum(len(part.faces) for part, _ in parts):
+        raise ValueError("mesh: expected at least one face, got none")
+    return _joined("mesh", parts, PartReader({}, False), ".trimesh")
+
+
+def _joined(
+    path: Any, parts: list[Any], parser: PartReader, suffix: str
+) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
+    """Transform and join the meshes of trimesh, with their colours; errors name ``path``."""
     vertices, faces, surfaces = [], [], []
+    numbers: list[Any] = []
     offset = 0
     for part, matrix in parts:
         corners = np.asarray(part.faces, dtype=np.int64)
@@ -135,10 +166,13 @@ def _read_others(
         faces.append(corners[:, order] + offset)
         with _reading(path, suffix):
             surfaces.append(parser.surface_colors(part, corners, order, matrix[:3, :3]))
+        numbers.append((part.vertex_attributes or {}).get(NUMBER))
         offset += len(points)
     points, corners = np.concatenate(vertices), np.concatenate(faces)
     if suffix == ".stl":
         points, corners = _join_equal(points, corners)
+    elif parser.tree:
+        points, corners = _join_numbered(points, corners, numbers)
     if all(surface is None for surface in surfaces):
         return points, corners, None
     known_surfaces = [known or SurfaceColors.plain(len(f), 1) for known, f in zip(surfaces, faces, strict=True)]
@@ -159,7 +193,7 @@ def _check_chunks(path: Path) -> None:
 
 
 @contextmanager
-def _reading(path: Path, suffix: str) -> Iterator[None]:
+def _reading(path: Any, suffix: str) -> Iterator[None]:
     """Convert all errors of trimesh and Pillow on damaged files, such as MemoryError, to ValueError."""
     try:
         yield
@@ -216,6 +250,16 @@ def _parts(loaded: Any) -> Iterator[tuple[trimesh.Trimesh, np.ndarray]]:
                 yield loaded.geometry[name], np.asarray(matrix)
     elif isinstance(loaded, trimesh.Trimesh):
         yield loaded, np.eye(4)
+
+
+def _join_numbered(points: np.ndarray, corners: np.ndarray, numbers: list[Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Merge vertices that `glb_bytes` has duplicated; ``numbers`` are those of the vertices of each part."""
+    if not all(isinstance(part, np.ndarray) for part in numbers) or sum(map(np.size, numbers)) != len(points):
+        return points, corners
+    joined = np.concatenate([part.reshape(-1) for part in numbers])
+    _, first, inverse = np.unique(joined, return_index=True, return_inverse=True)
+    same = np.array_equal(points[first][inverse], points)  # or another program has changed the file
+    return (points[first], inverse[corners]) if same else (points, corners)
 
 
 def _join_equal(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

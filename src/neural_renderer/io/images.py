@@ -20,9 +20,12 @@ from torch import Tensor
 
 from .. import validate
 from .atomic_write import replacing, write_file
-from .files import existing, reason
+from .exr import write_exr
+from .files import as_tensor, existing, reason
+from .gif import encode_gif
+from .radiance import radiance_bytes
 
-_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".hdr", ".exr")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
 _MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535}  # pixels of a side
 _JPEG_QUALITY = 95
@@ -52,18 +55,41 @@ def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor
         >>> nr.load_image("grey.png").shape
         torch.Size([4, 6, 3])
     """
+    return load_reduced(path, upright=upright)[0]
+
+
+def load_reduced(
+    path: str | os.PathLike[str], *, upright: bool = False, least: int | None = None
+) -> tuple[Tensor, tuple[int, int]]:
+    """Read an image file as `load_image`, at a half, a quarter or an eighth of its sides if they can be divided so.
+
+    The longer side keeps at least ``least`` pixels; None keeps the size. Colours are means, which the decoder of JPEG
+    computes in a fraction of its time. Returns the image and its full height and width.
+    """
     if not existing(path).stat().st_size:  # files in /proc have size 0 and may be endless
         raise ValueError(f"{path}: expected a picture, got an empty file")
     with _reading(str(path)):
         file = Image.open(path)
     with file:
-        return torch.from_numpy(unpack(str(path), file, upright=upright))
+        width, height = file.size
+        fits = (n for n in (8, 4, 2) if least and max(file.size) >= n * least and width % n == height % n == 0)
+        divisor = next(fits, 1) if file.mode in ("L", "RGB", "RGBA") else 1
+        pixels = torch.from_numpy(unpack(str(path), file, upright=upright, divisor=divisor))
+    return pixels, (pixels.shape[0] * divisor, pixels.shape[1] * divisor)
 
 
-def unpack(where: str, file: Image.Image, *, upright: bool = False, transparency: bool = True) -> np.ndarray:
+def as_image(name: str, value: Any) -> Any:
+    """Convert an image of Pillow to a tensor, as `load_image`, or an array or lists as `as_tensor`; keep the rest."""
+    return torch.from_numpy(unpack(name, value)) if isinstance(value, Image.Image) else as_tensor(value)
+
+
+def unpack(
+    where: str, file: Image.Image, *, upright: bool = False, transparency: bool = True, divisor: int = 1
+) -> np.ndarray:
     """Decode an open image to the array of `load_image`; messages call it ``where``.
 
-    Without ``transparency``, an alpha channel is dropped. Raises ValueError if the image is damaged or too large.
+    Without ``transparency``, an alpha channel is dropped. The sides are divided by ``divisor``, 1, 2, 4 or 8. Raises
+    ValueError if the image is damaged or too large.
     """
     if file.format == "EPS":  # Pillow would run another program to draw it
         raise ValueError(f"{where}: expected a picture of pixels, got PostScript")
@@ -75,7 +101,11 @@ def unpack(where: str, file: Image.Image, *, upright: bool = False, transparency
             "a program may raise PIL.Image.MAX_IMAGE_PIXELS"
         )
     with _reading(where):
+        size = file.width // divisor, file.height // divisor
+        if divisor > 1 and not file.has_transparency_data:
+            file.draft(None, size)  # means of blocks, by the decoder of JPEG
         image = ImageOps.exif_transpose(file) if upright else file
+        image = image.reduce(file.width // size[0]) if file.width > size[0] else image
         deep = image.mode.startswith(("I", "F"))  # 16-bit grey; conversion to RGB would clip it at 255
         mode = "RGBA" if transparency and not deep and image.has_transparency_data else "RGB"
         full = np.float32((1 if image.mode.startswith("F") else 65535) if deep else 255)
@@ -103,16 +133,20 @@ def _reading(where: str) -> Iterator[None]:
 
 
 def save_image(path: str | os.PathLike[str], image: Tensor | np.ndarray) -> None:
-    """Write an image as PNG or JPEG, completely or not at all. Missing folders are made.
+    """Write an image as PNG, JPEG, Radiance or OpenEXR, completely or not at all. Missing folders are made.
 
     Args:
-        path: Name that ends in .png, .jpg or .jpeg.
-        image: Tensor or array, [H, W], [H, W, C] or [C, H, W] with 1, 3 or 4 channels. Floats are clamped to [0, 1],
-            uint8 is kept. JPEG shows transparent images on white; its sides are at most 65,500 pixels.
+        path: Name that ends in .png, .jpg or .jpeg; or in .hdr or .exr (needs the extra "exr"), for linear light of any
+            strength, as `EnvironmentLight.load` reads it.
+        image: Tensor, array or picture of Pillow, [H, W], [H, W, C] or [C, H, W] with 1, 3 or 4 channels. Floats are
+            clamped to [0, 1], uint8 is kept. JPEG shows transparent images on white; its sides are at most 65,500
+            pixels. Floats for .hdr and .exr are kept, clamped to 0 in .hdr, which has no transparency.
 
     Raises:
-        TypeError: ``image`` is not a tensor or array.
-        ValueError: The suffix or shape does not fit, or a number is NaN.
+        TypeError: ``image`` is not a tensor, array or picture.
+        ValueError: The suffix or shape does not fit, a number is NaN, or all numbers of one channel, such as a depth,
+            lie outside of [0, 1]; infinite for .hdr.
+        ModuleNotFoundError: OpenEXR is not installed.
         OSError: The file cannot be written. An existing file stays as it was.
 
     Example:
@@ -121,6 +155,9 @@ def save_image(path: str | os.PathLike[str], image: Tensor | np.ndarray) -> None
     path = Path(path)
     if path.suffix.lower() not in _IMAGE_SUFFIXES:
         raise ValueError(f"path: expected a name that ends in {', '.join(_IMAGE_SUFFIXES)}, got {path.name!r}")
+    if path.suffix.lower() in (".hdr", ".exr"):
+        _save_light(path, _channels_last("image", image))
+        return
     pixels = as_pixels("image", image)
     _check_side("image", path, pixels)
     file = io.BytesIO()
@@ -171,7 +208,7 @@ def save_animation(
         raise ValueError("frames: expected at least one, got none")
     _check_side("frames", path, pictures[0])
     if suffix == ".gif":
-        write_file(path, _gif(pictures, fps))
+        write_file(path, encode_gif(pictures, fps))
     else:
         with replacing(path) as fresh:
             _save_mp4(fresh, pictures, fps)
@@ -182,15 +219,6 @@ def _check_side(name: str, path: Path, pixels: np.ndarray) -> None:
     side, most = max(pixels.shape[:2]), _MOST_PIXELS.get(path.suffix.lower())
     if most is not None and side > most:
         raise ValueError(f"{name}: expected at most {most} pixels a side for {path.name!r}, got {side}")
-
-
-def _gif(pictures: list[np.ndarray], fps: float) -> bytes:
-    """Encode images as a GIF file."""
-    # Each image has its own palette. Dithering would flicker on a still background.
-    images = [Image.fromarray(p).quantize(256, dither=Image.Dither.NONE) for p in pictures]
-    duration, file = 10 * max(2, round(100 / fps)), io.BytesIO()
-    images[0].save(file, "GIF", save_all=True, append_images=images[1:], duration=duration, loop=0, disposal=1)
-    return file.getvalue()
 
 
 def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
@@ -215,22 +243,48 @@ def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
         raise OSError("the encoder wrote a file that cannot be played")
 
 
-def as_pixels(name: str, image: Any) -> np.ndarray:
-    """Convert an image to uint8, [H, W], [H, W, 3] or [H, W, 4]; arguments and errors as `save_image`."""
+def _save_light(path: Path, image: np.ndarray) -> None:
+    """Write an image as .hdr or .exr."""
+    values = image / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32)
+    if path.suffix.lower() == ".exr":
+        write_exr(path, values)
+        return
+    if not np.isfinite(values).all():
+        raise ValueError(f"image: expected finite numbers, got {int((~np.isfinite(values)).sum())} that are not")
+    rgb = np.repeat(values[..., None], 3, 2) if values.ndim == 2 else values[..., :3]
+    write_file(path, radiance_bytes(rgb.clip(0, 1e38)))
+
+
+def _channels_last(name: str, image: Any) -> np.ndarray:
+    """Convert an image to an array [H, W], [H, W, 3] or [H, W, 4]; arguments and errors as `save_image`."""
     if isinstance(image, Tensor):
         image = validate.has_numbers(name, validate.dense(name, image)).detach().cpu().resolve_neg()
         image = (image.float() if image.is_floating_point() else image).numpy()
+    if isinstance(image, Image.Image):
+        image = unpack(name, image)
     if not isinstance(image, np.ndarray):
-        raise TypeError(f"{name}: expected a tensor or array, got {type(image).__name__}")
+        raise TypeError(f"{name}: expected a tensor, an array or a picture of Pillow, got {type(image).__name__}")
     if image.ndim == 3 and image.shape[2] not in (1, 3, 4) and image.shape[0] in (1, 3, 4):
         image = np.moveaxis(image, 0, 2)
     if not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3, 4))) or 0 in image.shape:
         raise ValueError(f"{name}: expected [H, W], [H, W, 1|3|4] or [1|3|4, H, W], got {list(image.shape)}")
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
+    if np.isnan(image).any():
+        raise ValueError(f"{name}: expected numbers, got {int(np.isnan(image).sum())} that are NaN")
+    return image
+
+
+def as_pixels(name: str, image: Any) -> np.ndarray:
+    """Convert an image to uint8, [H, W], [H, W, 3] or [H, W, 4]; arguments and errors as `save_image`."""
+    image = _channels_last(name, image)
     if image.dtype != np.uint8:
-        if np.isnan(image).any():
-            raise ValueError(f"{name}: expected numbers, got {int(np.isnan(image).sum())} that are NaN")
+        low, high = image.min(), image.max()
+        if image.ndim == 2 and low != high and (low >= 1 or high <= 0):
+            raise ValueError(
+                f"{name}: expected numbers in [0, 1], got {low:g} to {high:g}, which would be one shade; for a depth, "
+                f"(far - depth) / (far - near) with the object's range"
+            )
         image = (image.astype(np.float32).clip(0, 1) * 255 + 0.5).astype(np.uint8)
     return np.ascontiguousarray(image)
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 
 from .atlas import build_atlas, coordinates
 from .atomic_write import write_file
@@ -17,9 +16,6 @@ from .files import mesh_to_write
 from .gltf.writer import glb_bytes
 from .obj.writer import Part, as_bytes, save_cubes, write_obj
 from .surface_colors import SurfaceColors
-
-if TYPE_CHECKING:
-    import trimesh
 
 _SUFFIXES = (".obj", ".ply", ".glb")
 
@@ -31,9 +27,9 @@ def save_mesh(
 
     - OBJ: materials and image are files beside it, ``spot.mtl`` and ``spot_texture.png`` for ``spot.obj``.
     - PLY (binary): one colour per vertex, the mean of the textures of the faces around it, at that corner.
-    - GLB: the textures as one image, matt and two-sided. Each face has three vertices of its own, because a glTF vertex
-      has one texture coordinate, and each face a tile of the image. A mesh of one colour has no image, and shares
-      vertices; so does a mesh with charts (`unwrap`).
+    - GLB: the textures as one image, matt and two-sided, with a tile for each face. A glTF vertex has one texture
+      coordinate, so each face has three vertices of its own; `load_mesh` makes them one again. A mesh of one colour has
+      no image, and shares vertices. Vertices that no face uses are left out.
 
     Args:
         path: Name that ends in ``.obj``, ``.ply`` or ``.glb``. A file of this name is replaced.
@@ -56,24 +52,27 @@ def save_mesh(
     if path.suffix.lower() == ".obj":
         save_cubes(path, vertices, faces, textures, f"{path.stem}_texture", overwrite)
         return
+    points, corners, cubes = mesh_to_write(vertices, faces, textures)
+    if path.suffix.lower() == ".glb" and cubes is not None and cubes.size:
+        surface = SurfaceColors.plain(len(corners), 1.0)
+        if (cubes == cubes[0, 0, 0, 0]).all():
+            surface.colors[:] = cubes[0, 0, 0, 0]
+        else:
+            picture, pixels = build_atlas(cubes)
+            surface.image[:], surface.uv = 0, coordinates(pixels, picture)
+            surface.images, surface.wraps = [picture], ["clamp"]
+        write_file(path, glb_bytes(points, corners, surface))
+        return
+    write_file(path, as_trimesh(vertices, faces, textures).export(file_type=path.suffix[1:].lower()))
+
+
+def as_trimesh(vertices: Any, faces: Any, textures: Any = None) -> Any:
+    """Convert a mesh to a ``trimesh.Trimesh`` with a colour for each vertex; arguments and errors as `save_mesh`."""
     import trimesh  # imported here because it is slow
 
     points, corners, cubes = mesh_to_write(vertices, faces, textures)
-    if path.suffix.lower() == ".glb" and cubes is not None and cubes.size and (cubes == cubes[0, 0, 0, 0]).all():
-        surface = SurfaceColors.plain(len(corners), 1.0)
-        surface.colors[:] = cubes[0, 0, 0, 0]
-        write_file(path, glb_bytes(points, corners, surface))
-        return
-    if cubes is None:
-        mesh = trimesh.Trimesh(points, corners, process=False)
-    elif path.suffix.lower() == ".ply":
-        colors = _vertex_colors(len(points), corners, cubes)
-        mesh = trimesh.Trimesh(points, corners, vertex_colors=colors, process=False)
-    else:
-        picture, pixels = build_atlas(cubes)
-        own = np.arange(corners.size).reshape(-1, 3)
-        mesh = _with_picture(points[corners].reshape(-1, 3), own, coordinates(pixels.reshape(-1, 2), picture), picture)
-    write_file(path, mesh.export(file_type=path.suffix[1:].lower()))  # type: ignore[arg-type]  # bytes
+    colors = None if cubes is None or not cubes.size else _vertex_colors(len(points), corners, cubes)
+    return trimesh.Trimesh(points, corners, vertex_colors=colors, process=False)
 
 
 def save_uv_mesh(
@@ -135,14 +134,3 @@ def _vertex_colors(count: int, corners: np.ndarray, cubes: np.ndarray) -> np.nda
     np.add.at(faces, corners.reshape(-1), 1)
     colors = np.where(faces > 0, total / faces.clip(1), 0.5)
     return (np.concatenate([colors, np.ones((count, 1))], axis=1) * 255 + 0.5).astype(np.uint8)
-
-
-def _with_picture(points: np.ndarray, corners: np.ndarray, uv: np.ndarray, picture: np.ndarray) -> trimesh.Trimesh:
-    """Make a matt, two-sided mesh with an image [H, W, 3] and texture coordinates [V, 2]."""
-    import trimesh
-
-    material = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=Image.fromarray(picture), metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
-    )
-    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
-    return trimesh.Trimesh(points, corners, visual=visual, process=False)

@@ -1,4 +1,4 @@
-"""Reading of Radiance's pictures (.hdr, .pic): RGB with a shared exponent, for linear light of any strength.
+"""Radiance's pictures (.hdr, .pic): RGB with a shared exponent, for linear light of any strength.
 
 The format is that of Ward, "Real Pixels" (Graphics Gems II, 1991): a header of lines that ends with an empty one, the
 size, then rows of pixels, of four bytes each, plain or run-length encoded in one of two ways.
@@ -52,6 +52,16 @@ def read_radiance(path: str | os.PathLike[str]) -> np.ndarray:
     # An exponent of 0 means black.
     scale = np.where(pixels[..., 3:] > 0, np.exp2(pixels[..., 3:].astype(np.float64) - 136), 0) / exposure
     return (pixels[..., :3] * scale).astype(np.float32)
+
+
+def radiance_bytes(pixels: np.ndarray) -> bytes:
+    """Encode linear RGB [H, W, 3], ≥ 0 and below 2¹²⁷, without runs; errors are up to 1/256 of the largest channel."""
+    _, exponent = np.frexp(pixels.max(-1, keepdims=True))
+    exponent = exponent.clip(-127, 127)
+    coded = np.concatenate((np.round(np.ldexp(pixels, 8 - exponent)).clip(0, 255), exponent + 128), -1)
+    coded[(pixels < 1e-38).all(-1)] = 0
+    size = f"-Y {pixels.shape[0]} +X {pixels.shape[1]}"
+    return f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n{size}\n".encode() + coded.astype(np.uint8).tobytes()
 
 
 def _pixels(data: bytes, height: int, width: int) -> bytes:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from .atomic_write import replacing, write_file
-from .files import existing
+from .atomic_write import write_file
+from .exr import write_exr
 from .images import save_image
 
 VALUE_SUFFIXES = (".npy", ".exr")
@@ -23,8 +22,7 @@ def save_values(path: Path, values: np.ndarray, name: str) -> None:
     Args:
         path: Name that ends in .npy or .exr.
         values: [H, W] or [H, W, C], float32 or int32. An .exr stores whole numbers as float32, exact up to 2²⁴.
-        name: Name of the image. In an .exr, channels are R, G, B for "rgb", Z for "depth", A for "alpha", and else
-            ``name`` or ``name.X``, ``name.Y``, ``name.Z``.
+        name: Name of the image, for `write_exr`.
 
     Raises:
         ModuleNotFoundError: OpenEXR is not installed.
@@ -35,49 +33,7 @@ def save_values(path: Path, values: np.ndarray, name: str) -> None:
         np.save(file, values)
         write_file(path, file.getvalue())
         return
-    exr = open_exr(path)
-    planes = values.astype(np.float32).reshape(*values.shape[:2], -1)
-    channels = {key: np.ascontiguousarray(planes[..., i]) for i, key in enumerate(_channels(name, planes.shape[2]))}
-    with replacing(path) as fresh, exr.File({"type": exr.scanlineimage}, channels) as image:
-        image.write(str(fresh))
-
-
-def read_exr(path: Path) -> np.ndarray:
-    """Read the colours of an OpenEXR picture: [H, W, 3] float32 RGB, or grey three times; row 0 at the top.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        ModuleNotFoundError: OpenEXR is not installed.
-        ValueError: The file is damaged, has no such channels, or more than ``PIL.Image.MAX_IMAGE_PIXELS`` pixels.
-    """
-    exr = open_exr(existing(path), "read")
-    limit = Image.MAX_IMAGE_PIXELS
-    try:
-        with exr.File(str(path), separate_channels=True, header_only=True) as image:
-            low, high = (np.asarray(corner, dtype=np.int64) for corner in image.header()["dataWindow"])
-        if limit is None or (high - low + 1).prod() <= limit:
-            with exr.File(str(path), separate_channels=True) as image:
-                channels = {name: channel.pixels for name, channel in image.channels().items()}
-    except Exception as error:  # OpenEXR raises errors of several classes
-        raise ValueError(f"{path}: expected a picture of OpenEXR, got one that cannot be read ({error})") from None
-    if limit is not None and (high - low + 1).prod() > limit:
-        raise ValueError(f"{path}: expected a picture of at most {limit:,} pixels")
-    names = "RGB" if all(name in channels for name in "RGB") else "YYY"
-    if names[0] not in channels:
-        raise ValueError(f"{path}: expected the channels R, G and B, or Y, got {', '.join(channels)}")
-    return np.stack([channels[name] for name in names], -1).astype(np.float32)
-
-
-def open_exr(path: Path, purpose: str = "write") -> Any:
-    """Import OpenEXR, to write or to read; raise ModuleNotFoundError with the command that installs it."""
-    try:
-        import OpenEXR
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError(
-            f"{path}: expected OpenEXR to be installed to {purpose} it (pip install 'neural-renderer[exr]')",
-            name="OpenEXR",
-        ) from None
-    return OpenEXR
+    write_exr(path, values, name)
 
 
 def save_depth(path: Path, depth: np.ndarray, scale: float) -> None:
@@ -107,8 +63,3 @@ def save_output(path: Path, values: np.ndarray, name: str, depth_scale: float = 
         save_depth(path, values, depth_scale)
     else:
         save_image(path, (values + 1) / 2 if name == "normal" else values)
-
-
-def _channels(name: str, count: int) -> list[str]:
-    known = {"rgb": ["R", "G", "B"], "depth": ["Z"], "alpha": ["A"], "uv": ["uv.U", "uv.V"]}
-    return known.get(name, [name] if count == 1 else [f"{name}.{axis}" for axis in "XYZ"[:count]])

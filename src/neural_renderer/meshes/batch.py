@@ -11,6 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
+from ..io.files import as_tensor
+from ..io.formats import is_trimesh
+from ..raster.cube_colors import PackedCubes
 from .mesh import Mesh
 from .normals import vertex_normals
 from .uv_mesh import UVMesh
@@ -49,23 +52,35 @@ def batch(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     if _are_uv_meshes(meshes):
         parts, shared = _together(meshes)
         own = {name: pad(values, -1 if name.endswith("index") else 0) for name, values in parts.items()}
-        vertices, faces = pad([mesh.vertices for mesh in meshes]), pad([mesh.faces for mesh in meshes], -1)
+        vertices, faces = _padded_shapes(meshes)
         return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
-    return (*_padded(meshes), pad([mesh.cubes() for mesh in meshes]))
+    return (*_padded_shapes(meshes), pad(_cubes_of_one_size(meshes)))
 
 
-def drawn_batch(meshes: list[Any]) -> tuple[Tensor, ...] | UVMesh:
-    """Pad meshes like `batch`, with colours as from `Mesh.colors_of_faces` if all meshes have those of one shape."""
-    if _are_uv_meshes(meshes, of_one_size=False):
+def packed(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, PackedCubes] | UVMesh:
+    """Batch meshes for drawing, as `batch` does but with the colours one after the other: padding takes memory.
+
+    Colours are those of `Mesh.colors_of_faces` if these have one shape, or else all are baked.
+    """
+    if _are_uv_meshes(meshes):
         return batch(meshes)
     colors = [mesh.colors_of_faces() for mesh in meshes]
     if len({own.shape[1:] for own in colors}) > 1:
-        return batch(meshes)
-    return (*_padded(meshes), pad(colors))
+        colors = _cubes_of_one_size(meshes)
+    firsts = list(itertools.accumulate(map(len, colors), initial=0))
+    places = torch.tensor(firsts, dtype=torch.int32, device=colors[0].device)
+    return (*_padded_shapes(meshes), PackedCubes(torch.cat(colors), places))
 
 
-def _padded(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor]:
+def _padded_shapes(meshes: Sequence[Any]) -> tuple[Tensor, Tensor]:
     return pad([mesh.vertices for mesh in meshes]), pad([mesh.faces for mesh in meshes], -1)
+
+
+def _cubes_of_one_size(meshes: Sequence[Mesh]) -> list[Tensor]:
+    sizes = sorted({mesh.texture_size for mesh in meshes})
+    if len(sizes) > 1:
+        raise ValueError(f"meshes: expected textures of one size, got {' and '.join(map(str, sizes))}")
+    return [mesh.cubes() for mesh in meshes]
 
 
 @overload
@@ -96,36 +111,49 @@ def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     faces = torch.cat([mesh.faces + first for mesh, first in zip(meshes, firsts, strict=True)])
     vertices = torch.cat([mesh.vertices for mesh in meshes])
     if not is_uv:
-        return vertices, faces, torch.cat([mesh.cubes() for mesh in meshes])
+        return vertices, faces, torch.cat(_cubes_of_one_size(meshes))
     parts, shared = _together(meshes)
     own = {name: torch.cat(values) for name, values in parts.items()}
     return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
 
 
-def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
+def as_mesh(mesh: Any) -> Any:
+    """Convert a mesh or scene of trimesh to a `UVMesh`, and a list of meshes to a batch; return other values."""
+    if is_trimesh(mesh):
+        return UVMesh.from_trimesh(mesh)
+    return packed([as_mesh(one) for one in mesh]) if isinstance(mesh, list) else mesh
+
+
+def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | PackedCubes | None]:
     """Get (vertices, faces, colours or None) of a `Mesh`, a list of meshes, or a tuple; raise TypeError otherwise.
 
     Colours are those of a tuple, or `Mesh.colors_of_faces`.
     """
     if isinstance(mesh, Mesh):
         return mesh.vertices, mesh.faces, mesh.colors_of_faces()
-    if isinstance(mesh, list):
-        return mesh_parts(drawn_batch(mesh))
+    mesh = as_mesh(mesh)
+    if isinstance(mesh, tuple) and not isinstance(mesh[0], Mesh):
+        mesh = tuple(map(_floats, mesh))
     if isinstance(getattr(mesh, "vertices", None), Tensor) and isinstance(getattr(mesh, "faces", None), Tensor):
         return mesh.vertices, mesh.faces, None
     if isinstance(mesh, tuple) and len(mesh) in (2, 3):
         return mesh[0], mesh[1], mesh[2] if len(mesh) == 3 else None
     raise TypeError(
-        f"mesh: expected a Mesh, a list of them, a UVMesh, (vertices, faces) or (vertices, faces, textures), all of "
-        f"tensors, got {type(mesh).__name__}"
+        f"mesh: expected a Mesh, a list of them, a UVMesh, a Trimesh, (vertices, faces) or (vertices, faces, "
+        f"textures), got {type(mesh).__name__}"
     )
 
 
-def _are_uv_meshes(meshes: Any, of_one_size: bool = True) -> bool:
-    """Tell which kind of meshes a list has; raise TypeError or ValueError unless they fit together.
+def _floats(value: Any) -> Any:
+    """Convert an array or lists to a tensor, floats to float32; return other values unchanged."""
+    if isinstance(value, (Tensor, PackedCubes)):
+        return value
+    value = as_tensor(value)
+    return value.float() if getattr(value, "dtype", None) == torch.float64 else value
 
-    ``of_one_size``: whether the textures of `Mesh` must have one size.
-    """
+
+def _are_uv_meshes(meshes: Any) -> bool:
+    """Tell which kind of meshes a list has; raise TypeError or ValueError unless they fit together."""
     if not isinstance(meshes, (list, tuple)) or not all(isinstance(mesh, (Mesh, UVMesh)) for mesh in meshes):
         kinds = [type(mesh).__name__ for mesh in meshes] if isinstance(meshes, (list, tuple)) else type(meshes).__name__
         raise TypeError(f"meshes: expected a list of Mesh, or of UVMesh, got {kinds}")
@@ -136,15 +164,12 @@ def _are_uv_meshes(meshes: Any, of_one_size: bool = True) -> bool:
         raise TypeError(
             "meshes: expected all of one kind, got Mesh and UVMesh; Mesh.load, or UVMesh.load, reads all files"
         )
-    if isinstance(meshes[0], UVMesh):
-        for i, mesh in enumerate(meshes):
-            if mesh.faces.dim() != 2 or mesh.vertices.dim() != 2:
-                raise ValueError(f"meshes[{i}]: expected one mesh, got a batch")
-        return True
-    sizes = sorted({mesh.texture_size for mesh in meshes})
-    if of_one_size and len(sizes) > 1:
-        raise ValueError(f"meshes: expected textures of one size, got {' and '.join(map(str, sizes))}")
-    return False
+    if not isinstance(meshes[0], UVMesh):
+        return False
+    for i, mesh in enumerate(meshes):
+        if mesh.faces.dim() != 2 or mesh.vertices.dim() != 2:
+            raise ValueError(f"meshes[{i}]: expected one mesh, got a batch")
+    return True
 
 
 def _together(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]], dict[str, Any]]:

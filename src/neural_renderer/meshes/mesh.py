@@ -10,10 +10,10 @@ import torch
 from torch import Tensor, nn
 
 from .. import validate
-from ..io.cubes import bake_corners, noise_cubes, white_cubes
+from ..io.cubes import bake_corners, check_size, noise_cubes, white_cubes
 from ..io.files import as_tensor
-from ..io.formats import load_mesh
-from ..io.mesh_writer import save_mesh
+from ..io.formats import load_mesh, read_trimesh
+from ..io.mesh_writer import as_trimesh, save_mesh
 from ..io.obj import load_obj
 from ..raster.ops.corners import gather_corners
 from . import primitives
@@ -172,6 +172,42 @@ class Mesh(nn.Module):
         return mesh.normalize() if normalize else mesh
 
     @classmethod
+    def from_trimesh(cls, mesh: Any, texture_size: int = 4) -> Mesh:
+        """Convert a mesh of trimesh with its colours, or white if it has none. `UVMesh.from_trimesh` keeps images.
+
+        Args:
+            mesh: ``trimesh.Trimesh``, or a ``Scene``, whose meshes are transformed and joined.
+            texture_size: T, texels along a cube's edge, ≥ 1, into which colours and images are baked.
+
+        Returns:
+            The mesh, on the CPU, with all vertices in order.
+
+        Raises:
+            TypeError, ValueError: It is no such mesh, or has no faces or bad numbers.
+
+        Example:
+            >>> import trimesh
+            >>> nr.Mesh.from_trimesh(trimesh.creation.box(), texture_size=1)
+            Mesh(8 vertices, 12 faces, textures of 1³, cpu)
+        """
+        vertices, faces, surface = read_trimesh(mesh)
+        check_size(len(faces), texture_size)
+        textures = None if surface is None else torch.from_numpy(surface.bake(texture_size, pixel_centers=True))
+        return cls(vertices, faces, textures, texture_size)
+
+    def to_trimesh(self) -> Any:
+        """Convert the mesh to a ``trimesh.Trimesh`` with the same vertices and faces, and a colour for each vertex.
+
+        Returns:
+            The mesh of trimesh. A colour is the mean of the textures of the faces around the vertex, at that corner.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).to_trimesh()
+            <trimesh.Trimesh(vertices.shape=(162, 3), faces.shape=(320, 3))>
+        """
+        return as_trimesh(self.vertices, self.faces, self.cubes())
+
+    @classmethod
     def fromobj(
         cls,
         filename_obj: str | os.PathLike[str],
@@ -290,6 +326,36 @@ class Mesh(nn.Module):
             >>> nr.Mesh.icosphere(2).save("sphere.glb")
         """
         save_mesh(path, self.vertices, self.faces, self.cubes(), overwrite=overwrite)
+
+    def replace(self, **tensors: Any) -> Mesh:
+        """Copy the mesh, with some of its tensors exchanged, to move vertices without losing gradients.
+
+        Args:
+            **tensors: "vertices", "faces", and "textures", "vertex_colors" or "face_colors", as for the class.
+
+        Returns:
+            The copy. It shares the other tensors, parameters too.
+
+        Raises:
+            TypeError, ValueError: A name is none of these, or the tensors do not fit together.
+
+        Example:
+            >>> mesh, offset = nr.Mesh.icosphere(2), torch.zeros(162, 3, requires_grad=True)
+            >>> moved = mesh.replace(vertices=mesh.vertices + offset)
+            >>> nr.render(moved, camera, 32).alpha.sum().backward()
+            >>> offset.grad.shape
+            torch.Size([162, 3])
+        """
+        names = ("vertices", "faces", *_COLORS)
+        for name in tensors:
+            if name not in names:
+                raise TypeError(f"{name}: expected some of {', '.join(names)}")
+        own: dict[str, Any] = {"vertices": self.vertices, "faces": self.faces}
+        if not any(name in tensors for name in _COLORS):
+            own[self._colored] = getattr(self, self._colored)
+        return Mesh(**{**own, **tensors}, texture_size=self.texture_size)
+
+    __replace__ = replace  # `copy.replace` of Python 3.13 and later
 
     def normalize(self) -> Mesh:
         """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.

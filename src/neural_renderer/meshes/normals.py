@@ -82,5 +82,7 @@ def _corners(points: Tensor, faces: Tensor) -> Tensor:
 
 def _in_range(corners: Tensor, dims: tuple[int, ...]) -> Tensor:
     """Scale large corners down, by one factor over ``dims``, so that squared areas do not overflow."""
-    largest = corners.detach().abs().amax(dims, keepdim=True) if corners.numel() else corners.new_ones(())
+    if not all(corners.shape[dim] for dim in dims):
+        return corners
+    largest = corners.detach().abs().amax(dims, keepdim=True)
     return corners / (largest / LARGE).clamp(min=1)

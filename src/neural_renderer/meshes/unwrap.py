@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from .. import validate
+from ..io.files import import_library
 from ..raster.rasterize import rasterize_images
 from ..textures.gutters import pull_push
 from .mesh import Mesh
@@ -23,7 +24,7 @@ _SAMPLES = 2  # samples of a texel along each axis
 def unwrap(mesh: Mesh, size: int = 1024, *, gutter: int = 4, uv: Tensor | None = None) -> UVMesh:
     """Unwrap a mesh into charts, and bake its texture cubes into one image.
 
-    The library xatlas makes the charts (the extra "unwrap"; there is no wheel for Python 3.14). The texels between them
+    The library xatlas makes the charts (pip install xatlas; there is no wheel for Python 3.14). The texels between them
     continue the colours of the charts, so that bilinear filters and mipmaps draw no seams.
 
     Args:
@@ -95,13 +96,8 @@ def bake(textures: Tensor, uv: Tensor, size: int) -> Tensor:
 
 
 def load_xatlas() -> Any:
-    """Import xatlas; raise ModuleNotFoundError with the command that installs it."""
-    try:
-        import xatlas
-    except ModuleNotFoundError:
-        install = "pip install 'neural-renderer[unwrap]'"
-        raise ModuleNotFoundError(f"expected xatlas to be installed to make charts ({install})") from None
-    return xatlas
+    """Import xatlas."""
+    return import_library("xatlas", "to make charts")
 
 
 def chart_coordinates(vertices: Tensor, faces: Tensor, size: int, gutter: int) -> Tensor:

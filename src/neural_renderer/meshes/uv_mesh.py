@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from torch.nn import functional
 from .. import validate
 from ..constants import read_once
 from ..io.files import as_tensor
-from ..io.formats import read_mesh
+from ..io.formats import read_mesh, read_trimesh
+from ..io.images import as_image
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
 from ..raster.visible import VisibleFaces
@@ -39,7 +41,7 @@ class UVMesh:
     A mesh keeps the tensors that it is given, with their gradients. To optimise it, call `trainable`: the copy has
     tensors of its own that receive gradients. The same holds for `Mesh`.
 
-    `render` and `fragments` draw it, and what takes a `Mesh` takes it, too; ``dataclasses.replace`` replaces a tensor.
+    `render` and `fragments` draw it, and what takes a `Mesh` takes it, too; `replace` exchanges a tensor.
     `batch` of several is a UVMesh whose vertices, faces and attributes of faces have a leading dimension [B, …]; it is
     for drawing only.
 
@@ -155,8 +157,35 @@ class UVMesh:
             >>> nr.UVMesh.load("sphere.obj").uv.shape
             torch.Size([320, 3, 2])
         """
-        grey = validate.number("grey", grey)
         vertices, faces, surface, _ = read_mesh(path, allow_outside, materials=True)
+        return cls._of_surface(vertices, faces, surface, validate.number("grey", grey))
+
+    @classmethod
+    def from_trimesh(cls, mesh: Any, grey: float = 1.0) -> UVMesh:
+        """Convert a mesh of trimesh with its colours, or its image and texture coordinates.
+
+        `Mesh.to_trimesh` is the way back; files have images, too: ``trimesh.load`` of a GLB that `save` wrote.
+
+        Args:
+            mesh: ``trimesh.Trimesh``, or a ``Scene``, whose meshes are transformed and joined.
+            grey: Colour of a mesh without colours, in [0, 1].
+
+        Returns:
+            The mesh, on the CPU, with all vertices in order. Of materials it has the base colour.
+
+        Raises:
+            TypeError, ValueError: It is no such mesh, or has no faces or bad numbers.
+
+        Example:
+            >>> import trimesh
+            >>> nr.UVMesh.from_trimesh(trimesh.creation.box())
+            UVMesh(8 vertices, 12 faces, 0 images, cpu)
+        """
+        return cls._of_surface(*read_trimesh(mesh), validate.number("grey", grey))
+
+    @classmethod
+    def _of_surface(cls, vertices: np.ndarray, faces: np.ndarray, surface: SurfaceColors | None, grey: float) -> UVMesh:
+        """Make a mesh of what `read_mesh` returns; ``grey`` is the colour of one without colours."""
         surface = surface or SurfaceColors.plain(len(faces), grey)
         if not surface.has_colors:
             surface.colors[:] = grey
@@ -260,7 +289,7 @@ class UVMesh:
                 found = [one for one in _FLOATING if getattr(self, one) is not None]
                 raise ValueError(f"names: expected some of {', '.join(found)}, got {name!r}")
             own[name] = tuple(map(_leaf, value)) if isinstance(value, (tuple, list)) else _leaf(value)
-        return replace(self, **own)
+        return self.replace(**own)
 
     def parameters(self) -> Iterator[Tensor]:
         """Iterate over the tensors that receive gradients, as `torch.nn.Module.parameters` does; see `trainable`.
@@ -309,6 +338,29 @@ class UVMesh:
         albedo = sampled_albedo(fragments, self.uv, self.image_index, self.colors, self.images, self.wraps)
         return tinted_by_materials(albedo, self.materials, self.material_index, fragments.face_index)
 
+    def replace(self, **parts: Any) -> UVMesh:
+        """Copy the mesh, with some of its attributes exchanged, to move vertices without losing gradients.
+
+        Args:
+            **parts: Attributes by their names.
+
+        Returns:
+            The copy. It shares the other tensors.
+
+        Raises:
+            TypeError, ValueError: A name is not that of an attribute, or the parts do not fit together.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("sphere.obj")
+            >>> mesh = nr.UVMesh.load("sphere.obj")
+            >>> offset = torch.zeros_like(mesh.vertices, requires_grad=True)
+            >>> moved = mesh.replace(vertices=mesh.vertices + offset)
+            >>> nr.render(moved, camera, 32).alpha.sum().backward()
+            >>> offset.grad.shape == mesh.vertices.shape
+            True
+        """
+        return dataclasses.replace(self, **parts)
+
     def normalize(self) -> UVMesh:
         """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
 
@@ -323,7 +375,7 @@ class UVMesh:
             >>> nr.UVMesh.load("sphere.obj").normalize().vertices.max().item()
             1.0
         """
-        return replace(self, vertices=centered(self.vertices).float())
+        return self.replace(vertices=centered(self.vertices).float())
 
     def submesh(self, index: Any) -> UVMesh:
         """Take some of the faces, with their texture coordinates and the vertices that they use.
@@ -345,7 +397,7 @@ class UVMesh:
         kept = chosen_faces(index, self.faces)
         rows, faces = used_vertices(self.faces[kept])
         own = {name: value[kept] for name in _FACE_ATTRIBUTES if (value := getattr(self, name)) is not None}
-        return replace(self, vertices=self.vertices[rows], faces=faces, **own)
+        return self.replace(vertices=self.vertices[rows], faces=faces, **own)
 
     def merge_vertices(self, tolerance: float = 0.0) -> UVMesh:
         """Merge vertices in the same place, so that adjacent faces share them; texture coordinates stay as they are.
@@ -367,7 +419,7 @@ class UVMesh:
             torch.Size([8, 3])
         """
         rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
-        return replace(self, vertices=self.vertices[rows], faces=faces)
+        return self.replace(vertices=self.vertices[rows], faces=faces)
 
     def subdivide(self, levels: int = 1, scheme: str = "midpoint") -> UVMesh:
         """Split each face into four, with its texture coordinates, colours and materials.
@@ -395,7 +447,7 @@ class UVMesh:
             for name in {"normals", "tangents"} & set(own):
                 unit = functional.normalize(own[name][..., :3], dim=-1)
                 own[name] = None if scheme == "loop" else torch.cat((unit, own[name][..., 3:].sign()), -1)
-            mesh = replace(mesh, vertices=vertices, faces=faces, **own)
+            mesh = mesh.replace(vertices=vertices, faces=faces, **own)
         return mesh
 
     def resized(self, side: int) -> UVMesh:
@@ -418,7 +470,7 @@ class UVMesh:
         size = (validate.whole("side", side, 1),) * 2
         images = [image.movedim(2, 0)[None] for image in self.images]
         resized = [functional.interpolate(image, size, mode="bilinear", antialias=True) for image in images]
-        return replace(self, images=tuple(image[0].movedim(0, 2).contiguous() for image in resized))
+        return self.replace(images=tuple(image[0].movedim(0, 2).contiguous() for image in resized))
 
     def to(self, device: torch.device | str) -> UVMesh:
         """Copy the mesh to another device.
@@ -439,7 +491,7 @@ class UVMesh:
                 return tuple(map(moved, value))
             return value.to(device) if isinstance(value, (Tensor, Material)) else value
 
-        return replace(self, **{part.name: moved(getattr(self, part.name)) for part in fields(self)})
+        return self.replace(**{part.name: moved(getattr(self, part.name)) for part in fields(self)})
 
     def __repr__(self) -> str:
         sizes = {f"{image.shape[0]} × {image.shape[1]}" for image in self.images if hasattr(image, "shape")}
@@ -500,11 +552,7 @@ def _one_image(vertices: Any, faces: Any, uv: Any, image: Any, wrap: Wrap) -> tu
     """
     vertices = validate.floating("vertices", as_tensor(vertices), ("V", 3)).float()
     faces = validate.indices("faces", as_tensor(faces), ("F", 3)).int()
-    if str(getattr(image, "dtype", "")).endswith("uint8"):  # most likely an image from a file
-        raise TypeError(
-            f"image: expected floating numbers in [0, 1], got {list(image.shape)} uint8; image / 255 has them"
-        )
-    image = as_tensor(image)
+    image = as_image("image", image)
     if isinstance(image, Tensor) and image.ndim == 3 and image.shape[2] == 4:
         raise ValueError(
             f"image: expected [H, W, 3], got {validate.shape_of(image)}; image[..., :3] is without transparency, which "

@@ -18,10 +18,12 @@ from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
 from ..rendering import render
-from .lamp import lamp_direction
+from ..shading.lights import CameraLight
 
 FIRST_AZIMUTH = 145.0
 """Azimuth of the first picture of a turntable in degrees: a front view, turned a little."""
+LAMP = (-0.4305284, 0.7653838, 0.4783649)
+"""Direction of the lamp of pictures, as of `CameraLight`: over the viewer's left shoulder."""
 _BACKDROP_TOP, _BACKDROP_BOTTOM = (0.94, 0.945, 0.955), (0.80, 0.82, 0.85)
 _AMBIENT, _SKY, _DIFFUSE = 0.34, 0.20, 0.62  # light from everywhere, from above, and from the lamp
 _WRAP = 0.25  # cosine by which the lamp's light reaches beyond the terminator
@@ -60,7 +62,7 @@ def photograph(
     size = (size, size) if isinstance(size, int) else size
     eye = torch.tensor(get_points_from_angles(distance, elevation, azimuth), device=mesh.vertices.device)
     camera = Camera.look_at(eye, viewing_angle=viewing_angle)
-    lamp, forward = lamp_direction(camera), camera.rotation[0, 2]
+    lamp, forward = CameraLight(direction=LAMP).at(camera).direction[0], camera.rotation[0, 2]
 
     images = render(mesh, camera, size, light=None, outputs=("rgb", "alpha"))
     fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size)
@@ -108,14 +110,19 @@ def _backdrop(size: tuple[int, int]) -> Tensor:
 def _shadow(mesh: Mesh | UVMesh, camera: Camera, lamp: Tensor, ground: float, size: tuple[int, int]) -> Tensor:
     """Draw the shadow on the ground, [H, W] in [0, 1]: the mesh projected along the light, then blurred.
 
-    The shadow fades out towards the border, because a sheet of pictures would show its end as a line.
+    It is drawn at half the size, because the blur leaves nothing finer. It fades out towards the border, because a
+    sheet of pictures would show its end as a line.
     """
     steep = F.normalize(lamp * lamp.new_tensor([1.0, _SHADOW_STEEPNESS, 1.0]), dim=0)
     flat = mesh.vertices - (mesh.vertices[:, 1:2] - ground) / steep[1] * steep
-    shadow = render((flat, mesh.faces), camera, size, outputs="alpha").alpha[None]
-    radius = max(int(size[0] * _SHADOW_BLUR), 1)
+    half = max(size[0] // 2, 1), max(size[1] // 2, 1)
+    shadow = render((flat, mesh.faces), camera, half, outputs="alpha").alpha[:, None]
+    radius = max(int(half[0] * _SHADOW_BLUR), 1)
     for _ in range(3):  # three box blurs are close to a Gaussian
-        shadow = F.avg_pool2d(F.pad(shadow, [radius] * 4, mode="replicate"), 2 * radius + 1, stride=1)
+        shadow = F.pad(shadow, [radius] * 4, mode="replicate")
+        for window in ((2 * radius + 1, 1), (1, 2 * radius + 1)):
+            shadow = F.avg_pool2d(shadow, window, stride=1)
+    shadow = F.interpolate(shadow, size, mode="bilinear", align_corners=False)
     across, down = (((0.5 - (torch.linspace(0, 1, n) - 0.5).abs()) / _SHADOW_FADE).clamp(max=1) for n in size[::-1])
     border = (down[:, None] * across).to(shadow)
     return shadow[0, 0] * border * border * (3 - 2 * border)

@@ -6,10 +6,12 @@ import reprlib
 from typing import Any
 
 import torch
+from PIL import Image
 from torch import Tensor
 
 from .. import validate
 from ..constants import constant
+from ..io.images import as_image
 from .settings import Settings
 
 
@@ -25,8 +27,8 @@ def background_image(
 
     Args:
         background: Number; colour [C] or [B, C]; or image [C, height, width] or [height, width, C], or a batch of them,
-            of the size that is returned. What fits both has its channels first. Array-likes are converted. uint8 is
-            refused: its numbers are in [0, 255].
+            of the size that is returned. What fits both has its channels first. Array-likes and images of Pillow are
+            converted. uint8 is refused: its numbers are in [0, 255].
 
     Returns:
         [1 or B, C, 1 or H, 1 or W] of ``dtype``, with H and W twice the returned size under anti-aliasing.
@@ -36,6 +38,8 @@ def background_image(
     height, width = settings.height, settings.width
     if str(getattr(background, "dtype", "")).endswith("uint8"):  # most likely an image from a file
         raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")
+    if isinstance(background, Image.Image):
+        background = as_image("background", background)
     if not isinstance(background, Tensor):
         try:
             known = constant(background, dtype, device)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -15,6 +16,19 @@ from .colors.texture_cubes import sample_textures
 from .visible import VisibleFaces
 
 
+@dataclass(frozen=True, eq=False)
+class PackedCubes:
+    """Texture cubes, or colours of corners, of B meshes one after the other, for different numbers of faces.
+
+    Attributes:
+        cubes: [N, T, T, T, 3] or [N, 3, 3] floating, N the sum of the meshes' numbers of faces.
+        firsts: Where the cubes of each mesh begin, and N, [B + 1] int32.
+    """
+
+    cubes: Tensor
+    firsts: Tensor
+
+
 def cube_colors(
     visible: VisibleFaces, textures: Any, light: Tensor | None, background: Any, of_vertices: bool = False
 ) -> tuple[Tensor, Callable[[], Tensor] | None]:
@@ -22,7 +36,7 @@ def cube_colors(
 
     Args:
         textures: Cubes [B or 1, F, T, T, T, 3] floating; T = 1 is one colour per face. Or colours of the faces'
-            corners, [B or 1, F, 3, 3] floating.
+            corners, [B or 1, F, 3, 3] floating. Or either of them packed.
         light: Factors [B or 1, 2, F, 3] on the front and the back of each face; None for 1.
         background: As in `background_image`.
         of_vertices: Whether faces that share a vertex have the same colour there.
@@ -34,13 +48,14 @@ def cube_colors(
     Raises TypeError for another dtype, and ValueError for another shape or device, or for NaN and infinity.
     """
     corners, settings = visible.corners, visible.settings
+    firsts = textures.firsts if isinstance(textures, PackedCubes) else None
     cubes, factors, behind = checked_colors(visible, textures, light, background, torch.float32)
     inside = corners if settings.gradient.differentiates_inside else corners.detach()
-    options = (settings.eps, settings.perspective, *settings.drawn_strip)
-    rgb = sample_textures(cubes, factors, behind, inside, visible.face_index, *options)
+    options = (visible.face_index, settings.eps, settings.perspective, firsts, *settings.drawn_strip)
+    rgb = sample_textures(cubes, factors, behind, inside, *options)
     if of_vertices and light is None and visible.rings is not None and visible.rings.alone == 0:
         return rgb, None
-    return rgb, lambda: texture_edge_hashes(cubes, factors)
+    return rgb, lambda: texture_edge_hashes(cubes, factors, firsts)
 
 
 def checked_colors(
@@ -49,11 +64,16 @@ def checked_colors(
     """Check what `cube_colors` takes, and convert it to what `sample_textures` takes, in a dtype.
 
     Returns:
-        Textures as they are given, light [B or 1, 2, F, 3], background [B, 3, H, W].
+        Textures as they are given, or [1, N, ...] of packed ones, light [B or 1, 2, F, 3], background [B, 3, H, W].
     """
     batch, count = visible.corners.shape[:2]
     device = visible.corners.device
-    cubes = _fitting_textures(textures, batch, count, device).to(dtype)
+    if isinstance(textures, PackedCubes):
+        cubes = _fitting_textures(textures.cubes[None], 1, len(textures.cubes), device).to(dtype)
+        if len(textures.firsts) != batch + 1:
+            raise ValueError(f"mesh: expected a list of {batch} meshes like cameras, got {len(textures.firsts) - 1}")
+    else:
+        cubes = _fitting_textures(textures, batch, count, device).to(dtype)
     factors = _checked_light(light, batch, count, device).to(dtype)
     behind = background_image(background, batch, 3, visible.settings, device, dtype)
     return cubes, factors, behind.expand(batch, 3, *visible.face_index.shape[1:])

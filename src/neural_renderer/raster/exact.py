@@ -36,14 +36,14 @@ def _(values: Tensor) -> Tensor:
     return values.new_empty(values.shape, dtype=torch.float64)
 
 
-def _refuse(ctx: Any, grad: Tensor) -> NoReturn:
+def _refuse(ctx: Any, grad: Any) -> NoReturn:
     raise RuntimeError(
         "dtype=torch.float64: expected vertices and cameras that need no gradient, got one to compute; drawing in "
         "float64 has none through visibility (use float32 for them, or detach them)"
     )
 
 
-differentiable(fixed, _refuse)
+differentiable(fixed, _refuse, None, _refuse)
 
 
 def exact_images(

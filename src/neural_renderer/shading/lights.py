@@ -10,16 +10,17 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..camera import Camera
 from ..camera.parameters import Array, Scalar, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
 from ..raster.faces import corner_indices, world_corners
 from ..raster.ops.flat_light import flat_light
-from ..raster.warp.registration import is_plain
+from ..raster.warp.registration import is_eager, is_plain
 
 
 @runtime_checkable
-class AnyLight(Protocol):
-    """A light on faces: `Light`, `SphericalHarmonicLight`, …, or any object with this method."""
+class FaceLight(Protocol):
+    """A light on whole faces, for `shading="flat"`: `Light`, `SphericalHarmonicLight`, …."""
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
         """Compute the light on both sides of each face, [B, 2, F, 3]; see `Light.two_sided`."""
@@ -44,6 +45,7 @@ class Ambience(Protocol):
         """Compute the light on matt surfaces or in blurred reflections; see `Light.ambience`."""
 
 
+AnyLight: TypeAlias = FaceLight | Beam | Ambience
 _Converted: TypeAlias = tuple[torch.dtype, torch.device, tuple[Tensor, Tensor, Tensor]]
 _WHITE = (1.0, 1.0, 1.0)
 _UP = (0.0, 1.0, 0.0)
@@ -200,7 +202,52 @@ class Light:
             yield from value if isinstance(value, tuple) else (value,)
 
 
-def pixel_lights(lights: Sequence[object]) -> None:
+@dataclass(frozen=True, eq=False)
+class CameraLight:
+    """Ambient light, and directional light that goes with the camera: the default of `render`.
+
+    Attributes:
+        ambient: Ambient intensity: number, or tensor [] or [B].
+        directional: Directional intensity: number, or tensor [] or [B].
+        direction: [3] or [B, 3], towards the light, along the camera's right, up and **backward** axes; its length
+            scales the light. The default comes over the viewer's left shoulder, so that no visible face is dark.
+
+    Raises:
+        TypeError, ValueError: In drawing, a parameter that does not fit.
+
+    Example:
+        >>> images = nr.render(mesh, camera, light=nr.CameraLight(direction=(0.0, 0.0, 1.0)))  # a headlight
+    """
+
+    ambient: Scalar = 0.4
+    directional: Scalar = 0.65
+    direction: Array = (-0.4, 0.6, 0.6928)
+
+    def at(self, camera: Camera) -> Light:
+        """Make the light of cameras in the world; gradients flow to the cameras.
+
+        Args:
+            camera: B cameras.
+
+        Returns:
+            Light for B images.
+
+        Raises:
+            TypeError, ValueError: The direction does not fit.
+
+        Example:
+            >>> nr.CameraLight(direction=(0.0, 1.0, 0.0)).at(nr.Camera.look_at((0.0, 0.0, -2.5))).direction
+            tensor([[0., 1., 0.]])
+        """
+        axes = camera.axes
+        direction = parameter("direction", self.direction, (3,), axes.dtype, axes.device, shared=True).reshape(-1, 3)
+        batch_size(direction=len(direction), camera=len(axes))
+        right, up, forward = axes.unbind(1)
+        x, y, z = direction[..., None].unbind(1)
+        return Light(self.ambient, self.directional, direction=x * right + y * up - z * forward)
+
+
+def pixel_lights(lights: Sequence[Any]) -> None:
     """Raise TypeError unless all lights can light pixels, by `Beam` or `Ambience`."""
     for light in lights:
         if not isinstance(light, (Beam, Ambience)) or isinstance(light, type):
@@ -210,7 +257,31 @@ def pixel_lights(lights: Sequence[object]) -> None:
             )
 
 
-def light_factors(lights: Sequence[AnyLight], vertices: Tensor, faces: Tensor, images: int, mirrored: bool) -> Tensor:
+def checked_lights(light: Any, flat: bool) -> list[Any]:
+    """Return the lights of an argument of `render` as a list; TypeError, ValueError: one does not fit the shading.
+
+    ``flat``: They light whole faces; otherwise pixels.
+    """
+    lights = list(light) if isinstance(light, (list, tuple)) else [] if light is None else [light]
+    for one in lights:
+        kind = type(one).__name__
+        if not isinstance(one, (FaceLight, Beam, Ambience, CameraLight)) or isinstance(one, type):
+            raise TypeError(
+                f"light: expected a Light, PointLight, …, a list of them or None, got {kind}, without a method beam, "
+                f"ambience or two_sided"
+            )
+        if flat and not isinstance(one, (FaceLight, CameraLight)):
+            raise TypeError(
+                f'light: expected a method two_sided for shading="flat", got {kind}; shading="smooth" draws it'
+            )
+    if light is not None and not lights:
+        raise ValueError("light: expected at least one, got an empty list; None draws the textures as they are")
+    if not flat:
+        pixel_lights([one for one in lights if not isinstance(one, CameraLight)])
+    return lights
+
+
+def light_factors(lights: Sequence[FaceLight], vertices: Tensor, faces: Tensor, images: int, mirrored: bool) -> Tensor:
     """Add up the light on both sides of faces, as `Light.two_sided`; for callers with first derivatives only.
 
     Args:
@@ -219,7 +290,7 @@ def light_factors(lights: Sequence[AnyLight], vertices: Tensor, faces: Tensor, i
         images: Number of images B.
     """
     points = vertices if vertices.dim() == 3 else vertices[None]
-    is_simple = points.dtype == torch.float32 and is_plain((points,))
+    is_simple = points.dtype == torch.float32 and is_eager((points,))
     corners: Tensor | None = None
     several = []
     for light in lights:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy import sparse
 from torch import Tensor
 
 from .. import validate
+from ..io.cubes import trilinear_texels
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +73,26 @@ class Texels:
         mixed = torch.einsum("gl,flc->fgc", self.weights, own)
         return mixed.reshape(len(own), *(self.size,) * 3, values.shape[1])
 
+    def read(self, faces: np.ndarray, weights: np.ndarray, margin: float) -> sparse.csr_array:
+        """Express the colours that the renderer reads at points as a sparse matrix [N, count], times the values.
+
+        Faces [N] and barycentric weights [N, 3] tell the points; ``margin`` is the ``eps`` of `render`.
+        """
+        texels, shares = trilinear_texels(weights, self.size, margin)
+        rows = np.arange(0, texels.size + 1, 8)
+        blend = sparse.csr_array((shares.ravel(), texels.ravel(), rows), shape=(len(texels), self.size**3))
+        local = blend @ sparse.csr_array(self.weights.cpu().numpy())  # [N, L]
+        columns = self.index.cpu().numpy()[np.repeat(faces, np.diff(local.indptr)), local.indices]
+        return sparse.csr_array((local.data, columns, local.indptr), shape=(len(texels), self.count))
+
     def edges(self) -> Tensor:
         """List pairs of texels that are neighbours on the lattice of a face, [E, 2] int64, each once."""
         points = _lattice(self.size - 1)
         distance = (points[:, None] - points).abs().sum(2)  # 2: one step along an edge of the lattice
         sides = torch.nonzero((distance == 2).triu()).to(self.index.device)
-        return torch.unique(self.index[:, sides].reshape(-1, 2).sort(1).values, dim=0)
+        low, high = self.index[:, sides].reshape(-1, 2).sort(1).values.unbind(1)
+        pair = torch.unique(low * self.count + high)  # of one number: much faster than of rows
+        return torch.stack((pair // self.count, pair % self.count), 1)
 
     def from_cubes(self, cubes: Tensor) -> Tensor:
         """Compute values [count, C] that approximate texture cubes [F, T, T, T, C]: means over the faces of a texel."""

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from .. import validate
 from ..constants import read_once
+from ..io.images import as_image
 from ..io.surface_colors import FileTexture
 from ..one_line import OneLine
 from ..raster.warp.registration import is_plain
@@ -49,6 +50,7 @@ class Texture(OneLine):
     uv_set: int = 0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "image", as_image("image", self.image))
         validate.floating("image", self.image, ("H", "W", "C"))
         if not self.image.numel():
             raise ValueError(f"image: expected at least one pixel, got {validate.shape_of(self.image)}")

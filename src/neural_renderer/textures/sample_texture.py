@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from ..raster.colors.mipmaps import kept_pyramid, sample_mipmaps
+from ..raster.colors.mipmaps import all_levels, kept_pyramid, sample_mipmaps
 
 WRAPS = ("repeat", "clamp", "mirror")
 
@@ -17,7 +17,14 @@ Wrap: TypeAlias = str | tuple[str, str]
 
 
 @validate.checked_together
-def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None, *, wrap: Wrap = "repeat") -> Tensor:
+def sample_texture(
+    texture: Tensor,
+    uv: Tensor,
+    face_index: Tensor | None = None,
+    *,
+    wrap: Wrap = "repeat",
+    max_mip_level: int | None = None,
+) -> Tensor:
     """Sample a texture image at texture coordinates.
 
     With ``face_index``, filtering is trilinear: the mipmap level follows from the difference of uv between adjacent
@@ -32,6 +39,8 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
             negative.
         wrap: "repeat" repeats the image beyond [0, 1], "clamp" extends its border, "mirror" repeats the image and its
             mirror image in turn. A pair holds one for u and one for v.
+        max_mip_level: The smallest mipmap has 2^-max_mip_level of the image's sides, ≥ 0, so that the parts of an atlas
+            do not blend. None allows all, down to one texel.
 
     Returns:
         [B, H, W, C] float32, differentiable in ``texture`` and ``uv``. Level selection is not differentiated.
@@ -59,10 +68,13 @@ def sample_texture(texture: Tensor, uv: Tensor, face_index: Tensor | None = None
         raise ValueError(f"texture: expected at least one texel and channel, got {validate.shape_of(texture)}")
     validate.finite("texture", image)
     validate.finite("uv", uv if face_index is None else torch.where(face_index[..., None] < 0, 0.0, uv))
-    return sampled(image, uv, face_index, wrap)
+    most = None if max_mip_level is None else validate.whole("max_mip_level", max_mip_level, 0)
+    return sampled(image, uv, face_index, wrap, most)
 
 
-def sampled(image: Tensor, uv: Tensor, face_index: Tensor | None, wrap: Wrap) -> Tensor:
+def sampled(
+    image: Tensor, uv: Tensor, face_index: Tensor | None, wrap: Wrap, max_mip_level: int | None = None
+) -> Tensor:
     """Apply `sample_texture` to valid arguments: image [B or 1, h, w, C] float32, uv float32."""
     height, width = image.shape[1:3]
     wraps = wrap_pair(wrap)
@@ -73,9 +85,10 @@ def sampled(image: Tensor, uv: Tensor, face_index: Tensor | None, wrap: Wrap) ->
     repeats = [one == "repeat" for one in wraps]
     if face_index is None:
         face_index = torch.zeros(uv.shape[:3], dtype=torch.int32, device=uv.device)
-        return sample_mipmaps(image.flatten(1, 2), height, width, uv, face_index, False, *repeats)
-    texels = kept_pyramid(image)
-    return sample_mipmaps(texels, height, width, uv, face_index.int(), True, *repeats)
+        return sample_mipmaps(image.flatten(1, 2), height, width, uv, face_index, 1, *repeats)
+    levels = all_levels(height, width)
+    levels = levels if max_mip_level is None else min(levels, max_mip_level + 1)
+    return sample_mipmaps(kept_pyramid(image, levels), height, width, uv, face_index.int(), levels, *repeats)
 
 
 def checked_wrap(wrap: Any) -> Wrap:

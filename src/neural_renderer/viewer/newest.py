@@ -39,6 +39,7 @@ class Newest:
         self._copies: dict[str, Snapshot] = {}
         self._early: dict[str, Any] = {}
         self._next = 0.0  # time of the next copy
+        self._left_out: tuple[tuple[int, str], Callable[[], Mapping[str, Any]]] | None = None
         self.frame = (0, "")
         self.is_hurried = False
 
@@ -58,10 +59,20 @@ class Newest:
 
     def observe(self, frame: tuple[int, str], meshes: Callable[[], Mapping[str, Any]], always: bool) -> None:
         """Make and copy the meshes of a step, if it is time, or ``always``."""
-        if always or time.monotonic() >= self._next:
-            with self._lock:
-                self.frame = frame
-            self._copy(meshes)
+        if not always and time.monotonic() < self._next:
+            self._left_out = frame, meshes
+            return
+        self._left_out = None
+        with self._lock:
+            self.frame = frame
+        self._copy(meshes)
+
+    def finish(self) -> None:
+        """Copy what came too early, the last step, too: the work is over. To be called in its thread."""
+        self.is_hurried = True
+        if self._left_out is not None:
+            self.observe(*self._left_out, always=True)
+        self.catch_up()
 
     def catch_up(self) -> None:
         """Copy the meshes that came too early. A warning tells which one has faces that do not fit its vertices."""

@@ -11,12 +11,11 @@ from typing import Any
 
 from ..camera import Camera
 from ..io.files import reason
+from ..io.formats import MESH_SUFFIXES
 from ..meshes.uv_mesh import UVMesh
 from ..tasks.fit import Views, load_photo, load_views
 from .records.replay import Record, is_record
 
-MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
-"""Suffixes of mesh files."""
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 _MOST_MESHES, _MOST_PICTURES = 12, 200
 _GREY = 0.5  # grey of meshes without colours
@@ -74,7 +73,7 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     results = Results()
     report = _read_report(folder / "report.json", results)
-    found = [path for path in files if path.suffix.lower() in MESHES]
+    found = [path for path in files if path.suffix.lower() in MESH_SUFFIXES]
     stems = {path.stem for path in found if path.suffix.lower() == ".glb"}  # commands write a mesh as OBJ and GLB
     found = [path for path in found if path.suffix.lower() == ".glb" or path.stem not in stems]
     if len(found) > _MOST_MESHES:

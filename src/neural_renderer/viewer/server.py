@@ -6,6 +6,7 @@ import contextlib
 import errno
 import io
 import ipaddress
+import logging
 import socket
 import sys
 import threading
@@ -16,7 +17,7 @@ from urllib.parse import urlsplit
 
 import rich
 
-from ..io.files import warn
+from ..io.files import import_library, warn
 
 if TYPE_CHECKING:
     import viser
@@ -26,6 +27,9 @@ _PORTS = 100  # most ports that are tried
 _NOT_HERE = (errno.EADDRNOTAVAIL,)
 _THEME = (43, 90, 140)  # RGB of buttons
 _STARTING = threading.Lock()
+_QUIET = logging.getLogger(f"{__name__}.requests")  # malformed requests are the senders' matter, not the terminal's
+_QUIET.addHandler(logging.NullHandler())
+_QUIET.propagate = False
 
 
 def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, str]:
@@ -34,7 +38,7 @@ def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, s
     ModuleNotFoundError: viser is not installed. OSError: the host is unknown, or no port is free. A warning tells that
     the port is another one, or that the page is open to other machines. ``label`` is the title of the page's panel.
     """
-    viser = _import_viser()
+    viser = import_library("viser", "for the viewer")
     free = _free_port(host, port)
     thread = threading.get_ident()
     with _without_output(lambda _: threading.get_ident() == thread), _own_pages_only(_is_loopback(host)):  # a table
@@ -119,8 +123,9 @@ def _own_pages_only(is_local: bool) -> Iterator[None]:
                     return connection.respond(HTTPStatus.FORBIDDEN, "pages of other servers may not connect\n")
                 return None if process_request is None else process_request(connection, request)
 
-            is_viser = str(handler.__module__).startswith("viser.")  # another thread may start another server
-            return serve(handler, *args, process_request=process if is_viser else process_request, **options)
+            if not str(handler.__module__).startswith("viser."):  # another thread may start another server
+                return serve(handler, *args, process_request=process_request, **options)
+            return serve(handler, *args, process_request=process, **{"logger": _QUIET, **options})
 
         module.serve = checked  # type: ignore[assignment,misc]
         try:
@@ -155,19 +160,6 @@ def _is_address(name: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _import_viser() -> Any:
-    """Import viser; raise ModuleNotFoundError with the command that installs it."""
-    try:
-        import viser
-    except ModuleNotFoundError as error:
-        if error.name != "viser":
-            raise
-        raise ModuleNotFoundError(
-            "expected viser to be installed for the viewer (pip install 'neural-renderer[view]')", name="viser"
-        ) from None
-    return viser
 
 
 def _free_port(host: str, port: int) -> int:

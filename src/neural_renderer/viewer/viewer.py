@@ -360,9 +360,8 @@ class Viewer:
         Args:
             text: What to tell.
         """
-        self._newest.is_hurried = True
         self._worker.set_share(1.0)
-        self._newest.catch_up()
+        self._newest.finish()
         self._on_page("finish", lambda page: page.finish(text))
 
     def wait(self, for_browser: bool = False) -> None:
@@ -400,7 +399,12 @@ class Viewer:
         self._worker.close()
         if self._page is not None:
             self._page.close()
-        return None if self._recorder is None else self._recorder.write()
+        if self._recorder is None:
+            return None
+        (step, label), meshes = self._newest.all()
+        if meshes:
+            self._recorder.add(step, meshes, label, always=True)
+        return self._recorder.write()
 
     def save_record(self, path: str | os.PathLike[str], *, limit: float = DEFAULT_LIMIT) -> str:
         """Write what is shown now as an HTML file that any browser opens.
@@ -525,7 +529,7 @@ def view(
 
     Raises:
         TypeError, ValueError: An argument is out of range.
-        ModuleNotFoundError: viser is not installed (``pip install 'neural-renderer[view]'``).
+        ModuleNotFoundError: viser is not installed (``pip install viser``).
         OSError: The host is unknown, no port is free, or the record cannot be written.
 
     Example:

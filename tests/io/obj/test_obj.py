@@ -454,7 +454,7 @@ def test_save_without_textures_and_errors(tmp_path):
     with pytest.raises(TypeError, match="textures: expected a dense tensor"):
         save_obj(bad, vertices, faces, torch.ones(len(faces), 2, 2, 2, 3).to_sparse())
     with pytest.raises(TypeError, match="vertices: expected a floating"):
-        save_obj(bad, vertices.tolist(), faces)
+        save_obj(bad, [[0.0, 1.0], [2.0]], faces)
     assert not bad.exists()
 
 

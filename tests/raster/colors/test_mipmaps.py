@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.nn import functional
 
-from neural_renderer.raster.colors.mipmaps import kept_pyramid, level_sizes, pyramid, sample_mipmaps
+from neural_renderer.raster.colors.mipmaps import all_levels, kept_pyramid, level_sizes, pyramid, sample_mipmaps
 from tests.raster.scenes import examples
 from tests.rounding import rounding
 
@@ -35,14 +35,14 @@ def bilinear(image, uv, repeats):
     return result
 
 
-def reference(texels, height, width, uv, face_index, mipmaps, *repeats):
+def reference(texels, height, width, uv, face_index, levels, *repeats):
     """`sample_mipmaps` in float64, pixel by pixel for the level."""
-    sizes = level_sizes(height, width)
+    sizes = level_sizes(height, width)[:levels]
     batch, rows, columns = face_index.shape
     result = []
     for b in range(batch):
         own = texels[min(b, len(texels) - 1)]
-        images = [own[s : s + h * w].T.reshape(-1, h, w) for s, h, w in sizes[: None if mipmaps else 1]]
+        images = [own[s : s + h * w].T.reshape(-1, h, w) for s, h, w in sizes]
         for j in range(rows):
             for i in range(columns):
                 f = int(face_index[b, j, i])
@@ -50,7 +50,7 @@ def reference(texels, height, width, uv, face_index, mipmaps, *repeats):
                     result.append(own.new_zeros(own.shape[1]))
                     continue
                 longest = 0.0
-                for down, right in ((0, 1), (1, 0)) if mipmaps else ():
+                for down, right in ((0, 1), (1, 0)) if levels > 1 else ():
                     for y, x, sign in ((j + down, i + right, 1), (j - down, i - right, -1)):
                         if 0 <= y < rows and 0 <= x < columns and face_index[b, y, x] == f:
                             step = (uv[b, y, x] - uv[b, j, i]).detach() * sign
@@ -72,11 +72,11 @@ def reference(texels, height, width, uv, face_index, mipmaps, *repeats):
     size=st.tuples(st.integers(1, 9), st.integers(1, 9)),
     channels=st.integers(1, 4),
     shared=st.booleans(),
-    mipmaps=st.booleans(),
+    most=st.integers(1, 4),
     repeats=st.tuples(st.booleans(), st.booleans()),
 )
-def test_reference(seed, size, channels, shared, mipmaps, repeats):
-    generator = torch.Generator().manual_seed(seed)
+def test_reference(seed, size, channels, shared, most, repeats):
+    generator, levels = torch.Generator().manual_seed(seed), min(most, all_levels(*size))
     image = torch.rand(1 if shared else 2, channels, *size, generator=generator)
     # Away from the centres of texels, where the slope of the blend jumps.
     uv = (
@@ -88,10 +88,10 @@ def test_reference(seed, size, channels, shared, mipmaps, repeats):
     weight = torch.rand(2, 5, 6, channels, generator=generator)
     results = []
     for dtype in (torch.float32, torch.float64):
-        texels = pyramid(image.to(dtype)) if mipmaps else image.to(dtype).flatten(2).transpose(1, 2)
+        texels = pyramid(image.to(dtype), levels)
         texels, at = texels.detach().requires_grad_(), uv.detach().to(dtype).requires_grad_()
         sample = sample_mipmaps if dtype == torch.float32 else reference
-        colors = sample(texels, *size, at, face_index, mipmaps, *repeats)
+        colors = sample(texels, *size, at, face_index, levels, *repeats)
         (colors * weight).sum().backward()
         results.append((colors.detach(), texels.grad, at.grad))
     # A place is a few roundings of 3 x 9 texels off, which the blend's slopes, up to 9 times the colours, multiply; the
@@ -103,7 +103,7 @@ def test_reference(seed, size, channels, shared, mipmaps, repeats):
 @pytest.mark.parametrize("size", [(8, 8), (5, 9), (1, 7), (1, 1)])
 def test_pyramid(size):
     image = torch.rand(2, 3, *size, generator=torch.Generator().manual_seed(0))
-    texels, sizes = pyramid(image), level_sizes(*size)
+    texels, sizes = pyramid(image, all_levels(*size)), level_sizes(*size)
     assert sizes[-1][1:] == (1, 1) and texels.shape == (2, sizes[-1][0] + 1, 3)
     for before, height, width in sizes:
         level = texels[:, before : before + height * width].transpose(1, 2).reshape(2, 3, height, width)
@@ -113,21 +113,21 @@ def test_pyramid(size):
 
 @pytest.mark.parametrize("repeats", [(True, True), (False, True), (False, False)])
 def test_coordinates_that_are_no_numbers_draw_nothing_out_of_bounds(repeats, device):
-    texels = pyramid(torch.rand(1, 3, 8, 8)).to(device)
+    texels = pyramid(torch.rand(1, 3, 8, 8), 4).to(device)
     uv = torch.tensor([float("nan"), float("inf"), -float("inf"), 1e30], device=device)[None, None, :, None]
     uv = uv.expand(1, 4, 4, 2).contiguous().requires_grad_()
     face_index = torch.zeros(1, 4, 4, dtype=torch.int32, device=device)
-    colors = sample_mipmaps(texels, 8, 8, uv, face_index, True, *repeats)
+    colors = sample_mipmaps(texels, 8, 8, uv, face_index, 4, *repeats)
     colors.sum().backward()
     assert colors.shape == (1, 4, 4, 3)
 
 
 def test_compiles():
-    texels, face_index = pyramid(torch.rand(1, 3, 8, 8)), torch.zeros(1, 4, 4, dtype=torch.int32)
+    texels, face_index = pyramid(torch.rand(1, 3, 8, 8), 4), torch.zeros(1, 4, 4, dtype=torch.int32)
     uv = torch.rand(1, 4, 4, 2)
     torch.library.opcheck(
         torch.ops.neural_renderer.sample_mipmaps.default,
-        (texels.requires_grad_(), 8, 8, uv.requires_grad_(), face_index, True, True, True),
+        (texels.requires_grad_(), 8, 8, uv.requires_grad_(), face_index, 4, True, True),
         test_utils=("test_schema", "test_faketensor"),
     )
 
@@ -135,12 +135,13 @@ def test_compiles():
 def test_kept_mipmaps_are_never_stale():
     image = torch.rand(8, 6, 3)
 
-    def check(image):
-        found = kept_pyramid(image[None])
-        assert torch.equal(found, pyramid(image[None].permute(0, 3, 1, 2)))
+    def check(image, levels=4):
+        found = kept_pyramid(image[None], levels)
+        assert torch.equal(found, pyramid(image[None].permute(0, 3, 1, 2), levels))
         return found
 
     assert check(image) is check(image)
+    assert len(check(image, 2)[0]) == 8 * 6 + 4 * 3  # not those of four levels
     for change in (lambda: image.mul_(2), lambda: image[3].zero_(), lambda: image.data.add_(1)):
         change()  # torch does not count the last one
         assert check(image) is check(image)
@@ -148,11 +149,11 @@ def test_kept_mipmaps_are_never_stale():
     shared[2, 2] = 7
     check(image)
     image[0, 0] = float("nan")
-    assert kept_pyramid(image[None])[0, 0].isnan().all()
+    assert kept_pyramid(image[None], 4)[0, 0].isnan().all()
     image[0, 0] = 0
     # Gradients flow, and what inference mode keeps serves a graph.
     leaf = image.clone().requires_grad_()
-    assert kept_pyramid(leaf[None]).requires_grad
+    assert kept_pyramid(leaf[None], 4).requires_grad
     with torch.no_grad():
         assert not check(leaf).requires_grad
     with torch.inference_mode():
@@ -166,5 +167,5 @@ def test_kept_mipmaps_are_never_stale():
 def test_kept_mipmaps_in_threads():
     images = [torch.full((16, 16, 3), float(n)) for n in range(4)]
     with ThreadPoolExecutor(8) as pool:
-        found = list(pool.map(lambda n: kept_pyramid(images[n % 4][None]), range(200)))
+        found = list(pool.map(lambda n: kept_pyramid(images[n % 4][None], 5), range(200)))
     assert all((texels == n % 4).all() for n, texels in enumerate(found))

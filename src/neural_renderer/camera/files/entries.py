@@ -7,6 +7,7 @@ A file is one camera, or ``{"cameras": [{…}, …]}``. Each has one of
   `Camera.from_matrix`; the default is "opencv"), with ``K`` and so on, ``viewing_angle`` (half, vertical, in degrees),
   or ``"orthographic": true`` and ``scale``;
 - ``clip``, [4, 4], as in `Camera.from_clip`;
+- ``rotation``, ``origin`` and other attributes of `Camera`, as `Camera.save` writes them;
 - ``eye``, ``direction``, ``up`` and ``viewing_angle``, as in `Camera.look` and in ``report.json`` of fit; or ``at`` in
   place of ``direction``, as in `Camera.look_at`; without either, the camera looks at the origin.
 
@@ -15,17 +16,23 @@ A file is one camera, or ``{"cameras": [{…}, …]}``. Each has one of
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
+
+import torch
+from torch import Tensor
 
 from ...io.files import short
 from ..camera import Camera
 
-KINDS = ("K", "world_to_camera", "camera_to_world", "clip", "eye")
+KINDS = ("K", "world_to_camera", "camera_to_world", "clip", "eye", "rotation")
+_ATTRIBUTES = tuple(part.name for part in fields(Camera))
 _KEYS = {
     "K": ("R", "t", "dist_coeffs", "fisheye"),
     "world_to_camera": ("convention", "K", "dist_coeffs", "fisheye", "viewing_angle", "orthographic", "scale"),
     "clip": (),
     "eye": ("direction", "at", "up", "viewing_angle"),
+    "rotation": _ATTRIBUTES,
 }
 _KEYS["camera_to_world"] = _KEYS["world_to_camera"]
 _FREE = ("width", "height", "file", "mask")
@@ -44,9 +51,11 @@ def entry_camera(where: str, entry: dict[str, Any], size: tuple[int, int] | None
     if unknown:
         raise ValueError(f"{where}: expected the keys {', '.join((kind, *_KEYS[kind]))}, got {short(unknown[0])}")
     own = {name: value for name, value in entry.items() if name not in _FREE}
-    if "K" in own:
+    if "K" in own and kind != "rotation":
         own["orig_size"] = entry_size(where, entry) or size
     try:
+        if kind == "rotation":
+            return Camera(**{name: _batch(value) for name, value in own.items()})
         if kind == "clip":
             return Camera.from_clip(own["clip"])
         if kind == "eye":
@@ -57,6 +66,22 @@ def entry_camera(where: str, entry: dict[str, Any], size: tuple[int, int] | None
         return make(**own)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{where}: {error}") from None
+
+
+def entries_of(camera: Camera) -> list[dict[str, Any]]:
+    """Return the attributes of each camera, exactly, as an entry."""
+    entries = []
+    for one in camera:
+        values = {name: getattr(one, name) for name in _ATTRIBUTES if getattr(one, name) is not None}
+        numbers = {n: v.reshape(v.shape[v.ndim > 0 :]).tolist() for n, v in values.items() if isinstance(v, Tensor)}
+        entries.append({**values, **numbers})
+    return entries
+
+
+def _batch(value: Any) -> Any:
+    """Convert a vector or matrix to a batch of one, unless it is a size."""
+    is_vector = isinstance(value, list) and (len(value) != 2 or isinstance(value[0], list))
+    return torch.tensor(value)[None] if is_vector else tuple(value) if isinstance(value, list) else value
 
 
 def entry_size(where: str, entry: dict[str, Any]) -> tuple[int, int] | None:

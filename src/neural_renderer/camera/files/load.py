@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from ...io.atomic_write import write_file
 from ..camera import Camera
-from .entries import KINDS, entry_camera, entry_size
+from .entries import KINDS, entries_of, entry_camera, entry_size
 from .keys import read_json, rows_of
+from .opencv import save_cameras
 from .posed import CameraFile
 from .read import find_camera_file, read_camera_file
 
@@ -33,9 +38,18 @@ def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camer
         return _posed_cameras(file, own or size), own
     places = rows_of(path, rows)
     own = entry_size(*places[0])
-    if own is None and size is None and any("K" in row for _, row in places):
+    if own is None and size is None and any("K" in row and "rotation" not in row for _, row in places):
         raise ValueError(f"{path}: expected the keys width and height, or a size of the picture, got neither")
     return Camera.cat([entry_camera(where, row, own or size) for where, row in places]), own
+
+
+def save(path: str | os.PathLike[str], camera: Camera, size: tuple[int, int] | None, names: Sequence[str]) -> None:
+    """Write cameras as JSON; see `Camera.save`."""
+    is_pinhole = camera.perspective and not (camera.is_fisheye or camera.mirrored)
+    if is_pinhole and (camera.K is not None or size is not None):
+        save_cameras(path, camera, names or [f"{number:03}.png" for number in range(len(camera))], size)
+    else:
+        write_file(path, json.dumps({"cameras": entries_of(camera)}, indent=1) + "\n")
 
 
 def _entries(content: Any) -> Any:

@@ -15,7 +15,7 @@ from ...tasks.reconstruction.data.framing import SIZE, VIEWS
 from ...tasks.reconstruction.data.models_folder import Model, default_splits, find_models, read_splits
 from ...tasks.reconstruction.evaluation.check_axes import check_axes
 from ...tasks.reconstruction.evaluation.sheets import data_sheet
-from ..common import check_counts, make_folder, say
+from ..common import check_counts, check_folder, say
 from .options import DatasetOptions
 
 Splits = dict[str, dict[str, list[Model]]]
@@ -31,7 +31,7 @@ def run(options: DatasetOptions) -> int:
     chosen = _choose_splits(options, models, broken)
     _check_earlier_splits(options, chosen)
     settings = Settings(options.views, options.size, options.samples)
-    make_folder("OUT", options.out)
+    check_folder("OUT", options.out)
     if not _make(options, [model for model in models if _key(model) in chosen], settings, broken):
         say(f"interrupted; the same command continues with the finished objects in {options.out}")
         return 130

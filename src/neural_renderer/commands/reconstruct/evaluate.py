@@ -23,7 +23,7 @@ from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.evaluation.sheets import prediction_sheet
 from ...tasks.reconstruction.networks.checkpoint import load_model
 from ...version import __version__
-from ..common import check_between, check_counts, choose_device, say
+from ..common import check_between, check_counts, choose_device, load_network, say
 from .options import EvaluateOptions
 
 _LEAST_IOU = 0.35  # least IoU of the silhouettes of voxels and images; thin objects reach 0.5
@@ -94,11 +94,10 @@ def _check_voxels(split: Split) -> None:
 
 def _retrieval(options: EvaluateOptions, device: torch.device) -> Predictor:
     """Prepare the retrieval baseline."""
-    from ...features import load_features
     from ...tasks.reconstruction.evaluation.retrieval import Retrieval
 
     data = open_split(options.data, "train", options.classes or None)
-    retrieval = Retrieval(data, load_features(options.features or _FEATURES).to(device))
+    retrieval = Retrieval(data, load_network(options.features or _FEATURES, "--features").to(device))
     with _progress() as progress:
         task = progress.add_task("features of the training images", total=VIEWS * len(data))
         for done in retrieval.prepare():

@@ -15,12 +15,13 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ...features import FeatureNetwork, load_features
+from ...features import FeatureNetwork
+from ...io.files import import_library
 from ...tasks.reconstruction.data.arrays import Split, open_split
 from ...tasks.reconstruction.networks.checkpoint import BEST, HEADER, LAST, read_checkpoint
 from ...tasks.reconstruction.networks.configs import Config, make_config
 from ...tasks.reconstruction.networks.encoders import FeatureEncoder
-from ..common import check_between, check_counts, choose_device, interruption, make_folder, say
+from ..common import check_between, check_counts, check_folder, choose_device, interruption, load_network, say
 from ..options import WatchOptions
 from ..watch import stay, watching
 from .options import TrainOptions
@@ -34,9 +35,11 @@ def run(options: TrainOptions) -> int:
     choose_device(options.device)
     data, val = _open_data(options)
     config = _make_config(options, data)
-    features = None if options.features is None else load_features(options.features)
+    features = None if options.features is None else load_network(options.features, "--features")
     checkpoint = _check_checkpoint(options, config, data, features)
-    make_folder("OUT", options.out)
+    check_folder("OUT", options.out)
+    for library in ("lightning", "tensorboard"):
+        import_library(library, "to train networks")
     # Lightning takes seconds to import.
     from ...tasks.reconstruction.training.callbacks import STOPPED
     from ...tasks.reconstruction.training.train import train

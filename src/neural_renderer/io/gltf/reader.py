@@ -19,6 +19,9 @@ from ..surface_colors import FileTexture
 
 # Attributes of vertices, and the names under which trimesh keeps them.
 KEPT = {"NORMAL": "_NR_NORMAL", "TANGENT": "_NR_TANGENT", "TEXCOORD_0": "_NR_UV0", "TEXCOORD_1": "_NR_UV1"}
+NUMBER = "_NR_VERTEX"
+"""Attribute of files of this package: the number of the vertex that was duplicated because it has several values."""
+MOST_NUMBERED = 1 << 24  # vertices that float32, the only type for large attributes in glTF, can number
 _JSON = 0x4E4F534A
 _HEADER, _CHUNK = 12, 8  # bytes
 WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}

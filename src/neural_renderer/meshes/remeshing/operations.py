@@ -21,7 +21,7 @@ _LEAST_AREA = 0.1  # least area of a face after its vertices move, relative to b
 
 def split_long(surface: Surface) -> Surface:
     """Split all edges that are too long, at the same time, each once."""
-    edges = Edges.of(surface.faces, len(surface.values))
+    edges = surface.edges
     return split(surface, edges, lengths(surface.vertices, edges.ends) > _LONG * surface.target_of(edges.ends))
 
 
@@ -62,7 +62,7 @@ def collapse_short(surface: Surface, rounds: int = 4) -> Surface:
     """
     refused = surface.faces.new_empty(0)
     for _ in range(rounds):
-        edges = Edges.of(surface.faces, len(surface.values))
+        edges = surface.edges
         size = lengths(surface.vertices, edges.ends)
         candidates = edges.regular & (size < _SHORT * surface.target_of(edges.ends))
         candidates &= ~edges.fixed[edges.ends].all(1)
@@ -155,16 +155,16 @@ def flip_edges(surface: Surface, rounds: int = 4) -> Surface:
     In each round, edges are flipped that gain more than all other candidates with a vertex in common. An edge stays if
     the surface would become sharper there, or if the other two vertices are connected already.
     """
-    faces = surface.faces
     for _ in range(rounds):
-        edges = Edges.of(faces, len(surface.values))
-        chosen, quads = _choose(surface.vertices, faces, edges)
+        edges = surface.edges
+        chosen, quads = _choose(surface.vertices, surface.faces, edges)
         if not len(chosen):
             break
         u, v, a, b = quads.unbind(1)
-        faces = faces.index_copy(0, edges.faces[chosen, 0], torch.stack((a, u, b), 1))
+        faces = surface.faces.index_copy(0, edges.faces[chosen, 0], torch.stack((a, u, b), 1))
         faces.index_copy_(0, edges.faces[chosen, 1], torch.stack((b, v, a), 1))
-    return Surface(surface.values, faces)
+        surface = Surface(surface.values, faces)
+    return surface
 
 
 def _choose(vertices: Tensor, faces: Tensor, edges: Edges) -> tuple[Tensor, Tensor]:
@@ -214,8 +214,7 @@ def relax(surface: Surface, strength: float = 0.5) -> Surface:
 
     A ``strength`` of 1 is all the way to the mean of the neighbours.
     """
-    vertices, faces = surface.vertices, surface.faces
-    edges = Edges.of(faces, len(vertices))
+    vertices, faces, edges = surface.vertices, surface.faces, surface.edges
     a, b = edges.ends.unbind(1)
     total = torch.zeros_like(vertices).index_add(0, a, vertices[b]).index_add(0, b, vertices[a])
     offset = total / edges.valence().clamp(min=1)[:, None] - vertices

@@ -12,7 +12,7 @@ from ... import validate
 from ...one_line import OneLine
 from ..batch import mesh_parts
 from .closest_points import FaceTree
-from .edges import Edges, area_vectors
+from .edges import area_vectors
 from .operations import collapse_short, flip_edges, move_safely, relax, split_long
 from .surface import Surface
 
@@ -115,7 +115,7 @@ def remesh_once(surface: Surface, tree: FaceTree | None = None, rounds: int = 4,
     surface = relax(flip_edges(collapse_short(split_long(surface), rounds), rounds), strength)
     if tree is None:
         return surface
-    fixed = Edges.of(surface.faces, len(surface.values)).fixed[:, None]
+    fixed = surface.edges.fixed[:, None]
     goal = torch.where(fixed, surface.vertices, tree.project(surface.vertices))
     return surface.moved(move_safely(surface.vertices, goal, surface.faces))
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from ..pieces import used_vertices
+from .edges import Edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +34,25 @@ class Surface:
         """Target length of the edges around each vertex, [V]."""
         return self.values[:, 3]
 
+    @functools.cached_property
+    def edges(self) -> Edges:
+        """The edges of the faces."""
+        return Edges.of(self.faces, len(self.values))
+
     def target_of(self, ends: Tensor) -> Tensor:
         """Average the target lengths at the ends [E, 2] of edges, [E]."""
         return self.target[ends].mean(1)
 
     def moved(self, vertices: Tensor) -> Surface:
         """Replace the positions."""
-        return Surface(torch.cat((vertices, self.values[:, 3:]), 1), self.faces)
+        return self.with_values(torch.cat((vertices, self.values[:, 3:]), 1))
+
+    def with_values(self, values: Tensor) -> Surface:
+        """Replace all values of the vertices; edges that are known stay known."""
+        surface = Surface(values, self.faces)
+        if "edges" in self.__dict__:
+            surface.__dict__["edges"] = self.edges
+        return surface
 
     def compact(self) -> Surface:
         """Drop the vertices that no face uses."""

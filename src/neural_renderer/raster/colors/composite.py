@@ -2,8 +2,10 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+from collections.abc import Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from ..warp.launch import launch
@@ -100,7 +102,15 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     return to_colors, to_background, None
 
 
-differentiable(composite, _to_inputs, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    _, background, face_index = inputs
+    to_colors, to_background, _ = tangents
+    if to_colors is None:
+        return to_background * (face_index < 0)[:, None]
+    return composite(to_colors, torch.zeros_like(background) if to_background is None else to_background, face_index)
+
+
+differentiable(composite, _to_inputs, _save, _forward)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
@@ -111,4 +121,9 @@ def _to_gradient(ctx: Any, colors: Tensor) -> Any:
     return composite(colors, colors.new_zeros((1, colors.shape[3], 1, 1)), ctx.saved_tensors[0]), None
 
 
-differentiable(composite_backward, _to_gradient, _save_again)
+differentiable(
+    composite_backward,
+    _to_gradient,
+    _save_again,
+    lambda inputs, tangents: composite_backward(tangents[0], inputs[1]),
+)

@@ -8,7 +8,7 @@ from torch import Tensor
 from ..ops.coverage import KERNELS, silhouette
 from ..warp.launch import copy, launch
 from ..warp.layout import pixel_tasks, worth_a_thread
-from ..warp.memory import empty
+from ..warp.memory import empty, zeros
 from ..warp.registration import differentiable, fake, operator
 
 _Halve = KERNELS.struct("Halve")
@@ -41,6 +41,22 @@ def averaged(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:
     return halve(image) if halved else copy(image)
 
 
+def changes_averaged(
+    changes: Tensor | None, directions: int, image: Tensor | None, face_index: Tensor, halved: bool
+) -> Tensor:
+    """Copy or average the changes of an image in several directions, [T, B, C, H, W]; those of a silhouette are 0."""
+    if changes is not None:
+        return averaged(changes.flatten(0, 1), face_index, halved).unflatten(0, changes.shape[:2])
+    batch, height, width = face_index.shape
+    scale, channels = 2 if halved else 1, 1 if image is None else image.shape[1]
+    return zeros((directions, batch, channels, height // scale, width // scale), face_index.device)
+
+
+def change_averaged(change: Tensor | None, halved: bool) -> Tensor | None:
+    """Average the change of an image, outside an operator: the forward mode of `averaged`."""
+    return halve(change) if halved and change is not None else change
+
+
 def like_averaged(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:
     """Make an empty tensor of the shape that `averaged` returns."""
     batch, height, width = face_index.shape
@@ -65,5 +81,7 @@ def _(grad: Tensor) -> Tensor:
     return grad.new_empty((*grad.shape[:2], 2 * grad.shape[2], 2 * grad.shape[3]))
 
 
-differentiable(halve, lambda ctx, grad: halve_backward(grad))
-differentiable(halve_backward, lambda ctx, image: halve(image))
+differentiable(halve, lambda ctx, grad: halve_backward(grad), None, lambda inputs, tangents: halve(tangents[0]))
+differentiable(
+    halve_backward, lambda ctx, image: halve(image), None, lambda inputs, tangents: halve_backward(tangents[0])
+)

@@ -27,24 +27,27 @@ _THERE, _BACK = 0x2545F4914F6CDD1D, 0x5851F42D4C957F2D
 
 
 @operator
-def texture_edge_hashes(textures: Tensor, light: Tensor) -> Tensor:
+def texture_edge_hashes(textures: Tensor, light: Tensor, firsts: Tensor | None = None) -> Tensor:
     """Hash the colours of faces, as of `sample_textures`, under light [B or 1, 2, F, 3] along each edge.
 
     The hashes of two faces match if the light and the texels that are blended on the edge are equal, to about one part
     in 4000. Returns [B, F, 3, 2] int64: for edge k, from corner k to the next, the hash in this direction and the
-    other.
+    other. ``firsts`` as in `sample_textures`; padding matches nothing.
     """
-    batch, count = images_of(textures, light), textures.shape[1]
+    batch, count = _images(textures, light, firsts), light.shape[2]
     hashes = torch.empty((batch, count, 3, 2), dtype=torch.int64, device=textures.device)
-    call = _HashEdges(scene=_Scene(count=count), textures=lit_cubes(textures, light), hashes=hashes)
+    call = _HashEdges(scene=_Scene(count=count), textures=lit_cubes(textures, light, firsts=firsts), hashes=hashes)
     launch(_hash_edges, batch * count, [call], textures.device)
     return hashes
 
 
 @fake(texture_edge_hashes)
-def _(textures: Tensor, light: Tensor) -> Tensor:
-    batch = images_of(textures, light)
-    return textures.new_empty((batch, textures.shape[1], 3, 2), dtype=torch.int64)
+def _(textures: Tensor, light: Tensor, firsts: Tensor | None) -> Tensor:
+    return textures.new_empty((_images(textures, light, firsts), light.shape[2], 3, 2), dtype=torch.int64)
+
+
+def _images(textures: Tensor, light: Tensor, firsts: Tensor | None) -> int:
+    return images_of(textures, light) if firsts is None else len(firsts) - 1
 
 
 def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> Tensor:

@@ -2,23 +2,28 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+from collections.abc import Sequence
 from typing import Any
 
 from torch import Tensor
 
+from ..ops.barycentrics import motion_of
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp.launch import launch
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, fake, operator, refuse_second
+from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, refuse_second, sum_of
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 _KERNELS = Kernels(__name__, "interpolate.h", fused=False)
 _Interpolate, _InterpolateBackward = _KERNELS.struct("Interpolate"), _KERNELS.struct("InterpolateBackward")
+_FORWARD = Kernels(__name__ + ".forward", "interpolate.h", fused=False)
+_InterpolateForward = _FORWARD.struct("InterpolateForward")
 _interpolate_pixels = _KERNELS.kernel("interpolate_pixels", _Interpolate)
 _attributes_of_face_backward = _KERNELS.kernel("attributes_of_face_backward", _InterpolateBackward)
 _attributes_of_run_backward = _KERNELS.kernel("attributes_of_run_backward", _InterpolateBackward, only_cuda=True)
+_interpolate_pixels_forward = _FORWARD.kernel("interpolate_pixels_forward", _InterpolateForward)
 
 
 @operator
@@ -92,6 +97,36 @@ def _(attributes: Tensor, faces: Tensor, faces_too: bool) -> tuple[Tensor, Tenso
     return attributes.new_empty(attributes.shape), faces.new_empty(faces.shape if faces_too else (0, 0, 3, 3))
 
 
+@forward_operator(1)
+def interpolate_forward(
+    motion: Tensor,
+    attributes: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    perspective: bool,
+    below: int = 0,
+    above: int = 0,
+) -> Tensor:
+    """Compute the change [T, B, H, W, C] of `interpolate` for motions of the corners, [T, B, F, 3, 3] float32."""
+    change = empty((len(motion), *face_index.shape, attributes.shape[3]), faces.device)
+    tasks, moved = motion_of(motion, face_index)
+    given = _Interpolate(
+        scene=scene_of(faces, face_index, perspective, below, above),
+        attributes=attributes.contiguous(),
+        owners=len(attributes),
+        channels=attributes.shape[3],
+    )
+    call = _InterpolateForward(forward=given, motion=moved, change=change)
+    least = worth_a_thread(moved.each * face_index.shape[2] * len(motion))
+    launch(_interpolate_pixels_forward, tasks, [call], faces.device, least)
+    return change
+
+
+@fake(interpolate_forward)
+def _(motion: Tensor, attributes: Tensor, face_index: Tensor) -> Tensor:
+    return motion.new_empty((len(motion), *face_index.shape, attributes.shape[3]))
+
+
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
     *tensors, ctx.perspective, below, above = inputs
     ctx.strip = (below, above)
@@ -105,7 +140,18 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     return to_attributes, to_faces if faces_too else None, *[None] * 4
 
 
-differentiable(interpolate, _to_inputs, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    attributes, *options = inputs
+    to_attributes, motion = tangents[:2]
+    parts = []
+    if to_attributes is not None:
+        parts.append(interpolate(to_attributes, *options))
+    if motion is not None:
+        parts.append(in_direction(interpolate_forward, (motion,), attributes, *options))
+    return sum_of(parts)
+
+
+differentiable(interpolate, _to_inputs, _save, _forward)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:

@@ -2,6 +2,7 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -12,7 +13,7 @@ from ..warp.launch import launch
 from ..warp.layout import in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, fake, operator
+from ..warp.registration import differentiable, fake, operator, sum_of
 
 _KERNELS = Kernels(__name__, "light_pixels.h")
 _LightPixels, _LightPixelsBackward = _KERNELS.struct("LightPixels"), _KERNELS.struct("LightPixelsBackward")
@@ -83,18 +84,33 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     return to_image, to_light, None, None, None
 
 
-differentiable(light_pixels, _to_inputs, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    image, light, *options = inputs
+    to_image, to_light = tangents[:2]
+    parts = []
+    if to_image is not None:
+        parts.append(light_pixels(to_image, light, *options))
+    if to_light is not None:
+        parts.append(_by_light(image, to_light, *options))
+    return sum_of(parts)
+
+
+def _by_light(image: Tensor, to_light: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
+    """Compute the change of `light_pixels` with the light; the background is not lit, so it does not depend on it."""
+    return light_pixels(image, to_light, faces, face_index, perspective) * (face_index >= 0)[:, None]
+
+
+differentiable(light_pixels, _to_inputs, _save, _forward)
 
 
 def _to_first(ctx: Any, image: Tensor, light: Tensor) -> Any:
     """Differentiate <image, its gradient> + <light, its gradient>; colours are linear in image and in light."""
     grad, own_image, own_light, faces, face_index = ctx.saved_tensors
-    covered = (face_index >= 0)[:, None]  # the background is not lit, so it does not depend on the light
     to_grad = light_pixels(image, own_light, faces, face_index, ctx.perspective)
-    to_grad = to_grad + light_pixels(own_image, light, faces, face_index, ctx.perspective) * covered
+    to_grad = to_grad + _by_light(own_image, light, faces, face_index, ctx.perspective)
     to_image, _ = light_pixels_backward(grad, own_image, light, faces, face_index, ctx.perspective)
     _, to_light = light_pixels_backward(grad, image, own_light, faces, face_index, ctx.perspective)
-    return to_grad, to_image * covered, to_light, None, None, None
+    return to_grad, to_image * (face_index >= 0)[:, None], to_light, None, None, None
 
 
 differentiable(light_pixels_backward, _to_first, _save)

@@ -3,6 +3,7 @@
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
 import threading
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -14,13 +15,26 @@ from ..warp.launch import launch
 from ..warp.layout import in_any_order, pixel_tasks, readable, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, fake, is_plain, needs_gradient, operator, refuse_second
+from ..warp.registration import (
+    differentiable,
+    fake,
+    forward_operator,
+    in_direction,
+    is_plain,
+    needs_gradient,
+    operator,
+    refuse_second,
+    sum_of,
+)
 
 _KERNELS = Kernels(__name__, "mipmaps.h")
 _Mipmaps, _Samples = _KERNELS.struct("Mipmaps"), _KERNELS.struct("Samples")
 _SampleMipmaps, _SampleMipmapsBackward = _KERNELS.struct("SampleMipmaps"), _KERNELS.struct("SampleMipmapsBackward")
+_FORWARD = Kernels(__name__ + ".forward", "mipmaps.h")
+_SampleMipmapsForward = _FORWARD.struct("SampleMipmapsForward")
 _sample_mipmaps = _KERNELS.kernel("sample_mipmaps", _SampleMipmaps)
 _sample_mipmaps_backward = _KERNELS.kernel("sample_mipmaps_backward", _SampleMipmapsBackward)
+_sample_mipmaps_forward = _FORWARD.kernel("sample_mipmaps_forward", _SampleMipmapsForward)
 
 
 _MOST = 1 << 28  # bytes of the largest pyramid that is kept
@@ -29,10 +43,15 @@ _kept = WeakTensorKeyDictionary()  # of tensors, the version and pyramid of each
 _lock = threading.Lock()
 
 
-def pyramid(image: Tensor) -> Tensor:
+def all_levels(height: int, width: int) -> int:
+    """Count the levels of an image, down to one texel."""
+    return max(height, width).bit_length()
+
+
+def pyramid(image: Tensor, count: int) -> Tensor:
     """Append the mipmaps of an image [N, C, h, w], each the mean at half the size, in one list of texels [N, T, C]."""
     levels = [image]
-    while max(image.shape[2:]) > 1:
+    while len(levels) < count:
         half = (max(1, image.shape[2] // 2), max(1, image.shape[3] // 2))
         even = image.shape[2] == 2 * half[0] and image.shape[3] == 2 * half[1]
         # The adaptive mean is equal for even sides, but much slower.
@@ -41,7 +60,7 @@ def pyramid(image: Tensor) -> Tensor:
     return torch.cat([level.flatten(2).transpose(1, 2) for level in levels], 1)
 
 
-def kept_pyramid(image: Tensor) -> Tensor:
+def kept_pyramid(image: Tensor, count: int) -> Tensor:
     """Return the `pyramid` of images [N, h, w, C] float32; those without a gradient are kept as long as the image.
 
     On the CPU a kept one is compared with the image. On CUDA comparing values would wait for the device, so it serves
@@ -49,13 +68,13 @@ def kept_pyramid(image: Tensor) -> Tensor:
     """
     texels = 4 * image.numel() // 3
     if needs_gradient(image) or not is_plain((image,)) or not 0 < 4 * texels <= _MOST:
-        return pyramid(image.permute(0, 3, 1, 2))
+        return pyramid(image.permute(0, 3, 1, 2), count)
     base = image._base if image._base is not None else image  # an indexed tensor is a new one in every call
     counted = not image.is_inference()
     if not (readable(image.device) or counted):
-        return pyramid(image.permute(0, 3, 1, 2))
+        return pyramid(image.permute(0, 3, 1, 2), count)
     version = base._version if counted else -1
-    place = (image.storage_offset(), image.shape, image.stride())
+    place = (image.storage_offset(), image.shape, image.stride(), count)
     with _lock:
         known = _kept.get(base, {}).get(place)
     if known is not None:
@@ -63,7 +82,7 @@ def kept_pyramid(image: Tensor) -> Tensor:
         if torch.equal(first, image.flatten(1, 2)) if readable(image.device) else known[0] == version:
             return known[1]
     with torch.inference_mode(False), torch.no_grad():  # what is kept may be needed with gradients later
-        made = pyramid(image.clone().permute(0, 3, 1, 2))
+        made = pyramid(image.clone().permute(0, 3, 1, 2), count)
     with _lock:
         several = _kept.setdefault(base, {})
         if len(several) >= _SEVERAL and place not in several:
@@ -89,7 +108,7 @@ def sample_mipmaps(
     width: int,
     uv: Tensor,
     face_index: Tensor,
-    mipmaps: bool,
+    levels: int,
     repeat_u: bool,
     repeat_v: bool,
 ) -> Tensor:
@@ -99,8 +118,8 @@ def sample_mipmaps(
         texels: As from `pyramid` of an image of this height and width, [B or 1, T, C] float32.
         uv: Texture coordinates, [B, H, W, 2] float32; u to the right, v up, the image over [0, 1]². Texel centres have
             the colours of the texels.
-        mipmaps: Whether to average over the change of uv to the next pixel of the same face, or from the previous one
-            if there is none; else the image itself is sampled.
+        levels: With more than one, the texture is averaged over the change of uv to the next pixel of the same face, or
+            from the previous one if there is none. With 1 the image itself is sampled.
         repeat_u, repeat_v: Whether the image repeats beyond [0, 1]; else its border is extended.
 
     Returns:
@@ -109,7 +128,7 @@ def sample_mipmaps(
     batch, rows, columns = face_index.shape
     result = empty((batch, rows, columns, texels.shape[2]), texels.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
-    fields = _fields(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v, each)
+    fields = _fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each)
     call = _SampleMipmaps(**fields, result=result)
     launch(_sample_mipmaps, tasks, [call], texels.device, worth_a_thread(each * columns))
     return result
@@ -128,7 +147,7 @@ def sample_mipmaps_backward(
     width: int,
     uv: Tensor,
     face_index: Tensor,
-    mipmaps: bool,
+    levels: int,
     repeat_u: bool,
     repeat_v: bool,
     texels_too: bool,
@@ -146,7 +165,7 @@ def sample_mipmaps_backward(
         each = batch * rows // max(len(texels), 1)
         tasks = len(texels) if each else 0
     call = _SampleMipmapsBackward(
-        **_fields(texels, height, width, uv, face_index, mipmaps, repeat_u, repeat_v, each),
+        **_fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each),
         grad=grad.contiguous(),
         texels_too=int(texels_too),
         to_texels=to_texels,
@@ -161,13 +180,40 @@ def _(texels: Tensor, uv: Tensor, texels_too: bool) -> tuple[Tensor, Tensor]:
     return texels.new_empty(texels.shape if texels_too else (0, 0, 0)), uv.new_empty(uv.shape)
 
 
+@forward_operator(1)
+def sample_mipmaps_forward(
+    motion: Tensor,
+    texels: Tensor,
+    height: int,
+    width: int,
+    uv: Tensor,
+    face_index: Tensor,
+    levels: int,
+    repeat_u: bool,
+    repeat_v: bool,
+) -> Tensor:
+    """Compute the change [T, B, H, W, C] of `sample_mipmaps` for changes of uv, [T, B, H, W, 2] float32."""
+    batch, rows, columns = face_index.shape
+    change = zeros((len(motion), batch, rows, columns, texels.shape[2]), texels.device)
+    tasks, each = pixel_tasks(batch * rows, columns, texels.device)
+    fields = _fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each)
+    call = _SampleMipmapsForward(**fields, motion=motion.contiguous(), directions=len(motion), change=change)
+    launch(_sample_mipmaps_forward, tasks, [call], texels.device, worth_a_thread(each * columns * len(motion)))
+    return change
+
+
+@fake(sample_mipmaps_forward)
+def _(motion: Tensor, texels: Tensor, face_index: Tensor) -> Tensor:
+    return motion.new_empty((len(motion), *face_index.shape, texels.shape[2]))
+
+
 def _fields(
     texels: Tensor,
     height: int,
     width: int,
     uv: Tensor,
     face_index: Tensor,
-    mipmaps: bool,
+    levels: int,
     repeat_u: bool,
     repeat_v: bool,
     each: int,
@@ -179,7 +225,7 @@ def _fields(
         channels=texels.shape[2],
         height=height,
         width=width,
-        levels=max(height, width).bit_length() if mipmaps else 1,
+        levels=levels,
         repeat_u=int(repeat_u),
         repeat_v=int(repeat_v),
     )
@@ -190,7 +236,7 @@ def _fields(
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    texels, ctx.height, ctx.width, uv, face_index, ctx.mipmaps, ctx.repeat_u, ctx.repeat_v = inputs
+    texels, ctx.height, ctx.width, uv, face_index, ctx.levels, ctx.repeat_u, ctx.repeat_v = inputs
     ctx.save_for_backward(texels, uv, face_index)
 
 
@@ -198,17 +244,27 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     texels, uv, face_index = ctx.saved_tensors
     texels_too, uv_too = ctx.needs_input_grad[0], ctx.needs_input_grad[3]
     to_texels, to_uv = sample_mipmaps_backward(
-        grad, texels, ctx.height, ctx.width, uv, face_index, ctx.mipmaps, ctx.repeat_u, ctx.repeat_v, texels_too
+        grad, texels, ctx.height, ctx.width, uv, face_index, ctx.levels, ctx.repeat_u, ctx.repeat_v, texels_too
     )
     return to_texels if texels_too else None, None, None, to_uv if uv_too else None, None, None, None, None
 
 
-differentiable(sample_mipmaps, _to_inputs, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    texels, *others = inputs
+    parts = []
+    if tangents[0] is not None:
+        parts.append(sample_mipmaps(tangents[0], *others))
+    if tangents[3] is not None:
+        parts.append(in_direction(sample_mipmaps_forward, tangents[3:4], texels, *others))
+    return sum_of(parts)
+
+
+differentiable(sample_mipmaps, _to_inputs, _save, _forward)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    _, _, *ctx.size, uv, face_index, mipmaps, repeat_u, repeat_v, ctx.texels_too = inputs
-    ctx.options = (mipmaps, repeat_u, repeat_v)
+    _, _, *ctx.size, uv, face_index, levels, repeat_u, repeat_v, ctx.texels_too = inputs
+    ctx.options = (levels, repeat_u, repeat_v)
     ctx.save_for_backward(uv, face_index)
 
 

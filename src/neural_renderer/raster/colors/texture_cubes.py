@@ -2,16 +2,18 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+from collections.abc import Sequence
 from typing import Any
 
 from torch import Tensor
 
+from ..ops.barycentrics import motion_of
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp.launch import launch
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, fake, operator, refuse_second
+from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, refuse_second, sum_of
 from .composite import background_of
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
@@ -19,9 +21,12 @@ _KERNELS = Kernels(__name__, "texture_cubes.h", fused=False)
 _LitCubes, _SampleCubes, _SampleCubesBackward = (
     _KERNELS.struct(name) for name in ("LitCubes", "SampleCubes", "SampleCubesBackward")
 )
+_FORWARD = Kernels(__name__ + ".forward", "texture_cubes.h", fused=False)
+_SampleCubesForward = _FORWARD.struct("SampleCubesForward")
 _sample_pixels = _KERNELS.kernel("sample_pixels", _SampleCubes)
 _cubes_of_face_backward = _KERNELS.kernel("cubes_of_face_backward", _SampleCubesBackward)
 _cubes_of_run_backward = _KERNELS.kernel("cubes_of_run_backward", _SampleCubesBackward, only_cuda=True)
+_sample_pixels_forward = _FORWARD.kernel("sample_pixels_forward", _SampleCubesForward)
 
 
 @operator
@@ -33,6 +38,7 @@ def sample_textures(
     face_index: Tensor,
     eps: float,
     perspective: bool,
+    firsts: Tensor | None = None,
     below: int = 0,
     above: int = 0,
 ) -> Tensor:
@@ -50,11 +56,13 @@ def sample_textures(
         background: [B, 3, H, W] float32, for pixels without a face.
         faces, face_index, perspective, below, above: As in `barycentrics`.
         eps: Cube coordinates end at T - 1 - eps.
+        firsts: For images with different numbers of faces, whose textures are [1, N, ...] one after the other: where
+            each begins, and N, [B + 1] int32. Then faces are padded, light too.
     """
     batch, height, width = face_index.shape
     color = empty((batch, 3, height, width), faces.device)
     tasks, each = pixel_tasks(batch * height, width, faces.device)
-    scene, cubes = scene_of(faces, face_index, perspective, below, above), lit_cubes(textures, light, eps)
+    scene, cubes = scene_of(faces, face_index, perspective, below, above), lit_cubes(textures, light, eps, firsts)
     call = _SampleCubes(scene=scene, textures=cubes, background=background_of(background), each=each, color=color)
     launch(_sample_pixels, tasks, [call], faces.device, worth_a_thread(each * width))
     return color
@@ -78,6 +86,7 @@ def sample_textures_backward(
     textures_too: bool,
     light_too: bool,
     faces_too: bool,
+    firsts: Tensor | None = None,
     below: int = 0,
     above: int = 0,
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -95,7 +104,7 @@ def sample_textures_backward(
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     fields: dict[str, Any] = {
         "scene": scene_of(faces, face_index, perspective, below, above),
-        "textures": lit_cubes(textures, light, eps),
+        "textures": lit_cubes(textures, light, eps, firsts),
         "grad": grad.contiguous(),
         "textures_too": textures_too,
         "light_too": light_too,
@@ -109,7 +118,8 @@ def sample_textures_backward(
         launch(_cubes_of_run_backward, tasks, [_SampleCubesBackward(run=run, **fields)], faces.device)
     else:
         # One task sums the gradient to textures that images share, image by image.
-        tasks, least = min(len(textures), batch) * faces.shape[1], face_tasks(faces, height * width)
+        owners = len(textures) if firsts is None else batch
+        tasks, least = min(owners, batch) * faces.shape[1], face_tasks(faces, height * width)
         call = _SampleCubesBackward(visible=visible_faces(face_index, faces.shape[1]), **fields)
         launch(_cubes_of_face_backward, tasks, [call], faces.device, least)
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_faces
@@ -124,12 +134,42 @@ def _(
     return to_textures, light.new_empty(light.shape), to_faces
 
 
-def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0) -> Call:
+@forward_operator(1)
+def sample_textures_forward(
+    motion: Tensor,
+    textures: Tensor,
+    light: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    eps: float,
+    perspective: bool,
+    firsts: Tensor | None,
+    below: int,
+    above: int,
+) -> Tensor:
+    """Compute the change [T, B, 3, H, W] of `sample_textures` for motions of the corners, [T, B, F, 3, 3] float32."""
+    batch, height, width = face_index.shape
+    change = empty((len(motion), batch, 3, height, width), faces.device)
+    tasks, moved = motion_of(motion, face_index)
+    scene, cubes = scene_of(faces, face_index, perspective, below, above), lit_cubes(textures, light, eps, firsts)
+    call = _SampleCubesForward(scene=scene, textures=cubes, motion=moved, change=change)
+    launch(_sample_pixels_forward, tasks, [call], faces.device, worth_a_thread(moved.each * width * len(motion)))
+    return change
+
+
+@fake(sample_textures_forward)
+def _(motion: Tensor, face_index: Tensor) -> Tensor:
+    batch, height, width = face_index.shape
+    return motion.new_empty((len(motion), batch, 3, height, width))
+
+
+def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0, firsts: Tensor | None = None) -> Call:
     """Make the `LitCubes` of kernels; arguments as of `sample_textures`."""
     return _LitCubes(
         texels=textures.contiguous(),
+        firsts=firsts,
         light=light.contiguous(),
-        cubes=len(textures),
+        cubes=len(textures) if firsts is None else len(firsts) - 1,
         lamps=len(light),
         size=textures.shape[2] if textures.dim() == 6 else 0,
         eps=eps,
@@ -137,7 +177,7 @@ def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0) -> Call:
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    textures, light, _, faces, face_index, ctx.eps, ctx.perspective, *ctx.strip = inputs
+    textures, light, _, faces, face_index, ctx.eps, ctx.perspective, *ctx.packing = inputs
     ctx.save_for_backward(textures, light, faces, face_index)
 
 
@@ -148,22 +188,40 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     if asked[2] and textures.dim() == 6 and textures.shape[2] == 1:  # a face of one colour has no slope
         asked[2], to_faces = False, faces.new_zeros(()).expand(faces.shape)
     if any(asked):
-        options = (ctx.eps, ctx.perspective, *asked, *ctx.strip)
+        options = (ctx.eps, ctx.perspective, *asked, *ctx.packing)
         results = sample_textures_backward(grad, textures, light, faces, face_index, *options)
         to_textures, to_light = (to if too else None for to, too in zip(results[:2], asked[:2], strict=True))
         to_faces = results[2] if asked[2] else to_faces
     if ctx.needs_input_grad[2]:
         to_background = grad * (face_index < 0)[:, None]
-    return to_textures, to_light, to_background, to_faces, *[None] * 5
+    return to_textures, to_light, to_background, to_faces, *[None] * 6
 
 
-differentiable(sample_textures, _to_inputs, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    textures, light, background, *options = inputs
+    face_index = options[1]
+    to_textures, to_light, to_background, motion = tangents[:4]
+    black = background.new_zeros(()).expand(background.shape)
+    parts = []
+    if to_textures is not None:
+        parts.append(sample_textures(to_textures, light, black, *options))
+    if to_light is not None:
+        parts.append(sample_textures(textures, to_light, black, *options))
+    if to_background is not None:
+        parts.append(to_background * (face_index < 0)[:, None])
+    if motion is not None:
+        parts.append(in_direction(sample_textures_forward, (motion,), textures, light, *options))
+    return sum_of(parts)
+
+
+differentiable(sample_textures, _to_inputs, _save, _forward)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    grad, textures, light, faces, face_index, *options, _, below, above = inputs
-    ctx.eps, ctx.perspective, ctx.textures_too, ctx.light_too = options
-    ctx.strip = (below, above)
+    grad, textures, light, faces, face_index, ctx.eps, ctx.perspective, ctx.textures_too, ctx.light_too, _, *packing = (
+        inputs
+    )
+    ctx.packing = packing
     ctx.save_for_backward(grad, textures, light, faces, face_index)
 
 
@@ -176,19 +234,19 @@ def _to_first(ctx: Any, textures: Tensor, light: Tensor, _: Tensor) -> Any:
     black = grad.new_zeros(()).expand(grad.shape)
     to_grad = to_textures = to_light = None
     if ctx.textures_too:
-        to_grad = sample_textures(textures, own_light, black, *options, *ctx.strip)
+        to_grad = sample_textures(textures, own_light, black, *options, *ctx.packing)
         if ctx.needs_input_grad[2]:
             _, to_light, _ = sample_textures_backward(
-                grad, textures, own_light, *options, False, True, False, *ctx.strip
+                grad, textures, own_light, *options, False, True, False, *ctx.packing
             )
     if ctx.light_too:
-        more = sample_textures(own_textures, light, black, *options, *ctx.strip)
+        more = sample_textures(own_textures, light, black, *options, *ctx.packing)
         to_grad = more if to_grad is None else to_grad + more
         if ctx.needs_input_grad[1]:
             to_textures, _, _ = sample_textures_backward(
-                grad, own_textures, light, *options, True, False, False, *ctx.strip
+                grad, own_textures, light, *options, True, False, False, *ctx.packing
             )
-    return to_grad, to_textures, to_light, *[None] * 9
+    return to_grad, to_textures, to_light, *[None] * 10
 
 
 differentiable(sample_textures_backward, _to_first, _save_again)

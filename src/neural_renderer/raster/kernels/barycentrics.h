@@ -103,4 +103,40 @@ NR_FUNC void weights_of_run_backward(const BarycentricsBackward& call, int task)
     });
 }
 
+struct WeighForward {
+    Scene scene;
+    Motion motion;
+    vec3* weights;  // change, [directions, images, height, width]
+    float* depth;   // change, [directions, images, height, width]
+};
+
+struct WeightChanges {
+    const WeighForward& call;
+
+    struct Nothing {};
+    template <class F>
+    NR_FUNC Nothing at(const Face&, const Point<F>&, const Place&) const {
+        return {};
+    }
+    template <class F>
+    NR_FUNC void store(const Nothing&, const PointChange<F>& moved, int t, int count, const Place& place) const {
+        const int64 to = first(t, place);
+        for (int n = 0; n < count; ++n)
+            for (int k = 0; k < 3; ++k) call.weights[to + n][k] = lane(moved.weights[k], n);
+        store_first(call.depth + to, moved.z, count);
+    }
+    NR_FUNC void clear(int t, int count, const Place& place) const {
+        memset(call.weights + first(t, place), 0, count * sizeof(vec3));
+        memset(call.depth + first(t, place), 0, count * sizeof(float));
+    }
+    NR_FUNC int64 first(int t, const Place& place) const {
+        return t * call.scene.images * call.scene.area() + place.pixel;
+    }
+};
+
+// The pixels of a task.
+NR_FUNC void weights_of_pixels_forward(const WeighForward& call, int task) {
+    over_changes(call.scene, call.motion, task, WeightChanges{call});
+}
+
 }  // namespace nr

@@ -1,5 +1,5 @@
 // Crossings of visible boundaries with scan lines: their positions, the pixels and faces beside them, the colours on
-// both sides, and the change of the loss if the boundary moves there.
+// both sides, and the change of the loss or the image if the boundary moves there.
 #pragma once
 
 #include "queue.h"
@@ -140,7 +140,16 @@ struct Blend {
     }
 };
 
-// The change of the loss if a visible boundary moves outward by a pixel at a crossing.
+// The two pixels beside a crossing, as places in a map of gradients, and the share of the outer one.
+struct Beside {
+    int64 inner, outer;
+    float share;
+
+    NR_FUNC Beside(const Lines& lines, const Crossing& at, float share)
+        : inner(lines.pull(at.u, at.inner)), outer(lines.pull(at.u, at.outer)), share(share) {}
+};
+
+// The change of the image if a visible boundary moves outward by a pixel at a crossing: the difference of its colours.
 struct Gain {
     Blend inside, outside;
     bool before_is_inside, behind_is_outside;  // whether the next pixels show the faces of the near ones
@@ -154,18 +163,45 @@ struct Gain {
         inside.next = lines.pixel(at.u, before < 0 ? 0 : before > last ? last : before);
         outside.next = lines.pixel(at.u, behind < 0 ? 0 : behind > last ? last : behind);
     }
-    // Sum (inside - outside) * gradient over the channels, with the gradient of the pixel that contains the boundary.
-    // If a side is ``narrow``, a visible centre may lie anywhere in it; then it is interpolated between both pixels.
-    NR_FUNC float sum(const Lines& lines, const Crossing& at, bool narrow) const {
-        const float share = narrow ? at.offset : at.offset < 0.5f ? 0.0f : 1.0f;
-        const int64 inner = lines.pull(at.u, at.inner), outer = lines.pull(at.u, at.outer);
-        const float* pull = lines.grad;
-        float result = 0.0f;
-        for (int c = 0; c < lines.channels; ++c, pull += lines.grad_area) {
-            const float difference = inside.of(lines, c) - outside.of(lines, c);
-            result += difference * ((1.0f - share) * pull[inner] + share * pull[outer]);
+    // Give sink(channel, at pixels, inside - outside) for each channel, at the pixel that contains the boundary. If a
+    // side is ``narrow``, a visible centre may lie anywhere in it; then it is interpolated between both pixels.
+    template <class Sink>
+    NR_FUNC void give(const Lines& lines, const Crossing& at, bool narrow, Sink& sink) const {
+        const Beside beside(lines, at, narrow ? at.offset : at.offset < 0.5f ? 0.0f : 1.0f);
+        for (int c = 0; c < lines.channels; ++c) sink(c, beside, inside.of(lines, c) - outside.of(lines, c));
+    }
+};
+
+// The change of the loss: a sink that sums the differences of colours times the gradients of pixels.
+struct Pull {
+    const Lines& lines;
+    float part = 1.0f;  // of the sum that the edge has
+    float sum = 0.0f;
+
+    NR_FUNC void operator()(int c, const Beside& beside, float difference) {
+        const float* pull = lines.grad + c * lines.grad_area;
+        sum += difference * ((1.0f - beside.share) * pull[beside.inner] + beside.share * pull[beside.outer]);
+    }
+};
+
+// The change of images in each of several directions: a sink that adds the differences of colours to pixels, times the
+// motion of the crossing, outward in pixels.
+struct Push {
+    static constexpr int MOST = 8;  // directions at once
+    const Lines& lines;
+    int directions;
+    float* image;  // change of the image in the first direction
+    int64 area;    // from one direction to the next
+    float motion[MOST];
+    float part = 1.0f;  // of the change that the edge has
+
+    NR_FUNC void operator()(int c, const Beside& beside, float difference) {
+        float* to = image + c * lines.grad_area;
+        for (int t = 0; t < directions; ++t, to += area) {
+            const float change = part * motion[t] * difference;
+            if (beside.share < 1.0f) atomic_add(to + beside.inner, (1.0f - beside.share) * change);
+            if (beside.share > 0.0f) atomic_add(to + beside.outer, beside.share * change);
         }
-        return result;
     }
 };
 

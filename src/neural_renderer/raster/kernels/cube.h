@@ -10,6 +10,8 @@ namespace nr {
 // The cubes of all faces, or the colours of their corners, and the light on them.
 struct LitCubes {
     const vec3* texels;  // [cubes, faces, size, size, size], or of corners [cubes, faces, 3]
+    const int* firsts;   // of images with different numbers of cubes, one after the other: where each begins, and the
+                         // end, [cubes + 1]; else null
     const vec3* light;   // factors on the front and the back of each face, [lamps, 2, faces]
     int cubes, lamps;    // images of cubes and of light; 1 if all share them
     int size;            // texels along a side of a cube; 0 for colours of corners
@@ -18,9 +20,16 @@ struct LitCubes {
     NR_FUNC int64 volume() const { return size == 0 ? 3 : (int64)size * size * size; }
     // Whether all texels are those of a few pixels, eight of which are blended at once.
     NR_FUNC bool is_small() const { return size <= 2; }
-    NR_FUNC const vec3* cube(const Scene& scene, int image, int face) const {
-        return texels + ((int64)shared(image, cubes) * scene.count + face) * volume();
+    // The first texel of a cube.
+    NR_FUNC int64 place(const Scene& scene, int image, int face) const {
+        const int64 first = firsts ? firsts[image] : (int64)shared(image, cubes) * scene.count;
+        return (first + face) * volume();
     }
+    NR_FUNC const vec3* cube(const Scene& scene, int image, int face) const {
+        return texels + place(scene, image, face);
+    }
+    // Whether a face has a cube: padding has none.
+    NR_FUNC bool has(int image, int face) const { return !firsts || face < firsts[image + 1] - firsts[image]; }
     NR_FUNC const vec3& light_on(const Scene& scene, int image, int face, int side) const {
         return light[(2 * (int64)shared(image, lamps) + side) * scene.count + face];
     }

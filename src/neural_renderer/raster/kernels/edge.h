@@ -30,7 +30,8 @@ struct EdgeHashes {
     }
 };
 
-struct EdgeBackward {
+// The edges of faces that may be visible boundaries.
+struct Edges {
     Scene scene;
     Pictures pictures;
     Neighbors neighbors;  // ``adjacent``, and where faces are put into the queue, the rings to find it
@@ -38,8 +39,7 @@ struct EdgeBackward {
     const int* visible;   // mask of visible faces, [images, count + 1]
     int seams;            // whether colours may jump between adjacent faces
     EdgeHashes edge_hashes;
-    Queue queue;     // faces that may have an edge to move; on CUDA
-    vec3* to_faces;  // gradient to the corners, [images, count, 3], 0 before
+    Queue queue;  // faces that may have an edge to move; on CUDA
 
     NR_FUNC const int* adjacent(int image, int f) const {
         return neighbors.adjacent + ((int64)image * scene.count + f) * 3;
@@ -85,9 +85,10 @@ NR_FUNC float part_beside_face(const Lines& lines, const BoundaryEdge& edge, con
     return ahead > 0.0f ? 1.0f : 0.0f;
 }
 
-// The gain at a crossing with the background or a farther face outside; else 0.
-NR_FUNC float gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
-    if (at.inner_face < 0) return 0.0f;
+// Give the gain at a crossing with the background or a farther face outside.
+template <class Sink>
+NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, Sink& sink) {
+    if (at.inner_face < 0) return;
     const float u = (float)at.u;
     float own = 1.0f, joint = 1.0f;  // chords from the crossing on: in the face, and in the face and its stand-ins
     const int before = lines.face(at.u, at.inner - edge.outward);
@@ -108,9 +109,9 @@ NR_FUNC float gain_of_outline(const Lines& lines, const BoundaryEdge& edge, cons
             next = through < 0 ? -1 : lines.adjacent[(int64)next * 3 + through];
         }
     }
-    if (!shows) return 0.0f;
-    const float share = at.outer_face >= 0 ? part_beside_face(lines, edge, at) : 1.0f;
-    if (share == 0.0f) return 0.0f;
+    if (!shows) return;
+    sink.part = at.outer_face >= 0 ? part_beside_face(lines, edge, at) : 1.0f;
+    if (sink.part == 0.0f) return;
     const float weight = weight_of_chord(joint);
     Gain gain(lines, edge, at);
     gain.inside.extrapolate(weight, at.offset, gain.before_is_inside);
@@ -121,7 +122,7 @@ NR_FUNC float gain_of_outline(const Lines& lines, const BoundaryEdge& edge, cons
         gain.inside.near_weight = weight_of_chord(own);
         gain.inside.next_weight = weight - gain.inside.near_weight;
     }
-    return share * gain.sum(lines, at, weight > 1.0f);
+    gain.give(lines, at, weight > 1.0f, sink);
 }
 
 // ---- Seams ----
@@ -162,10 +163,11 @@ NR_FUNC int64 middle_of_face(const Lines& lines, int f) {
     return -1;
 }
 
-// The gain of both sides, estimated independently.
-NR_FUNC float gain_of_sides(
-    const Lines& lines, const BoundaryEdge& edge, const Crossing& at, bool shows_own, bool shows_adjacent) {
-    if (!(shows_own || shows_adjacent)) return 0.0f;
+// Give the gain of both sides, estimated independently.
+template <class Sink>
+NR_FUNC void gain_of_sides(
+    const Lines& lines, const BoundaryEdge& edge, const Crossing& at, bool shows_own, bool shows_adjacent, Sink& sink) {
+    if (!(shows_own || shows_adjacent)) return;
     // Pixels around the pair: two on either side along the line, and those beside the pair.
     const int d = edge.outward;
     const int across[8] = {0, 0, 0, 0, -1, -1, 1, 1}, along[8] = {-1, -2, 2, 3, 0, 1, 0, 1};
@@ -184,46 +186,43 @@ NR_FUNC float gain_of_sides(
     const int64 inner = lines.pixel(at.u, at.inner), outer = lines.pixel(at.u, at.outer);
     // Without other faces, subtract the colour of the side that is shown more often.
     const int64 middle = shows_own && (!shows_adjacent || own <= adjacent) ? inner : outer;
-    const int64 inner_pull = lines.pull(at.u, at.inner), outer_pull = lines.pull(at.u, at.outer);
-    const float* pull = lines.grad;
-    float result = 0.0f;
-    for (int c = 0; c < lines.channels; ++c, pull += lines.grad_area) {
+    const Beside beside(lines, at, at.offset);
+    for (int c = 0; c < lines.channels; ++c) {
         float mean = 0.0f;
         for (int n = 0; n < count; ++n) mean += lines.value(c, around[n]);
         mean = count > 0 ? mean / (float)count : lines.value(c, middle);
-        const float difference = own * (lines.value(c, inner) - mean) - adjacent * (lines.value(c, outer) - mean);
-        result += difference * ((1.0f - at.offset) * pull[inner_pull] + at.offset * pull[outer_pull]);
+        sink(c, beside, own * (lines.value(c, inner) - mean) - adjacent * (lines.value(c, outer) - mean));
     }
-    return result;
 }
 
-// The gain at a crossing; 0 where a colour is unknown, or something hides the seam.
-NR_FUNC float gain_of_seam(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
+// Give the gain at a crossing; none where a colour is unknown, or something hides the seam.
+template <class Sink>
+NR_FUNC void gain_of_seam(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, Sink& sink) {
     const bool shows_own = at.inner_face == edge.face, shows_adjacent = at.outer_face == edge.adjacent;
-    if (edge.small) return gain_of_sides(lines, edge, at, shows_own, shows_adjacent);
+    if (edge.small) return gain_of_sides(lines, edge, at, shows_own, shows_adjacent, sink);
     Gain gain(lines, edge, at);
     // Where a centre lies in a face but does not show it, another face hides the seam.
     if (!shows_own) {
-        if (at.offset < lines.chord(edge.face, at.u, at.v, at.v)) return 0.0f;
+        if (at.offset < lines.chord(edge.face, at.u, at.v, at.v)) return;
         gain.inside.near = middle_of_face(lines, edge.face);
-        if (gain.inside.near < 0) return 0.0f;
+        if (gain.inside.near < 0) return;
     }
     if (!shows_adjacent) {
-        if (1.0f - at.offset < lines.chord(edge.adjacent, at.u, at.v, at.v)) return 0.0f;
+        if (1.0f - at.offset < lines.chord(edge.adjacent, at.u, at.v, at.v)) return;
         gain.outside.near = middle_of_face(lines, edge.adjacent);
-        if (gain.outside.near < 0) return 0.0f;
+        if (gain.outside.near < 0) return;
     }
     // A colour from the middle of a face is not extrapolated.
     gain.inside.extrapolate(1.0f, at.offset, gain.before_is_inside && shows_own);
     gain.outside.extrapolate(1.0f, 1.0f - at.offset, gain.behind_is_outside && shows_adjacent);
-    return gain.sum(lines, at, false);
+    gain.give(lines, at, false, sink);
 }
 
 // ---- Which edges move ----
 
 // Whether the colours along edge k of face f are those of the same edge of the adjacent face g. A hash of 0 matches
 // nothing.
-NR_FUNC bool colors_continue(const EdgeBackward& call, int image, int f, int k, int g) {
+NR_FUNC bool colors_continue(const Edges& call, int image, int f, int k, int g) {
     const int64 own = call.edge_hashes.of(image, f, k, 0);
     if (own == 0) return false;
     const vec3 *v = call.scene.corners(image, f), *u = call.scene.corners(image, g);
@@ -233,7 +232,7 @@ NR_FUNC bool colors_continue(const EdgeBackward& call, int image, int f, int k, 
 }
 
 // Whether a surface folds at edge k of face f, and the other face of the fold is in front of f.
-NR_FUNC bool folds_behind(const EdgeBackward& call, int image, int f, int k) {
+NR_FUNC bool folds_behind(const Edges& call, int image, int f, int k) {
     if (!call.folds) return false;
     const Scene& scene = call.scene;
     const int other = call.folds[((int64)image * scene.count + f) * 3 + k];
@@ -244,7 +243,7 @@ NR_FUNC bool folds_behind(const EdgeBackward& call, int image, int f, int k) {
 }
 
 // Whether edge k of a face is an outline, or a seam to a face of higher index (each seam counts once).
-NR_FUNC bool may_move(const EdgeBackward& call, int image, int f, int k) {
+NR_FUNC bool may_move(const Edges& call, int image, int f, int k) {
     const int other = call.adjacent(image, f)[k];
     if (other < 0) return !folds_behind(call, image, f, k);
     if (!call.seams || other < f) return false;
@@ -252,7 +251,7 @@ NR_FUNC bool may_move(const EdgeBackward& call, int image, int f, int k) {
 }
 
 // Whether an edge of the face may be a visible boundary; ``search``: among adjacent faces of faces, too.
-NR_FUNC bool has_moving_edge(const EdgeBackward& call, int image, int f, bool search) {
+NR_FUNC bool has_moving_edge(const Edges& call, int image, int f, bool search) {
     const int* shown = call.visible + (int64)image * (call.scene.count + 1);
     const int* next = call.adjacent(image, 0);
     const bool has_outline = next[3 * f] < 0 || next[3 * f + 1] < 0 || next[3 * f + 2] < 0;
@@ -279,34 +278,67 @@ NR_FUNC bool has_moving_edge(const EdgeBackward& call, int image, int f, bool se
 
 // ---- Kernels ----
 
-// Edge k of a face: add its gradient along the scan lines of one axis, from the lines of a task, to its ends p and q.
-NR_FUNC void move_edge(
-    const EdgeBackward& call, const LineTask& task, const Lines& lines, int k, bool clockwise, vec3* to) {
-    const int f = task.face, m = (k + 1) % 3, n = (k + 2) % 3;
-    const int p = clockwise ? m : k, q = clockwise ? k : m;  // counter-clockwise
-    const vec3* corners = call.scene.corners(task.image, f);
-    const int* next = call.adjacent(task.image, f);
-    BoundaryEdge edge(lines, corners[p], corners[q], corners[n]);
-    if (!edge.has_crossings(lines)) return;
-    edge.face = f, edge.adjacent = next[k];
-    edge.adjacent_pr = next[clockwise ? m : n], edge.adjacent_qr = next[clockwise ? n : m];
-    edge.small = edge.adjacent >= 0 && (is_small(lines, f) || is_small(lines, edge.adjacent));
-    float to_p = 0.0f, to_q = 0.0f;
-    const int end = edge.end(lines);
-    for (int u = edge.first(lines) + task.part; u < end; u += task.parts) {
-        const Crossing at = edge.crossing(lines, u);
-        if ((at.inner_face == -2) | (at.outer_face == -2) | (at.inner_face == at.outer_face)) continue;
-        float gain = edge.adjacent >= 0 ? gain_of_seam(lines, edge, at) : gain_of_outline(lines, edge, at);
-        gain *= border_weight(at.v, lines.length);
-        to_p += (1.0f - at.share) * gain, to_q += at.share * gain;
+// Edge k of a face, from its end p to q, counter-clockwise; both are numbers of corners.
+struct FaceEdge {
+    int p, q;
+    BoundaryEdge edge;
+
+    NR_FUNC FaceEdge(const Edges& call, int image, int f, const Lines& lines, int k, bool clockwise)
+        : p(clockwise ? (k + 1) % 3 : k), q(clockwise ? k : (k + 1) % 3), edge(of_corners(call, image, f, lines, k)) {
+        const int m = (k + 1) % 3, n = (k + 2) % 3;
+        const int* next = call.adjacent(image, f);
+        edge.face = f, edge.adjacent = next[k];
+        edge.adjacent_pr = next[clockwise ? m : n], edge.adjacent_qr = next[clockwise ? n : m];
+        edge.small = edge.adjacent >= 0 && (is_small(lines, f) || is_small(lines, edge.adjacent));
     }
-    // A pixel has a quarter of the gradient of its block.
-    const float scale = (lines.halved ? 0.125f : 0.5f) * (float)(edge.outward * lines.whole_length());
-    to[p][lines.axis] += scale * to_p, to[q][lines.axis] += scale * to_q;
+    NR_FUNC BoundaryEdge of_corners(const Edges& call, int image, int f, const Lines& lines, int k) const {
+        const vec3* corners = call.scene.corners(image, f);
+        return BoundaryEdge(lines, corners[p], corners[q], corners[(k + 2) % 3]);
+    }
+    // Call visit(at) for the crossings with the lines of a task that lie between two different surfaces.
+    template <class Visit>
+    NR_FUNC void over_crossings(const LineTask& task, const Lines& lines, Visit visit) const {
+        if (!edge.has_crossings(lines)) return;
+        const int end = smaller(edge.end(lines), task.last);
+        for (int u = larger(edge.first(lines), task.first) + task.part; u < end; u += task.parts) {
+            const Crossing at = edge.crossing(lines, u);
+            if ((at.inner_face == -2) | (at.outer_face == -2) | (at.inner_face == at.outer_face)) continue;
+            visit(at);
+        }
+    }
+    template <class Sink>
+    NR_FUNC void gain(const Lines& lines, const Crossing& at, Sink& sink) const {
+        if (edge.adjacent >= 0) gain_of_seam(lines, edge, at, sink);
+        else gain_of_outline(lines, edge, at, sink);
+    }
+    // Pixels, outward, that a crossing moves if an end moves by 1 on the screen; a pixel has a quarter of its block.
+    NR_FUNC float scale(const Lines& lines) const {
+        return (lines.halved ? 0.125f : 0.5f) * (float)(edge.outward * lines.whole_length());
+    }
+};
+
+struct EdgeBackward {
+    Edges edges;
+    vec3* to_faces;  // gradient to the corners, [images, count, 3], 0 before
+};
+
+// Edge k of a face: add its gradient along the scan lines of one axis, from the lines of a task, to its ends p and q.
+NR_FUNC void move_edge(const Edges& call, const LineTask& task, const Lines& lines, int k, bool clockwise, vec3* to) {
+    const FaceEdge own(call, task.image, task.face, lines, k, clockwise);
+    float to_p = 0.0f, to_q = 0.0f;
+    own.over_crossings(task, lines, [&](const Crossing& at) {
+        Pull pull = {lines};
+        own.gain(lines, at, pull);
+        const float gain = pull.part * pull.sum * border_weight(at.v, lines.length);
+        to_p += (1.0f - at.share) * gain, to_q += at.share * gain;
+    });
+    const float scale = own.scale(lines);
+    to[own.p][lines.axis] += scale * to_p, to[own.q][lines.axis] += scale * to_q;
 }
 
 // One face of one image, over the scan lines of a task.
-NR_NOINLINE void move_face(const EdgeBackward& call, const LineTask& task) {
+NR_NOINLINE void move_face(const EdgeBackward& backward, const LineTask& task) {
+    const Edges& call = backward.edges;
     const Scene& scene = call.scene;
     const bool clockwise = facing(scene.corners(task.image, task.face), scene.perspective) < 0;
     const Lines rows(0, scene, call.pictures, call.neighbors.adjacent, task.image);
@@ -317,7 +349,7 @@ NR_NOINLINE void move_face(const EdgeBackward& call, const LineTask& task) {
         move_edge(call, task, rows, k, clockwise, to);
         move_edge(call, task, columns, k, clockwise, to);
     }
-    vec3* corners = call.to_faces + ((int64)task.image * scene.count + task.face) * 3;
+    vec3* corners = backward.to_faces + ((int64)task.image * scene.count + task.face) * 3;
     for (int k = 0; k < 3; ++k) {
         if (call.queue.threads == 0) corners[k] = to[k];
         else atomic_add(corners + k, to[k]);
@@ -325,18 +357,94 @@ NR_NOINLINE void move_face(const EdgeBackward& call, const LineTask& task) {
 }
 
 // A face that may have an edge to move, or what the queue holds for a CUDA thread: a scan line at a time.
-NR_FUNC void edge_backward(const EdgeBackward& call, int task) {
+NR_FUNC void edge_backward(const EdgeBackward& backward, int task) {
+    const Edges& call = backward.edges;
     const int count = call.scene.count;
     if (call.queue.threads == 0 && !has_moving_edge(call, task / count, task % count, true)) return;
-    for_each_line_task(call.queue, call.scene, task, 1, 1, [&](const LineTask& own) { move_face(call, own); });
+    for_each_line_task(call.queue, call.scene, task, 1, 1, [&](const LineTask& own) { move_face(backward, own); });
 }
 
 // Put a face that may have an edge to move into the queue. With rings, first find its adjacent faces.
-NR_FUNC void queue_moving_face(const EdgeBackward& call, int task) {
+NR_FUNC void queue_moving_face(const Edges& call, int task) {
     const int image = task / call.scene.count, f = task % call.scene.count;
     if (call.neighbors.rings.next) search_rings(call.neighbors, image, f);
     // The search would keep a GPU's other threads waiting.
     if (has_moving_edge(call, image, f, false)) put_lines(call.queue, call.scene, image, f, 1, 1);
+}
+
+// The change of images if corners move in each of several directions: the transpose of `EdgeBackward`.
+struct EdgeForward {
+    Edges edges;
+    const vec3* motion;  // of the corners, [directions, images, count, 3]
+    int directions;
+    // Of the scan lines: 0 rows, 1 columns. On the CPU a task has the faces of an image, on every line of a band of
+    // ``band`` lines of one axis, so that no two tasks write to one pixel. On CUDA it has both axes.
+    int axis, band;
+    byte* moving;   // bit k: whether edge k of a face may be a visible boundary, [images, count]; on the CPU
+    float* images;  // [directions, images, channels, height, width] or halved; added to
+};
+
+// The edges of a face that may move: bit k for edge k.
+NR_FUNC int moving_edges(const Edges& call, int image, int f) {
+    int bits = 0;
+    for (int k = 0; k < 3; ++k) bits |= may_move(call, image, f, k) ? 1 << k : 0;
+    return bits;
+}
+
+// Find the edges of a face that may be visible boundaries, for the launches of both axes.
+NR_FUNC void find_moving_edges(const EdgeForward& forward, int task) {
+    const int count = forward.edges.scene.count, image = task / count, f = task % count;
+    const bool any = has_moving_edge(forward.edges, image, f, true);
+    forward.moving[task] = (byte)(any ? moving_edges(forward.edges, image, f) : 0);
+}
+
+// The edges ``moving`` of one face of one image, over the scan lines of a task, along one axis.
+NR_NOINLINE void push_face(const EdgeForward& forward, const LineTask& task, int axis, int moving) {
+    const Edges& call = forward.edges;
+    const Scene& scene = call.scene;
+    const int b = task.image, f = task.face;
+    const bool clockwise = facing(scene.corners(b, f), scene.perspective) < 0;
+    const Lines lines(axis, scene, call.pictures, call.neighbors.adjacent, b);
+    const vec3* motion = forward.motion + ((int64)b * scene.count + f) * 3;
+    const int64 step = (int64)scene.images * scene.count * 3, size = lines.channels * lines.grad_area;
+    for (int k = 0; k < 3; ++k) {
+        if (!(moving >> k & 1)) continue;
+        const FaceEdge own(call, b, f, lines, k, clockwise);
+        own.over_crossings(task, lines, [&](const Crossing& at) {
+            const float scale = own.scale(lines) * border_weight(at.v, lines.length);
+            for (int first = 0; first < forward.directions; first += Push::MOST) {
+                float* image = forward.images + (first * (int64)scene.images + b) * size;
+                Push push = {lines, smaller(forward.directions - first, Push::MOST), image, scene.images * size, {}};
+                const vec3* by = motion + first * step;
+                for (int t = 0; t < push.directions; ++t, by += step)
+                    push.motion[t] = scale * ((1.0f - at.share) * by[own.p][axis] + at.share * by[own.q][axis]);
+                own.gain(lines, at, push);
+            }
+        });
+    }
+}
+
+// The faces of an image that may have an edge to move, over a band of lines; or a scan line at a time, on CUDA.
+NR_FUNC void edge_forward(const EdgeForward& forward, int task) {
+    const Edges& call = forward.edges;
+    const Scene& scene = call.scene;
+    if (call.queue.threads > 0) {
+        for_each_line_task(call.queue, scene, task, 1, 1, [&](const LineTask& own) {
+            const int moving = moving_edges(call, own.image, own.face);
+            for (int axis = 0; axis < 2; ++axis) push_face(forward, own, axis, moving);
+        });
+        return;
+    }
+    const int lines = forward.axis ? scene.width : scene.height;
+    const int bands = (lines + forward.band - 1) / forward.band, image = task / bands;
+    const int first = task % bands * forward.band, last = smaller(first + forward.band, lines);
+    for (int f = 0; f < scene.count; ++f) {
+        const int moving = forward.moving[(int64)image * scene.count + f];
+        if (!moving) continue;
+        const Box box = box_of_face(scene, image, f);
+        if (forward.axis ? box.right < first || box.left >= last : box.top < first || box.bottom >= last) continue;
+        push_face(forward, LineTask{image, f, 0, 1, 0, 1, first, last}, forward.axis, moving);
+    }
 }
 
 }  // namespace nr

@@ -35,6 +35,11 @@ NR_FUNC uint64 add_color(uint64 hash, const vec3& color) {
 NR_FUNC void hash_edges(const HashEdges& call, int task) {
     const LitCubes& textures = call.textures;
     const int b = task / call.scene.count, f = task % call.scene.count, size = textures.size;
+    int64* to = call.hashes + (int64)task * 6;
+    if (!textures.has(b, f)) {
+        for (int n = 0; n < 6; ++n) to[n] = 0;
+        return;
+    }
     const vec3* cube = textures.cube(call.scene, b, f);
     const vec3 &front = textures.light_on(call.scene, b, f, 0), &back = textures.light_on(call.scene, b, f, 1);
     const uint64 light = mixed(add_color(add_color(0, front), back));
@@ -53,10 +58,9 @@ NR_FUNC void hash_edges(const HashEdges& call, int task) {
                 hashes[0] += mixed(color + (uint64)i * THERE + (uint64)j * BACK);
                 hashes[1] += mixed(color + (uint64)j * THERE + (uint64)i * BACK);
             }
-        int64* to = call.hashes + ((int64)task * 3 + k) * 2;
-        for (int n = 0; n < 2; ++n) {
-            to[n] = (int64)(hashes[n] + light);
-            if (to[n] == 0) to[n] = 1;  // 0 matches nothing
+        for (int n = 0; n < 2; ++n, ++to) {
+            *to = (int64)(hashes[n] + light);
+            if (*to == 0) *to = 1;  // 0 matches nothing
         }
     }
 }

@@ -124,6 +124,7 @@ NR_FUNC Point<float> point_at(const Face& face, int i, int j) {
 struct Slopes {
     float dx[3], dy[3];
 
+    Slopes() = default;
     NR_FUNC explicit Slopes(const Face& face) {
         float longest = 0.0f;
         for (int k = 0; k < 3; ++k) {
@@ -181,6 +182,39 @@ struct CornerSums {
             else atomic_add(corners + k, part);
         }
     }
+};
+
+// The change of a point while the corners of its face move by ``by``: the transpose of `CornerSums::add`.
+template <class F>
+struct PointChange {
+    F weights[3], z;  // of the weights in space, and the depth
+
+    NR_FUNC PointChange(const Face& face, const Slopes& slopes, const Point<F>& point, const vec3* by) {
+        const F part = 1.0f / point.whole;
+        F share[3], right = all<F>(0.0f), up = all<F>(0.0f), sum = all<F>(0.0f);
+        for (int k = 0; k < 3; ++k) {
+            share[k] = point.w[k] * part;
+            right += share[k] * by[k][0], up += share[k] * by[k][1];
+        }
+        z = all<F>(0.0f);
+        for (int k = 0; k < 3; ++k) {
+            weights[k] = -right * slopes.dx[k] - up * slopes.dy[k];
+            if (face.perspective) {
+                weights[k] = point.z * face.inverse[k] * (weights[k] - share[k] * face.inverse[k] * by[k][2]);
+                sum += weights[k];
+            } else z += weights[k] * face.v[k][2] + share[k] * by[k][2];
+        }
+        if (!face.perspective) return;
+        for (int k = 0; k < 3; ++k) weights[k] -= point.weights[k] * sum;
+        z = -point.z * sum;
+    }
+};
+
+// The motion of the corners in each of several directions.
+struct Motion {
+    const vec3* corners;  // [directions, images, count, 3]
+    int directions;
+    int each;  // rows of a task
 };
 
 // A pixel that a loop visits: column i, row j from the bottom of an image, and its place in a map [images, H, W].
@@ -251,6 +285,42 @@ NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) 
             visitor.one(face, point_at(face, i, place.j), place, extras[slot]);
         }
     }
+}
+
+// Store the changes that follow from those of visible points, for the pixels of a task.
+//
+// ``change`` has these methods; points are those of a pixel, or on the CPU of ``count`` <= 8 neighbours of one face:
+//     at(face, points, place)                  what `store` needs for all directions
+//     store(that, moved, t, count, place)      the changes in direction t, from the `PointChange`
+//     clear(t, count, place)                   neighbours without a face
+template <class Change>
+struct ChangedRows {
+    const Scene& scene;
+    const Motion& motion;
+    const Change& change;
+
+    NR_FUNC void fresh(const Face& face, const Place&, Slopes& slopes) const { slopes = Slopes(face); }
+    NR_FUNC void empty(int count, const Place& place) const {
+        for (int t = 0; t < motion.directions; ++t) change.clear(t, count, place);
+    }
+    NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place, const Slopes& slopes) const {
+        run(face, point, 1, place, slopes);
+    }
+    template <class F>
+    NR_FUNC void run(
+        const Face& face, const Point<F>& points, int count, const Place& place, const Slopes& slopes) const {
+        const auto own = change.at(face, points, place);
+        for (int t = 0; t < motion.directions; ++t) {
+            const int64 image = (int64)t * scene.images + place.image;
+            const PointChange<F> moved(face, slopes, points, motion.corners + (image * scene.count + place.face) * 3);
+            change.store(own, moved, t, count, place);
+        }
+    }
+};
+
+template <class Change>
+NR_FUNC void over_changes(const Scene& scene, const Motion& motion, int task, const Change& change) {
+    over_rows<Slopes>(scene, task, motion.each, ChangedRows<Change>{scene, motion, change});
 }
 
 // Visit the pixels of a box that show face f of an image, by eights on the CPU where ``in_eights``.

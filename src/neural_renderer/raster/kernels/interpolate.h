@@ -183,4 +183,40 @@ NR_FUNC void attributes_of_run_backward(const InterpolateBackward& call, int tas
     });
 }
 
+struct InterpolateForward {
+    Interpolate forward;  // arguments of `Interpolate`; each and result are not used
+    Motion motion;
+    float* change;  // [directions, images, height, width, channels]
+};
+
+struct AttributeChanges {
+    const InterpolateForward& call;
+
+    template <class F>
+    NR_FUNC const float* at(const Face&, const Point<F>&, const Place& place) const {
+        return InterpolateRows{call.forward}.from(place);
+    }
+    template <class F>
+    NR_FUNC void store(const float* from, const PointChange<F>& moved, int t, int count, const Place& place) const {
+        const int channels = call.forward.channels;
+        float* to = first(t, place);
+        for (int c = 0; c < channels; ++c) {
+            const F change = interpolated(moved.weights, from, c, channels);
+            for (int n = 0; n < count; ++n) to[n * channels + c] = lane(change, n);
+        }
+    }
+    NR_FUNC void clear(int t, int count, const Place& place) const {
+        memset(first(t, place), 0, (int64)count * call.forward.channels * sizeof(float));
+    }
+    NR_FUNC float* first(int t, const Place& place) const {
+        const int64 pixel = t * call.forward.scene.images * call.forward.scene.area() + place.pixel;
+        return call.change + pixel * call.forward.channels;
+    }
+};
+
+// The pixels of a task.
+NR_FUNC void interpolate_pixels_forward(const InterpolateForward& call, int task) {
+    over_changes(call.forward.scene, call.motion, task, AttributeChanges{call});
+}
+
 }  // namespace nr

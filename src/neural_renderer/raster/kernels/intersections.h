@@ -46,8 +46,7 @@ NR_FUNC float share_of_way(const vec3* v, float x, float y, float x2, float y2) 
 }
 
 // Whether face f, shown at pixel i of a row from the top, and another one, shown at the next pixel to the right or
-// below
-// (``down``), may intersect between them. Together they have to cover the whole way from one pixel to the other.
+// below (``down``), may intersect between them. Together they have to cover the whole way from one pixel to the other.
 NR_FUNC bool may_meet(const Intersections& call, int image, int f, int other, int i, int row, bool down) {
     const Scene& scene = call.scene;
     const int perspective = scene.perspective;
@@ -96,25 +95,33 @@ NR_FUNC unsigned pairs_of_faces(const int* shown, int step, int count) {
     return pairs;
 }
 
+// Call visit(image, i, row, down) for the pixels i of a task in a line, if the next one to the right (``right``) or
+// below
+// (``down``) shows another face. Lines count from the top over all images, rows in their image.
+template <class Visit>
+NR_FUNC void for_each_pair(const Scene& scene, int line, const Pixels& pixels, bool right, Visit visit) {
+    const int row = line % scene.height;
+    const int* shown = scene.face_index + (int64)line * scene.width;
+    for (int down = right ? 0 : 1; down < 2; ++down) {
+        if (down && row + 1 == scene.height) break;
+        // The last pixel has none to the right.
+        const int end = smaller(pixels.right, down ? scene.width : scene.width - 1);
+        for (int at = pixels.left; at < end; at += 8) {
+            unsigned pairs = pairs_of_faces(shown + at, down ? scene.width : 1, end - at);
+            for (; pairs; pairs &= pairs - 1) visit(line / scene.height, at + lowest_bit(pairs), row, down == 1);
+        }
+    }
+}
+
 // Mark pairs of faces that may intersect between a pixel of a task and the next one, to the right or below. Several
 // tasks may write to one place, but all write 1.
 NR_FUNC void find_candidates(const Intersections& call, int task) {
     const Scene& scene = call.scene;
     const Pixels pixels = pixels_of_task(task, call.each, scene.images * scene.height, scene.width);
-    for (int line = pixels.first; line < pixels.last; ++line) {
-        const int row = line % scene.height;
-        const int* shown = scene.face_index + (int64)line * scene.width;
-        for (int down = 0; down < 2; ++down) {
-            if (down && row + 1 == scene.height) break;
-            // The last pixel has none to the right.
-            const int end = smaller(pixels.right, down ? scene.width : scene.width - 1);
-            for (int at = pixels.left; at < end; at += 8) {
-                unsigned pairs = pairs_of_faces(shown + at, down ? scene.width : 1, end - at);
-                for (; pairs; pairs &= pairs - 1)
-                    mark_pair(call, line / scene.height, at + lowest_bit(pairs), row, down);
-            }
-        }
-    }
+    for (int line = pixels.first; line < pixels.last; ++line)
+        for_each_pair(scene, line, pixels, true, [&](int image, int i, int row, bool down) {
+            mark_pair(call, image, i, row, down);
+        });
 }
 
 // ---- The gradient of a pair of pixels ----
@@ -218,39 +225,50 @@ NR_FUNC float color_difference(const Intersections& call, const PixelPair& pair,
     return result;
 }
 
-// The change of the loss if the own face's nearness at an intersection grows by 1.
-NR_FUNC float nearness_gain(const Intersections& call, const Intersection& found, const PixelPair& pair) {
+// The motion of an intersection along its pair, in pixels, if the own face's nearness there grows by 1, times the
+// weight of the pair.
+NR_FUNC float motion_by_nearness(const Intersection& found, const PixelPair& pair) {
     NR_UNFUSED
     const vec2 slope = {found.own_slope[0] - found.other_slope[0], found.own_slope[1] - found.other_slope[1]};
     const float square = slope[0] * slope[0] + slope[1] * slope[1], along = slope[pair.axis];
-    float gain = along * along / square / found.lead;
-    gain *= color_difference(call, pair, found.t >= 0.5f);
-    const float v = (float)(pair.axis ? pair.j : pair.i) + (float)pair.step * found.t;
-    return gain * border_weight(v, pair.axis ? call.scene.height : call.scene.width);
+    return along * along / square / found.lead;
 }
 
-// Add the gradients to the corners of face f, visible at the first pixel of a pair.
+NR_FUNC float border_weight(const Scene& scene, const Intersection& found, const PixelPair& pair) {
+    const float v = (float)(pair.axis ? pair.j : pair.i) + (float)pair.step * found.t;
+    return border_weight(v, pair.axis ? scene.height : scene.width);
+}
+
+// The derivative of the own face's nearness at an intersection by its corner k, times ``gain``.
 //
 // At a fixed position, moving corner k by s on the screen changes the nearness by -w_k grad(nearness) . s, and moving
 // its depth by dz changes it by w_k dn_k/dz dz.
+NR_FUNC vec3 nearness_by_corner(const Scene& scene, const Intersection& found, const vec3* v, int k, float gain) {
+    NR_UNFUSED
+    const vec2 pixel = size_of_pixel(scene);
+    const float z = v[k][2], w = scene.perspective ? found.terms[k] * z : -found.terms[k] / z;
+    const float to_z = scene.perspective ? -w / (z * z) : -w;
+    return {-(gain * w * found.own_slope[0] / pixel[0]), -(gain * w * found.own_slope[1] / pixel[1]), gain * to_z};
+}
+
+// The intersection of face f, visible at the first pixel of a pair, with the face at the second one.
+NR_FUNC Intersection intersection_of_pair(const Scene& scene, const PixelPair& pair, int f) {
+    const int other = pair.second_face(scene);
+    if (other < 0 || other == f || share_edge(scene.corners(pair.image, f), scene.corners(pair.image, other)))
+        return Intersection{};
+    return find_intersection(scene, pair, f, other);
+}
+
+// Add the gradients to the corners of face f, visible at the first pixel of a pair.
 NR_FUNC void add_pair(const Intersections& call, const PixelPair& pair, int f, vec3* to) {
     NR_UNFUSED
     const Scene& scene = call.scene;
-    const int other = pair.second_face(scene);
-    if (other < 0 || other == f) return;
-    const vec3* v = scene.corners(pair.image, f);
-    if (share_edge(v, scene.corners(pair.image, other))) return;
-    const Intersection found = find_intersection(scene, pair, f, other);
+    const Intersection found = intersection_of_pair(scene, pair, f);
     if (!found.exists) return;
-    const float gain = nearness_gain(call, found, pair);
-    const vec2 pixel = size_of_pixel(scene);
-    for (int k = 0; k < 3; ++k) {
-        const float z = v[k][2], w = scene.perspective ? found.terms[k] * z : -found.terms[k] / z;
-        const float to_z = scene.perspective ? -w / (z * z) : -w;
-        to[k][0] += -(gain * w * found.own_slope[0] / pixel[0]);
-        to[k][1] += -(gain * w * found.own_slope[1] / pixel[1]);
-        to[k][2] += gain * to_z;
-    }
+    float gain = motion_by_nearness(found, pair) * color_difference(call, pair, found.t >= 0.5f);
+    gain *= border_weight(scene, found, pair);
+    const vec3* v = scene.corners(pair.image, f);
+    for (int k = 0; k < 3; ++k) to[k] += nearness_by_corner(scene, found, v, k, gain);
 }
 
 // ---- Kernels ----
@@ -286,17 +304,68 @@ NR_FUNC void intersect_pairs(const Intersections& call, int task) {
     const Scene& scene = call.scene;
     const Pixels pixels = pixels_of_task(task, call.each, scene.images * scene.height, scene.width);
     for (int line = pixels.first; line < pixels.last; ++line)
-        for (int i = pixels.left; i < pixels.right; ++i) {
-            const int image = line / scene.height, row = line % scene.height;
-            const int f = scene.face_index[(int64)line * scene.width + i];
-            for (int down = 0; down < 2 && f >= 0; ++down) {
-                const PixelPair pair(image, i, scene.height - 1 - row, 3 * down);  // to the right, and below
-                const int other = pair.second_face(scene);
-                if (other < 0 || other == f || !may_meet(call, image, f, other, i, row, down)) continue;
-                add_pair_atomically(call, pair, f);
-                add_pair_atomically(call, PixelPair(image, pair.i2, pair.j2, 1 + down), other);  // left, and above
-            }
-        }
+        for_each_pair(scene, line, pixels, true, [&](int image, int i, int row, bool down) {
+            const PixelPair pair(image, i, scene.height - 1 - row, 3 * down);  // to the right, and below
+            const int f = scene.face_index[(int64)line * scene.width + i], other = pair.second_face(scene);
+            if (!may_meet(call, image, f, other, i, row, down)) return;
+            add_pair_atomically(call, pair, f);
+            add_pair_atomically(call, PixelPair(image, pair.i2, pair.j2, 1 + down), other);  // left, and above
+        });
+}
+
+// The change of images if corners move in each of several directions: the transpose of `intersect_face`.
+struct IntersectionsForward {
+    Intersections intersections;
+    const vec3* motion;  // of the corners, [directions, images, count, 3]
+    int directions;
+    int shared;     // whether tasks write to the same pixels at once
+    float* images;  // [directions, images, channels, height, width] or halved; added to
+};
+
+// Add the change by face f, visible at the first pixel of a pair, to the pixel that contains the intersection, if that
+// lies in one of ``lines``, which count from the top.
+NR_FUNC void push_pair(const IntersectionsForward& forward, const PixelPair& pair, int f, const Pixels& lines) {
+    NR_UNFUSED
+    const Intersections& call = forward.intersections;
+    const Scene& scene = call.scene;
+    const vec3* v = scene.corners(pair.image, f);
+    if (!has_gradient(v, scene.perspective)) return;
+    const Intersection found = intersection_of_pair(scene, pair, f);
+    if (!found.exists) return;
+    const int i = found.t < 0.5f ? pair.i : pair.i2, j = found.t < 0.5f ? pair.j : pair.j2;
+    const int line = (pair.image + 1) * scene.height - 1 - j;
+    if (line < lines.first || line >= lines.last) return;
+    const Lines rows(0, scene, call.pictures, call.adjacent, pair.image);
+    const int64 first = rows.pixel(pair.j, pair.i), second = rows.pixel(pair.j2, pair.i2);
+    const int64 size = rows.channels * rows.grad_area;
+    float* to = forward.images + pair.image * size + rows.pull(j, i);
+    // A pixel has a quarter of the change of its block.
+    const float weight = border_weight(scene, found, pair) * (rows.halved ? 0.25f : 1.0f);
+    const float gain = motion_by_nearness(found, pair) * weight;
+    for (int t = 0; t < forward.directions; ++t, to += scene.images * size) {
+        const vec3* by = forward.motion + (((int64)t * scene.images + pair.image) * scene.count + f) * 3;
+        float change = 0.0f;
+        for (int k = 0; k < 3; ++k) change += dot(nearness_by_corner(scene, found, v, k, gain), by[k]);
+        for (int c = 0; c < rows.channels; ++c)
+            atomic_add(to + c * rows.grad_area, change * (rows.value(c, first) - rows.value(c, second)));
+    }
+}
+
+// The pixels of a task, paired with the next ones, to the right and below. On the CPU a task writes to its own rows
+// alone, and so looks at the pairs with the row above, too.
+NR_FUNC void push_pairs(const IntersectionsForward& forward, int task) {
+    const Intersections& call = forward.intersections;
+    const Scene& scene = call.scene;
+    const Pixels pixels = pixels_of_task(task, call.each, scene.images * scene.height, scene.width);
+    const Pixels lines = forward.shared ? Pixels{0, scene.images * scene.height, 0, 0} : pixels;
+    for (int line = forward.shared || pixels.first == 0 ? pixels.first : pixels.first - 1; line < pixels.last; ++line)
+        for_each_pair(scene, line, pixels, line >= pixels.first, [&](int image, int i, int row, bool down) {
+            const PixelPair pair(image, i, scene.height - 1 - row, 3 * down);
+            const int f = scene.face_index[(int64)line * scene.width + i], other = pair.second_face(scene);
+            if (!may_meet(call, image, f, other, i, row, down)) return;
+            push_pair(forward, pair, f, lines);
+            push_pair(forward, PixelPair(image, pair.i2, pair.j2, 1 + down), other, lines);
+        });
 }
 
 }  // namespace nr

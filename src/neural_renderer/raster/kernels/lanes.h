@@ -44,6 +44,10 @@ NR_FUNC int lowest_bit(unsigned number) {
 #endif
 }
 
+// Number n of a vector, or the only one.
+NR_FUNC float lane(float value, int) { return value; }
+NR_FUNC void set_lane(float& value, int, float to) { value = to; }
+
 NR_FUNC float to_floats(int value) { return (float)value; }
 NR_FUNC bool any(bool mask) { return mask; }
 NR_FUNC float sum(float value) { return value; }
@@ -86,6 +90,15 @@ NR_FUNC void store(T* to, const V& values) {
     memcpy(to, &values, sizeof(values));
 }
 
+// Store the first ``count`` lanes side by side.
+template <class F>
+NR_FUNC void store_first(float* to, const F& values, int count) {
+    if constexpr (Lanes<F>::WIDTH == 1) *to = values;
+    else if (count == Lanes<F>::WIDTH) store(to, values);
+    else
+        for (int n = 0; n < count; ++n) to[n] = values[n];
+}
+
 #if NR_LANES
 #if defined(__clang__)
 #define NR_VECTOR(type, n) __attribute__((ext_vector_type(n))) type
@@ -116,6 +129,8 @@ struct Lanes<floats16> {
 inline floats8 select(ints8 mask, floats8 yes, floats8 no) { return mask ? yes : no; }
 inline floats16 select(ints16 mask, floats16 yes, floats16 no) { return mask ? yes : no; }
 inline ints8 select(ints8 mask, ints8 yes, ints8 no) { return mask ? yes : no; }
+inline float lane(floats8 values, int n) { return values[n]; }
+inline void set_lane(floats8& values, int n, float to) { values[n] = to; }
 inline floats8 to_floats(ints8 values) { return __builtin_convertvector(values, floats8); }
 inline floats16 to_floats(ints16 values) { return __builtin_convertvector(values, floats16); }
 

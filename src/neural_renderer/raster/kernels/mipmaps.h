@@ -175,6 +175,14 @@ NR_FUNC void sample_mipmaps(const SampleMipmaps& call, int task) {
     });
 }
 
+// The slope of a value along rows of texels, which run down, and along columns, by the values of a block's texels.
+NR_FUNC vec2 slope_of_block(const TexelBlock& block, const float* values) {
+    const float *x = block.x.part, *y = block.y.part;
+    return {
+        (y[0] * (values[1] - values[0]) + y[1] * (values[3] - values[2])) * block.x.slope,
+        (x[0] * (values[2] - values[0]) + x[1] * (values[3] - values[1])) * block.y.slope};
+}
+
 struct SampleMipmapsBackward {
     Mipmaps maps;
     Samples samples;
@@ -202,8 +210,8 @@ NR_FUNC void blend_block_backward(
         add_product(to + below[0] + c, g * y[1], x[0]);
         add_product(to + below[1] + c, g * y[1], x[1]);
     }
-    to_uv[0] += (y[0] * (gain[1] - gain[0]) + y[1] * (gain[3] - gain[2])) * block.x.slope;
-    to_uv[1] += (x[0] * (gain[2] - gain[0]) + x[1] * (gain[3] - gain[1])) * block.y.slope;
+    const vec2 slope = slope_of_block(block, gain);
+    to_uv[0] += slope[0], to_uv[1] += slope[1];
 }
 
 // The pixels of a task.
@@ -237,6 +245,38 @@ NR_FUNC void sample_mipmaps_backward(const SampleMipmapsBackward& call, int task
             else blend_block_backward(block, image, channels, pull, to, to_uv);
         });
         call.to_uv[pixel] = {to_uv[0], -to_uv[1]};
+    });
+}
+
+// The change of samples while their coordinates move in each of several directions.
+struct SampleMipmapsForward {
+    Mipmaps maps;
+    Samples samples;
+    const vec2* motion;  // change of the coordinates, [directions, images, height, width]
+    int directions;
+    float* change;  // [directions, images, height, width, channels], 0 before
+};
+
+// The pixels of a task.
+NR_FUNC void sample_mipmaps_forward(const SampleMipmapsForward& call, int task) {
+    const int channels = call.maps.channels;
+    const int64 pixels = (int64)call.samples.images * call.samples.height * call.samples.width;
+    for_each_sample(call.samples, task, [&](int b, int64 pixel, int i, int j) {
+        if (call.samples.face_index[pixel] < 0) return;
+        const float* image = call.maps.texels + call.maps.start(b);
+        for_each_level(call.maps, call.samples, pixel, i, j, [&](const TexelBlock& block) {
+            int64 places[4];
+            for (int n = 0; n < 4; ++n) places[n] = block.texel(n >> 1, n & 1) * channels;
+            for (int c = 0; c < channels; ++c) {
+                float values[4];
+                for (int n = 0; n < 4; ++n) values[n] = block.share * image[places[n] + c];
+                const vec2 slope = slope_of_block(block, values);
+                for (int t = 0; t < call.directions; ++t) {
+                    const vec2& by = call.motion[t * pixels + pixel];
+                    call.change[(t * pixels + pixel) * channels + c] += slope[0] * by[0] - slope[1] * by[1];
+                }
+            }
+        });
     });
 }
 

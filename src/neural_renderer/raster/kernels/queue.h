@@ -35,11 +35,10 @@ struct Queue {
 };
 
 // The work of a task: every ``lanes``-th pixel, from ``lane``, of every ``parts``-th scan line, from ``part``, of a
-// face.
+// face, among the lines [first, last).
 struct LineTask {
     int image, face, lane, lanes, part, parts;
-
-    // Whether no other task has work of the face, so that sums need no atomics.
+    int first = 0, last = 1 << 30;
 };
 
 // The number of threads that share the scan lines of a face: a power of 2, ``most`` lines each at most.

@@ -83,7 +83,7 @@ struct SampleCubesBackward {
     int textures_too, light_too, faces_too;  // whether these gradients are asked for
     const int* visible;                      // mask of visible faces, [images, count + 1]; on the CPU
     int run;                                 // pixels of a task on CUDA
-    vec3* to_textures;                       // [cubes, count, volume]; 0 before, on CUDA
+    vec3* to_textures;                       // as the texels; 0 before, on CUDA
     vec3* to_light;                          // [images, 2, count], 0 before
     vec3* to_faces;                          // [images, count, 3], 0 before
 };
@@ -166,7 +166,7 @@ struct CubeBackward {
 // The pixels of a box that show face f, whose cube is that of image ``own``; ``alone``: no other task writes to it.
 NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, int f, const Box& box, bool alone) {
     const Scene& scene = call.scene;
-    const int64 at = ((int64)own * scene.count + f) * call.textures.volume();
+    const int64 at = call.textures.place(scene, own, f);
     Face face;
     face.set(scene.corners(image, f), scene);
     const int side = visible_side(face.v, scene.perspective);
@@ -184,9 +184,12 @@ NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, 
 
 // The pixels that show one face, in one image or in all. The task clears its cube: a pass over the memory less.
 NR_FUNC void cubes_of_face_backward(const SampleCubesBackward& call, int task) {
-    const int64 volume = call.textures.volume();
-    if (call.textures_too) memset(call.to_textures + task * volume, 0, volume * sizeof(vec3));
-    for_each_view(call.scene, call.visible, call.textures.cubes, task, [&](int image, int own, int f, const Box& box) {
+    const LitCubes& textures = call.textures;
+    const int owner = task / call.scene.count, face = task % call.scene.count;
+    if (!textures.has(owner, face)) return;
+    if (call.textures_too)
+        memset(call.to_textures + textures.place(call.scene, owner, face), 0, textures.volume() * sizeof(vec3));
+    for_each_view(call.scene, call.visible, textures.cubes, task, [&](int image, int own, int f, const Box& box) {
         cube_backward(call, image, own, f, box, true);
     });
 }
@@ -196,6 +199,83 @@ NR_FUNC void cubes_of_run_backward(const SampleCubesBackward& call, int task) {
     for_each_run(call.scene, task, call.run, [&](int image, int f, int j, int first, int last) {
         cube_backward(call, image, smaller(image, call.textures.cubes - 1), f, Box{first, last, j, j}, false);
     });
+}
+
+struct SampleCubesForward {
+    Scene scene;
+    LitCubes textures;
+    Motion motion;
+    float* change;  // [directions, images, 3, height, width]
+};
+
+// The derivatives of a lit colour by the weights of the corners.
+template <class F>
+struct ColorSlopes {
+    F by_weights[3][3];  // for each channel
+};
+
+struct ColorChanges {
+    const SampleCubesForward& call;
+
+    template <class F>
+    NR_FUNC ColorSlopes<F> at(const Face& face, const Point<F>& points, const Place& place) const {
+        const LitCubes& textures = call.textures;
+        const vec3* cube = textures.cube(call.scene, place.image, place.face);
+        const int side = visible_side(face.v, face.perspective);
+        const vec3 factors = textures.light_on(call.scene, place.image, place.face, side);
+        ColorSlopes<F> slopes;
+        for (int n = 0; n < Lanes<F>::WIDTH; ++n) {
+            const float weights[3] = {
+                lane(points.weights[0], n), lane(points.weights[1], n), lane(points.weights[2], n)};
+            const Cube inside(weights, textures.size, textures.eps);
+            for (int c = 0; c < 3; ++c) {
+                vec3 unit = {};
+                unit[c] = factors[c];
+                const vec3 slope = inside.slope(cube, unit);
+                for (int k = 0; k < 3; ++k) set_lane(slopes.by_weights[c][k], n, slope[k]);
+            }
+        }
+        return slopes;
+    }
+#if NR_LANES
+    ColorSlopes<floats8> at(const Face& face, const Point<floats8>& points, const Place& place) const {
+        const LitCubes& textures = call.textures;
+        if (!textures.is_small()) return at<floats8>(face, points, place);
+        const vec3* cube = textures.cube(call.scene, place.image, place.face);
+        const int side = visible_side(face.v, face.perspective);
+        const vec3 factors = textures.light_on(call.scene, place.image, place.face, side);
+        const CubeOfEight inside(points.weights, textures.size, textures.eps);
+        ColorSlopes<floats8> slopes;
+        for (int c = 0; c < 3; ++c) {
+            floats8 unit[3] = {};
+            unit[c] += factors[c];
+            inside.slope(cube, unit, slopes.by_weights[c]);
+        }
+        return slopes;
+    }
+#endif
+    template <class F>
+    NR_FUNC void store(
+        const ColorSlopes<F>& slopes, const PointChange<F>& moved, int t, int count, const Place& place) const {
+        float* to = first(t, place);
+        for (int c = 0; c < 3; ++c, to += call.scene.area()) {
+            const F* by = slopes.by_weights[c];
+            store_first(to, by[0] * moved.weights[0] + by[1] * moved.weights[1] + by[2] * moved.weights[2], count);
+        }
+    }
+    NR_FUNC void clear(int t, int count, const Place& place) const {
+        float* to = first(t, place);
+        for (int c = 0; c < 3; ++c, to += call.scene.area()) memset(to, 0, count * sizeof(float));
+    }
+    NR_FUNC float* first(int t, const Place& place) const {
+        const int64 area = call.scene.area();
+        return call.change + 3 * t * call.scene.images * area + 2 * place.image * area + place.pixel;
+    }
+};
+
+// The pixels of a task.
+NR_FUNC void sample_pixels_forward(const SampleCubesForward& call, int task) {
+    over_changes(call.scene, call.motion, task, ColorChanges{call});
 }
 
 }  // namespace nr

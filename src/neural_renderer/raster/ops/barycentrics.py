@@ -2,6 +2,7 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+from collections.abc import Sequence
 from typing import Any
 
 from torch import Tensor
@@ -9,16 +10,19 @@ from torch import Tensor
 from ..warp.launch import launch
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
-from ..warp.native import Kernels
-from ..warp.registration import differentiable, differentiable_once, fake, operator
+from ..warp.native import Call, Kernels
+from ..warp.registration import differentiable, differentiable_once, fake, forward_operator, in_direction, operator
 from .visible_faces import scene_of, visible_faces
 
 # Without fused multiply-adds, weights by edge functions are the values that `coverage` computes.
 _KERNELS = Kernels(__name__, "barycentrics.h", fused=False)
 _Weigh, _BarycentricsBackward = _KERNELS.struct("Weigh"), _KERNELS.struct("BarycentricsBackward")
+_FORWARD = Kernels(__name__ + ".forward", "barycentrics.h", fused=False)
+_Motion, _WeighForward = _FORWARD.struct("Motion"), _FORWARD.struct("WeighForward")
 _weigh_pixels = _KERNELS.kernel("weigh_pixels", _Weigh)
 _weights_of_face_backward = _KERNELS.kernel("weights_of_face_backward", _BarycentricsBackward)
 _weights_of_run_backward = _KERNELS.kernel("weights_of_run_backward", _BarycentricsBackward, only_cuda=True)
+_weights_of_pixels_forward = _FORWARD.kernel("weights_of_pixels_forward", _WeighForward)
 
 
 @operator
@@ -89,6 +93,34 @@ def _(faces: Tensor) -> Tensor:
     return faces.new_empty(faces.shape)
 
 
+@forward_operator(1)
+def barycentrics_forward(
+    motion: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, below: int = 0, above: int = 0
+) -> tuple[Tensor, Tensor]:
+    """Compute the changes of weights and depth, [T, ...], for motions of the corners, [T, B, F, 3, 3] float32."""
+    batch, height, width = face_index.shape
+    shape = (len(motion), batch, height, width)
+    weights, depth = empty((*shape, 3), faces.device), empty(shape, faces.device)
+    tasks, moved = motion_of(motion, face_index)
+    scene = scene_of(faces, face_index, perspective, below, above)
+    call = _WeighForward(scene=scene, motion=moved, weights=weights, depth=depth)
+    launch(_weights_of_pixels_forward, tasks, [call], faces.device, worth_a_thread(moved.each * width * len(motion)))
+    return weights, depth
+
+
+@fake(barycentrics_forward)
+def _(motion: Tensor, face_index: Tensor) -> tuple[Tensor, Tensor]:
+    shape = (len(motion), *face_index.shape)
+    return motion.new_empty((*shape, 3)), motion.new_empty(shape)
+
+
+def motion_of(motion: Tensor, face_index: Tensor) -> tuple[int, Call]:
+    """Return the number of tasks of rows of pixels, and the `Motion` of kernels, for motions [T, B, F, 3, 3]."""
+    batch, height, width = face_index.shape
+    tasks, each = pixel_tasks(batch * height, width, motion.device)
+    return tasks, _Motion(corners=motion.contiguous(), directions=len(motion), each=each)
+
+
 def _save(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
     faces, face_index, _, _, *ctx.view = inputs
     ctx.save_for_backward(faces, face_index)
@@ -100,4 +132,9 @@ def _to_corners(ctx: Any, grad_weights: Tensor, grad_depth: Tensor) -> tuple[Any
     return grad, *[None] * 6
 
 
-differentiable(barycentrics, _to_corners, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    faces, face_index, _, _, *view = inputs
+    return in_direction(barycentrics_forward, tangents[:1], faces, face_index, *view)
+
+
+differentiable(barycentrics, _to_corners, _save, _forward)

@@ -94,7 +94,7 @@ def _to_vertices(ctx: Any, grad: Tensor) -> tuple[Any, ...]:
     return gather_corners_backward(grad, ctx.saved_tensors[0], ctx.count), None
 
 
-differentiable(gather_corners, _to_vertices, _save)
+differentiable(gather_corners, _to_vertices, _save, lambda inputs, tangents: gather_corners(tangents[0], inputs[1]))
 
 
 def _save_again(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
@@ -106,4 +106,9 @@ def _to_corners(ctx: Any, vertices: Tensor) -> tuple[Any, ...]:
     return corners.nan_to_num(nan=0.0), None, None
 
 
-differentiable(gather_corners_backward, _to_corners, _save_again)
+differentiable(
+    gather_corners_backward,
+    _to_corners,
+    _save_again,
+    lambda inputs, tangents: gather_corners_backward(tangents[0], *inputs[1:]),
+)

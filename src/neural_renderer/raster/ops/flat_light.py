@@ -2,7 +2,8 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Optional
 
 import torch
 from torch import Tensor
@@ -11,8 +12,8 @@ from ..warp.launch import launch
 from ..warp.layout import concurrent, group_tasks, images_of, in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, fake, operator, refuse_second
-from .corners import Groups, gather_corners_backward, triangles_of
+from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, refuse_second, sum_of
+from .corners import Groups, gather_corners, gather_corners_backward, triangles_of
 
 # Without fused multiply-adds, the light on both sides is that of opposite normals, exactly.
 _KERNELS = Kernels(__name__, "flat_light.h", fused=False)
@@ -106,6 +107,90 @@ def _(grad: Tensor, vertices: Tensor, light_too: bool) -> tuple[Tensor, Tensor]:
     return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if light_too else 0, _SUMS))
 
 
+@forward_operator(4)
+def flat_light_forward(
+    to_vertices: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
+    to_ambient: Optional[Tensor],  # noqa: UP045
+    to_directional: Optional[Tensor],  # noqa: UP045
+    to_direction: Optional[Tensor],  # noqa: UP045
+    vertices: Tensor,
+    faces: Tensor,
+    ambient: Tensor,
+    directional: Tensor,
+    direction: Tensor,
+    mirrored: bool,
+) -> Tensor:
+    """Compute the change [T, B, 2, F, 3] of `flat_light` for changes of its inputs, each [T, ...] or None for 0."""
+    black = torch.zeros_like(ambient)
+    parts = []
+    if to_ambient is not None:
+        parts.append(to_ambient[:, :, None, None])
+    if to_directional is not None:
+        unit = flat_light(vertices, faces, black, torch.ones_like(directional), direction, mirrored)
+        parts.append(unit * to_directional[:, :, None, None])
+    if to_vertices is not None or to_direction is not None:
+        normals, towards = _normals(vertices, faces, mirrored), direction[:, None]
+        change = (
+            0.0 if to_vertices is None else (_turned(vertices, faces, normals, to_vertices, mirrored) * towards).sum(-1)
+        )
+        if to_direction is not None:
+            change = change + (normals * to_direction[:, :, None]).sum(-1)
+        facing = (normals * towards).sum(-1)
+        both = torch.stack((change * (facing > 0), -change * (facing < 0)), 2)
+        parts.append(both[..., None] * directional[:, None, None])
+    result = sum_of(parts)
+    given = next(each for each in (to_vertices, to_ambient, to_directional, to_direction) if each is not None)
+    shape = (len(given), images_of(vertices, faces, ambient, directional, direction), 2, faces.shape[1], 3)
+    return vertices.new_zeros(shape) if result is None else result.expand(shape).contiguous()
+
+
+@fake(flat_light_forward)
+def _(
+    to_vertices: Tensor | None,
+    to_ambient: Tensor | None,
+    to_directional: Tensor | None,
+    to_direction: Tensor | None,
+    vertices: Tensor,
+    faces: Tensor,
+    ambient: Tensor,
+    directional: Tensor,
+    direction: Tensor,
+) -> Tensor:
+    given = next(each for each in (to_vertices, to_ambient, to_directional, to_direction) if each is not None)
+    images = images_of(vertices, faces, ambient, directional, direction)
+    return vertices.new_empty((len(given), images, 2, faces.shape[1], 3))
+
+
+def _normals(vertices: Tensor, faces: Tensor, mirrored: bool) -> Tensor:
+    """Compute the normals [B, F, 3] of side 0: the light from each axis on the front, less that on the back."""
+    black, axes = vertices.new_zeros(1, 3), torch.eye(3, device=vertices.device)
+    with torch.no_grad():
+        sides = [flat_light(vertices, faces, black, black + 1, axis[None], mirrored)[..., 0] for axis in axes]
+    return torch.stack([side[:, 0] - side[:, 1] for side in sides], -1).nan_to_num(nan=0.0)
+
+
+def _turned(vertices: Tensor, faces: Tensor, normals: Tensor, motion: Tensor, mirrored: bool) -> Tensor:
+    """Compute the change of the normals, [T, B, F, 3], for motions of the vertices, [T, 1 or B, V, 3]."""
+    images = images_of(vertices, faces)
+    corners = gather_corners(vertices.expand(images, -1, -1), faces)
+    several = faces if len(faces) == 1 else faces.repeat(len(motion), 1, 1)
+    moved = gather_corners(motion.expand(-1, images, -1, -1).flatten(0, 1), several).unflatten(0, (-1, images))
+    scale = (LARGE / corners.abs().amax((-2, -1), keepdim=True)).clamp(max=1.0)
+    (p, q), (to_p, to_q) = _arms(corners * scale), _arms(moved * scale)
+    length = torch.linalg.vector_norm(torch.linalg.cross(p, q), dim=-1, keepdim=True)
+    longest = torch.maximum(p.square().sum(-1, keepdim=True), q.square().sum(-1, keepdim=True))
+    floor = SMALLEST_SINE * longest.clamp(1e-12, 1.0)
+    turn = torch.linalg.cross(to_p, q[None]) + torch.linalg.cross(p[None], to_q)
+    change = turn / torch.maximum(length, floor) * (1.0 if mirrored else -1.0)
+    # Only a normal of length 1 stays that long.
+    return change - torch.where(length > floor, (normals * change).sum(-1, keepdim=True), 0.0) * normals
+
+
+def _arms(corners: Tensor) -> tuple[Tensor, Tensor]:
+    """Compute the edges from the second corner of faces, [..., 3, 3], to the first and to the third."""
+    return corners[..., 0, :] - corners[..., 1, :], corners[..., 2, :] - corners[..., 1, :]
+
+
 def _lit_scene(
     vertices: Tensor, faces: Tensor, ambient: Tensor, directional: Tensor, direction: Tensor, mirrored: bool
 ) -> Call:
@@ -140,7 +225,12 @@ def _to_inputs(ctx: Any, grad: Tensor) -> tuple[Any, ...]:
     return *results, None
 
 
-differentiable(flat_light, _to_inputs, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    to_vertices, _, *to_light = tangents[:5]
+    return in_direction(flat_light_forward, (to_vertices, *to_light), *inputs)
+
+
+differentiable(flat_light, _to_inputs, _save, _forward)
 
 
 def _save_again(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
@@ -156,12 +246,8 @@ def _to_first(ctx: Any, _: Tensor, light: Tensor) -> tuple[Any, ...]:
         return (None,) * 8
     grad, vertices, faces, directional, direction = ctx.saved_tensors
     glow, beam, towards = (part[:, None, None] for part in light.split(3, 1))
-    # Normals of both sides: the light from each axis on the front, less that on the back.
-    black, axes = light.new_zeros(1, 3), torch.eye(3, device=light.device)
-    with torch.no_grad():
-        sides = [flat_light(vertices, faces, black, black + 1, axis[None], ctx.mirrored)[..., 0] for axis in axes]
-        normals = torch.stack([side[:, 0] - side[:, 1] for side in sides], -1).nan_to_num(nan=0.0)
-        normals = torch.stack((normals, -normals), 1)
+    normals = _normals(vertices, faces, ctx.mirrored)
+    normals = torch.stack((normals, -normals), 1)  # of both sides
     facing = (normals * direction[:, None, None]).sum(-1, keepdim=True)
     change = (normals * towards).sum(-1, keepdim=True) * (facing > 0)
     to_grad = glow + beam * facing.relu() + directional[:, None, None] * change

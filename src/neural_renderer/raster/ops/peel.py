@@ -35,10 +35,19 @@ def peel(
     floor = torch.full((batch, height, width), near, dtype=torch.float32, device=faces.device)
     options = Drawing(near, far, two_sided, perspective)
     for index in result:
-        floor = _BEHIND_LAYER.draw(faces, index, options, floor) * _BEHIND
+        floor = draw_behind(faces, index, options, floor, _BEHIND)
         if readable(faces.device) and not bool((index >= 0).any()):
             break
     return result
+
+
+def draw_behind(faces: Tensor, face_index: Tensor, options: Drawing, floor: Tensor, step: float) -> Tensor:
+    """Draw what lies behind a depth of each pixel, and return the depth where the next layer begins.
+
+    Faces and options are as in `coverage`; ``face_index`` and ``floor`` are [B, H, W]. The next layer begins at
+    ``step`` times the depth of what is drawn.
+    """
+    return _BEHIND_LAYER.draw(faces, face_index, options, floor) * step
 
 
 @fake(peel)

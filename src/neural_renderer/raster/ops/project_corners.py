@@ -6,17 +6,27 @@ face itself, vertices of several faces several times: a launch costs more.
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Optional
 
+import torch
 from torch import Tensor
 
 from ..warp.launch import launch
 from ..warp.layout import concurrent, images_of, in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, differentiable_once, fake, operator
+from ..warp.registration import (
+    differentiable,
+    differentiable_once,
+    fake,
+    forward_operator,
+    in_direction,
+    operator,
+    sum_of,
+)
 from .corners import gather_corners, gather_corners_backward, triangles_of
-from .pinhole import parts_of_camera, pinhole, pinhole_backward, save_projection, view_of
+from .pinhole import NEAREST, parts_of_camera, pinhole, pinhole_backward, save_projection, view_of
 
 # Without fused multiply-adds, positions are bitwise those of `pinhole`.
 _KERNELS = Kernels(__name__, "pinhole.h", fused=False)
@@ -95,4 +105,77 @@ def _to_inputs(ctx: Any, grad: Tensor) -> tuple[Any, ...]:
     return to_vertices, None, *parts_of_camera(to_camera, camera, needed), None, None
 
 
-differentiable(project_corners, _to_inputs, save_projection)
+@forward_operator(4)
+def project_corners_forward(
+    to_vertices: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
+    to_rotation: Optional[Tensor],  # noqa: UP045
+    to_origin: Optional[Tensor],  # noqa: UP045
+    to_width: Optional[Tensor],  # noqa: UP045
+    vertices: Tensor,
+    faces: Tensor,
+    rotation: Tensor,
+    origin: Tensor,
+    width: Tensor,
+    aspect: float,
+    perspective: bool,
+) -> Tensor:
+    """Compute the change [T, B, F, 3, 3] of `project_corners` for changes of its inputs, [T, ...] or None for 0."""
+    batch = images_of(vertices, rotation, origin, width)
+    arm, width = vertices - origin[:, None], width[:, None, None]
+    by_arm = [part for part in (to_vertices, None if to_origin is None else -to_origin[:, :, None]) if part is not None]
+    parts = [_rotated(rotation, part) for part in by_arm]
+    if to_rotation is not None:
+        parts.append(_rotated(to_rotation, arm))
+    place = _rotated(rotation, arm)
+    change = sum_of(parts)
+    if change is None:
+        change = place.new_zeros(1, 1, 1, 3)
+    screen, by_depth = place[..., :2], change[..., 2:]
+    to_screen = change[..., :2]
+    if perspective:
+        depth = place[..., 2:]
+        beside = depth.abs() < NEAREST
+        near = torch.where(beside, torch.where(depth < 0, -NEAREST, NEAREST), depth)
+        screen = screen / near
+        to_screen = (to_screen - screen * torch.where(beside, 0.0, by_depth)) / near / width
+        screen, by_width = screen / width, -1 / width
+    else:
+        to_screen, by_width = to_screen * width, torch.ones_like(width)
+    if to_width is not None:
+        to_screen = to_screen + screen * by_width * to_width[:, :, None, None]
+    to_screen = to_screen / to_screen.new_tensor((aspect, 1.0))
+    shape = (*torch.broadcast_shapes(to_screen.shape[:2], (1, batch)), vertices.shape[1])
+    screen = torch.cat((to_screen.expand(*shape, 2), by_depth.expand(*shape, 1)), -1)
+    own = faces if len(faces) == 1 else faces.repeat(len(screen), 1, 1)
+    return gather_corners(screen.flatten(0, 1), own).unflatten(0, shape[:2])
+
+
+def _rotated(rotation: Tensor, points: Tensor) -> Tensor:
+    """Multiply matrices [..., 3, 3] by points [..., V, 3]; not matmul, which may round coordinates to 10 bits."""
+    x, y, z = points.split(1, -1)
+    columns = rotation[..., None, :, :]
+    return x * columns[..., 0] + y * columns[..., 1] + z * columns[..., 2]
+
+
+@fake(project_corners_forward)
+def _(
+    to_vertices: Tensor | None,
+    to_rotation: Tensor | None,
+    to_origin: Tensor | None,
+    to_width: Tensor | None,
+    vertices: Tensor,
+    faces: Tensor,
+    rotation: Tensor,
+    origin: Tensor,
+    width: Tensor,
+) -> Tensor:
+    given = next(each for each in (to_vertices, to_rotation, to_origin, to_width) if each is not None)
+    return vertices.new_empty((len(given), images_of(vertices, rotation, origin, width), *faces.shape[1:], 3))
+
+
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    to_vertices, _, *to_camera = tangents[:5]
+    return in_direction(project_corners_forward, (to_vertices, *to_camera), *inputs)
+
+
+differentiable(project_corners, _to_inputs, save_projection, _forward)

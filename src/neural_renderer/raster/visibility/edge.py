@@ -30,27 +30,31 @@ triangles of half a pixel to two pixels are right within 3 %, but noisy.
 """
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
+from collections.abc import Sequence
 from typing import Any, Optional
 
 import torch
 from torch import Tensor
 
-from ..colors.downsample import averaged, halve_backward, like_averaged
+from ..colors.downsample import averaged, change_averaged, changes_averaged, halve_backward, like_averaged
 from ..ops.neighbors import Neighbors, neighbors, rings_of
 from ..ops.rings import Rings, count_alone
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp.launch import launch
-from ..warp.layout import face_tasks, in_any_order
+from ..warp.layout import cpu_bands, face_tasks, in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
 from ..warp.queue import MOST_THREADS, empty_queue, line_threads, queue_of
-from ..warp.registration import differentiable, differentiable_once, fake, operator
-from .intersections import add_intersections, pictures_of
+from ..warp.registration import differentiable, differentiable_once, fake, forward_operator, in_direction, operator
+from .intersections import add_intersections, pictures_of, push_intersections
 
-_KERNELS = Kernels(__name__, "edge.h")
-_EdgeHashes, _EdgeBackward = _KERNELS.struct("EdgeHashes"), _KERNELS.struct("EdgeBackward")
+_KERNELS, _FORWARD = Kernels(__name__, "edge.h"), Kernels(__name__ + ".forward", "edge.h")
+_EdgeHashes, _Edges = _KERNELS.struct("EdgeHashes"), _KERNELS.struct("Edges")
+_EdgeBackward, _EdgeForward = _KERNELS.struct("EdgeBackward"), _KERNELS.struct("EdgeForward")
 _edge_backward = _KERNELS.kernel("edge_backward", _EdgeBackward, launch_bounds=(256, 2))
-_queue_moving_face = _KERNELS.kernel("queue_moving_face", _EdgeBackward, only_cuda=True)
+_queue_moving_face = _KERNELS.kernel("queue_moving_face", _Edges, only_cuda=True)
+_find_moving_edges = _FORWARD.kernel("find_moving_edges", _EdgeForward)
+_edge_forward = _FORWARD.kernel("edge_forward", _EdgeForward, launch_bounds=(256, 2))
 
 _OUTLINES_OF_LINE = 8  # CUDA threads for the outlines that a scan line crosses; more outlines take turns
 
@@ -120,77 +124,150 @@ def edge_gradient_backward(
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or grad.numel() == 0:
         return result
-    search, known = None, None if rings is None else Rings(rings, alone)
-    if known and in_any_order(faces.device) and count_alone(known) == 0:
-        search = (known, two_sided)  # by the launch that queues faces
-        adjacent = empty((*faces.shape[:2], 3), faces.device, torch.int32)
-    else:
-        adjacent = neighbors(faces, two_sided, perspective, known)
+    adjacent, search = _adjacent(faces, two_sided, perspective, rings, alone)
     strip = (below, above)
-    add_edges(result, grad, image, faces, face_index, adjacent, perspective, seams, edge_hashes, None, search, strip)
+    edges = Edges(image, grad, faces, face_index, adjacent, perspective, seams, edge_hashes, None, search, strip)
+    edges.add_gradient(result)
     if image is not None:  # where two faces of a silhouette meet, both are 1
         add_intersections(result, grad, image, faces, face_index, adjacent, perspective, *strip)
     return result
 
 
-def add_edges(
-    result: Tensor,
-    grad: Tensor,
-    image: Tensor | None,
+@fake(edge_gradient_backward)
+def _(faces: Tensor) -> Tensor:
+    return torch.empty_like(faces, memory_format=torch.contiguous_format)
+
+
+@forward_operator(2)
+def edge_gradient_forward(
+    to_image: Optional[Tensor],  # noqa: UP045
+    motion: Tensor,
+    image: Optional[Tensor],  # noqa: UP045
     faces: Tensor,
     face_index: Tensor,
-    adjacent: Tensor,
+    two_sided: bool,
     perspective: bool,
     seams: bool,
-    edge_hashes: Tensor | None,
-    folds: Tensor | None = None,
-    search: tuple[Rings, bool] | None = None,
-    strip: tuple[int, int] = (0, 0),
-) -> None:
-    """Compute the gradient of outlines and seams; arguments as in `edge_gradient_backward`.
+    edge_hashes: Optional[Tensor] = None,  # noqa: UP045
+    rings: Optional[Tensor] = None,  # noqa: UP045
+    halved: bool = False,
+    alone: int = -1,
+    below: int = 0,
+    above: int = 0,
+) -> Tensor:
+    """Compute the change of `edge_gradient` in T directions, [T, B, C, H, W] or halved; the transpose of its backward.
 
     Args:
-        result: Gradient to the corners, [B, F, 3, 3] float32 of zeros; written.
+        to_image: Change of the image in each direction, [T, B, C, H, W] float32; None for 0.
+        motion: Of the faces, [T, B, F, 3, 3] float32.
+        Others: As in `edge_gradient`.
+    """
+    faces, motion = faces.contiguous(), motion.contiguous()
+    result = changes_averaged(to_image, len(motion), image, face_index, halved)
+    if motion.numel() == 0 or result.numel() == 0:
+        return result
+    adjacent, search = _adjacent(faces, two_sided, perspective, rings, alone)
+    strip = (below, above)
+    edges = Edges(image, result[0], faces, face_index, adjacent, perspective, seams, edge_hashes, None, search, strip)
+    edges.push(result, motion)
+    if image is not None:
+        push_intersections(result, motion, image, faces, face_index, adjacent, perspective, *strip)
+    return result
+
+
+@fake(edge_gradient_forward)
+def _(motion: Tensor, image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:
+    one = like_averaged(image, face_index, halved)
+    return one.new_empty((len(motion), *one.shape))
+
+
+def _adjacent(
+    faces: Tensor, two_sided: bool, perspective: bool, rings: Tensor | None, alone: int
+) -> tuple[Tensor, tuple[Rings, bool] | None]:
+    """Find the adjacent faces; or make memory for them, and what the launch that queues faces needs to find them."""
+    known = None if rings is None else Rings(rings, alone)
+    if known and in_any_order(faces.device) and count_alone(known) == 0:
+        return empty((*faces.shape[:2], 3), faces.device, torch.int32), (known, two_sided)
+    return neighbors(faces, two_sided, perspective, known), None
+
+
+class Edges:
+    """The outlines and seams of images, for both modes of differentiation.
+
+    Args:
+        image, faces, face_index, perspective, seams, edge_hashes: As in `edge_gradient`.
+        grad: Gradient as in `edge_gradient_backward`; in forward mode any map of its shape.
         adjacent: As from `neighbors`.
         folds: Faces that the surface folds back to, as from `neighbors`; where a surface folds, only the front
             face receives the gradient. None: edges behind folds are hidden anyway.
         search: On CUDA, rings without edges that are alone, and ``two_sided``, to find ``adjacent``, which is written.
         strip: Rows of a whole image below and above this strip of it.
     """
-    batch, height, width = face_index.shape
-    count, device = faces.shape[1], faces.device
-    if edge_hashes is None and seams:
-        edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=device)  # 0 matches nothing
-    scene = scene_of(faces, face_index, perspective, *strip)
-    rings, two_sided = search or (None, False)
-    searched = Neighbors(
-        scene=scene, two_sided=int(two_sided), way=-1, rings=rings_of(rings), adjacent=adjacent.contiguous()
-    )
-    fields: dict[str, Any] = {
-        "scene": scene,
-        "pictures": pictures_of(image, grad, width),
-        "neighbors": searched,
-        "folds": folds,
-        "visible": visible_faces(face_index, count),
-        "seams": int(seams),
-        "to_faces": result,
-    }
-    if edge_hashes is not None:
-        images, hashed = edge_hashes.shape[:2]
-        fields["edge_hashes"] = _EdgeHashes(values=edge_hashes.contiguous(), images=images, count=hashed)
-    queue = empty_queue(batch * count, device) if in_any_order(device) else None
-    if queue is not None:
-        launch(_queue_moving_face, batch * count, [_EdgeBackward(queue=queue_of(queue), **fields)], device)
-    # A scan line crosses a few outlines, and any number of seams.
-    most = MOST_THREADS if seams else _OUTLINES_OF_LINE * batch * (height + width)
-    threads = line_threads(batch * count, queue, 1, most)
-    call = _EdgeBackward(queue=queue_of(queue, threads), **fields)
-    launch(_edge_backward, threads, [call], device, face_tasks(faces, height * width))
 
+    def __init__(
+        self,
+        image: Tensor | None,
+        grad: Tensor,
+        faces: Tensor,
+        face_index: Tensor,
+        adjacent: Tensor,
+        perspective: bool,
+        seams: bool,
+        edge_hashes: Tensor | None,
+        folds: Tensor | None = None,
+        search: tuple[Rings, bool] | None = None,
+        strip: tuple[int, int] = (0, 0),
+    ) -> None:
+        batch, height, width = face_index.shape
+        self._faces, self._lines, device = faces, (height, width), faces.device
+        if edge_hashes is None and seams:
+            edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=device)  # 0 matches nothing
+        scene = scene_of(faces, face_index, perspective, *strip)
+        rings, two_sided = search or (None, False)
+        searched = Neighbors(
+            scene=scene, two_sided=int(two_sided), way=-1, rings=rings_of(rings), adjacent=adjacent.contiguous()
+        )
+        self._pictures = pictures_of(image, grad, width)
+        fields: dict[str, Any] = {
+            "scene": scene,
+            "pictures": self._pictures,
+            "neighbors": searched,
+            "folds": folds,
+            "visible": visible_faces(face_index, faces.shape[1]),
+            "seams": int(seams),
+        }
+        if edge_hashes is not None:
+            images, hashed = edge_hashes.shape[:2]
+            fields["edge_hashes"] = _EdgeHashes(values=edge_hashes.contiguous(), images=images, count=hashed)
+        count = batch * faces.shape[1]
+        queue = empty_queue(count, device) if in_any_order(device) else None
+        if queue is not None:
+            launch(_queue_moving_face, count, [_Edges(queue=queue_of(queue), **fields)], device)
+        # A scan line crosses a few outlines, and any number of seams.
+        most = MOST_THREADS if seams else _OUTLINES_OF_LINE * batch * (height + width)
+        self._threads = line_threads(count, queue, 1, most)
+        self._call = _Edges(queue=queue_of(queue, self._threads), **fields)
 
-@fake(edge_gradient_backward)
-def _(faces: Tensor) -> Tensor:
-    return torch.empty_like(faces, memory_format=torch.contiguous_format)
+    def add_gradient(self, to_faces: Tensor) -> None:
+        """Compute the gradient to the corners, [B, F, 3, 3] float32 of zeros; written."""
+        call = _EdgeBackward(edges=self._call, to_faces=to_faces)
+        height, width = self._lines
+        launch(_edge_backward, self._threads, [call], to_faces.device, face_tasks(to_faces, height * width))
+
+    def push(self, images: Tensor, motion: Tensor) -> None:
+        """Add the change to images [T, B, C, H, W] float32, or halved ones, for motions [T, B, F, 3, 3] of corners."""
+        device, (batch, count) = images.device, self._faces.shape[:2]
+        fields = {"edges": self._call, "motion": motion, "directions": len(motion), "images": images}
+        if in_any_order(device):
+            launch(_edge_forward, self._threads, [_EdgeForward(**fields)], device)
+            return
+        fields["moving"] = torch.empty((batch, count), dtype=torch.uint8, device=device)
+        least = face_tasks(self._faces, self._lines[0] * self._lines[1])
+        launch(_find_moving_edges, batch * count, [_EdgeForward(**fields)], device, least)
+        for axis, lines in enumerate(self._lines):  # one after the other, because their lines cross
+            band = 2 * -(-lines // (2 * cpu_bands(batch, lines * self._lines[1 - axis] + 32 * count)))  # whole blocks
+            call = _EdgeForward(axis=axis, band=band, **fields)
+            launch(_edge_forward, batch * -(-lines // band), [call], device)
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
@@ -210,4 +287,12 @@ def _backward(ctx: Any, grad: Tensor) -> Any:
     return to_image, to_faces, *[None] * 10
 
 
-differentiable(edge_gradient, _backward, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    to_image, motion = tangents[:2]
+    if motion is None:
+        halved = inputs[8]
+        return change_averaged(to_image, halved)
+    return in_direction(edge_gradient_forward, (to_image, motion), *inputs)
+
+
+differentiable(edge_gradient, _backward, _save, _forward)

@@ -16,18 +16,19 @@ behind the last layer are ignored.
 """
 
 # The types of operators are read at run time, so no `from __future__ import annotations` here.
+from collections.abc import Sequence
 from typing import Any, Optional
 
 import torch
 from torch import Tensor
 
-from ..colors.downsample import averaged, halve_backward, like_averaged
+from ..colors.downsample import averaged, change_averaged, changes_averaged, halve_backward, like_averaged
 from ..ops.neighbors import neighbors
 from ..ops.rings import Rings
 from ..warp.memory import zeros
-from ..warp.registration import differentiable, differentiable_once, fake, operator
-from .edge import add_edges
-from .intersections import add_intersections
+from ..warp.registration import differentiable, differentiable_once, fake, forward_operator, in_direction, operator
+from .edge import Edges
+from .intersections import add_intersections, push_intersections
 
 
 @operator
@@ -75,11 +76,10 @@ def layers_gradient_backward(
     result = zeros(faces.shape, faces.device)
     if result.numel() == 0 or pictures.numel() == 0:
         return result
-    known = None if rings is None else Rings(rings, alone)
-    adjacent, folds = (neighbors(faces, two_sided, perspective, known, fold) for fold in (False, True))
+    adjacent, folds = _adjacent_and_folds(faces, two_sided, perspective, rings, alone)
     for image, index in zip(pictures.contiguous(), face_index.contiguous(), strict=True):
         own = zeros(faces.shape, faces.device)
-        add_edges(own, grad, image, faces, index, adjacent, perspective, seams, edge_hashes, folds)
+        Edges(image, grad, faces, index, adjacent, perspective, seams, edge_hashes, folds).add_gradient(own)
         add_intersections(own, grad, image, faces, index, adjacent, perspective)
         result += own
     return result
@@ -88,6 +88,48 @@ def layers_gradient_backward(
 @fake(layers_gradient_backward)
 def _(faces: Tensor) -> Tensor:
     return torch.empty_like(faces, memory_format=torch.contiguous_format)
+
+
+@forward_operator(2)
+def layers_gradient_forward(
+    to_image: Optional[Tensor],  # noqa: UP045
+    motion: Tensor,
+    pictures: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    two_sided: bool,
+    perspective: bool,
+    seams: bool,
+    edge_hashes: Optional[Tensor] = None,  # noqa: UP045
+    rings: Optional[Tensor] = None,  # noqa: UP045
+    halved: bool = False,
+    alone: int = -1,
+) -> Tensor:
+    """Compute the change of `layers_gradient` in T directions; arguments as there and in `edge_gradient_forward`."""
+    faces, motion = faces.contiguous(), motion.contiguous()
+    result = changes_averaged(to_image, len(motion), pictures[0], face_index[0], halved)
+    if motion.numel() == 0 or result.numel() == 0:
+        return result
+    adjacent, folds = _adjacent_and_folds(faces, two_sided, perspective, rings, alone)
+    for image, index in zip(pictures.contiguous(), face_index.contiguous(), strict=True):
+        edges = Edges(image, result[0], faces, index, adjacent, perspective, seams, edge_hashes, folds)
+        edges.push(result, motion)
+        push_intersections(result, motion, image, faces, index, adjacent, perspective)
+    return result
+
+
+@fake(layers_gradient_forward)
+def _(motion: Tensor, pictures: Tensor, face_index: Tensor, halved: bool) -> Tensor:
+    one = like_averaged(pictures[0], face_index[0], halved)
+    return one.new_empty((len(motion), *one.shape))
+
+
+def _adjacent_and_folds(
+    faces: Tensor, two_sided: bool, perspective: bool, rings: Tensor | None, alone: int
+) -> tuple[Tensor, Tensor]:
+    known = None if rings is None else Rings(rings, alone)
+    adjacent, folds = (neighbors(faces, two_sided, perspective, known, fold) for fold in (False, True))
+    return adjacent, folds
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
@@ -107,4 +149,13 @@ def _backward(ctx: Any, grad: Tensor) -> Any:
     return grad, None, to_faces, *[None] * 8
 
 
-differentiable(layers_gradient, _backward, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    _, pictures, faces, face_index, two_sided, perspective, seams, edge_hashes, rings, halved, alone = inputs
+    to_image, _, motion = tangents[:3]
+    if motion is None:
+        return change_averaged(to_image, halved)
+    options = (two_sided, perspective, seams, edge_hashes, rings, halved, alone)
+    return in_direction(layers_gradient_forward, (to_image, motion), pictures, faces, face_index, *options)
+
+
+differentiable(layers_gradient, _backward, _save, _forward)

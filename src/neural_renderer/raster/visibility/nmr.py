@@ -12,12 +12,13 @@ Source: Kato, Ushiku and Harada, "Neural 3D Mesh Renderer", CVPR 2018, section 3
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Optional
 
 import torch
 from torch import Tensor
 
-from ..colors.downsample import averaged, halve_backward, like_averaged
+from ..colors.downsample import averaged, change_averaged, halve_backward, like_averaged
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp.launch import launch
 from ..warp.layout import concurrent, face_tasks, in_any_order, pixel_tasks, worth_a_thread
@@ -207,4 +208,13 @@ def _backward(ctx: Any, grad: Tensor) -> Any:
     return to_image, to_faces, *[None] * 4
 
 
-differentiable(nmr_gradient, _backward, _save)
+def _refuse(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    if tangents[1] is not None:
+        raise RuntimeError(
+            'gradient="nmr": expected no motion to differentiate in forward mode, got a tangent of vertices; '
+            'the paper\'s estimate depends on the loss and is no linear map of motions (use gradient="edge")'
+        )
+    return change_averaged(tangents[0], inputs[-1])
+
+
+differentiable(nmr_gradient, _backward, _save, _refuse)

@@ -30,6 +30,9 @@ from .native import FOR_CUDA, Call
 # Number of compiling threads (each spends two seconds on Warp's headers), and a flag that saves a third of this time.
 _COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
 
+# What torch answers before `cuda_on_cpu` lets programs hear something else.
+has_cuda = torch.cuda.is_available
+
 # Set by tests. It is called with the kernel, the number of tasks and the arguments of each launch. It runs the kernel's
 # CUDA code on a processor and returns True; if it returns False, the launch runs as usual.
 emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
@@ -61,7 +64,7 @@ if hasattr(os, "register_at_fork"):
 def _quiet() -> Iterator[None]:
     # Without a CUDA driver, Warp writes a warning to the file descriptor in every process. It says only that CUDA is
     # not available; users of the CPU know this.
-    if torch.cuda.is_available():
+    if has_cuda():
         yield
         return
     with open(os.devnull, "w") as null:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn, ParamSpec, TypeVar, cast
 
 import torch
@@ -22,10 +22,7 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
 
     `torch.library.custom_op` does the same, but its first call imports torch's compiler, over a second in each process.
     Plain tensors bypass torch's dispatcher, which takes longer than drawing a small scene: `differentiable` puts the
-    function itself into torch's graph.
-
-    Raises:
-        RuntimeError: In a call, for derivatives in forward mode. torch would silently treat them as zero.
+    function itself into torch's graph. Without `differentiable`, results do not depend on inputs for derivatives.
     """
     name = f"neural_renderer::{function.__name__}"
     torch.library.define(name, torch.library.infer_schema(function, mutates_args=()))
@@ -38,11 +35,13 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def call(*inputs: Any) -> Any:
-        if not torch.compiler.is_compiling() and forward_ad._current_level >= 0:
-            _refuse_tangents(function.__name__, inputs)
-        if not is_plain(inputs):
-            if graph and torch._C._are_functorch_transforms_active() and not torch.compiler.is_compiling():
+        if not torch.compiler.is_compiling():
+            transformed = torch._C._are_functorch_transforms_active()
+            if graph and (transformed or has_tangents(inputs)):
                 return graph[1].apply(*inputs, *defaults[len(inputs) :])
+            if transformed or has_tangents(inputs):  # results such as indices have no derivative
+                inputs = tuple(value.detach() if isinstance(value, Tensor) else value for value in inputs)
+        if not is_plain(inputs):
             return registered(*inputs)
         inputs += defaults[len(inputs) :]
         if not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
@@ -52,6 +51,7 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
         with torch.no_grad():
             return plain(*inputs)
 
+    torch.library.register_vmap(name, functools.partial(_one_by_one, call))
     call.operator = registered  # type: ignore[attr-defined]
     call.graph = graph  # type: ignore[attr-defined]
     return cast("Callable[P, R]", call)
@@ -78,8 +78,22 @@ def fake(call: Any) -> Callable[[Callable[..., R]], Callable[..., R]]:
     return register
 
 
-def differentiable(call: Any, backward: Callable[..., Any], setup_context: Callable[..., Any] | None = None) -> None:
-    """Give an `operator` its gradient, with functions as `torch.library.register_autograd` takes them."""
+def differentiable(
+    call: Any,
+    backward: Callable[..., Any],
+    setup_context: Callable[..., Any] | None = None,
+    forward_mode: Callable[..., Any] | None = None,
+    directions: int = 0,
+) -> None:
+    """Give an `operator` its derivatives.
+
+    Args:
+        call: The operator.
+        backward, setup_context: As `torch.library.register_autograd` takes them.
+        forward_mode: Function of the operator's inputs and of their tangents, None where an input has none. Returns the
+            tangents of the results. None: forward mode is an error (RuntimeError).
+        directions: Number of first arguments with a dimension [T, ...] that `torch.func.vmap` may make longer.
+    """
     name = call.__name__
     torch.library.register_autograd(f"neural_renderer::{name}", backward, setup_context=setup_context)
 
@@ -89,16 +103,67 @@ def differentiable(call: Any, backward: Callable[..., Any], setup_context: Calla
             setup_context(ctx, inputs, output)
         return output
 
+    def untransformed(*inputs: Any) -> Any:
+        return call.__wrapped__(*inputs) if is_eager(inputs) else call.operator(*inputs)
+
+    def keep(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        if setup_context is not None:
+            setup_context(ctx, inputs, output)
+        ctx.inputs = [None if isinstance(value, Tensor) else value for value in inputs]
+        ctx.save_for_forward(*(value if isinstance(value, Tensor) else None for value in inputs))
+        ctx.set_materialize_grads(False)  # an input without a tangent has None
+        ctx.outputs = [(each.shape, each.dtype, each.device) for each in _several(output)]
+
+    def pull(ctx: Any, *grads: Tensor | None) -> Any:
+        like = zip(grads, ctx.outputs, strict=True)
+        return backward(
+            ctx,
+            *(torch.zeros(shape, dtype=dtype, device=at) if own is None else own for own, (shape, dtype, at) in like),
+        )
+
+    def push(ctx: Any, *tangents: Tensor | None) -> Any:
+        if forward_mode is None:
+            _refuse_forward_mode(name)
+        tensors = zip(ctx.saved_tensors, ctx.inputs, strict=True)
+        return forward_mode([other if own is None else own for own, other in tensors], tangents)
+
+    by_vmap = functools.partial(_together, call, directions) if directions else functools.partial(_one_by_one, call)
     methods = {"forward": staticmethod(forward), "backward": staticmethod(backward)}
-    # The rules of `torch.func` need a forward pass without a context.
+    # Forward mode, and the rules of `torch.func`, need a forward pass without a context.
     separate = {
-        "forward": staticmethod(lambda *inputs: call.__wrapped__(*inputs)),
-        "setup_context": staticmethod(setup_context or (lambda ctx, inputs, output: None)),
-        "backward": staticmethod(backward),
-        "jvp": staticmethod(functools.partial(_refuse_forward_mode, name)),
-        "vmap": staticmethod(functools.partial(_one_by_one, call)),
+        "forward": staticmethod(untransformed),
+        "setup_context": staticmethod(keep),
+        "backward": staticmethod(pull),
+        "jvp": staticmethod(push),
+        "vmap": staticmethod(by_vmap),
     }
     call.graph[:] = [type(name, (torch.autograd.Function,), part) for part in (methods, separate)]
+
+
+def forward_operator(directions: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Register the operator that computes a derivative in T directions at once; it has no derivatives itself.
+
+    Its first arguments, ``directions`` of them, are the changes of inputs, [T, ...] or None. So are its results.
+    """
+
+    def register(function: Callable[P, R]) -> Callable[P, R]:
+        forward = operator(function)
+        refuse = functools.partial(refuse_second, function.__name__)
+        differentiable(forward, lambda ctx, *grads: refuse(), None, lambda inputs, tangents: refuse(), directions)
+        return forward
+
+    return register
+
+
+def in_direction(forward: Callable[..., Any], tangents: Sequence[Tensor | None], *others: Any) -> Any:
+    """Call a `forward_operator` for a single direction: tangents and results without their dimension T."""
+    results = forward(*(None if each is None else each[None] for each in tangents), *others)
+    return results[0] if isinstance(results, Tensor) else tuple(each[0] for each in results)
+
+
+def sum_of(parts: Sequence[Tensor]) -> Tensor | None:
+    """Add up the changes of a result by several inputs; None without any."""
+    return functools.reduce(torch.add, parts) if parts else None
 
 
 def differentiable_once(function: Callable[P, R]) -> Callable[P, R]:
@@ -121,23 +186,42 @@ def _one_by_one(call: Any, info: Any, in_dims: tuple[int | None, ...], *inputs: 
     results = []
     for n in range(info.batch_size):
         own = (value if dim is None else value.select(dim, n) for value, dim in zip(inputs, in_dims, strict=True))
-        results.append(call(*own))
-    if isinstance(results[0], Tensor):
-        return torch.stack(results), 0
+        results.append(_several(call(*own)))
     stacked = tuple(torch.stack(parts) for parts in zip(*results, strict=True))
-    return stacked, (0,) * len(stacked)
+    return (stacked[0], 0) if len(stacked) == 1 else (stacked, (0,) * len(stacked))
+
+
+def _together(call: Any, directions: int, info: Any, in_dims: tuple[int | None, ...], *inputs: Any) -> Any:
+    """Run a `forward_operator` once for all directions, those of `torch.func.vmap` and its own."""
+    if any(dim is not None for dim in in_dims[directions:]):
+        return _one_by_one(call, info, in_dims, *inputs)
+    count = info.batch_size
+
+    def joined(value: Tensor | None, dim: int | None) -> Tensor | None:
+        if value is None:
+            return None
+        return (value.expand(count, *value.shape) if dim is None else value.movedim(dim, 0)).flatten(0, 1)
+
+    tangents = [joined(value, dim) for value, dim in zip(inputs[:directions], in_dims, strict=False)]
+    results = tuple(each.unflatten(0, (count, -1)) for each in _several(call(*tangents, *inputs[directions:])))
+    return (results[0], 0) if len(results) == 1 else (results, (0,) * len(results))
+
+
+def _several(output: Tensor | tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    return (output,) if isinstance(output, Tensor) else output
 
 
 def is_plain(inputs: tuple[Any, ...]) -> bool:
-    """Test whether all tensors are plain ones with memory, and no tracing or transformation is active.
+    """Test whether all tensors are plain ones with memory and without tangents, and nothing traces or transforms them.
 
     A lazily negated view is not plain: its memory holds other values.
     """
-    if (
-        torch.compiler.is_compiling()
-        or torch._C._len_torch_dispatch_stack()
-        or torch._C._are_functorch_transforms_active()
-    ):
+    return not torch._C._are_functorch_transforms_active() and is_eager(inputs) and not has_tangents(inputs)
+
+
+def is_eager(inputs: tuple[Any, ...]) -> bool:
+    """Test whether all tensors are plain ones with memory, or such in a transformation of `torch.func`; not traced."""
+    if torch.compiler.is_compiling() or torch._C._len_torch_dispatch_stack():
         return False
     for value in inputs:
         if isinstance(value, Tensor) and (type(value) not in _PLAIN or value.is_meta or value.is_neg()):
@@ -146,27 +230,31 @@ def is_plain(inputs: tuple[Any, ...]) -> bool:
 
 
 def needs_gradient(*tensors: Tensor) -> bool:
-    """Test whether a gradient to one of the tensors may be asked for.
+    """Test whether a derivative by one of the tensors may be asked for, in either mode.
 
     Inside a transformation of `torch.func` a tensor does not tell, so the answer is yes.
     """
+    if has_tangents(tensors):
+        return True
     if not torch.is_grad_enabled():
         return False
     return torch._C._are_functorch_transforms_active() or any(tensor.requires_grad for tensor in tensors)
+
+
+def has_tangents(values: Iterable[Any]) -> bool:
+    """Test whether a tensor among the values has a tangent, for forward mode."""
+    below = torch._C.DispatchKey.AutogradFunctionality  # inside an operator, where derivatives are not recorded
+    if forward_ad._current_level < 0 or torch._C._dispatch_tls_is_dispatch_key_excluded(below):
+        return False
+    return any(isinstance(each, Tensor) and forward_ad.unpack_dual(each).tangent is not None for each in values)
 
 
 def _requires_grad(value: Any) -> bool:
     return isinstance(value, Tensor) and value.requires_grad
 
 
-def _refuse_tangents(name: str, inputs: tuple[Any, ...]) -> None:
-    for value in inputs:
-        if isinstance(value, Tensor) and forward_ad.unpack_dual(value).tangent is not None:
-            _refuse_forward_mode(name)
-
-
-def _refuse_forward_mode(name: str, *_: Any) -> NoReturn:
+def _refuse_forward_mode(name: str) -> NoReturn:
     raise RuntimeError(
-        f"{name}: expected tensors without tangents, got one to differentiate in forward mode; the rasteriser "
+        f"{name}: expected tensors without tangents, got one to differentiate in forward mode; this operator "
         "has gradients in reverse mode only (backward)"
     )

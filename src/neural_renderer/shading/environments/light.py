@@ -14,9 +14,9 @@ from ... import validate
 from ...camera import Camera
 from ...camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
 from ...constants import on_device
+from ...io.exr import read_exr
 from ...io.images import load_image
 from ...io.radiance import read_radiance
-from ...io.values import read_exr
 from ...one_line import OneLine
 from ...raster.settings import image_size
 from ...raster.warp.registration import is_plain
@@ -66,7 +66,7 @@ class EnvironmentLight(OneLine):
         """Read an environment from an equirectangular image file.
 
         Args:
-            path: Radiance (.hdr, .pic) or OpenEXR (.exr; needs the extra "exr") file with linear light, or a picture of
+            path: Radiance (.hdr, .pic) or OpenEXR (.exr; needs OpenEXR) file with linear light, or a picture of
                 8 or 16 bits such as .jpg, which is converted from sRGB.
             intensity: Factor, as of the class.
 

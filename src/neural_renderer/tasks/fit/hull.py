@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy import sparse
+from scipy.sparse import csgraph
 from torch import Tensor
 
 from ...meshes.bounds import bounding_box
 from ...meshes.isosurface import isosurface
 from ...meshes.topology import Topology
-from ..components import connected_components
-from .descent import SmoothDescent
+from .descent import smooth_once
 from .fit_views import Views, mask_values
 
 _HALF = 1.08  # half the side of the carved cube; the object lies in [-1, 1]³
@@ -123,7 +124,7 @@ def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tenso
         raise ValueError("views: expected silhouettes that meet in [-1, 1]³, got some that do not")
     vertices, faces = large_components(*_without_cavities(vertices.to(soft.device), faces.to(soft.device)))
     # The grid leaves stairs on thin parts. Descent would keep them, because it moves neighbouring vertices together.
-    return SmoothDescent(Topology.of(faces), 1.0).blur(vertices), faces
+    return smooth_once(vertices, Topology.of(faces).edges, 1.0), faces
 
 
 def blur_radius(views: Views, cells: int) -> int:
@@ -131,10 +132,19 @@ def blur_radius(views: Views, cells: int) -> int:
     return max(1, round(min(views.size) / cells / 2))
 
 
+def connected_components(faces: Tensor) -> Tensor:
+    """Number the connected components of a mesh: the component [F] int64 of each face [F, 3]."""
+    corners = faces.cpu().numpy()
+    ends = np.concatenate((corners[:, :2], corners[:, 1:]))
+    graph = sparse.coo_matrix((np.ones(len(ends), bool), tuple(ends.T)), shape=(int(corners.max()) + 1,) * 2)
+    component = csgraph.connected_components(graph, directed=False)[1]
+    return torch.from_numpy(component[corners[:, 0]]).to(faces)
+
+
 def large_components(vertices: Tensor, faces: Tensor, least: float = _LEAST_COMPONENT) -> tuple[Tensor, Tensor]:
     """Drop the connected components of a mesh with fewer than ``least`` times the faces of the largest one."""
-    component = connected_components(faces, len(vertices))[faces[:, 0]]
-    count = torch.bincount(component, minlength=len(vertices))
+    component = connected_components(faces)
+    count = torch.bincount(component)
     faces = faces[count[component] >= least * count.max()]
     used, corners = torch.unique(faces, return_inverse=True)
     return vertices[used], corners
@@ -142,7 +152,7 @@ def large_components(vertices: Tensor, faces: Tensor, least: float = _LEAST_COMP
 
 def _without_cavities(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
     """Drop cavities, which silhouettes cannot show: the grid makes them in holes that are narrower than its cells."""
-    component = connected_components(faces, len(vertices))[faces[:, 0]]
+    component = connected_components(faces)
     corners = vertices[faces].double()
     volume = (corners[:, 0] * torch.linalg.cross(corners[:, 1], corners[:, 2])).sum(1)
     total = volume.new_zeros(len(vertices)).index_add_(0, component, volume)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from ... import validate
@@ -14,8 +17,8 @@ from ...camera import Camera
 from ...camera.files import CameraFile, PosedImage, find_camera_file, read_camera_file
 from ...camera.files.distortion import undistort
 from ...camera.files.read import find_image
-from ...io import load_image
-from ...io.files import existing
+from ...io.files import existing, reason
+from ...io.images import load_reduced
 from ...meshes.primitives import cube
 from ..masks.rule import MaskRule, mask_in_file, transparency
 from .detail.maps import MapFormat, load_maps
@@ -23,6 +26,7 @@ from .fit_views import Views, downscale, mask_values
 from .settings import short_names
 
 _LEAST_SIZE = 16  # least longer side of images in pixels
+_FINER = 3  # larger photographs are reduced on reading, to at least this multiple of the size that is fitted
 _MASK_FOLDERS = ("masks", "mask")
 _MASK_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 
@@ -35,6 +39,7 @@ _RULE_PLACES = {
 }
 Box = tuple[float, float, float, float, float, float]
 _SHARE = 0.9  # share of the views in whose masks a point of the object must lie
+_LEAST_IMAGES = 2  # fewer images tell no shape
 _LEAST_POINTS = 8  # fewer points tell no region
 _TAIL = 0.02  # share of the points on each side that are left out as errors
 _LARGER = 1.5  # size of the region relative to the box around the points, which smooth parts lack
@@ -52,6 +57,7 @@ def load_views(
     maps: bool = True,
     map_format: MapFormat = MapFormat(),  # noqa: B008 (immutable)
     allow_outside: bool = False,
+    bad: dict[str, str] | None = None,
 ) -> Views:
     """Load posed images from a folder.
 
@@ -78,6 +84,8 @@ def load_views(
         maps: Whether to read maps of normals and depth.
         map_format: Conventions of the maps; short: ``normals_in``, ``depth_scale``.
         allow_outside: Whether the camera file may name images outside of its folder.
+        bad: Receives the reason for each image, by its name, that cannot be used; the others are loaded, if they are at
+            least half of all, and two. None, the default, raises the first one.
 
     Returns:
         The views, on the CPU. The sparse points of COLMAP, or the box, give their ``region``.
@@ -103,18 +111,29 @@ def load_views(
     if folder is not None and not folder.is_dir():
         raise FileNotFoundError(f"masks: expected a folder of masks, got {folder}, which is none")
     found: list[tuple[Tensor, Tensor]] = []
+    named: list[tuple[PosedImage, Path]] = []
     full = (0, 0)
-    listed = list_images(source, folder, allow_outside)
-    for entry, file, mask_file in listed:
-        image = _load_as_calibrated(file, entry)
-        full = full if found else (image.shape[0], image.shape[1])
-        _check_size(file, image, full)
-        mask = _mask(file, mask_file, image, photos, rule, box is not None)
-        rgba = _premultiplied(file, mask_file, image, mask)
+    for entry in source.images:
+        try:
+            file, mask_file = find_files(source, entry, folder, allow_outside)
+            image, own = _load_as_calibrated(file, entry, _FINER * size)
+            shape = full if found else own
+            _check_size(file, own, shape)
+            mask = _mask(file, mask_file, image, own, photos, rule, box is not None)
+            rgba = _premultiplied(file, mask_file, image, mask)
+        except (OSError, ValueError) as error:
+            if bad is None:
+                raise
+            bad[entry.name] = reason(error)
+            continue
+        full = shape
         if entry.lens.needs_undistortion:
             rgba = undistort(rgba, entry.lens.model, entry.lens.values, entry.lens.intrinsics(full))
         small = downscale(rgba, size)
         found.append((small[:3], small[3]))
+        named.append((entry, file))
+    if bad:
+        source = replace(source, images=_enough(source, bad))
     camera, alphas = source.cameras(full), torch.stack([mask for _, mask in found])
     colors = torch.stack([rgb for rgb, _ in found]) if photos else None
     views = Views(camera, alphas, colors)
@@ -126,33 +145,37 @@ def load_views(
         views = replace(views, region=region_of_points(views, source.points))
     if not maps:
         return views
-    named = [(entry, file) for entry, file, _ in listed]
     return load_maps(views, named, source.folders, full, map_format)
 
 
-def list_images(
-    source: CameraFile, masks: Path | None = None, allow_outside: bool = False
-) -> list[tuple[PosedImage, Path, Path | None]]:
-    """Find the image, and the mask or None, of each entry of a camera file; raise what `load_views` raises.
+def find_files(
+    source: CameraFile, entry: PosedImage, masks: Path | None = None, allow_outside: bool = False
+) -> tuple[Path, Path | None]:
+    """Find the image, and the mask or None, of an entry of a camera file; raise what `load_views` raises.
 
     ``masks`` is the folder of masks; None searches the usual folders beside the images.
     """
-    found = []
-    for entry in source.images:
-        image = find_image(source, entry.name, allow_outside)
-        if entry.mask is not None:
-            mask: Path | None = find_image(source, entry.mask, allow_outside)
-        else:
-            folders = (
-                [masks]
-                if masks is not None
-                else [root / name for root in (image.parent, *source.folders) for name in _MASK_FOLDERS]
-            )
-            mask = next(filter(None, (_mask_beside(folder, entry.name) for folder in folders)), None)
-            if mask is None and masks is not None:
-                raise FileNotFoundError(f"{masks}: expected a mask {Path(entry.name).stem}.png, got none")
-        found.append((entry, image, mask))
-    return found
+    image = find_image(source, entry.name, allow_outside)
+    if entry.mask is not None:
+        return image, find_image(source, entry.mask, allow_outside)
+    usual = [root / name for root in (image.parent, *source.folders) for name in _MASK_FOLDERS]
+    folders = usual if masks is None else [masks]
+    mask = next(filter(None, (_mask_beside(folder, entry.name) for folder in folders)), None)
+    if mask is None and masks is not None:
+        raise FileNotFoundError(f"{masks}: expected a mask {Path(entry.name).stem}.png, got none")
+    return image, mask
+
+
+def _enough(source: CameraFile, bad: Mapping[str, str]) -> tuple[PosedImage, ...]:
+    """Return the images that are not bad. Raises ValueError, with the first reason, if they are too few."""
+    images = tuple(entry for entry in source.images if entry.name not in bad)
+    least = max(_LEAST_IMAGES, math.ceil(len(source.images) / 2))
+    if len(images) < least:
+        raise ValueError(
+            f"{source.path}: expected at least {least} of {len(source.images)} images that can be used, got "
+            f"{len(images)}; {next(iter(bad.values()))}"
+        )
+    return images
 
 
 def _mask_beside(folder: Path, name: str) -> Path | None:
@@ -194,24 +217,27 @@ def load_photo(
         torch.Size([32, 32])
     """
     size = validate.whole("size", size, _LEAST_SIZE)
-    image = load_image(existing(path))
-    mask = _mask(Path(path), None, image, photos, rule, False)
+    image, full = load_reduced(existing(path), least=_FINER * size)
+    mask = _mask(Path(path), None, image, full, photos, rule, False)
     small = downscale(_premultiplied(Path(path), None, image, mask), size)
     return small[3], small[:3] if photos else None
 
 
-def _load_as_calibrated(file: Path, entry: PosedImage) -> Tensor:
-    """Load an image as its pixels are stored, or turned by its EXIF data if only this fits the calibrated size."""
-    image = load_image(file)
-    if entry.lens.size is None or _has_aspect(image, entry.lens.size):
-        return image
-    upright = load_image(file, upright=True)
-    return upright if _has_aspect(upright, entry.lens.size) else image
+def _load_as_calibrated(file: Path, entry: PosedImage, least: int) -> tuple[Tensor, tuple[int, int]]:
+    """Load an image as its pixels are stored, or turned by its EXIF data if only this fits the calibrated size.
+
+    As `load_reduced`, whose ``least`` tells how small it may become.
+    """
+    image, full = load_reduced(file, least=least)
+    if entry.lens.size is None or _has_aspect(full, entry.lens.size):
+        return image, full
+    upright = load_reduced(file, upright=True, least=least)
+    return upright if _has_aspect(upright[1], entry.lens.size) else (image, full)
 
 
-def _has_aspect(image: Tensor, size: tuple[float, float]) -> bool:
-    """Tell whether an image [H, W, C] has the aspect of a size (height, width), to a pixel."""
-    height, width = image.shape[:2]
+def _has_aspect(full: tuple[int, int], size: tuple[float, float]) -> bool:
+    """Tell whether an image of a height and width has the aspect of a size (height, width), to a pixel."""
+    height, width = full
     return abs(width * size[0] - height * size[1]) <= max(size[0], size[1], height, width)
 
 
@@ -222,27 +248,34 @@ def _premultiplied(file: Path, mask_file: Path | None, image: Tensor, mask: Tens
     return torch.cat((image[..., :3] * mask[..., None], mask[..., None]), 2).permute(2, 0, 1)
 
 
-def _check_size(path: Path, image: Tensor, full: tuple[int, int]) -> None:
-    """Raise ValueError if an image [H, W, ...] is not of this height and width."""
-    if tuple(image.shape[:2]) != full:
-        raise ValueError(
-            f"{path}: expected {full[1]} x {full[0]} pixels like the others, got {image.shape[1]} x {image.shape[0]}"
-        )
+def _check_size(path: Path, size: tuple[int, int], full: tuple[int, int]) -> None:
+    """Raise ValueError if a height and width are not those of the other images."""
+    if size != full:
+        raise ValueError(f"{path}: expected {full[1]} x {full[0]} pixels like the others, got {size[1]} x {size[0]}")
 
 
-def _mask(file: Path, mask_file: Path | None, image: Tensor, photos: bool, rule: MaskRule, has_box: bool) -> Tensor:
-    """Find the mask of an image, [H, W] in [0, 1]; see `load_views`."""
+def _mask(
+    file: Path,
+    mask_file: Path | None,
+    image: Tensor,
+    full: tuple[int, int],
+    photos: bool,
+    rule: MaskRule,
+    has_box: bool,
+) -> Tensor:
+    """Find the mask [H, W] in [0, 1] of an image, which may be smaller than its full size; see `load_views`."""
+    height = image.shape[0]
     if mask_file is not None:
         mask = mask_in_file(mask_file)
-        _check_size(mask_file, mask, (image.shape[0], image.shape[1]))
-        return mask
+        _check_size(mask_file, (mask.shape[0], mask.shape[1]), full)
+        return mask if mask.shape[0] == height else F.avg_pool2d(mask[None], full[0] // height)[0]
     alpha = transparency(image)
     if alpha is not None:
         return alpha
     if not photos and rule.background is None and rule.below is None:
         return image[..., :3].mean(2)
     try:
-        return rule.find(image)
+        return rule.reduced(full[0] // height).find(image)
     except ValueError:
         if has_box:
             return torch.ones(image.shape[:2])

@@ -87,6 +87,8 @@ class MeshFit(Resumable):
         6
         >>> iou = fit.normalize(views).quality(fit.shape)["iou"]
         >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
+        >>> fit.skip_to_texture()
+        True
         >>> fit.run().verdict
         'match'
     """
@@ -224,6 +226,19 @@ class MeshFit(Resumable):
         while not self.done:
             self.advance()
         return self.result(held_out)
+
+    def skip_to_texture(self) -> bool:
+        """Leave out the remaining steps before the texture's: the shape stays as it is.
+
+        Returns:
+            Whether the fit is in the texture phase now. Views without photos have none.
+
+        Raises:
+            ValueError: As `run`.
+        """
+        if self.phase != "texture" and self.views.photos is not None:
+            self._follow("texture")
+        return self.phase == "texture"
 
     def result(self, held_out: Views | None = None) -> FitResult:
         """Measure the current mesh, and judge it. If the fit is done and has failed, look for the cause.

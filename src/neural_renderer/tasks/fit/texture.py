@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy import sparse
 from torch import Tensor
 
 from ... import validate
+from ...deferred import Fragments
 from ..adjustable import Resumable
 from ..texels import Texels
 from .descent import ConjugateGradients
@@ -77,8 +80,8 @@ class TextureFit(Resumable):
         objective = _Objective(views, self._vertices, self._faces, self._texels, smooth, batch)
         colors = photos.new_empty(self._texels.count, 3)
         colors[:] = photos.sum((0, 2, 3)) / views.masks.sum()
-        self._target = -objective.gradient(torch.zeros_like(colors), photos=True)
-        self._solver = ConjugateGradients(objective.gradient, objective.diagonal(), self._target, colors)
+        self._target = objective.target
+        self._solver = ConjugateGradients(objective.multiply, objective.diagonal, self._target, colors)
         self._constant, self._total = objective.constant, objective.total_weight
 
     @property
@@ -113,9 +116,13 @@ class TextureFit(Resumable):
 
 
 class _Objective:
-    """Objective of a `TextureFit`, a quadratic function of the texels.
+    """Objective of a `TextureFit`, a quadratic function of the texels: its matrix, AᵀwA and the smoothness term.
+
+    A has a row for each pixel. It is made and used up view by view, because the matrix is much smaller than all of A.
 
     Attributes:
+        target: [texels, 3], Aᵀw · photo.
+        diagonal: [texels, 3], an upper bound of the diagonal of the matrix.
         constant: Value at black texels.
         total_weight: Sum of the weights of pixels, over pixels and channels.
     """
@@ -123,38 +130,55 @@ class _Objective:
     def __init__(
         self, views: Views, vertices: Tensor, faces: Tensor, texels: Texels, smooth: float, batch: int
     ) -> None:
-        self._vertices, self._faces, self._texels, self._smooth = vertices, faces, texels, smooth
-        self._edges = texels.edges()
-        self._parts = [views[start : start + batch] for start in range(0, len(views), batch)]
-        self._weights = [_pixel_weights(part, vertices, faces) for part in self._parts]
-        squares = [
-            (weights[:, None] * photos_of(part).square()).sum()
-            for part, weights in zip(self._parts, self._weights, strict=True)
-        ]
-        self.constant = float(torch.stack(squares).sum())
-        self.total_weight = max(float(3 * torch.cat(self._weights).sum()), 1e-6)
+        gains = np.ones((len(views), 1), np.float32) if views.gains is None else views.gains.cpu().numpy()
+        self._matrices = [sparse.csr_array((texels.count, texels.count), dtype=np.float32) for _ in gains[0]]
+        target, row_sums = np.zeros((2, texels.count, 3), np.float32)
+        self.constant = self.total_weight = 0.0
+        for start in range(0, len(views), batch):
+            part = views[start : start + batch]
+            weights, photos = _pixel_weights(part, vertices, faces), photos_of(part)
+            self.constant += float((weights[:, None] * photos.square()).sum())
+            self.total_weight += float(3 * weights.sum())
+            pixels = _rows_of_pixels(part.fragments((vertices, faces)), weights > 0, texels)
+            gain = np.repeat(gains[start : start + batch], pixels.shape[0] // len(part), 0)  # [pixels, 1 or 3]
+            weighted = pixels.T.multiply(weights.flatten().cpu().numpy()).tocsr()
+            for number, factor in enumerate(gain.T):
+                left = weighted if views.gains is None else weighted.multiply(factor**2).tocsr()
+                self._matrices[number] += left @ pixels
+            target += weighted @ (gain * photos.movedim(1, 3).reshape(-1, 3).cpu().numpy())
+            row_sums += weighted @ (gain**2 * pixels.sum(1)[:, None])
+        self.total_weight = max(self.total_weight, 1e-6)
+        ends = texels.edges().cpu().numpy()
+        both = np.concatenate((ends, ends[:, ::-1]))
+        joined = (np.full(len(both), -smooth, np.float32), (both[:, 0], both[:, 1]))
+        degree = smooth * np.bincount(both[:, 0], minlength=texels.count).astype(np.float32)
+        smoothness = sparse.coo_array(joined, shape=(texels.count,) * 2) + sparse.diags_array(degree)
+        self._matrices = [(matrix + smoothness).tocsr() for matrix in self._matrices]
+        # Rows of A are ≥ 0 and sum to at most 1, so that AᵀwA·1 bounds diag(AᵀwA).
+        self.diagonal = torch.from_numpy(row_sums + degree[:, None]).to(vertices)
+        self.target = torch.from_numpy(target).to(vertices)
 
-    def gradient(self, values: Tensor, photos: bool = False) -> Tensor:
-        """Compute half the gradient at values [texels, 3]; without photos, of the quadratic part alone."""
-        values = values.detach().requires_grad_()
-        total = torch.zeros_like(values)
-        for part, weights in zip(self._parts, self._weights, strict=True):
-            rgb = part.draw((self._vertices, self._faces, self._texels.cubes(values)), "rgb").rgb
-            error = rgb.detach() - photos_of(part) if photos else rgb.detach()
-            total += torch.autograd.grad(rgb, values, weights[:, None] * error)[0]
-        values = values.detach()
-        first, second = self._edges.unbind(1)
-        difference = self._smooth * (values[first] - values[second])
-        return total.index_add_(0, first, difference).index_add_(0, second, -difference)
+    def multiply(self, values: Tensor) -> Tensor:
+        """Multiply the matrix by values [texels, 3]."""
+        columns = values.cpu().numpy()
+        if len(self._matrices) == 1:
+            product = self._matrices[0] @ columns
+        else:
+            product = np.stack([each @ columns[:, row] for row, each in enumerate(self._matrices)], 1)
+        return torch.from_numpy(product).to(values)
 
-    def diagonal(self) -> Tensor:
-        """Compute an upper bound [texels, 3] of the diagonal of the quadratic part.
 
-        Rows of the matrix A from texels to pixels are ≥ 0 and sum to at most 1, so that AᵀwA·1 bounds diag(AᵀwA).
-        """
-        count = self._texels.count
-        neighbors = torch.bincount(self._edges.reshape(-1), minlength=count)[:, None]
-        return self.gradient(self._vertices.new_ones(count, 3)) + self._smooth * neighbors
+def _rows_of_pixels(seen: Fragments, counts: Tensor, texels: Texels) -> sparse.csr_array:
+    """Make the rows of A of all pixels, [N · H · W, texels]; only pixels that count, [N, H, W] bool, have entries."""
+    scale = seen.settings.scale
+    counts = counts.repeat_interleave(scale, 1).repeat_interleave(scale, 2) & seen.mask
+    image, y, x = np.nonzero(counts.cpu().numpy())
+    pixel = (image * seen.settings.height + y // scale) * seen.settings.width + x // scale
+    faces, weights = seen.face_index[counts].cpu().numpy(), seen.weights[counts].cpu().numpy()
+    share = np.full(len(pixel), scale**-2, np.float32)
+    shape = len(seen.mask) * seen.settings.height * seen.settings.width, len(pixel)
+    mean = sparse.coo_array((share, (pixel, np.arange(len(pixel)))), shape=shape)
+    return mean.tocsr() @ texels.read(faces, weights, seen.settings.eps)
 
 
 def _pixel_weights(part: Views, vertices: Tensor, faces: Tensor) -> Tensor:

@@ -8,10 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..components import connected_components
-
-_MOST_SEARCHED = 640  # largest side, in pixels, of masks in which specks are found
-_MOST_FILLED = 1280  # largest side, in pixels, of masks in which holes are found
+_OUTLINE = 640  # pixels of a mask's longer side for each two pixels of a soft outline
 _SPECK = 0.02  # size, relative to the largest component, below which components are dropped
 
 
@@ -66,46 +63,32 @@ def opened(mask: Tensor, radius: int) -> Tensor:
 
 
 def remove_specks(alpha: Tensor) -> Tensor:
-    """Set the small connected components of a mask [H, W] to 0."""
-    small = limit_size(alpha[..., None], _MOST_SEARCHED)[..., 0]
-    label = label_components(small > 0.5)
-    count = torch.bincount(label[label >= 0])
-    kept = torch.isin(label, (count >= _SPECK * count.max()).nonzero()[:, 0])
-    wide = F.max_pool2d(kept[None, None].float(), 5, 1, 2)  # includes the soft outline
-    return alpha * F.interpolate(wide, tuple(alpha.shape), mode="nearest")[0, 0]
+    """Set a mask [H, W] to 0 beside its large connected components and their soft outlines."""
+    label = label_components(alpha > 0.5)
+    count = torch.bincount(label.flatten())
+    count[0] = 0
+    large = count >= _SPECK * count.max()
+    large[0] = False
+    if int(torch.count_nonzero(alpha)) == int(count[large].sum()):
+        return alpha  # nothing beside them
+    from scipy import ndimage  # imported here because it is slow
+
+    outline = 1 + 4 * math.ceil(max(alpha.shape) / _OUTLINE)
+    kept = ndimage.maximum_filter(large[label].numpy(), outline)
+    return torch.where(torch.from_numpy(kept), alpha, 0.0)
 
 
 def fill_holes(mask: Tensor, share: float) -> Tensor:
-    """Fill the holes of a mask [H, W] bool that are smaller than this share of it, such as shadows and highlights.
-
-    In a mask of more than 1280 pixels, holes are found at a lower resolution; narrower holes than its pixels stay.
-    """
-    block = math.ceil(max(mask.shape) / _MOST_FILLED)
-    if block == 1:
-        return mask | _small_holes(mask, share)
-    coarse = F.max_pool2d(mask[None, None].float(), block, ceil_mode=True)[0, 0] > 0.5
-    # Blocks around a hole may contain a part of the hole.
-    holes = F.max_pool2d(_small_holes(coarse, share)[None, None].float(), 3, 1, 1)[0, 0] > 0.5
-    return mask | holes.repeat_interleave(block, 0).repeat_interleave(block, 1)[: mask.shape[0], : mask.shape[1]]
-
-
-def _small_holes(mask: Tensor, share: float) -> Tensor:
-    """Find the holes of a mask [H, W] bool that are smaller than this share of it, [H, W] bool."""
+    """Fill the holes of a mask [H, W] bool that are smaller than this share of it, such as shadows and highlights."""
     label = label_components(~mask)
-    if not bool((label >= 0).any()):
-        return torch.zeros_like(mask)
-    small = torch.bincount(label[label >= 0]) < share * mask.sum()
-    border = torch.cat((label[0], label[-1], label[:, 0], label[:, -1]))
-    small[border[border >= 0]] = False
-    return small[label.clamp(min=0)] & (label >= 0)
+    small = torch.bincount(label.flatten()) < share * mask.sum()
+    small[torch.cat((label[0], label[-1], label[:, 0], label[:, -1]))] = False
+    small[0] = False
+    return mask | small[label]
 
 
 def label_components(mask: Tensor) -> Tensor:
-    """Label the connected components of a mask [H, W] bool: int64 [H, W], -1 outside of the mask."""
-    height, width = mask.shape
-    index = torch.arange(height * width).reshape(height, width)
-    across, down = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
-    horizontal = torch.stack((index[:, 1:][across], index[:, :-1][across]), 1)
-    vertical = torch.stack((index[1:][down], index[:-1][down]), 1)
-    label = connected_components(torch.cat((horizontal, vertical)), height * width)
-    return torch.where(mask, label.reshape(height, width), -1)
+    """Number the connected components of a mask [H, W] bool, from 1 on: int32 [H, W], 0 outside of the mask."""
+    from scipy import ndimage
+
+    return torch.from_numpy(ndimage.label(mask.numpy())[0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -44,6 +44,8 @@ class MaskRule:
         >>> from neural_renderer.tasks.fit import MaskRule
         >>> MaskRule(below=0.2).find(torch.tensor([[[0.1, 0.1, 0.1], [0.9, 0.2, 0.2]]])).tolist()
         [[0.0, 1.0]]
+        >>> MaskRule(closing=(10, 7)).reduced(2).closing
+        (5, 4)
     """
 
     background: tuple[float, float, float] | None = None
@@ -66,6 +68,18 @@ class MaskRule:
             validate.whole("mask_close", radius, 0)
         if not 0 <= validate.number("mask_fill", self.fill) <= 1:
             raise ValueError(f"mask_fill: expected a share in [0, 1], got {self.fill}")
+
+    def reduced(self, divisor: int) -> MaskRule:
+        """Convert the radii for pictures whose sides are divided.
+
+        Args:
+            divisor: What the sides are divided by.
+
+        Returns:
+            The rule.
+        """
+        first, second = (round(radius / divisor) for radius in self.closing)
+        return replace(self, opening=round(self.opening / divisor), closing=(first, second))
 
     def find(self, image: Tensor) -> Tensor:
         """Find the mask of a picture: by threshold or background colour, otherwise by its plain background.

@@ -13,10 +13,9 @@ from torch import Tensor
 from ... import losses
 from ...camera import Camera
 from ...camera.files.colmap import rotation_of
-from ...pictures.lamp import lamp_direction
 from ...raster import Images
 from ...rendering import render
-from ...shading.lights import Light
+from ...shading.lights import CameraLight
 from .snapshot import Snapshot
 from .surface import vertex_normals
 
@@ -24,7 +23,6 @@ IMAGE_LOSSES = ("silhouette IoU", "photometric")
 """Losses that compare with a target."""
 FREE_LOSSES = ("area", "brightness", "laplacian", "edge length", "normal consistency", "smoothness")
 """Losses without a target: the first two of the picture, the others of the mesh."""
-_AMBIENT, _DIRECTIONAL = 0.45, 0.6
 _NEAREST, _FARTHEST = 1e-3, 1e3  # clipping planes, relative to the eye's distance from the mesh
 _LENGTH, _LEAST = 0.1, 0.02  # longest arrow, relative to the mesh; least gradient of an arrow, relative to the largest
 _MOST_ARROWS = 3000
@@ -70,13 +68,12 @@ def draw(
     ``lit``: a lamp over the viewer's shoulder lights it. ``vertices`` are others [V, 3], such as those that require a
     gradient.
     """
-    light = Light(_AMBIENT, _DIRECTIONAL, direction=lamp_direction(camera)) if lit else None
     reach = _reach(snapshot, camera)
     return render(
         snapshot.shape() if vertices is None else snapshot.moved(vertices),
         camera,
         size,
-        light=light,
+        light=CameraLight() if lit else None,
         background=background,
         near=reach * _NEAREST,
         far=reach * _FARTHEST,

@@ -135,5 +135,5 @@ def test_connected_components() -> None:
     mask[:, 0] = True  # connected by the first column
     mask[5, 20] = False  # except for the end of one line
     label = label_components(mask)
-    assert (label[~mask] == -1).all() and len(label[mask].unique()) == 2
+    assert (label[~mask] == 0).all() and len(label[mask].unique()) == 2
     assert label[5, 21] != label[5, 19] == label[37, 39]

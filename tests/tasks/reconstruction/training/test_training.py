@@ -6,6 +6,7 @@ import csv
 import errno
 import itertools
 import shutil
+import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -248,7 +249,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
         assert sentence in " ".join(capsys.readouterr().err.split())
     file = out / "best.ckpt"
     assert main([*command[:3], str(file), *command[4:], "--classes", "box"]) == 1
-    assert f"OUT: expected a folder that can be written, got {file} (File exists)" in " ".join(
+    assert f"OUT: expected a folder that can be written, got {file} (Not a directory)" in " ".join(
         capsys.readouterr().err.split()
     )
     (out / "last.ckpt").rename(tmp_path / "last.ckpt")
@@ -264,6 +265,20 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
     if not torch.cuda.is_available():
         assert main([*command[:-1], "cuda"]) == 1 and "--device: expected cpu, got cuda" in capsys.readouterr().err
     assert main([*command, "--minutes", "-1"]) == 1 and "--minutes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("library", ["lightning", "tensorboard"])
+def test_a_missing_library_is_named(
+    library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By its own name, before anything is written."""
+    from neural_renderer.cli import main
+
+    monkeypatch.setitem(sys.modules, library, None)
+    write_split(tmp_path, "train", 1)
+    assert main(["reconstruct", "train", str(tmp_path), str(tmp_path / "out"), "--config", "small"]) == 1
+    sentence = f"expected {library} to be installed to train networks (pip install {library})\n"
+    assert capsys.readouterr().err.endswith(sentence) and not (tmp_path / "out").exists()
 
 
 def test_command_with_features(

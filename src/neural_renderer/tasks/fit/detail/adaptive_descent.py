@@ -10,8 +10,7 @@ from torch import Tensor
 from ....meshes.remeshing.edges import Edges, lengths
 from ....meshes.remeshing.remesh import remesh_once
 from ....meshes.remeshing.surface import Surface
-from ....meshes.topology import Topology
-from ..descent import SmoothDescent
+from ..descent import smooth_once
 
 _MEAN_DECAY, _SQUARE_DECAY = 0.8, 0.9  # Adam's β₁ and β₂
 _OWN = 8  # columns of position, target length, mean gradient and mean squared gradient
@@ -71,7 +70,7 @@ class AdaptiveDescent:
         others, colors, mean, square = self.surface.values.split((_OWN, 3, 3, 1), 1)
         self._color_count += 1
         step, mean, square, _ = self._adam(gradient, mean, square, self._color_count)
-        self.surface = Surface(torch.cat((others, colors - rate * step, mean, square), 1), self.faces)
+        self.surface = self.surface.with_values(torch.cat((others, colors - rate * step, mean, square), 1))
 
     def _adam(
         self, gradient: Tensor, mean: Tensor, square: Tensor, count: int, floor: float = 0.0
@@ -103,21 +102,20 @@ class AdaptiveDescent:
             smooth: Share of the way to the mean of its neighbours that each vertex moves, too.
             least, most: Limits of the target length, in world units.
             floor: Size of a gradient, relative to the mean of all vertices, below which steps become shorter.
-            reach: λ of `SmoothDescent.blur`, which is applied to the gradient twice; 0 leaves the gradient as it is.
+            reach: λ of `smooth_once`, which is applied to the gradient twice; 0 leaves the gradient as it is.
         """
         rest = self.surface.values[:, _OWN:]
         vertices, target, mean, square = self.surface.values[:, :_OWN].split((3, 1, 3, 1), 1)
         self._count += 1
+        edges = self.surface.edges
         if reach:
-            smoother = SmoothDescent(Topology.of(self.faces), reach)
-            gradient = smoother.blur(smoother.blur(gradient))
+            gradient = smooth_once(gradient, edges.ends, reach, times=2)
         step, mean, square, speed = self._adam(gradient, mean, square, self._count, floor)
-        edges = Edges.of(self.faces, len(vertices))
         steady = speed + _offset(speed, edges) / 2
         vertices = vertices - rate * target * step
         vertices = vertices + smooth * _offset(vertices, edges)
         target = (target * (1 + _GAIN * (steady - _STEADY))).clamp(least, max(least, most))
-        self.surface = Surface(torch.cat((vertices, target, mean, square, rest), 1), self.faces)
+        self.surface = self.surface.with_values(torch.cat((vertices, target, mean, square, rest), 1))
         if self._count % _EVERY == 0:
             self.surface = remesh_once(self.surface, rounds=1, strength=_RELAX)
 

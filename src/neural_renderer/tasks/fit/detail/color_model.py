@@ -107,9 +107,9 @@ def photos_for(light: str, views: Views) -> Tensor:
     return views.photos
 
 
-def roughness(colors: Tensor, faces: Tensor) -> Tensor:
-    """Average the absolute differences of colours [V, C], summed over the channels, along the edges of faces [F, 3]."""
-    return (colors[faces] - colors[faces.roll(1, 1)]).abs().sum(2).mean()
+def roughness(colors: Tensor) -> Tensor:
+    """Average the absolute differences of colours of corners [F, 3, C], summed over the channels, along edges."""
+    return (colors - colors.roll(1, 1)).abs().sum(2).mean()
 
 
 def _pixels(views: Views, seen: Fragments, albedo: Tensor, normals: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -29,14 +29,14 @@ from ....io.atomic_write import replacing, write_file
 from ....rendering import render
 from ....version import __version__
 from .arrays import DESCRIPTION, SPLITS
-from .drawing import shoulder_light
+from .drawing import SHOULDER
 from .framing import DISTANCE, ELEVATION, GRID, SIZE, VIEWING_ANGLE, VIEWS, mirror, scale_to_unit, view_camera
 from .models_folder import Model, is_mesh
 from .voxels import voxelize_model
 
 _GREY = 0.75  # colour of models without colours
 _DARKEST = 0.08  # colours are mapped to [0.08, 1]: pure black would hide the shape
-_DIRECTIONAL = 0.56  # intensity of the light from over the shoulder
+_LIGHT = replace(SHOULDER, directional=0.56)
 _MOST_TEXELS = 4_000_000  # texels of a model
 _MOST_TEXTURE_SIZE = 16  # texels along the edge of a face's cube
 _RECIPE = 1  # version of finished objects; objects of another version are rendered again
@@ -73,10 +73,9 @@ def render_views(
     pictures = []
     for view in range(settings.views):
         camera = view_camera(torch.tensor([view]), settings.views)
-        light = shoulder_light(camera, _DIRECTIONAL)
         size = settings.size * settings.samples
         images = render(
-            (vertices, faces, textures), camera, size, light=light, outputs=("rgb", "alpha"), anti_aliasing=False
+            (vertices, faces, textures), camera, size, light=_LIGHT, outputs=("rgb", "alpha"), anti_aliasing=False
         )
         alpha = F.avg_pool2d(images.alpha[:, None], settings.samples)
         # Means over a black background are multiplied by alpha; divide by it to get the mean of the object's samples.

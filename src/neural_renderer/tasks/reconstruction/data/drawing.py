@@ -5,22 +5,16 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ....camera import Camera
 from ....pictures.clay import plain_texture
-from ....pictures.lamp import lamp_direction
+from ....pictures.photograph import LAMP
 from ....rendering import render
-from ....shading.lights import Light
+from ....shading.lights import CameraLight
 from .framing import SIZE, view_camera
 
 MESH_COLOR = (0.86, 0.84, 0.8)
 VOXEL_COLOR = (0.72, 0.77, 0.84)
 PAPER = 0.8  # grey of the background
-_AMBIENT = 0.42
-
-
-def shoulder_light(camera: Camera, directional: float = 0.6) -> Light:
-    """Make a light over the viewer's left shoulder, so that no view is dark."""
-    return Light(_AMBIENT, directional, direction=lamp_direction(camera))
+SHOULDER = CameraLight(0.42, 0.6, LAMP)  # no view is dark
 
 
 @torch.no_grad()
@@ -30,7 +24,7 @@ def draw_mesh(
     """Draw a mesh in the reconstruction frame, [3, size, size] in [0, 1]. A fractional view lies between two views."""
     camera = view_camera(torch.tensor([view], device=vertices.device))
     mesh = vertices, faces, plain_texture(faces, color)
-    rgb = render(mesh, camera, size, light=shoulder_light(camera), background=(PAPER,) * 3, outputs="rgb").rgb
+    rgb = render(mesh, camera, size, light=SHOULDER, background=(PAPER,) * 3, outputs="rgb").rgb
     return rgb[0].clamp(0, 1)
 
 

@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader
 
 from ....compat.adam import Adam
 from ....features import FeatureNetwork
-from ....losses import silhouette_iou_loss
+from ....losses import soft_iou_loss
 from ..data.arrays import Split
 from ..data.framing import VIEWS
 from ..networks.checkpoint import HEADER, Model, header, make_network
@@ -151,7 +151,7 @@ class Training(lightning.LightningModule):
         with torch.autocast(images.device.type, enabled=False):
             paired, paired_views, target = pair_with_views(shapes, alpha, views)
             silhouettes = self.network.silhouettes(paired, paired_views)
-            error = silhouette_iou_loss(silhouettes, downsample_like(silhouettes, target))
+            error = soft_iou_loss(silhouettes, downsample_like(silhouettes, target))
             loss = error + self.network.regularizer(shapes)
         self.latest = {"loss": loss.detach(), "iou": 1 - error.detach()}  # type: ignore[dict-item]
         return loss
@@ -192,7 +192,7 @@ class Training(lightning.LightningModule):
         with torch.autocast(images.device.type, enabled=False):
             silhouettes = model.silhouettes(shapes.repeat_interleave(VIEWS, 0), views.repeat(len(inputs)))
             target = downsample_like(silhouettes, images[:, 3]).repeat(len(inputs), 1, 1)
-            self._scores.setdefault(name, []).append(1 - float(silhouette_iou_loss(silhouettes, target)))
+            self._scores.setdefault(name, []).append(1 - float(soft_iou_loss(silhouettes, target)))
 
     def on_validation_epoch_start(self) -> None:
         """Forget the scores of the last validation."""

@@ -1,0 +1,103 @@
+"""`rasterize`: from vertices in clip space to the triangle that each pixel shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .. import validate
+from ..raster.clip.triangles import NearestTriangles, show_triangles
+from . import checks
+from .contexts import RasterizeCudaContext, free_context
+
+
+@validate.checked_together
+def rasterize(
+    glctx: RasterizeCudaContext,
+    pos: Tensor,
+    tri: Tensor,
+    resolution: Sequence[int],
+    ranges: Tensor | None = None,
+    grad_db: bool = True,
+) -> tuple[Tensor, Tensor]:
+    """Find the triangle that each pixel shows, and the weights of its corners there.
+
+    The nearest triangle with the pixel's centre inside is visible, between the planes z = −w and z = w; both sides of
+    triangles are. A centre on an edge is inside. At equal depth the triangle of lowest number is visible.
+
+    Args:
+        glctx: A context.
+        pos: Vertices (x, y, z, w) in clip space: [B, V, 4] float32, the same triangles in each image (instanced mode),
+            or [V, 4] with ``ranges`` (range mode).
+        tri: Vertex indices, [F, 3] int32.
+        resolution: Height and width of the images in pixels.
+        ranges: In range mode first triangle and number of triangles of each image, [B, 2] int32, on the CPU.
+        grad_db: Whether gradients reach ``pos`` through the second result.
+
+    Returns:
+        ``rast``, [B, H, W, 4] float32: (u, v, z / w, number of the triangle + 1), all 0 where there is none; u and v
+        are the weights of corners 0 and 1, and have gradients to ``pos``. ``rast_db``, [B, H, W, 4]: their derivatives
+        by the pixel's place, (du/dX, du/dY, dv/dX, dv/dY), for a step of one pixel; [B, H, W, 0] if the context has no
+        ``output_db``.
+
+    Raises:
+        TypeError, ValueError: An argument of another type, shape, device or range.
+
+    Example:
+        >>> import neural_renderer.nvdiffrast as dr
+        >>> pos = torch.tensor([[[-0.8, -0.8, 0, 1], [0.8, -0.8, 0, 1], [-0.8, 0.8, 0, 1]]])
+        >>> tri = torch.tensor([[0, 1, 2]], dtype=torch.int32)
+        >>> rast, rast_db = dr.rasterize(dr.RasterizeCudaContext(), pos, tri, resolution=[64, 64])
+        >>> rast.shape, rast_db.shape
+        (torch.Size([1, 64, 64, 4]), torch.Size([1, 64, 64, 4]))
+    """
+    return Layers(free_context(glctx), pos, tri, resolution, ranges, grad_db).next()
+
+
+class Layers:
+    """What `rasterize` and `DepthPeeler` share: checked arguments, and the next layer of triangles."""
+
+    def __init__(
+        self, glctx: RasterizeCudaContext, pos: Any, tri: Any, resolution: Any, ranges: Any, grad_db: Any
+    ) -> None:
+        positions = checks.per_vertex("pos", pos, 4)
+        triangles = checks.triangles(tri, positions.shape[1])
+        validate.same_device(pos=pos, tri=tri)
+        try:
+            height, width = resolution
+        except (TypeError, ValueError):
+            raise ValueError(f"resolution: expected (height, width), got {resolution!r}") from None
+        height, width = validate.whole("resolution", height, 1), validate.whole("resolution", width, 1)
+        own = None
+        if pos.dim() == 2:
+            own = _checked_ranges(ranges, len(triangles))
+        self._positions, self._triangles = positions, triangles
+        self._grad_db, self._output_db = validate.flag("grad_db", grad_db), glctx.output_db
+        self._nearest = NearestTriangles(positions.detach(), triangles, own, height, width)
+
+    def next(self) -> tuple[Tensor, Tensor]:
+        """Return the results of `rasterize` for the next layer."""
+        rast, changes = show_triangles(self._positions, self._triangles, self._nearest.next_layer())
+        if not self._output_db:
+            changes = changes[..., :0]
+        return rast, changes if self._grad_db else changes.detach()
+
+
+def _checked_ranges(ranges: Any, count: int) -> Tensor:
+    """Return ranges of triangles, [B, 2] int32 on the CPU, if they are valid."""
+    if not isinstance(ranges, Tensor):
+        raise TypeError(f"ranges: expected a tensor [B, 2] for pos [V, 4], got {type(ranges).__name__}")
+    validate.indices("ranges", ranges, ("B", 2))
+    if ranges.dtype != torch.int32 or ranges.device.type != "cpu":
+        raise TypeError(f"ranges: expected int32 on the CPU, got {validate.shape_of(ranges)} on {ranges.device}")
+    if len(ranges) == 0:
+        raise ValueError("ranges: expected at least one image, got [0, 2]")
+    first, number = ranges.long().unbind(1)
+    if bool(((first < 0) | (number < 0) | (first + number > count)).any()):
+        raise ValueError(
+            f"ranges: expected first triangles and numbers within {count} triangles, got {ranges.tolist()}"
+        )
+    return ranges

@@ -1,0 +1,274 @@
+"""Gauss-Newton with Levenberg-Marquardt damping, for torch parameters.
+
+Maths. Let r(x) be residuals, J their Jacobian and w the weights of a robust loss. The loss ½ Σ ρ(r²) is approximated by
+½ |√w (r + J d)|² for a step d, whose minimum solves JᵀwJ d = −Jᵀw r. Damping adds λ D to the matrix, which shortens the
+step and turns it downhill (Marquardt, 1963). λ follows the ratio of the actual to the predicted decrease (Nielsen,
+1999; Madsen, Nielsen and Tingleff, "Methods for non-linear least squares problems", 2004, section 3.2).
+
+Few parameters: J is computed column by column in forward mode, and D is the diagonal of JᵀwJ, so that units do not
+matter. Many: conjugate gradients take products with J and Jᵀ alone, and D is the curvature along the gradient. A
+preconditioner P changes the variables, d = P u, so that steps are smooth if P smooths.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.func import jvp
+from torch.optim import Optimizer
+
+from .. import validate
+from .residuals import Product, Residuals, Values, split
+from .robust import LOSSES
+
+_TRIALS = 6  # of a step, with more damping each time
+_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
+
+
+class GaussNewton(Optimizer):
+    """Gauss-Newton for residuals that are images: few steps, each of the cost of several steps of Adam.
+
+    A step solves a linear least-squares problem and takes the solution if the loss falls; if not, it tries again with
+    more damping. What is linear, such as albedo under given light, needs a single step.
+
+    Poses, cameras and lights have few parameters. Then the closure should be a function of the parameters: forward mode
+    computes all columns of the Jacobian in one pass. Vertices are many: the closure runs once for each product.
+
+    Args:
+        params: Parameters, or groups of them as for other optimisers. Options of a group: ``bounds``, a pair of numbers
+            or tensors that broadcast to each parameter, or None; ``preconditioner``, a symmetric positive
+            linear function from a tensor of the parameter's shape to such a tensor, or None.
+        damping: First value of λ, relative to the curvature, > 0. It adapts in each step.
+        loss: ``"squares"``; or one that outliers such as occluders and highlights hardly change: ``"huber"``,
+            ``"cauchy"`` or ``"geman_mcclure"``.
+        scale: Residual from which on the robust loss grows slower than the square, > 0.
+        positions: Function of the parameters, in their order, that returns what may not move far in a step: points
+            [..., 2] in pixels, such as ``lambda pose: camera_of(pose).project(points, size)[0]``. A derivative holds
+            for small motions only.
+        pixels: Longest motion of a position in a step, in pixels.
+        most_columns: Number of parameters up to which columns are computed.
+        iterations: Most iterations of conjugate gradients in a step.
+
+    Raises:
+        TypeError, ValueError: An argument of another type or out of range.
+
+    Example:
+        >>> goal = nr.render(mesh, nr.Camera.look_at((0.0, 0.0, 2.2)), 32).alpha
+        >>> eye = torch.tensor([0.0, 0.0, 2.7])
+        >>> def residuals(eye):
+        ...     return nr.optim.pyramid(nr.render(mesh, nr.Camera.look_at(eye), 32).alpha - goal, levels=4)
+        >>> optimizer = nr.optim.GaussNewton([eye])
+        >>> losses = [optimizer.step(residuals).item() for _ in range(6)]
+        >>> abs(float(eye.norm()) - 2.2) < 0.02
+        True
+    """
+
+    def __init__(
+        self,
+        params: Iterable[Any],
+        *,
+        damping: float = 1e-3,
+        loss: str = "squares",
+        scale: float = 0.1,
+        positions: Callable[..., Tensor] | None = None,
+        pixels: float = 8.0,
+        most_columns: int = 64,
+        iterations: int = 30,
+    ) -> None:
+        if loss not in LOSSES:
+            raise ValueError(f"loss: expected one of {', '.join(LOSSES)}, got {loss!r}")
+        numbers = {"damping": damping, "scale": scale, "pixels": pixels}
+        for name, value in numbers.items():
+            if not 0 < validate.number(name, value) < math.inf:
+                raise ValueError(f"{name}: expected a positive number, got {value}")
+        self._loss, self._scale, self._positions, self._pixels = LOSSES[loss], scale, positions, pixels
+        self._most_columns = validate.whole("most_columns", most_columns, 0)
+        self._iterations = validate.whole("iterations", iterations, 1)
+        super().__init__(params, {"bounds": None, "preconditioner": None})
+        self._all = [each for group in self.param_groups for each in group["params"]]
+        self.state[self._all[0]].update(damping=float(damping), growth=2.0)
+
+    def step(self, closure: Callable[..., Any]) -> Tensor:  # type: ignore[override]
+        """Take a step.
+
+        Args:
+            closure: Function that returns residuals: a floating tensor, or several, of any shapes. It is a function of
+                the parameters, in their order. Or it has no arguments and reads the parameters, which need gradients
+                then; so each column takes a pass of its own.
+
+        Returns:
+            The loss after the step, []: ½ Σ ρ(r²), where ρ(r²) is r² for ``"squares"``, and about r² for small
+            residuals of the robust losses. The step is 0 if no step lowers the loss.
+
+        Raises:
+            TypeError: Residuals that are not floating tensors.
+            ValueError: Residuals or derivatives that are not finite.
+
+        Example:
+            >>> x = torch.zeros(2)
+            >>> loss = nr.optim.GaussNewton([x]).step(lambda x: x - torch.tensor([1.0, 2.0]))
+        """
+        problem = Residuals(closure, self._all)
+        values = tuple(each.detach().clone() for each in self._all)
+        best = values
+        try:
+            few = sum(value.numel() for value in values) <= self._most_columns
+            model = (self._of_columns if few else self._of_products)(problem, values)
+            loss = model.loss
+            for _ in range(_TRIALS):
+                found = self._trial(model, values)
+                after = self._cost(problem.at(found))[0]
+                predicted = model.loss - model.predicted(_flat(found) - _flat(values))
+                ratio = float((model.loss - after) / predicted) if predicted > 0 else -1.0
+                if self._adapt(ratio if math.isfinite(ratio) else -1.0):
+                    best, loss = found, after
+                    break
+        finally:
+            problem.set(best)
+        return loss
+
+    def _of_columns(self, problem: Residuals, values: Values) -> _Model:
+        residuals, jacobian = problem.columns(values)
+        loss, weights = self._cost(residuals)
+        gradient = jacobian.T @ (weights * residuals)
+        free = self._free(values, gradient)
+        matrix = ((jacobian.T * weights) @ jacobian).double() * free[:, None] * free
+        scales = matrix.diagonal().clamp(min=1e-12 * float(matrix.diagonal().amax()) + 1e-300)
+
+        def solve(damping: float) -> Tensor:
+            damped = matrix + torch.diag(damping * scales + (free == 0))
+            return torch.linalg.solve(damped, -(gradient * free).double()).to(gradient)
+
+        def curvature(step: Tensor) -> Tensor:
+            return step.double() @ matrix @ step.double()
+
+        return _Model(loss, gradient, solve, curvature)
+
+    def _of_products(self, problem: Residuals, values: Values) -> _Model:
+        residuals, push, pull = problem.products(values)
+        loss, weights = self._cost(residuals)
+        gradient = pull(weights * residuals)
+        free = self._free(values, gradient)
+
+        def smooth(vector: Tensor) -> Tensor:
+            return self._preconditioned(vector, values)
+
+        def normal(u: Tensor) -> Tensor:
+            return smooth(free * pull(weights * push(free * smooth(u))))
+
+        down = -smooth(free * gradient)
+        along = push(free * smooth(down))
+        curvature_down = float((weights * along * along).sum() / down.square().sum().clamp(min=1e-30))
+
+        def solve(damping: float) -> Tensor:
+            shift = damping * curvature_down
+            return free * smooth(_conjugate_gradients(lambda u: normal(u) + shift * u, down, self._iterations))
+
+        def curvature(step: Tensor) -> Tensor:
+            change = push(step)
+            return (weights * change * change).sum()
+
+        return _Model(loss, gradient, solve, curvature)
+
+    def _trial(self, model: _Model, values: Values) -> Values:
+        """Solve for a step, shorten it to the trust region, and keep the parameters within their bounds."""
+        step = model.solve(self._state["damping"])
+        if self._positions is not None:
+            with torch.no_grad():
+                motion = jvp(self._positions, values, split(step, values))[1]
+            farthest = float(torch.linalg.vector_norm(motion, dim=-1).amax()) if motion.numel() else 0.0
+            step = step * min(1.0, self._pixels / max(farthest, 1e-30))
+        moved = (value + part for value, part in zip(values, split(step, values), strict=True))
+        return tuple(
+            value if bounds is None else torch.clamp(value, *(torch.as_tensor(b).to(value) for b in bounds))
+            for value, bounds in zip(moved, self._options("bounds"), strict=True)
+        )
+
+    def _free(self, values: Values, gradient: Tensor) -> Tensor:
+        """Find the parameters that the step may change, [P] of 1 and 0: not those that a bound holds back."""
+        parts = []
+        for value, slope, bounds in zip(values, split(gradient, values), self._options("bounds"), strict=True):
+            held = torch.zeros_like(value, dtype=torch.bool)
+            if bounds is not None:
+                low, high = (torch.as_tensor(bound).to(value) for bound in bounds)
+                held = ((value <= low) & (slope > 0)) | ((value >= high) & (slope < 0))
+            parts.append((~held).to(value).flatten())
+        return torch.cat(parts)
+
+    def _preconditioned(self, vector: Tensor, values: Values) -> Tensor:
+        parts = zip(split(vector, values), self._options("preconditioner"), strict=True)
+        return torch.cat([(part if function is None else function(part)).flatten() for part, function in parts])
+
+    def _cost(self, residuals: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute the loss, [], and the weights of the residuals, [N]."""
+        rho, weights = self._loss((residuals / self._scale).square())
+        loss = 0.5 * self._scale**2 * rho.double().sum()
+        return loss.to(residuals), weights
+
+    def _adapt(self, ratio: float) -> bool:
+        """Adapt the damping to the actual decrease over the predicted one; return whether to take the step."""
+        state = self._state
+        if ratio > 0:
+            state["damping"] *= max(1 / 3, 1 - (2 * min(ratio, 1.0) - 1) ** 3)
+            state["growth"] = 2.0
+        else:
+            state["damping"] *= state["growth"]
+            state["growth"] *= 2.0
+        state["damping"] = min(max(state["damping"], _LEAST_DAMPING), _MOST_DAMPING)
+        return ratio > 0
+
+    @property
+    def _state(self) -> dict[str, Any]:
+        return self.state[self._all[0]]
+
+    def _options(self, name: str) -> list[Any]:
+        """Return an option of each parameter."""
+        return [group[name] for group in self.param_groups for _ in group["params"]]
+
+
+@dataclass(frozen=True)
+class _Model:
+    """The quadratic model of the loss around the parameters."""
+
+    loss: Tensor
+    gradient: Tensor  # [P]
+    solve: Callable[[float], Tensor]  # from the damping to a step, [P]
+    curvature: Callable[[Tensor], Tensor]  # from a step to its product with the matrix, twice
+
+    def __post_init__(self) -> None:
+        if not bool(self.loss.isfinite() & self.gradient.isfinite().all()):
+            raise ValueError("closure: expected finite residuals and derivatives, got NaN or infinity")
+
+    def predicted(self, step: Tensor) -> Tensor:
+        return self.loss + (self.gradient * step).sum() + 0.5 * self.curvature(step).to(self.loss)
+
+
+def _flat(values: Values) -> Tensor:
+    return torch.cat([value.flatten() for value in values])
+
+
+def _conjugate_gradients(matrix: Product, right: Tensor, iterations: int, tolerance: float = 0.25) -> Tensor:
+    """Solve matrix · x = right for a symmetric positive matrix, to a relative residual.
+
+    Source: Hestenes and Stiefel, "Methods of conjugate gradients for solving linear systems", 1952.
+    """
+    solution, rest = torch.zeros_like(right), right.clone()
+    direction, square = rest.clone(), rest.square().sum()
+    enough = tolerance**2 * square
+    for _ in range(iterations):
+        if bool(square <= enough):
+            break
+        product = matrix(direction)
+        along = (direction * product).sum()
+        if not bool(along > 0):
+            break
+        solution = solution + square / along * direction
+        rest = rest - square / along * product
+        before, square = square, rest.square().sum()
+        direction = rest + square / before * direction
+    return solution

@@ -1,0 +1,110 @@
+"""Residuals as a function of parameters, and products with its Jacobian in both modes of differentiation."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+from torch.func import jacfwd, jvp
+
+Values = tuple[Tensor, ...]
+Product = Callable[[Tensor], Tensor]
+
+
+class Residuals:
+    """A closure of residuals, and its parameters.
+
+    Args:
+        closure: Function of the parameters, in their order; or one without arguments that reads them. Returns a tensor
+            or several, of any shapes.
+        parameters: The tensors.
+    """
+
+    def __init__(self, closure: Callable[..., Any], parameters: Sequence[Tensor]) -> None:
+        self._closure, self._parameters = closure, parameters
+        self._reads = not inspect.signature(closure).parameters
+
+    def at(self, values: Values) -> Tensor:
+        """Compute the residuals, [N], without gradients."""
+        with torch.no_grad():
+            return self._compute(*values)
+
+    def columns(self, values: Values) -> tuple[Tensor, Tensor]:
+        """Compute the residuals, [N], and their Jacobian, [N, P], column by column."""
+        if self._reads:  # a pass for each column
+            sizes = [value.numel() for value in values]
+            units = torch.eye(sum(sizes), dtype=values[0].dtype, device=values[0].device)
+            columns = [self._push_in_place(values, split(unit, values)) for unit in units]
+            return self.at(values), torch.stack(columns, 1)
+
+        def twice(*given: Tensor) -> tuple[Tensor, Tensor]:
+            found = self._compute(*given)
+            return found, found
+
+        with torch.no_grad():
+            parts, residuals = jacfwd(twice, tuple(range(len(values))), has_aux=True)(*values)
+        return residuals, torch.cat([part.reshape(len(residuals), -1) for part in parts], 1)
+
+    def products(self, values: Values) -> tuple[Tensor, Product, Product]:
+        """Return the residuals r, [N], and the products with their Jacobian J: v to J v, and w to transposed J w.
+
+        v is [P], the parameters one after the other.
+        """
+        if self._reads:
+            push, pull = self._push_in_place, self._pull_in_place
+            return self.at(values), lambda v: push(values, split(v, values)), lambda w: pull(values, w)
+        leaves = tuple(value.detach().clone().requires_grad_() for value in values)
+        with torch.enable_grad():
+            residuals = self._compute(*leaves)
+
+        def change(v: Tensor) -> Tensor:
+            with torch.no_grad():
+                found: Tensor = jvp(self._compute, values, split(v, values))[1]
+            return found
+
+        return residuals.detach(), change, lambda w: _gradient(residuals, leaves, w)
+
+    def set(self, values: Values) -> None:
+        """Change the parameters, and their tangents if the values have some, in place."""
+        with torch.no_grad():
+            for parameter, value in zip(self._parameters, values, strict=True):
+                parameter.copy_(value)
+
+    def _compute(self, *values: Tensor) -> Tensor:
+        if self._reads:
+            self.set(values)
+        return _joined(self._closure() if self._reads else self._closure(*values))
+
+    def _push_in_place(self, values: Values, direction: Values) -> Tensor:
+        with torch.no_grad(), forward_ad.dual_level():
+            found = self._compute(*map(forward_ad.make_dual, values, direction))
+            residuals, change = forward_ad.unpack_dual(found)
+            return torch.zeros_like(residuals) if change is None else change
+
+    def _pull_in_place(self, values: Values, weights: Tensor) -> Tensor:
+        with torch.enable_grad():
+            return _gradient(self._compute(*values), tuple(self._parameters), weights)
+
+
+def _gradient(residuals: Tensor, leaves: Values, weights: Tensor) -> Tensor:
+    """Compute transposed J w, [P]; the graph can be used again."""
+    found = torch.autograd.grad(residuals, leaves, weights, retain_graph=True, allow_unused=True)
+    both = zip(found, leaves, strict=True)
+    return torch.cat([(torch.zeros_like(v) if own is None else own).flatten() for own, v in both])
+
+
+def split(vector: Tensor, values: Values) -> Values:
+    """Cut a vector [P] into tensors of the shapes of the values."""
+    parts = vector.split([value.numel() for value in values])
+    return tuple(part.view_as(value) for part, value in zip(parts, values, strict=True))
+
+
+def _joined(found: Any) -> Tensor:
+    parts = (found,) if isinstance(found, Tensor) else tuple(found)
+    if not parts or not all(isinstance(part, Tensor) and part.is_floating_point() for part in parts):
+        raise TypeError(f"closure: expected a floating tensor of residuals or several, got {type(found).__name__}")
+    return torch.cat([part.flatten() for part in parts])

@@ -1,0 +1,1 @@
+"""Operators on vertices in clip space and on images with row 0 at the bottom, as OpenGL has them."""

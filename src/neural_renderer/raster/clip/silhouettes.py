@@ -1,0 +1,134 @@
+"""Anti-aliasing of silhouettes, whose gradient moves vertices (Laine et al., "Modular primitives for high-performance
+differentiable rendering", 2020)."""
+
+# torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..warp.launch import launch
+from ..warp.layout import pixel_tasks, worth_a_thread
+from ..warp.memory import empty, zeros
+from ..warp.native import Kernels
+from ..warp.registration import differentiable, differentiable_once, fake, operator
+from .triangles import clip_mesh, owner_tasks
+
+_KERNELS = Kernels(__name__, "silhouettes.h")
+_FindSilhouettes, _Silhouettes = _KERNELS.struct("FindSilhouettes"), _KERNELS.struct("Silhouettes")
+_FindShares, _BlendPixels = _KERNELS.struct("FindShares"), _KERNELS.struct("BlendPixels")
+_BlendPixelsBackward = _KERNELS.struct("BlendPixelsBackward")
+_find_silhouettes = _KERNELS.kernel("find_silhouettes", _FindSilhouettes)
+_find_shares = _KERNELS.kernel("find_shares", _FindShares)
+_blend_pixels = _KERNELS.kernel("blend_pixels", _BlendPixels)
+_blend_colors_backward = _KERNELS.kernel("blend_colors_backward", _BlendPixelsBackward)
+_blend_positions_backward = _KERNELS.kernel("blend_positions_backward", _BlendPixelsBackward)
+
+
+@operator
+def blend_silhouettes(
+    colors: Tensor, rast: Tensor, positions: Tensor, triangles: Tensor, rings: Tensor, boost: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Blend adjacent pixels at silhouettes; differentiable in colours and positions.
+
+    Args:
+        colors: [B, H, W, C] float32, row 0 at the bottom.
+        rast: As from `show_triangles`, [B, H, W, 4] float32.
+        positions: Vertices (x, y, z, w) in clip space, [B or 1, V, 4] float32.
+        triangles: Vertex indices, [F, 3] int32.
+        rings: As from `edge_rings`, [1, F, 3] int32.
+        boost: Factor of the gradient to positions.
+
+    Returns:
+        The image, [B, H, W, C] float32. The silhouettes, one bit for each edge of a triangle, [B, F] int32. The share
+        by which each pixel blends with the one to the right and the one above, [B, H, W, 2] float32.
+    """
+    batch, height, width, channels = colors.shape
+    device = colors.device
+    mesh = clip_mesh(positions, triangles, batch, height, width)
+    silhouettes = empty((batch, len(triangles)), device, torch.int32)
+    search = _FindSilhouettes(mesh=mesh, next=rings.contiguous(), silhouettes=silhouettes)
+    launch(_find_silhouettes, batch * len(triangles), [search], device, worth_a_thread(32))
+    tasks, each = pixel_tasks(batch * height, width, device)
+    least = worth_a_thread(each * width)
+    of = _Silhouettes(mesh=mesh, rast=rast.contiguous(), silhouettes=silhouettes, each=each)
+    shares = empty((batch, height, width, 2), device)
+    launch(_find_shares, tasks, [_FindShares(of=of, shares=shares)], device, least)
+    result = empty(colors.shape, device)
+    call = _BlendPixels(of=of, shares=shares, colors=colors.contiguous(), channels=channels, result=result)
+    launch(_blend_pixels, tasks, [call], device, least)
+    return result, silhouettes, shares
+
+
+@fake(blend_silhouettes)
+def _(colors: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    return (
+        colors.new_empty(colors.shape),
+        triangles.new_empty((len(colors), len(triangles))),
+        colors.new_empty((*colors.shape[:3], 2)),
+    )
+
+
+@differentiable_once
+def blend_silhouettes_backward(
+    grad: Tensor,
+    colors: Tensor,
+    rast: Tensor,
+    positions: Tensor,
+    triangles: Tensor,
+    silhouettes: Tensor,
+    shares: Tensor,
+    boost: float,
+    positions_too: bool,
+) -> tuple[Tensor, Tensor]:
+    """Compute the gradients of `blend_silhouettes` to colours, and to positions (empty if not ``positions_too``)."""
+    batch, height, width, channels = colors.shape
+    device = colors.device
+    to_colors = empty(colors.shape, device)
+    to_positions = zeros(positions.shape if positions_too else (0, 0, 4), device)
+    tasks, each = pixel_tasks(batch * height, width, device)
+    fields = {
+        "shares": shares,
+        "colors": colors.contiguous(),
+        "channels": channels,
+        "grad": grad.contiguous(),
+        "boost": boost,
+        "to_colors": to_colors,
+        "to_positions": to_positions,
+    }
+    mesh = clip_mesh(positions, triangles, batch, height, width)
+    of = {"mesh": mesh, "rast": rast.contiguous(), "silhouettes": silhouettes}
+    call = _BlendPixelsBackward(of=_Silhouettes(**of, each=each), **fields)
+    launch(_blend_colors_backward, tasks, [call], device, worth_a_thread(each * width))
+    if positions_too:
+        tasks, each = owner_tasks(len(positions), batch, height, width, device)
+        call = _BlendPixelsBackward(of=_Silhouettes(**of, each=each), **fields)
+        launch(_blend_positions_backward, tasks, [call], device, worth_a_thread(each * width))
+    return to_colors, to_positions
+
+
+@fake(blend_silhouettes_backward)
+def _(colors: Tensor, positions: Tensor, positions_too: bool) -> tuple[Tensor, Tensor]:
+    return colors.new_empty(colors.shape), positions.new_empty(positions.shape if positions_too else (0, 0, 4))
+
+
+def _save(ctx: Any, inputs: Any, output: Any) -> None:
+    colors, rast, positions, triangles, _, ctx.boost = inputs
+    ctx.save_for_backward(colors, rast, positions, triangles, output[1], output[2])
+    ctx.set_materialize_grads(False)
+
+
+def _to_inputs(ctx: Any, grad: Tensor | None, *_: Any) -> Any:
+    if grad is None:
+        return (None,) * 6
+    colors, rast, positions, triangles, silhouettes, shares = ctx.saved_tensors
+    positions_too = ctx.needs_input_grad[2]
+    to_colors, to_positions = blend_silhouettes_backward(
+        grad, colors, rast, positions, triangles, silhouettes, shares, ctx.boost, positions_too
+    )
+    colors_too = ctx.needs_input_grad[0]
+    return to_colors if colors_too else None, None, to_positions if positions_too else None, None, None, None
+
+
+differentiable(blend_silhouettes, _to_inputs, _save)

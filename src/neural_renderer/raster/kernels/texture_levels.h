@@ -1,0 +1,356 @@
+// Samples of images and cube maps by a given footprint, with mipmaps (Williams, "Pyramidal parametrics", 1983), and the
+// gradient to texels, coordinates, footprints and levels.
+//
+// The first texel in memory lies at (s, t) = (0, 0). A cube map has six faces, +x, -x, +y, -y, +z, -z; OpenGL's table
+// of major axes gives s and t of a direction (The OpenGL Graphics System, version 4.6, table 8.19).
+#pragma once
+
+#include "tasks.h"
+
+namespace nr {
+
+// The filters and what lies beyond the image, by the numbers of `texture_levels.py`.
+constexpr int NEAREST = 0, LINEAR = 1, NEAREST_LEVEL = 2, LINEAR_LEVELS = 3;
+constexpr int WRAP = 0, CLAMP = 1, ZERO = 2, CUBE = 3;
+
+struct TextureLevels {
+    const float* texels;  // each level after the larger one, [owners, total, channels]
+    int64 total;          // texels of all levels
+    int owners;           // images of texels; 1 if all share them
+    int channels;
+    int height, width;  // texels of the largest level
+    int levels;
+    int filter, boundary;
+
+    NR_FUNC int64 start(int image) const { return shared(image, owners) * total * channels; }
+    NR_FUNC int sides() const { return boundary == CUBE ? 6 : 1; }
+};
+
+struct Lookups {
+    const float* uv;         // (s, t), or a direction for a cube map, [images, height, width, 2 or 3]
+    const float* footprint;  // change of each by one pixel, right and up in turn, [..., 4 or 6]; may be null
+    const float* bias;       // added to the level, [images, height, width]; may be null
+    int images, height, width;
+    int each;  // rows of a task
+};
+
+// A place on an image or on a face of a cube map.
+struct Spot {
+    float s, t;
+    int face;                         // -1 for a direction without one
+    int major, across, up;            // components of the direction along which depth, s and t run
+    float forth, right, upwards;      // their signs
+    float inverse, ratio_s, ratio_t;  // 1 / depth, and s and t in [-1, 1]
+
+    NR_FUNC static Spot of_image(const float* uv) {
+        return {uv[0], uv[1], 0, 0, 0, 1, 1.0f, 1.0f, 1.0f, 0.0f, 0.0f, 0.0f};
+    }
+    NR_FUNC static Spot of_direction(const float* d) {
+        const float x = fabsf(d[0]), y = fabsf(d[1]), z = fabsf(d[2]);
+        Spot spot = {};
+        spot.major = x >= y && x >= z ? 0 : y >= z ? 1 : 2;
+        const float depth = fabsf(d[spot.major]);
+        spot.face = -1;
+        if (!(depth > 0.0f && x <= 3.0e38f && y <= 3.0e38f && z <= 3.0e38f)) return spot;
+        spot.forth = d[spot.major] < 0.0f ? -1.0f : 1.0f;
+        spot.face = 2 * spot.major + (spot.forth < 0.0f);
+        spot.across = spot.major == 0 ? 2 : 0, spot.up = spot.major == 1 ? 2 : 1;
+        spot.right = spot.major == 0 ? -spot.forth : spot.major == 1 ? 1.0f : spot.forth;
+        spot.upwards = spot.major == 1 ? spot.forth : -1.0f;
+        spot.inverse = 1.0f / depth;
+        spot.ratio_s = spot.right * d[spot.across] / depth, spot.ratio_t = spot.upwards * d[spot.up] / depth;
+        spot.s = 0.5f * (spot.ratio_s + 1.0f), spot.t = 0.5f * (spot.ratio_t + 1.0f);
+        return spot;
+    }
+};
+
+NR_FUNC Spot spot_of(const TextureLevels& texture, const Lookups& at, int64 pixel) {
+    return texture.boundary == CUBE ? Spot::of_direction(at.uv + pixel * 3) : Spot::of_image(at.uv + pixel * 2);
+}
+
+// A texel of a level of a cube map, which may lie one step beyond a face: then it is the one of the adjacent face, at
+// the same distance from their edge. -1 beyond a corner, where there is none.
+NR_FUNC int64 cube_texel(const Spot& spot, int i, int j, int size) {
+    const bool beside = i < 0 || i >= size, above = j < 0 || j >= size;
+    if (beside && above) return -1;
+    if (!beside && !above) return ((int64)spot.face * size + j) * size + i;
+    const float step = 1.0f / (float)size, last = (float)size - 0.5f;
+    float direction[3];
+    const float s = (float)(2 * i + 1 - size) * step, t = (float)(2 * j + 1 - size) * step;
+    direction[spot.major] = spot.forth * (1.0f - step);
+    direction[spot.across] = spot.right * clamp(s, -1.0f, 1.0f);
+    direction[spot.up] = spot.upwards * clamp(t, -1.0f, 1.0f);
+    const Spot other = Spot::of_direction(direction);
+    const int column = (int)clamp(other.s * (float)size, 0.5f, last);
+    const int row = (int)clamp(other.t * (float)size, 0.5f, last);
+    return ((int64)other.face * size + row) * size + column;
+}
+
+// The two texels along one side of a level around a coordinate.
+struct Neighbours {
+    int first;    // the second one follows
+    float part;   // share of the second one
+    float slope;  // slope of the position by the coordinate, in texels
+
+    NR_FUNC Neighbours(float at, int size, int boundary, bool nearest) {
+        const float last = (float)(size - 1), beyond = boundary == CLAMP ? 0.0f : boundary == CUBE ? 0.5f : 1.0f;
+        const float raw = (boundary == WRAP ? at - floorf(at) : at) * (float)size - 0.5f;
+        const float x = clamp(raw, -beyond, last + beyond);  // a number for NaN coordinates, too
+        slope = x == raw ? (float)size : 0.0f;
+        const float low = floorf(nearest ? x + 0.5f : x);
+        part = nearest ? 0.0f : x - low;
+        first = (int)low;
+        if (nearest && boundary != ZERO) first = larger(0, smaller(first, size - 1));
+    }
+};
+
+// Place n on a side, which lies beyond it by one step at most, on the side itself.
+NR_FUNC int onto_side(int n, int size, int boundary) {
+    if (boundary == WRAP) return n < 0 ? n + size : n >= size ? n - size : n;
+    return n < 0 ? 0 : n >= size ? size - 1 : n;
+}
+
+// The four texels of a level around a spot, first along s, and their shares in the level.
+struct LevelBlock {
+    int64 texel[4];  // place in the image's texels; -1 for zero
+    float weight[4];
+    float x, y;              // shares of the second texel along s and along t
+    float slope_s, slope_t;  // of the position by s and t, in texels
+    int missing;             // the texel beyond a corner of a cube, the mean of the three others; -1 for none
+    float share;             // share of the level in the sample
+
+    NR_FUNC void weigh() {
+        weight[0] = (1.0f - x) * (1.0f - y), weight[1] = x * (1.0f - y), weight[2] = (1.0f - x) * y, weight[3] = x * y;
+    }
+};
+
+// The texels around a spot on a face of a cube. The three at a corner share what belongs to the missing one.
+NR_FUNC void take_cube_texels(LevelBlock& block, const Spot& spot, int i, int j, int size, int64 before) {
+    for (int k = 0; k < 4; ++k) {
+        const int64 own = cube_texel(spot, i + (k & 1), j + (k >> 1), size);
+        if (own < 0) block.missing = k;
+        block.texel[k] = own < 0 ? -1 : before + own;
+    }
+    if (block.missing < 0) return;
+    const float third = block.weight[block.missing] * (1.0f / 3.0f);
+    for (int k = 0; k < 4; ++k) block.weight[k] = k == block.missing ? 0.0f : block.weight[k] + third;
+}
+
+NR_FUNC LevelBlock block_at(const TextureLevels& texture, const Spot& spot, int level, float share) {
+    int width = texture.width, height = texture.height;
+    int64 before = 0;
+    for (int k = 0; k < level; ++k) {
+        before += (int64)width * height * texture.sides();
+        width = width > 1 ? width >> 1 : 1, height = height > 1 ? height >> 1 : 1;
+    }
+    const bool nearest = texture.filter == NEAREST;
+    const int boundary = texture.boundary;
+    const Neighbours s(spot.s, width, boundary, nearest), t(spot.t, height, boundary, nearest);
+    LevelBlock block;
+    block.x = s.part, block.y = t.part, block.slope_s = s.slope, block.slope_t = t.slope;
+    block.missing = -1, block.share = share;
+    block.weigh();
+    if (boundary == CUBE) {
+        take_cube_texels(block, spot, s.first, t.first, width, before);
+        return block;
+    }
+    const int i[2] = {onto_side(s.first, width, boundary), onto_side(s.first + 1, width, boundary)};
+    const int64 j[2] = {
+        before + (int64)onto_side(t.first, height, boundary) * width,
+        before + (int64)onto_side(t.first + 1, height, boundary) * width};
+    for (int k = 0; k < 4; ++k) block.texel[k] = j[k >> 1] + i[k & 1];
+    if (boundary == ZERO)
+        for (int k = 0; k < 4; ++k) {
+            const int column = s.first + (k & 1), row = t.first + (k >> 1);
+            if (column < 0 || column >= width || row < 0 || row >= height) block.texel[k] = -1;
+        }
+    return block;
+}
+
+// The level of a sample: log2 of the texels along the longer axis of the ellipse that a pixel is in the texture, which
+// is the larger singular value of the change of (s, t), plus the bias.
+struct LevelChoice {
+    int low;           // level of the first share
+    float part;        // share of the next one
+    bool steady;       // whether the level is at a limit, or is rounded, and so does not change
+    float change[4];   // of s and of t, right and up in turn, in texels
+    float ss, tt, st;  // sums of products of changes
+    float longer;      // square of the longer axis
+};
+
+NR_FUNC LevelChoice choose_level(const TextureLevels& texture, const Lookups& at, const Spot& spot, int64 pixel) {
+    LevelChoice choice = {};
+    choice.steady = true;
+    if (texture.levels == 1) return choice;
+    float level = 0.0f;
+    if (at.footprint) {
+        const float* d = at.footprint + pixel * (texture.boundary == CUBE ? 6 : 4);
+        const float size[2] = {(float)texture.width, (float)texture.height};
+        for (int n = 0; n < 2; ++n)        // right and up
+            for (int c = 0; c < 2; ++c) {  // s and t
+                float by = d[2 * c + n];
+                if (texture.boundary == CUBE) {
+                    const float own = (c ? spot.upwards : spot.right) * d[2 * (c ? spot.up : spot.across) + n];
+                    const float deeper = spot.forth * d[2 * spot.major + n];
+                    by = 0.5f * (own - (c ? spot.ratio_t : spot.ratio_s) * deeper) * spot.inverse;
+                }
+                choice.change[2 * c + n] = by * size[c];
+            }
+        const float* e = choice.change;
+        choice.ss = e[0] * e[0] + e[1] * e[1], choice.tt = e[2] * e[2] + e[3] * e[3];
+        choice.st = e[0] * e[2] + e[1] * e[3];
+        const float half = 0.5f * (choice.ss - choice.tt);
+        choice.longer = 0.5f * (choice.ss + choice.tt) + sqrtf(half * half + choice.st * choice.st);
+        level = 0.5f * log2f(choice.longer);
+    }
+    if (at.bias) level += at.bias[pixel];
+    const float last = (float)(texture.levels - 1);
+    choice.steady = !(level > 0.0f && level < last);
+    level = clamp(level, 0.0f, last);
+    if (texture.filter == NEAREST_LEVEL) level = floorf(level + 0.5f), choice.steady = true;
+    choice.low = smaller((int)level, texture.levels - 1);
+    choice.part = level - (float)choice.low;
+    return choice;
+}
+
+// Call visit(image, pixel) for the pixels of a task.
+template <class Visit>
+NR_FUNC void for_each_lookup(const Lookups& at, int task, Visit visit) {
+    const Pixels pixels = pixels_of_task(task, at.each, at.images * at.height, at.width);
+    for (int row = pixels.first; row < pixels.last; ++row)
+        for (int i = pixels.left; i < pixels.right; ++i) visit(row / at.height, (int64)row * at.width + i);
+}
+
+struct SampleLevels {
+    TextureLevels texture;
+    Lookups at;
+    float* result;  // [images, height, width, channels]
+};
+
+// Add a level's colours; ``channels`` apart from the call's, so that it may be known to the compiler.
+NR_FUNC void add_block(const LevelBlock& block, const float* texels, int channels, float* __restrict__ color) {
+    float weight[4];
+    const float* __restrict__ from[4];
+    for (int k = 0; k < 4; ++k) {
+        weight[k] = block.texel[k] < 0 ? 0.0f : block.share * block.weight[k];
+        from[k] = texels + (block.texel[k] < 0 ? 0 : block.texel[k]) * channels;
+    }
+    for (int c = 0; c < channels; ++c)
+        color[c] += weight[0] * from[0][c] + weight[1] * from[1][c] + weight[2] * from[2][c] + weight[3] * from[3][c];
+}
+
+// The pixels of a task. A direction without a face gives 0.
+NR_FUNC void sample_levels(const SampleLevels& call, int task) {
+    const TextureLevels& texture = call.texture;
+    const int channels = texture.channels;
+    for_each_lookup(call.at, task, [&](int image, int64 pixel) {
+        float* color = call.result + pixel * channels;
+        for (int c = 0; c < channels; ++c) color[c] = 0.0f;
+        const Spot spot = spot_of(texture, call.at, pixel);
+        if (spot.face < 0) return;
+        const LevelChoice choice = choose_level(texture, call.at, spot, pixel);
+        const float* texels = texture.texels + texture.start(image);
+        for (int n = 0; n < (choice.part > 0.0f ? 2 : 1); ++n) {
+            const LevelBlock block = block_at(texture, spot, choice.low + n, n ? choice.part : 1.0f - choice.part);
+            if (channels == 3) add_block(block, texels, 3, color);
+            else add_block(block, texels, channels, color);
+        }
+    });
+}
+
+struct SampleLevelsBackward {
+    TextureLevels texture;
+    Lookups at;
+    const float* grad;    // [images, height, width, channels]
+    int texels_too;       // whether the gradient to texels is asked for
+    float* to_texels;     // [owners, total, channels], 0 before
+    float* to_uv;         // as ``uv``, 0 before
+    float* to_footprint;  // as ``footprint``, 0 before; null if it is
+    float* to_bias;       // as ``bias``, 0 before; null if it is
+};
+
+// Send the gradient of s and t on a face of a cube to the direction.
+NR_FUNC void give_to_direction(const Spot& spot, float to_s, float to_t, float* to_direction) {
+    const float s = 0.5f * to_s * spot.inverse, t = 0.5f * to_t * spot.inverse;
+    to_direction[spot.across] += spot.right * s, to_direction[spot.up] += spot.upwards * t;
+    to_direction[spot.major] -= spot.forth * (s * spot.ratio_s + t * spot.ratio_t);
+}
+
+// Send the gradient of the level to the footprint, and of a cube map's to the direction.
+NR_FUNC void level_backward(
+    const SampleLevelsBackward& call, const Spot& spot, const LevelChoice& choice, int64 pixel, float to_level) {
+    if (call.to_bias) call.to_bias[pixel] = to_level;
+    if (!call.to_footprint || !(choice.longer > 0.0f)) return;
+    const float half = 0.5f * (choice.ss - choice.tt), root = choice.longer - 0.5f * (choice.ss + choice.tt);
+    const float tilt = root > 0.0f ? 0.5f * half / root : 0.0f, cross = root > 0.0f ? choice.st / root : 0.0f;
+    const float scale = to_level * 0.72134752f / choice.longer;  // 1 / (2 ln 2)
+    const float *e = choice.change, size[2] = {(float)call.texture.width, (float)call.texture.height};
+    const bool cube = call.texture.boundary == CUBE;
+    float* to = call.to_footprint + pixel * (cube ? 6 : 4);
+    for (int n = 0; n < 2; ++n)
+        for (int c = 0; c < 2; ++c) {
+            const float own = (c ? 1.0f - 2.0f * tilt : 1.0f + 2.0f * tilt) * e[2 * c + n];
+            const float to_change = scale * (own + cross * e[2 * (1 - c) + n]) * size[c];
+            if (!cube) {
+                to[2 * c + n] += to_change;
+                continue;
+            }
+            const int axis = c ? spot.up : spot.across;
+            const float sign = c ? spot.upwards : spot.right, ratio = c ? spot.ratio_t : spot.ratio_s;
+            const float part = 0.5f * to_change * spot.inverse;
+            to[2 * axis + n] += sign * part, to[2 * spot.major + n] -= spot.forth * ratio * part;
+            // The change of s is (own - ratio deeper) / (2 depth), whose ratio and depth belong to the direction.
+            const float deeper = spot.forth * call.at.footprint[pixel * 6 + 2 * spot.major + n];
+            const float by = e[2 * c + n] / size[c];
+            float* to_uv = call.to_uv + pixel * 3;
+            to_uv[axis] -= sign * part * deeper * spot.inverse;
+            to_uv[spot.major] += spot.forth * spot.inverse * (part * ratio * deeper - to_change * by);
+        }
+}
+
+// Send a level's gradient to its texels, unless ``to`` is null, and to their weights.
+NR_FUNC void add_block_backward(
+    const LevelBlock& block, const float* texels, int channels, const float* pull, float* to, float* gain) {
+    for (int k = 0; k < 4; ++k) {
+        if (block.texel[k] < 0) continue;
+        const int64 at = block.texel[k] * channels;
+        const float weight = block.share * block.weight[k];
+        for (int c = 0; c < channels; ++c) {
+            gain[k] += pull[c] * texels[at + c];
+            if (to) add_product(to + at + c, weight, pull[c]);
+        }
+    }
+}
+
+// The pixels of a task. On the CPU one task has all that sample the texels of an image.
+NR_FUNC void sample_levels_backward(const SampleLevelsBackward& call, int task) {
+    const TextureLevels& texture = call.texture;
+    const int channels = texture.channels;
+    for_each_lookup(call.at, task, [&](int image, int64 pixel) {
+        const Spot spot = spot_of(texture, call.at, pixel);
+        if (spot.face < 0) return;
+        const LevelChoice choice = choose_level(texture, call.at, spot, pixel);
+        const int64 start = texture.start(image);
+        const float *texels = texture.texels + start, *pull = call.grad + pixel * channels;
+        float to_s = 0.0f, to_t = 0.0f, to_level = 0.0f;
+        for (int n = 0; n < (choice.part > 0.0f || !choice.steady ? 2 : 1); ++n) {
+            const float share = n ? choice.part : 1.0f - choice.part;
+            LevelBlock block = block_at(texture, spot, choice.low + n, share);
+            float gain[4] = {};  // gradient with respect to each texel's weight
+            float* to = call.texels_too ? call.to_texels + start : nullptr;
+            if (channels == 3) add_block_backward(block, texels, 3, pull, to, gain);
+            else add_block_backward(block, texels, channels, pull, to, gain);
+            if (block.missing >= 0) gain[block.missing] = (gain[0] + gain[1] + gain[2] + gain[3]) * (1.0f / 3.0f);
+            block.weigh();
+            for (int k = 0; k < 4; ++k) to_level += (n ? gain[k] : -gain[k]) * block.weight[k];
+            if (texture.filter == NEAREST) continue;
+            to_s += share * block.slope_s * ((1.0f - block.y) * (gain[1] - gain[0]) + block.y * (gain[3] - gain[2]));
+            to_t += share * block.slope_t * ((1.0f - block.x) * (gain[2] - gain[0]) + block.x * (gain[3] - gain[1]));
+        }
+        if (!choice.steady) level_backward(call, spot, choice, pixel, to_level);
+        if (texture.boundary == CUBE) give_to_direction(spot, to_s, to_t, call.to_uv + pixel * 3);
+        else call.to_uv[pixel * 2] = to_s, call.to_uv[pixel * 2 + 1] = to_t;
+    });
+}
+
+}  // namespace nr

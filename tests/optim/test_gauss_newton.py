@@ -1,0 +1,158 @@
+"""Gauss-Newton on problems with known solutions, and on images."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+import neural_renderer as nr
+from neural_renderer.optim import GaussNewton, pyramid
+from neural_renderer.optim.robust import LOSSES
+
+
+def rosenbrock(x):
+    """Residuals that are 0 at (1, 1), at the end of a curved valley."""
+    return torch.stack((10 * (x[1] - x[0] ** 2), 1 - x[0]))
+
+
+@pytest.mark.parametrize("most_columns", [0, 64])
+@pytest.mark.parametrize("reads", [False, True])
+def test_curved_valley(most_columns, reads):
+    """By columns and by products, of closures with and without arguments."""
+    x = torch.tensor([-1.2, 1.0], dtype=torch.float64, requires_grad=True)
+    optimizer = GaussNewton([x], most_columns=most_columns)
+    losses = [float(optimizer.step((lambda: rosenbrock(x)) if reads else rosenbrock)) for _ in range(40)]
+    assert losses == sorted(losses, reverse=True)
+    assert losses[-1] < 1e-12
+    torch.testing.assert_close(x, torch.ones_like(x), rtol=0, atol=1e-5)
+
+
+def line(loss, outliers=5):
+    """Fit a line through points of which some are far away; returns its two parameters."""
+    at = torch.linspace(-1, 1, 40, dtype=torch.float64)
+    values = 2 * at + 0.5
+    values[:outliers] += 10
+    x = torch.zeros(2, dtype=torch.float64)
+    optimizer = GaussNewton([x], loss=loss, scale=0.5)
+    for _ in range(40):
+        optimizer.step(lambda x: x[0] * at + x[1] - values)
+    return x
+
+
+def test_linear_problem_takes_one_step():
+    at = torch.linspace(-1, 1, 40, dtype=torch.float64)
+    x = torch.zeros(2, dtype=torch.float64)
+    loss = GaussNewton([x], damping=1e-9).step(lambda x: x[0] * at + x[1] - (2 * at + 0.5))
+    assert float(loss) < 1e-15  # the damping's share of the solution, squared
+    torch.testing.assert_close(x, torch.tensor([2.0, 0.5], dtype=torch.float64), rtol=1e-7, atol=1e-7)
+
+
+def test_robust_losses_ignore_outliers():
+    """Squares are drawn towards the outliers. The weight of an outlier falls in the order of the losses."""
+    right = torch.tensor([2.0, 0.5], dtype=torch.float64)
+    errors = {loss: float((line(loss) - right).norm()) for loss in LOSSES}
+    assert errors["squares"] > 1
+    assert errors["squares"] > errors["huber"] > errors["cauchy"] > errors["geman_mcclure"]
+    assert errors["geman_mcclure"] < 0.01
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_weights_are_derivatives(loss):
+    s = torch.linspace(0.01, 5, 50, dtype=torch.float64, requires_grad=True)
+    rho, weights = LOSSES[loss](s)
+    (slope,) = torch.autograd.grad(rho.sum(), s)
+    torch.testing.assert_close(slope, weights)
+
+
+@pytest.mark.parametrize("most_columns", [0, 64])
+def test_bounds(most_columns):
+    """The solution (2, 0.5) is out of reach: a parameter stays at its bound, and the other one is best given that."""
+    at = torch.linspace(-1, 1, 40, dtype=torch.float64) + 0.3
+    x, y = torch.zeros(1, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+    groups = [{"params": [x], "bounds": (-1.0, 1.5)}, {"params": [y]}]
+    optimizer = GaussNewton(groups, most_columns=most_columns)
+    for _ in range(20):
+        optimizer.step(lambda x, y: x * at + y - (2 * at + 0.5))
+    assert float(x) == 1.5
+    torch.testing.assert_close(y[0], (0.5 * at + 0.5).mean(), rtol=1e-4, atol=1e-4)
+
+
+def test_trust_region():
+    """A step moves no position farther than the limit."""
+    x = torch.zeros(2, dtype=torch.float64)
+    optimizer = GaussNewton([x], positions=lambda x: 10 * x[None], pixels=3.0)
+    for n in range(1, 6):
+        optimizer.step(lambda x: x - torch.tensor([30.0, 40.0], dtype=torch.float64))
+        torch.testing.assert_close(x.norm(), torch.tensor(0.3 * n, dtype=torch.float64), rtol=1e-6, atol=0)
+
+
+def test_state_is_saved():
+    x, y = (torch.tensor([-1.2, 1.0], dtype=torch.float64) for _ in range(2))
+    first = GaussNewton([x])
+    for _ in range(5):
+        first.step(rosenbrock)
+    second = GaussNewton([y])
+    second.load_state_dict(first.state_dict())
+    with torch.no_grad():
+        y.copy_(x)
+    assert float(first.step(rosenbrock)) == float(second.step(rosenbrock))
+    assert torch.equal(x, y)
+
+
+def test_no_step_raises_the_loss():
+    """At the minimum, and where residuals away from the start are not finite, parameters stay as they are."""
+    x = torch.tensor([1.0, 1.0], dtype=torch.float64)
+    assert float(GaussNewton([x]).step(rosenbrock)) == 0
+    assert x.tolist() == [1, 1]
+    y = torch.zeros(1, dtype=torch.float64)
+    GaussNewton([y]).step(lambda y: torch.where(y == 0, 1 + y, torch.nan * y))
+    assert y.tolist() == [0]
+
+
+def test_arguments_are_checked():
+    x = torch.zeros(2)
+    for options, message in (
+        ({"loss": "l1"}, "loss: expected one of squares, huber"),
+        ({"damping": 0.0}, "damping: expected a positive number, got 0"),
+        ({"pixels": -1.0}, "pixels: expected a positive number"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            GaussNewton([x], **options)
+    with pytest.raises(ValueError, match="closure: expected finite residuals"):
+        GaussNewton([x]).step(lambda x: x * torch.nan)
+    with pytest.raises(TypeError, match="closure: expected a floating tensor"):
+        GaussNewton([x]).step(lambda x: x.long())
+    with pytest.raises(ValueError, match="levels"):
+        pyramid(torch.zeros(1, 4, 4), 0)
+
+
+def test_pyramid():
+    image = torch.arange(48.0).view(1, 6, 8)
+    fine, middle, coarse = pyramid(image, 3)
+    assert torch.equal(fine, image)
+    torch.testing.assert_close(middle, 2 * image.view(1, 3, 2, 4, 2).mean((2, 4)))
+    assert coarse.shape == (1, 1, 2)
+    assert [level.shape for level in pyramid(image, 9, skip=1)] == [(1, 3, 4), (1, 1, 2)]
+
+
+def test_pose_of_an_object():
+    """Six numbers of a pose, from a picture: within a hundredth of a radian and of its size after a dozen steps."""
+    vertices, faces = nr.icosphere(2)
+    vertices = 0.6 * vertices * torch.tensor([1.2, 0.9, 0.6])
+    colors = (0.6 + 0.3 * torch.sin(4 * vertices[faces.long()].mean(1)))[:, None, None, None]
+    camera = nr.Camera.look_at((0.4, 0.5, 2.7), viewing_angle=20)
+
+    def draw(turn, shift):
+        x, y, z = turn
+        zero = torch.zeros_like(x)
+        rotation = torch.linalg.matrix_exp(torch.stack((zero, -z, y, z, zero, -x, -y, x, zero)).view(3, 3))
+        return nr.render((vertices @ rotation.T + shift, faces, colors), camera, 48, outputs=("rgb",)).rgb
+
+    goal = torch.tensor([0.2, -0.15, 0.1]), torch.tensor([0.05, -0.04, 0.06])
+    target, own = draw(*goal), (torch.zeros(3), torch.zeros(3))
+    optimizer = GaussNewton(own)
+    for _ in range(12):
+        loss = optimizer.step(lambda *pose: pyramid(draw(*pose) - target, 5))
+    assert float(loss) < 0.05
+    for found, right in zip(own, goal, strict=True):
+        torch.testing.assert_close(found, right, rtol=0, atol=0.01)
