@@ -58,6 +58,23 @@ def test_strips_equal_the_whole_image(kind, shading, background, anti_aliasing):
         assert (strips - whole).norm() < 1e-5 * whole.norm()
 
 
+@pytest.mark.parametrize("kind", ["cubes", "vertex colours", "image"])
+def test_strips_in_forward_mode(kind):
+    mesh, (vertices, _) = scene(kind)
+    camera = nr.Camera.look_at(torch.tensor([[0.3, 0.8, -2.2]]))
+    motion = torch.randn(vertices.shape, generator=torch.Generator().manual_seed(1))
+
+    def change(tile):
+        def draw(moved):
+            images = nr.render(mesh.replace(vertices=moved), camera, SIZE, outputs=("rgb", "alpha", "depth"), tile=tile)
+            return torch.cat((images.rgb[0], images.alpha, images.depth))
+
+        return torch.func.jvp(draw, (vertices.detach(),), (motion,))[1]
+
+    whole, strips = change(None), change(32)
+    assert (strips - whole).norm() < 1e-5 * whole.norm()
+
+
 def test_what_strips_cannot_do():
     mesh, _ = scene("image")
     camera = nr.Camera.look_at((0.0, 0.0, -2.7))

@@ -133,6 +133,21 @@ def test_colours_are_kept_until_textures_are_asked_for():
     assert flat.face_colors is None and flat.texture_size == 2
 
 
+def test_replace_keeps_the_kind_of_colours():
+    vertices, faces = icosphere(1)
+    mesh = Mesh(vertices, faces, vertex_colors=vertices.abs(), texture_size=2)
+    moved = mesh.replace(vertices=2 * vertices)
+    assert moved.vertex_colors is mesh.vertex_colors and moved.texture_size == 2
+    assert torch.equal(moved.vertices, 2 * vertices)
+    paint = torch.rand(len(faces), 3)
+    painted = mesh.replace(face_colors=paint)
+    assert painted.face_colors is paint and painted.vertex_colors is None
+    assert torch.equal(painted.replace(textures=painted.cubes()).textures, painted.cubes())
+    assert mesh.vertex_colors is not None and mesh.to_trimesh() is not None and mesh.vertex_colors is not None
+    with pytest.raises(TypeError, match="uv: expected some of vertices, faces, textures, vertex_colors, face_colors"):
+        mesh.replace(uv=paint)
+
+
 def test_submesh_and_merged_vertices_agree_with_trimesh():
     vertices, faces = icosphere(2)
     soup = vertices[faces.long()].reshape(-1, 3)
