@@ -9,7 +9,7 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer.commands import render as command
-from neural_renderer.io.png_strips import save_png_strips
+from neural_renderer.io.image_formats.png_strips import save_png_strips
 
 SIZE = (90, 64)
 OUTPUTS = ("rgb", "alpha", "depth", "normal", "position", "face_index", "barycentric")

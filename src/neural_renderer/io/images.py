@@ -20,10 +20,10 @@ from torch import Tensor
 
 from .. import validate
 from .atomic_write import replacing, write_file
-from .exr import write_exr
 from .files import as_tensor, existing, reason
-from .gif import encode_gif
-from .radiance import radiance_bytes
+from .image_formats.exr import write_exr
+from .image_formats.gif import encode_gif
+from .image_formats.radiance import radiance_bytes
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".hdr", ".exr")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")

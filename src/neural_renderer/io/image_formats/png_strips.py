@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from .atomic_write import replacing
+from ..atomic_write import replacing
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOR_TYPES = {1: 0, 3: 2, 4: 6}  # by the number of channels
