@@ -32,6 +32,7 @@ ROOMS = [
     "losses",
     "optim",
     "surface_images",
+    "strips",
     "rendering",
     "compat",
     "nvdiffrast",

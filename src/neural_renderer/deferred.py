@@ -22,7 +22,6 @@ from .one_line import OneLine
 from .raster.ahead import ATTRIBUTES, PROJECTION, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
-from .raster.colors.interpolate import interpolate
 from .raster.exact import checked_dtype, exact_interpolate
 from .raster.faces import checked_faces
 from .raster.ops.corners import gather_corners
@@ -116,7 +115,7 @@ class Fragments(VisibleFaces):
             image = torch.arange(len(several), device=several.device)[:, None, None]
             return exact_interpolate(self, several[image, triangles])  # padded faces, of −1, are never visible
         own = gather_corners(several.float(), triangles.int())
-        return interpolate(own, self.corners, self.face_index, self.settings.perspective)
+        return self.at_pixels(own)
 
     def visible_faces(self) -> Tensor:
         """Find the faces that each image shows in at least one pixel.
@@ -180,7 +179,7 @@ class Fragments(VisibleFaces):
         validate.finite("attributes", attributes)
         if dtype == torch.float64:
             return exact_interpolate(self, attributes)
-        return interpolate(attributes.float().contiguous(), self.corners, self.face_index, self.settings.perspective)
+        return self.at_pixels(attributes.float().contiguous())
 
     @validate.checked_together
     def composite(self, colors: Tensor, background: Any = 0.0, *, seams: bool = False) -> Tensor:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+import inspect
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from . import validate
+from . import strips, validate
 from .camera import Camera
 from .camera.screen import causes, scene_camera, screen_corners
 from .deferred import Fragments, visible_fragments, visible_layers
@@ -20,7 +21,7 @@ from .raster.ahead import CUBES, IMAGES, SCENE, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.light_pixels import light_pixels
-from .raster.cube_colors import PackedCubes, cube_colors
+from .raster.cube_colors import PackedCubes, checked_textures, cube_colors
 from .raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.estimators import Estimator
@@ -28,6 +29,11 @@ from .shading.lights import AnyLight, CameraLight, FaceLight, checked_lights, li
 from .shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from .surface_images import surface_images, surface_outputs
 from .transparency import layered_images
+
+# Options of `render` that `_prepared` takes, in this order.
+_OPTIONS = (
+    "light", "shading", "outputs", "near", "far", "anti_aliasing", "two_sided", "gradient", "eps", "layers"
+)  # fmt: skip
 
 
 @validate.checked_together
@@ -47,6 +53,7 @@ def render(
     gradient: str | Estimator = "edge",
     eps: float = 1e-3,
     layers: int | None = None,
+    tile: int | None = None,
 ) -> Images:
     """Render a mesh from every camera of a batch, differentiably.
 
@@ -57,7 +64,8 @@ def render(
         mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); a ``trimesh.Trimesh`` or
             ``Scene`` (see `UVMesh.from_trimesh`, once for many calls); or (vertices, faces), which is white, or
             (vertices, faces, textures) with vertices [V, 3] or [B, V, 3] floating, faces [F, 3] or [B, F, 3] integer,
-            textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating, tensors or arrays.
+            textures [F, T, T, T, 3] or [B, F, T, T, T, 3] floating, or colours of the faces' corners [F, 3, 3] or
+            [B, F, 3, 3]; tensors or arrays.
         camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], whose "rgb" needs
             ``light=None``.
         size: Side of the images, or (height, width), in pixels, for all images. Pixels are square. Images of different
@@ -81,6 +89,9 @@ def render(
         eps: Added to distances in the denominators of ``"nmr"``, in screen units; cube coordinates end at T - 1 - eps.
         layers: Number of faces that are blended at each pixel, for a `UVMesh` whose materials are transparent, cut out
             or not double-sided. None draws the visible faces, all opaque. Depth is that of the nearest face.
+        tile: For images larger than the memory: draw strips of about tile² pixels, one after the other. The images are
+            equal to the bit. Backward draws each strip again, so that gradients take the memory of one strip, too; not
+            with ``"nmr"``, whose gradient acts over the whole image. ≥ 16; None draws all at once.
 
     Returns:
         Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, and what else ``outputs`` names.
@@ -97,6 +108,40 @@ def render(
         >>> images.rgb.shape
         torch.Size([8, 3, 120, 160])
     """
+    options = (light, shading, outputs, near, far, anti_aliasing, two_sided, gradient, eps, layers)  # _OPTIONS
+    draw, settings, corners = _prepared(mesh, camera, size, *options)
+    if tile is None:
+        return draw(settings, background)
+    if layers is not None:
+        raise ValueError(f"tile: expected None with layers, got {tile}")
+    return strips.drawn_whole(draw, settings, background, corners, validate.whole("tile", tile, 16))
+
+
+def render_strips(mesh: Any, camera: Camera, size: tuple[int, int], tile: int, **options: Any) -> Iterator[Images]:
+    """Render an image like `render`, and yield it in strips of about tile² pixels, from the top; without gradients."""
+    plain = inspect.signature(render).parameters
+    given = [options.get(name, plain[name].default) for name in _OPTIONS]
+    draw, settings, corners = _prepared(mesh, camera, size, *given)
+    background = options.get("background", plain["background"].default)
+    yield from strips.drawn_strips(draw, settings, background, len(corners), corners.device, tile)
+
+
+def _prepared(
+    mesh: Any,
+    camera: Camera | None,
+    size: int | tuple[int, int],
+    light: Any,
+    shading: Any,
+    outputs: Any,
+    near: float,
+    far: float,
+    anti_aliasing: bool,
+    two_sided: bool,
+    gradient: Any,
+    eps: float,
+    layers: int | None,
+) -> tuple[strips.Draw, Settings, Tensor]:
+    """Check the arguments of `render`; return the function that draws, the settings, and corners [B, F, 3, 3]."""
     scene = as_mesh(mesh)
     vertices, faces, textures = mesh_parts(scene)
     model = checked_shading(shading)
@@ -120,23 +165,30 @@ def render(
             raise TypeError(f"mesh: expected a UVMesh to draw layers, got {type(mesh).__name__}")
         if surface:
             raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)} with layers, got {surface[0]}")
-        found = visible_layers(corners, faces, vertices.shape[-2], settings, validate.whole("layers", layers, 1))
-        factors = _light_on_faces(lights, vertices, faces, camera, len(corners)) if model is None else None
-        return layered_images(found, scene, camera, lights, model, factors, background, outputs)
-    visible = visible_fragments(corners, faces, vertices.shape[-2], settings, 1 + 3 * ("rgb" in outputs))
-    colors: tuple[Any, ...] = ()
-    if "rgb" in outputs and model is not None:
-        colors = _shaded(visible, scene, textures, camera, lights, model, background)
-    elif "rgb" in outputs:
+        layers = validate.whole("layers", layers, 1)
+    factors = None
+    if "rgb" in outputs and model is None:
         factors = _light_on_faces(lights, vertices, faces, camera, len(corners))
-        if isinstance(scene, UVMesh):
+
+    def draw(settings: Settings, background: Any) -> Images:
+        if layers is not None:
+            found = visible_layers(corners, faces, vertices.shape[-2], settings, layers)
+            return layered_images(found, scene, camera, lights, model, factors, background, outputs)
+        visible = visible_fragments(corners, faces, vertices.shape[-2], settings, 1 + 3 * ("rgb" in outputs))
+        colors: tuple[Any, ...] = ()
+        if "rgb" in outputs and model is not None:
+            colors = _shaded(visible, scene, textures, camera, lights, model, background)
+        elif "rgb" in outputs and isinstance(scene, UVMesh):
             colors = _image_colors(visible, scene, factors, background)
-        else:
-            colors = cube_colors(visible, _checked_cubes(textures, faces), factors, background)
-    images = visible.images(outputs, *colors)
-    if not surface:
-        return images
-    return images.replace(**surface_images(surface, visible, scene, camera, model is not None))
+        elif "rgb" in outputs:
+            cubes = _checked_cubes(textures, faces)
+            colors = cube_colors(visible, cubes, factors, background, _has_vertex_colors(scene))
+        images = visible.images(outputs, *colors)
+        if not surface:
+            return images
+        return images.replace(**surface_images(surface, visible, scene, camera, model is not None))
+
+    return draw, settings, corners
 
 
 def _light_on_faces(
@@ -147,14 +199,21 @@ def _light_on_faces(
 
 
 def _checked_cubes(textures: Tensor | PackedCubes | None, faces: Tensor) -> Tensor | PackedCubes:
-    """Return texture cubes as [B or 1, F, T, T, T, 3] or packed, white without any; raise TypeError or ValueError."""
+    """Return texture cubes as [B or 1, F, T, T, T, 3], or colours of corners as [B or 1, F, 3, 3], or packed ones.
+
+    Without textures faces are white. Raises TypeError or ValueError.
+    """
     if isinstance(textures, PackedCubes):
         return textures
     if textures is None:
         return torch.ones((1, faces.shape[-2], 1, 1, 1, 3), device=faces.device)
-    owners = ("F",) if getattr(textures, "ndim", 6) == 5 else ("B", "F")
-    textures = validate.cubes("textures", textures, *owners)
-    return textures if textures.dim() == 6 else textures[None]
+    shared = getattr(textures, "ndim", 6) in (3, 5)
+    textures = checked_textures(textures, *(("F",) if shared else ("B", "F")))
+    return textures[None] if shared else textures
+
+
+def _has_vertex_colors(mesh: Any) -> bool:
+    return isinstance(mesh, Mesh) and mesh.vertex_colors is not None
 
 
 def _shaded(
@@ -165,13 +224,14 @@ def _shaded(
     lights: list[AnyLight],
     model: Shading | str,
     background: Any,
-) -> tuple[Tensor, Callable[[], Tensor]]:
+) -> tuple[Tensor, Callable[[], Tensor] | None]:
     """Colour an image with light in each pixel; results as in `cube_colors`."""
     inside = visible.for_shading
     if isinstance(mesh, UVMesh):
         albedo = mesh.shade(inside)
     else:
-        rgb, edge_hashes = cube_colors(inside, _checked_cubes(textures, visible.triangles), None, 0.0)
+        cubes = _checked_cubes(textures, visible.triangles)
+        rgb, edge_hashes = cube_colors(inside, cubes, None, 0.0, _has_vertex_colors(mesh))
         albedo = rgb.movedim(1, -1)
     colors = shade_pixels(model, inside, mesh, albedo, camera, lights)
     behind = background_image(background, len(colors), 3, visible.settings, colors.device)

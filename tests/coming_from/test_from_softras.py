@@ -148,7 +148,7 @@ def _(given, values):
 
 @PAGE.row("`mesh.reset_()`")
 def _(given, values):
-    before = {name: part.clone() for name, part in vars(given["mesh"])["_buffers"].items()}
+    before = {name: part.clone() for name, part in given["mesh"]._buffers.items() if part is not None}
     nr.render(given["mesh"], given["camera"], 64, light=nr.Light())
     for name, part in before.items():
         assert torch.equal(getattr(given["mesh"], name), part)

@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 
 import neural_renderer as nr
-from neural_renderer.io.radiance import read_radiance
+from neural_renderer.io.image_formats.radiance import read_radiance
 
 HEADER = b"#?RADIANCE\n# a comment\nFORMAT=32-bit_rle_rgbe\n"
 

@@ -198,12 +198,16 @@ def test_the_rows_of_the_page_on_batches_run():
     assert nr.render((ball, faces), camera, 32, shading="smooth").rgb.max() > 0.5
 
 
+@pytest.mark.parametrize("colors", ["textures", "vertex_colors", "face_colors"])
 @pytest.mark.parametrize("light", [None, nr.Light()])
-def test_a_list_draws_and_differentiates_each_mesh_as_a_call_of_its_own(light):
+def test_a_list_draws_and_differentiates_each_mesh_as_a_call_of_its_own(light, colors):
     generator = torch.Generator().manual_seed(0)
     shapes = [nr.icosphere(2), nr.cube(), nr.icosphere(0)]
-    cubes = [torch.rand(len(faces), 3, 3, 3, 3, generator=generator) for _, faces in shapes]
-    meshes = [nr.Mesh(*shape, own).trainable() for shape, own in zip(shapes, cubes, strict=True)]
+    meshes = []
+    for size, (vertices, faces) in enumerate(shapes, 1):
+        count = len(vertices if colors == "vertex_colors" else faces)
+        values = torch.rand(count, *((3, 3, 3) if colors == "textures" else ()), 3, generator=generator)
+        meshes.append(nr.Mesh(vertices, faces, texture_size=size, **{colors: values}).trainable())
     cameras = nr.Camera.look_at(
         nr.get_points_from_angles(4.0, 30.0, torch.tensor([0.0, 50.0, 200.0])), viewing_angle=30
     )
@@ -222,3 +226,16 @@ def test_a_list_draws_and_differentiates_each_mesh_as_a_call_of_its_own(light):
     for one, other in zip(together[1], alone[1], strict=True):
         assert one.abs().max() > 0
         torch.testing.assert_close(one, other)
+
+
+def test_a_list_of_cubes_and_colours_of_vertices_is_baked():
+    (vertices, faces), camera = nr.icosphere(1), nr.Camera.look_at([[0.0, 1.0, -2.5], [1.0, 1.0, -2.0]])
+    colored = nr.Mesh(vertices, faces, vertex_colors=vertices.abs(), texture_size=2).trainable("vertex_colors")
+    cubes = nr.Mesh.icosphere(2, texture_size=2)
+    found = nr.render([colored, cubes], camera, 32).rgb
+    baked = nr.Mesh(vertices, faces, colored.cubes().detach())
+    assert torch.equal(found, nr.render([baked, cubes], camera, 32).rgb)
+    found.sum().backward()
+    assert colored.vertex_colors.grad.any()
+    with pytest.raises(ValueError, match="meshes: expected textures of one size, got 2 and 4"):
+        nr.render([colored, nr.Mesh.icosphere(1)], camera, 32)

@@ -46,7 +46,7 @@ def test_trainable_copies_with_parameters():
     assert set(copied.trainable().state_dict()) == {"vertices", "textures"}
     parameter = torch.nn.Parameter(mesh.vertices.clone())
     assert next(Mesh(parameter, mesh.faces).parameters()) is parameter
-    with pytest.raises(ValueError, match="names: expected some of vertices, textures, got 'faces'"):
+    with pytest.raises(ValueError, match="names: expected some of vertices, textures, "):
         mesh.trainable("faces")
 
 
@@ -95,13 +95,57 @@ def test_colours_of_vertices_and_faces():
     flat = Mesh(vertices, faces, face_colors=paint, texture_size=1)
     assert torch.equal(flat.textures.reshape(-1, 3), paint)
     for wrong, sentence in [
-        ({"vertex_colors": colors, "face_colors": paint}, "face_colors: expected one of"),
+        ({"vertex_colors": colors, "face_colors": paint}, "textures: expected one of"),
         ({"vertex_colors": colors, "textures": flat.textures}, "textures: expected one of"),
         ({"vertex_colors": paint}, r"vertex_colors: expected shape \[162, 3\]"),
         ({"face_colors": colors}, r"face_colors: expected shape \[320, 3\]"),
     ]:
         with pytest.raises(ValueError, match=sentence):
             Mesh(vertices, faces, **wrong)
+
+
+def test_colours_are_kept_until_textures_are_asked_for():
+    vertices, faces = icosphere(2)
+    colors = torch.rand(len(vertices), 3, generator=torch.Generator().manual_seed(0))
+    mesh = Mesh(vertices, faces, vertex_colors=colors, texture_size=3)
+    corners = colors[faces.long()]
+    assert mesh.vertex_colors is colors and mesh.face_colors is None and mesh.texture_size == 3
+    assert torch.equal(mesh.colors_of_faces(), corners) and repr(mesh).endswith("320 faces, vertex colors, cpu)")
+    assert mesh.cubes().shape == (320, 3, 3, 3, 3) and mesh.vertex_colors is colors
+    assert torch.equal(mesh.submesh(slice(5, 9)).colors_of_faces(), corners[5:9])
+    assert mesh.subdivide().vertex_colors.shape == (642, 3)
+    torch.testing.assert_close(mesh.subdivide().colors_of_faces()[::4, 0], corners[:, 0])
+    soup = Mesh(
+        vertices[faces.long()].flatten(0, 1), torch.arange(960).view(-1, 3), vertex_colors=corners.flatten(0, 1)
+    )
+    assert torch.equal(soup.merge_vertices().colors_of_faces(), corners)
+    torn = Mesh(soup.vertices, soup.faces, vertex_colors=torch.rand(960, 3)).merge_vertices()
+    assert torn.vertex_colors is None and torn.textures.shape == (320, 4, 4, 4, 3)
+    optimised = mesh.trainable()
+    assert [name for name, _ in optimised.named_parameters()] == ["vertices", "vertex_colors"]
+    for copied in (copy.deepcopy(optimised), pickle.loads(pickle.dumps(optimised)), optimised.to(torch.float32)):
+        assert torch.equal(copied.colors_of_faces(), corners)
+    baked = mesh.textures
+    assert mesh.textures is baked and mesh.vertex_colors is None and mesh.colors_of_faces() is baked
+    flat = Mesh(vertices, faces, face_colors=torch.rand(320, 3))
+    assert flat.colors_of_faces().shape == (320, 1, 1, 1, 3) and flat.subdivide().face_colors.shape == (1280, 3)
+    flat.textures = torch.ones(320, 2, 2, 2, 3)
+    assert flat.face_colors is None and flat.texture_size == 2
+
+
+def test_replace_keeps_the_kind_of_colours():
+    vertices, faces = icosphere(1)
+    mesh = Mesh(vertices, faces, vertex_colors=vertices.abs(), texture_size=2)
+    moved = mesh.replace(vertices=2 * vertices)
+    assert moved.vertex_colors is mesh.vertex_colors and moved.texture_size == 2
+    assert torch.equal(moved.vertices, 2 * vertices)
+    paint = torch.rand(len(faces), 3)
+    painted = mesh.replace(face_colors=paint)
+    assert painted.face_colors is paint and painted.vertex_colors is None
+    assert torch.equal(painted.replace(textures=painted.cubes()).textures, painted.cubes())
+    assert mesh.vertex_colors is not None and mesh.to_trimesh() is not None and mesh.vertex_colors is not None
+    with pytest.raises(TypeError, match="uv: expected some of vertices, faces, textures, vertex_colors, face_colors"):
+        mesh.replace(uv=paint)
 
 
 def test_submesh_and_merged_vertices_agree_with_trimesh():

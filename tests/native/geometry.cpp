@@ -80,23 +80,25 @@ void test_in_front() {
 // The box holds each pixel whose centre is inside, lies in the image, and is no wider than a pixel more.
 void test_pixel_box() {
     const int height = 10, width = 20;
-    const Box box = pixel_box(FACE.v, 1, height, width);
+    Scene scene = {};
+    scene.height = height, scene.width = width;
+    const Box box = pixel_box(FACE.v, 1, scene);
     CHECK(box.left == 5 && box.right == 14 && box.bottom == 2 && box.top == 7);
-    const Box everything = pixel_box(FACE.v, 0, height, width);
+    const Box everything = pixel_box(FACE.v, 0, scene);
     CHECK(everything.left == 0 && everything.right == 19 && everything.bottom == 0 && everything.top == 9);
     for (float x : {-1e12f, -3.0f, 3.0f, 1e12f}) {
         const Corners outside = FACE.with(0, 0, x).with(1, 0, x).with(2, 0, x);
-        CHECK(pixel_box(outside.v, 1, height, width).is_empty());
+        CHECK(pixel_box(outside.v, 1, scene).is_empty());
     }
     for (float value : HUGE_NUMBERS)
         for (int n = 0; n < 6; ++n) {
-            const Box part = pixel_box(FACE.with(n / 2, n % 2, value).v, 1, height, width);
+            const Box part = pixel_box(FACE.with(n / 2, n % 2, value).v, 1, scene);
             CHECK(part.left >= 0 && part.right < width && part.bottom >= 0 && part.top < height);
         }
     for (int i = 0; i < width; ++i) {  // a point at each centre is in the box of that pixel
         Corners point = FACE;
         for (vec3& corner : point.v) corner = {pixel_centre(i, width), pixel_centre(i / 2, height), 1.0f};
-        const Box own = pixel_box(point.v, 1, height, width);
+        const Box own = pixel_box(point.v, 1, scene);
         CHECK(own.left == i && own.right == i && own.bottom == i / 2 && own.top == i / 2);
     }
 }

@@ -58,7 +58,8 @@ def test_operators_are_well_formed(device, name):
                     True,
                 ),
             ),
-            (textures.sample_textures_backward, (image, cubes, light, faces, index, 1e-3, True, True, True)),
+            (textures.sample_textures_backward, (image, cubes, light, faces, index, 1e-3, True, True, True, True)),
+            (textures.sample_textures_backward, (image, cubes, light, faces, index, 1e-3, True, False, True, False)),
         ],
         "edges": [
             (edges.nmr_gradient, (image.clone().requires_grad_(), leaf, index, 1e-3, True)),

@@ -18,15 +18,18 @@ from .. import deferred
 from ..camera import Camera, get_points_from_angles
 from ..camera.files.load import load_cameras
 from ..io import load_image, load_mesh, save_animation, save_image
-from ..io.exr import open_exr
+from ..io.image_formats.exr import open_exr
+from ..io.image_formats.png_strips import save_png_strips
+from ..io.images import as_pixels
 from ..io.values import VALUE_SUFFIXES, save_output
 from ..meshes.batch import join
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
 from ..pictures.outputs import depth_range, distance_to_see, draw_outputs, radius_of, scale_to_see
+from ..raster.outputs import Images
 from ..raster.settings import image_size
-from ..rendering import render
+from ..rendering import render, render_strips
 from ..shading.environments.light import EnvironmentLight
 from ..shading.lights import CameraLight
 from .common import check_between, check_counts, check_outputs, choose_device, say
@@ -37,6 +40,7 @@ _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours
 _SIZE = 512  # side of pictures by default
 _FRAMES = 60  # pictures of a turntable by default
+_TILE = 2048  # pictures of more than its square of pixels are drawn in strips
 _DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
 _CREASE, _CREASES = math.cos(math.radians(30)), 0.15  # angle of a crease; share of corners that may have one
 _PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
@@ -89,11 +93,17 @@ def _draw_scene(options: RenderOptions) -> None:
         else:
             save_animation(options.output, tracked, options.fps)
     elif options.output is not None:
-        save_image(options.output, draw(options, mesh, cameras, size, background, surroundings))
+        scene = (options, mesh, cameras, size, background, surroundings)
+        if _is_streamed(options, size):
+            pixels = (as_pixels("image", strip) for strip in _strips(*scene))
+            save_png_strips(options.output, pixels, *size)
+        else:
+            save_image(options.output, draw(*scene))
     if options.save:
         near, far = depth_range(mesh, cameras)
         look = _look(options, cameras, size, background, surroundings)
-        images = draw_outputs(mesh, cameras, size, dict(options.save), **look, near=near, far=far)
+        tile = _tile(size) if options.layers is None else None
+        images = draw_outputs(mesh, cameras, size, dict(options.save), **look, near=near, far=far, tile=tile)
         for name, path in options.save:
             save_output(path, images[name], name, options.depth_scale)
     for path in outputs:
@@ -234,6 +244,47 @@ def _look(
     return {"light": light, "shading": options.shading, "background": background, "layers": options.layers}
 
 
+def _tile(size: tuple[int, int]) -> int | None:
+    """Return the `tile` of `render`: large pictures are drawn in strips."""
+    return _TILE if size[0] * size[1] > _TILE**2 else None
+
+
+def _is_streamed(options: RenderOptions, size: tuple[int, int]) -> bool:
+    """Tell whether a picture goes to its file strip by strip: no mode but these knows a pixel without all others."""
+    is_png = options.output is not None and options.output.suffix.lower() == ".png"
+    return is_png and options.mode in ("rgb", "silhouettes") and options.layers is None and _tile(size) is not None
+
+
+@torch.no_grad()
+def _strips(
+    options: RenderOptions,
+    mesh: Mesh | UVMesh,
+    camera: Camera,
+    size: tuple[int, int],
+    background: Any,
+    surroundings: EnvironmentLight | None,
+) -> Iterator[Tensor]:
+    """Draw one view as `draw` does, strip by strip."""
+    near, far = depth_range(mesh, camera)
+    if options.mode == "silhouettes":
+        shape = mesh.vertices, mesh.faces
+        for images in render_strips(shape, camera, size, _TILE, outputs=("alpha",), near=near, far=far):
+            yield images.alpha[0]
+        return
+    look = _look(options, camera, size, background, surroundings)
+    for images in render_strips(mesh, camera, size, _TILE, **look, outputs=("rgb", "alpha"), near=near, far=far):
+        yield _on_background(options, images)
+
+
+def _on_background(options: RenderOptions, images: Images) -> Tensor:
+    """Return the colours, with alpha if the background is transparent: PNG stores colours without it."""
+    rgb, alpha = images.rgb[0], images.alpha[0]
+    if options.background != "transparent":
+        return rgb
+    # Colours over black are multiplied by alpha at the outline.
+    return torch.cat((rgb / alpha.clamp(min=1e-6), alpha[None]))
+
+
 @torch.no_grad()
 def draw(
     options: RenderOptions,
@@ -247,30 +298,26 @@ def draw(
     near, far = depth_range(mesh, camera)
     if options.mode in ("silhouettes", "depth"):
         shape = mesh.vertices, mesh.faces
-        images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far)
+        images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far, tile=_tile(size))
         alpha, depth = images.alpha[0], images.depth[0]
         return alpha if options.mode == "silhouettes" else _shade_depth(depth, alpha, far)
     look = _look(options, camera, size, background, surroundings)
     if options.mode == "normals":
-        rgb, alpha = _draw_normals(mesh, camera, size, look["background"], near, far)
-    else:
-        images = render(mesh, camera, size, **look, outputs=("rgb", "alpha"), near=near, far=far)
-        rgb, alpha = images.rgb[0], images.alpha[0]
-    if options.background != "transparent":
-        return rgb
-    # Colours over black are multiplied by alpha at the outline; PNG stores them without.
-    return torch.cat((rgb / alpha.clamp(min=1e-6), alpha[None]))
+        return _on_background(options, _draw_normals(mesh, camera, size, look["background"], near, far))
+    tile = _tile(size) if options.layers is None else None
+    images = render(mesh, camera, size, **look, outputs=("rgb", "alpha"), near=near, far=far, tile=tile)
+    return _on_background(options, images)
 
 
 def _draw_normals(
     mesh: Mesh | UVMesh, camera: Camera, size: tuple[int, int], background: Any, near: float, far: float
-) -> tuple[Tensor, Tensor]:
-    """Draw normals in camera space as colours [3, H, W], and the silhouette [H, W]."""
+) -> Images:
+    """Draw normals in camera space as colours, and the silhouette."""
     fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size, near=near, far=far)
     axes = camera.axes[0] * camera.rotation.new_tensor([1.0, 1.0, -1.0])[:, None]  # right, up, backward
     normals = fragments.interpolate(vertex_normals(mesh.vertices, mesh.faces)[0] @ axes.T)
-    alpha = fragments.composite(torch.ones_like(normals[..., :1]))[0, 0]
-    return fragments.composite((normals + 1) / 2, background)[0], alpha
+    alpha = fragments.composite(torch.ones_like(normals[..., :1]))[:, 0]
+    return Images(fragments.composite((normals + 1) / 2, background), alpha)
 
 
 def _shade_depth(depth: Tensor, alpha: Tensor, far: float) -> Tensor:

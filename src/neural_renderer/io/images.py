@@ -20,10 +20,10 @@ from torch import Tensor
 
 from .. import validate
 from .atomic_write import replacing, write_file
-from .exr import write_exr
 from .files import as_tensor, existing, reason
-from .gif import encode_gif
-from .radiance import radiance_bytes
+from .image_formats.exr import write_exr
+from .image_formats.gif import encode_gif
+from .image_formats.radiance import radiance_bytes
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".hdr", ".exr")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
@@ -166,7 +166,7 @@ def encode_image(path: Path, image: Tensor | np.ndarray, level: int = 6) -> byte
 
     ``level`` is the compression of a PNG, 0 to 9: 1 takes half the time of 6, for files that are a quarter larger.
     """
-    pixels = _pixels("image", image)
+    pixels = as_pixels("image", image)
     _check_side("image", path, pixels)
     suffix, file = path.suffix.lower(), io.BytesIO()
     if suffix == ".png":
@@ -209,7 +209,7 @@ def save_animation(
         raise TypeError(f"frames: expected pictures, got {type(frames).__name__}") from None
     pictures: list[np.ndarray] = []
     for index, frame in enumerate(frames):
-        picture = _opaque(_pixels(f"frames[{index}]", frame))
+        picture = _opaque(as_pixels(f"frames[{index}]", frame))
         if pictures and picture.shape != pictures[0].shape:
             first, other = (f"{p.shape[1]} x {p.shape[0]}" for p in (pictures[0], picture))
             raise ValueError(f"frames[{index}]: expected {first} pixels like the first frame, got {other}")
@@ -285,7 +285,7 @@ def _channels_last(name: str, image: Any) -> np.ndarray:
     return image
 
 
-def _pixels(name: str, image: Any) -> np.ndarray:
+def as_pixels(name: str, image: Any) -> np.ndarray:
     """Convert an image to uint8, [H, W], [H, W, 3] or [H, W, 4]; arguments and errors as `save_image`."""
     image = _channels_last(name, image)
     if image.dtype != np.uint8:

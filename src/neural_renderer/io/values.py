@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from .atomic_write import write_file
-from .exr import write_exr
+from .image_formats.exr import write_exr
 from .images import encode_image
 
 VALUE_SUFFIXES = (".npy", ".exr")

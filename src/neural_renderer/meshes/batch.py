@@ -54,21 +54,33 @@ def batch(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
         own = {name: pad(values, -1 if name.endswith("index") else 0) for name, values in parts.items()}
         vertices, faces = _padded_shapes(meshes)
         return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
-    return (*_padded_shapes(meshes), pad([mesh.textures for mesh in meshes]))
+    return (*_padded_shapes(meshes), pad(_cubes_of_one_size(meshes)))
 
 
 def packed(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, PackedCubes] | UVMesh:
-    """Batch meshes for drawing, as `batch` does but with the textures one after the other: padding takes memory."""
+    """Batch meshes for drawing, as `batch` does but with the colours one after the other: padding takes memory.
+
+    Colours are those of `Mesh.colors_of_faces` if these have one shape, or else all are baked.
+    """
     if _are_uv_meshes(meshes):
         return batch(meshes)
-    cubes = torch.cat([mesh.textures for mesh in meshes])
-    firsts = list(itertools.accumulate((len(mesh.textures) for mesh in meshes), initial=0))
-    places = torch.tensor(firsts, dtype=torch.int32, device=cubes.device)
-    return (*_padded_shapes(meshes), PackedCubes(cubes, places))
+    colors = [mesh.colors_of_faces() for mesh in meshes]
+    if len({own.shape[1:] for own in colors}) > 1:
+        colors = _cubes_of_one_size(meshes)
+    firsts = list(itertools.accumulate(map(len, colors), initial=0))
+    places = torch.tensor(firsts, dtype=torch.int32, device=colors[0].device)
+    return (*_padded_shapes(meshes), PackedCubes(torch.cat(colors), places))
 
 
 def _padded_shapes(meshes: Sequence[Any]) -> tuple[Tensor, Tensor]:
     return pad([mesh.vertices for mesh in meshes]), pad([mesh.faces for mesh in meshes], -1)
+
+
+def _cubes_of_one_size(meshes: Sequence[Mesh]) -> list[Tensor]:
+    sizes = sorted({mesh.texture_size for mesh in meshes})
+    if len(sizes) > 1:
+        raise ValueError(f"meshes: expected textures of one size, got {' and '.join(map(str, sizes))}")
+    return [mesh.cubes() for mesh in meshes]
 
 
 @overload
@@ -99,7 +111,7 @@ def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     faces = torch.cat([mesh.faces + first for mesh, first in zip(meshes, firsts, strict=True)])
     vertices = torch.cat([mesh.vertices for mesh in meshes])
     if not is_uv:
-        return vertices, faces, torch.cat([mesh.textures for mesh in meshes])
+        return vertices, faces, torch.cat(_cubes_of_one_size(meshes))
     parts, shared = _together(meshes)
     own = {name: torch.cat(values) for name, values in parts.items()}
     return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
@@ -115,9 +127,12 @@ def as_mesh(mesh: Any) -> Any:
 
 
 def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | PackedCubes | None]:
-    """Get (vertices, faces, textures or None) of a `Mesh`, a list of meshes, or a tuple; raise TypeError otherwise."""
+    """Get (vertices, faces, colours or None) of a `Mesh`, a list of meshes, or a tuple; raise TypeError otherwise.
+
+    Colours are those of a tuple, or `Mesh.colors_of_faces`.
+    """
     if isinstance(mesh, Mesh):
-        return mesh.vertices, mesh.faces, mesh.textures
+        return mesh.vertices, mesh.faces, mesh.colors_of_faces()
     mesh = as_mesh(mesh)
     if isinstance(mesh, tuple) and not isinstance(mesh[0], Mesh):
         mesh = tuple(map(_floats, mesh))
@@ -151,15 +166,12 @@ def _are_uv_meshes(meshes: Any) -> bool:
         raise TypeError(
             "meshes: expected all of one kind, got Mesh and UVMesh; Mesh.load, or UVMesh.load, reads all files"
         )
-    if isinstance(meshes[0], UVMesh):
-        for i, mesh in enumerate(meshes):
-            if mesh.faces.dim() != 2 or mesh.vertices.dim() != 2:
-                raise ValueError(f"meshes[{i}]: expected one mesh, got a batch")
-        return True
-    sizes = sorted({mesh.textures.shape[-2] for mesh in meshes})
-    if len(sizes) > 1:
-        raise ValueError(f"meshes: expected textures of one size, got {' and '.join(map(str, sizes))}")
-    return False
+    if not isinstance(meshes[0], UVMesh):
+        return False
+    for i, mesh in enumerate(meshes):
+        if mesh.faces.dim() != 2 or mesh.vertices.dim() != 2:
+            raise ValueError(f"meshes[{i}]: expected one mesh, got a batch")
+    return True
 
 
 def _together(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]], dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""`Mesh`: a mesh with texture cubes, as a module."""
+"""`Mesh`: a mesh with texture cubes, or colours of vertices or faces, as a module."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from ..io.files import as_tensor
 from ..io.formats import load_mesh, read_trimesh
 from ..io.mesh_writer import as_trimesh, save_mesh
 from ..io.obj import load_obj
+from ..raster.ops.corners import gather_corners
 from . import primitives
 from .bounds import centered
 from .pieces import chosen_faces, merged_vertices, used_vertices
 from .subdivision import checked_levels, split_cubes, subdivided
 
+_COLORS = ("textures", "vertex_colors", "face_colors")  # a mesh has one of them
+
 
 class Mesh(nn.Module):
-    """Triangle mesh with texture cubes.
+    """Triangle mesh with texture cubes, or with colours of vertices or faces.
 
     A mesh keeps the tensors that it is given, with their gradients. To optimise it, call `trainable`: the copy has
     parameters of its own. The same holds for `UVMesh`.
@@ -40,18 +43,20 @@ class Mesh(nn.Module):
         vertices: [V, 3] floating tensor or array, or the path of an OBJ file.
         faces: [F, 3] tensor or array of whole numbers, on the device of the vertices.
         textures: [F, T, T, T, 3] floating, or None.
-        texture_size: T if there are no textures, ≥ 1.
+        texture_size: T of the textures that are made if there are none, ≥ 1.
         normalization: For an OBJ file: centre its bounding box at the origin and scale its longest side to [−1, 1].
-        vertex_colors: [V, 3] floating, RGB in [0, 1], in place of textures. They are baked into the texture, and
-            drawn up to 3 % (T = 4) of the corners' difference off a linear interpolation; `Fragments.interpolate` is
-            exact.
+        vertex_colors: [V, 3] floating, RGB in [0, 1], in place of textures; drawn by linear interpolation.
         face_colors: [F, 3] floating, RGB in [0, 1], in place of textures.
 
     Attributes:
         vertices: [V, 3] float32.
         faces: [F, 3] int32, indices into the vertices.
         textures: [F, T, T, T, 3] float32. Texel (i, j, k) of a face's cube lies at barycentric weights
-            (i, j, k) / (T − 1) of its corners 0, 1, 2. With T = 1 the face has one colour.
+            (i, j, k) / (T − 1) of its corners 0, 1, 2. With T = 1 the face has one colour. Colours of vertices or
+            faces are baked when textures are first asked for. From then on the mesh has textures only, which blend
+            vertices' colours up to 3 % (T = 4) of the corners' difference off a linear interpolation.
+        vertex_colors: [V, 3] float32; None if the mesh has others.
+        face_colors: [F, 3] float32; None if the mesh has others.
 
     Raises:
         TypeError, ValueError: A type, shape or device does not fit, a number is not finite, an index is out of range,
@@ -66,6 +71,8 @@ class Mesh(nn.Module):
     vertices: Tensor
     faces: Tensor
     textures: Tensor
+    vertex_colors: Tensor | None
+    face_colors: Tensor | None
 
     def __init__(
         self,
@@ -90,24 +97,48 @@ class Mesh(nn.Module):
         faces = validate.indices("faces", faces, ["F", 3])
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
-        if textures is None:
-            texture_size = validate.whole("texture_size", texture_size, 1)
-            textures = _textures(vertex_colors, face_colors, vertices, faces, texture_size)
-            textures = plain(faces, texture_size) if textures is None else textures
-        elif vertex_colors is not None or face_colors is not None:
+        if sum(part is not None for part in (textures, vertex_colors, face_colors)) > 1:
             raise ValueError("textures: expected one of textures, vertex_colors and face_colors, got several")
-        textures = as_tensor(textures)
-        validate.cubes("textures", textures, len(faces))
-        validate.same_device(vertices=vertices, faces=faces, textures=textures)
+        self._texture_size = validate.whole("texture_size", texture_size, 1)
+        if textures is None and vertex_colors is None and face_colors is None:
+            textures = plain(faces, texture_size)
+        colors: dict[str, Tensor] = {}
+        if textures is not None:
+            colors["textures"] = validate.cubes("textures", as_tensor(textures), len(faces))
+        if vertex_colors is not None:
+            colors["vertex_colors"] = validate.floating("vertex_colors", as_tensor(vertex_colors), (len(vertices), 3))
+        if face_colors is not None:
+            colors["face_colors"] = validate.floating("face_colors", as_tensor(face_colors), (len(faces), 3))
+        validate.same_device(vertices=vertices, faces=faces, **colors)
         validate.finite("vertices", vertices)
-        validate.finite("textures", textures)
+        for name, part in colors.items():
+            validate.finite(name, part)
         validate.in_range("faces", faces, len(vertices))
-        parts = {"vertices": vertices.float(), "faces": faces.int(), "textures": textures.float().contiguous()}
+        parts = {"vertices": vertices.float(), "faces": faces.int()}
+        parts |= {name: part.float().contiguous() for name, part in colors.items()}
+        for name in ("vertices", "faces", *_COLORS):
+            self.register_buffer(name, parts.get(name), persistent=False)
         for name, part in parts.items():
-            self.register_buffer(name, part, persistent=False)
             if chainer and name != "faces":
                 part = nn.Parameter(part)
             setattr(self, name, part)  # a parameter takes the buffer's place
+
+    def __getattr__(self, name: str) -> Any:
+        found = super().__getattr__(name)
+        if found is None and name == "textures" and self._colored != name:
+            found, before = self.cubes(), self._colored
+            self.__dict__["_colored"] = name
+            super().__setattr__(name, found)
+            super().__setattr__(before, None)
+        return found
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, value)
+        if name in _COLORS and value is not None:
+            before = self.__dict__.get("_colored", name)
+            self.__dict__["_colored"] = name
+            if before != name:
+                super().__setattr__(before, None)  # type: ignore[arg-type]  # a buffer may be None
 
     @classmethod
     def load(
@@ -174,7 +205,7 @@ class Mesh(nn.Module):
             >>> nr.Mesh.icosphere(2).to_trimesh()
             <trimesh.Trimesh(vertices.shape=(162, 3), faces.shape=(320, 3))>
         """
-        return as_trimesh(self.vertices, self.faces, self.textures)
+        return as_trimesh(self.vertices, self.faces, self.cubes())
 
     @classmethod
     def fromobj(
@@ -244,10 +275,45 @@ class Mesh(nn.Module):
     @property
     def texture_size(self) -> int:
         """Number of texels T along a cube's edge."""
-        return self.textures.shape[1]
+        return self.textures.shape[1] if self._colored == "textures" else self._texture_size
+
+    def cubes(self) -> Tensor:
+        """Get the textures, or bake colours of vertices or faces, which the mesh keeps.
+
+        Returns:
+            [F, T, T, T, 3] float32.
+
+        Example:
+            >>> vertices, faces = nr.cube()
+            >>> nr.Mesh(vertices, faces, vertex_colors=vertices.abs(), texture_size=2).cubes().shape
+            torch.Size([12, 2, 2, 2, 3])
+        """
+        colors, size = self.colors_of_faces(), self._texture_size
+        if self._colored == "textures":
+            return colors
+        if self._colored == "vertex_colors":
+            return bake_corners(colors, size)
+        return colors.expand(-1, size, size, size, 3).contiguous()
+
+    def colors_of_faces(self) -> Tensor:
+        """Get the colours as `render` takes them in a tuple.
+
+        Returns:
+            Texture cubes [F, T, T, T, 3], those of one texel for colours of faces; or colours of the faces' corners
+            [F, 3, 3], for colours of vertices. float32.
+
+        Example:
+            >>> vertices, faces = nr.cube()
+            >>> nr.Mesh(vertices, faces, vertex_colors=vertices.abs()).colors_of_faces().shape
+            torch.Size([12, 3, 3])
+        """
+        own = getattr(self, self._colored)
+        if self._colored == "vertex_colors":
+            return gather_corners(own[None], self.faces[None])[0]
+        return own[:, None, None, None] if self._colored == "face_colors" else own
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the mesh as OBJ, PLY or GLB, with textures clamped to [0, 1].
+        """Write the mesh as OBJ, PLY or GLB, with textures, or baked colours, clamped to [0, 1].
 
         Args:
             path: Name that ends in ``.obj``, ``.ply`` or ``.glb``. A file of this name is replaced.
@@ -259,13 +325,13 @@ class Mesh(nn.Module):
         Example:
             >>> nr.Mesh.icosphere(2).save("sphere.glb")
         """
-        save_mesh(path, self.vertices, self.faces, self.textures, overwrite=overwrite)
+        save_mesh(path, self.vertices, self.faces, self.cubes(), overwrite=overwrite)
 
     def replace(self, **tensors: Any) -> Mesh:
         """Copy the mesh, with some of its tensors exchanged, to move vertices without losing gradients.
 
         Args:
-            **tensors: "vertices", "faces" or "textures", as for the class.
+            **tensors: "vertices", "faces", and "textures", "vertex_colors" or "face_colors", as for the class.
 
         Returns:
             The copy. It shares the other tensors, parameters too.
@@ -280,11 +346,14 @@ class Mesh(nn.Module):
             >>> offset.grad.shape
             torch.Size([162, 3])
         """
-        own = {"vertices": self.vertices, "faces": self.faces, "textures": self.textures}
+        names = ("vertices", "faces", *_COLORS)
         for name in tensors:
-            if name not in own:
-                raise TypeError(f"{name}: expected some of {', '.join(own)}")
-        return Mesh(**{**own, **tensors})
+            if name not in names:
+                raise TypeError(f"{name}: expected some of {', '.join(names)}")
+        own: dict[str, Any] = {"vertices": self.vertices, "faces": self.faces}
+        if not any(name in tensors for name in _COLORS):
+            own[self._colored] = getattr(self, self._colored)
+        return Mesh(**{**own, **tensors}, texture_size=self.texture_size)
 
     __replace__ = replace  # `copy.replace` of Python 3.13 and later
 
@@ -302,7 +371,7 @@ class Mesh(nn.Module):
             >>> nr.Mesh.icosphere(radius=3.0).normalize().vertices.max().item()
             1.0
         """
-        return self._like(centered(self.vertices).float(), self.faces, self.textures)
+        return self._like(centered(self.vertices).float(), self.faces, getattr(self, self._colored))
 
     def submesh(self, index: Any) -> Mesh:
         """Copy some of the faces, with their textures and the vertices that they use.
@@ -324,7 +393,8 @@ class Mesh(nn.Module):
         """
         kept = chosen_faces(index, self.faces)
         rows, faces = used_vertices(self.faces[kept])
-        return self._like(self.vertices[rows], faces, self.textures[kept])
+        own = getattr(self, self._colored)
+        return self._like(self.vertices[rows], faces, own[rows if self._colored == "vertex_colors" else kept])
 
     def merge_vertices(self, tolerance: float = 0.0) -> Mesh:
         """Copy the mesh, with vertices in the same place merged, so that adjacent faces share them.
@@ -336,7 +406,8 @@ class Mesh(nn.Module):
                 coordinates only.
 
         Returns:
-            The copy, with all faces and their textures. The first vertex of each place is kept, in order.
+            The copy, with all faces and their textures. The first vertex of each place is kept, in order. If vertices
+            of different colours are merged, these are baked into textures.
 
         Raises:
             TypeError, ValueError: ``tolerance`` is not a number ≥ 0.
@@ -348,7 +419,13 @@ class Mesh(nn.Module):
             (36, 8)
         """
         rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
-        return self._like(self.vertices[rows], faces, self.textures)
+        own = getattr(self, self._colored)
+        if self._colored == "vertex_colors":
+            kept = own[rows]
+            if not torch.equal(kept[faces.long()], own[self.faces.long()]):
+                return self._like(self.vertices[rows], faces, self.cubes(), "textures")
+            own = kept
+        return self._like(self.vertices[rows], faces, own)
 
     def subdivide(self, levels: int = 1, scheme: str = "midpoint") -> Mesh:
         """Split each face into four, with its texture.
@@ -371,17 +448,23 @@ class Mesh(nn.Module):
             768
         """
         levels = checked_levels(levels, scheme)
-        vertices, faces, textures = self.vertices, self.faces, self.textures
+        vertices, faces, colors = self.vertices, self.faces, getattr(self, self._colored)
         for _ in range(levels):
+            if self._colored == "vertex_colors":
+                colors, _ = subdivided(colors, faces, "midpoint")
+            elif self._colored == "face_colors":
+                colors = colors.repeat_interleave(4, 0)
+            else:
+                colors = split_cubes(colors)
             vertices, faces = subdivided(vertices, faces, scheme)
-            textures = split_cubes(textures)
-        return self._like(vertices, faces, textures)
+        return self._like(vertices, faces, colors)
 
     def trainable(self, *names: str) -> Mesh:
         """Copy the mesh, with parameters of its own, for an optimiser.
 
         Args:
-            *names: "vertices", "textures"; without names both.
+            *names: "vertices", and "textures", "vertex_colors" or "face_colors"; without names the vertices and the
+                colours that the mesh has.
 
         Returns:
             The copy. It shares the other tensors.
@@ -395,11 +478,14 @@ class Mesh(nn.Module):
             >>> nr.render(mesh, camera, 32).rgb.mean().backward()
             >>> optimizer.step()
         """
-        result = self._like(self.vertices, self.faces, self.textures)
-        for name in names or ("vertices", "textures"):
-            if name not in ("vertices", "textures"):
-                raise ValueError(f"names: expected some of vertices, textures, got {name!r}")
-            setattr(result, name, _parameter(getattr(self, name), getattr(self, name)))
+        result = self._like(self.vertices, self.faces, getattr(self, self._colored))
+        for name in names or ("vertices", self._colored):
+            if name not in ("vertices", *_COLORS):
+                raise ValueError(f"names: expected some of vertices, {', '.join(_COLORS)}, got {name!r}")
+            part = result.cubes() if name == "textures" else getattr(result, name)
+            if part is None:
+                raise ValueError(f"names: expected a name of what the mesh has, got {name!r}")
+            setattr(result, name, _parameter(part, part))
         return result
 
     def get_batch(self, batch_size: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -421,7 +507,7 @@ class Mesh(nn.Module):
             torch.Size([5, 162, 3])
         """
         batch_size = validate.whole("batch_size", batch_size, 0)
-        parts = self.vertices, self.faces, torch.sigmoid(self.textures)
+        parts = self.vertices, self.faces, torch.sigmoid(self.cubes())
         vertices, faces, textures = (part.expand(batch_size, *part.shape) for part in parts)
         return vertices, faces, textures
 
@@ -440,7 +526,7 @@ class Mesh(nn.Module):
             >>> optimizer = nr.Adam(mesh.parameters(), lr=0.01)  # 0.001 for the vertices
         """
         self.vertices.lr = lr_vertices  # type: ignore[attr-defined]
-        self.textures.lr = lr_textures  # type: ignore[attr-defined]
+        getattr(self, self._colored).lr = lr_textures
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Mesh:
         result = memo[id(self)] = type(self).__new__(type(self))
@@ -449,20 +535,23 @@ class Mesh(nn.Module):
             theirs.__dict__.update(mine.__dict__)  # the factors of `set_lr`; torch does not copy them
         return result
 
-    def _like(self, vertices: Tensor, faces: Tensor, textures: Tensor) -> Mesh:
-        """Copy the mesh, with other tensors. In place of a parameter comes a parameter, as trainable as that one."""
+    def _like(self, vertices: Tensor, faces: Tensor, colors: Tensor, colored: str | None = None) -> Mesh:
+        """Copy the mesh, with other tensors. In place of a parameter comes a parameter, as trainable as that one.
+
+        ``colored`` is the name of the colours, if it is another one than that of this mesh.
+        """
         result = type(self).__new__(type(self))
         result.__dict__ = {key: copy.copy(part) for key, part in vars(self).items()}
-        for name, part in (("vertices", vertices), ("faces", faces), ("textures", textures)):
+        for name, part in (("vertices", vertices), ("faces", faces), (self._colored, colors)):
             mine = getattr(self, name)
             if isinstance(mine, nn.Parameter):
                 part = _parameter(part, mine).requires_grad_(mine.requires_grad)
-            setattr(result, name, part)
+            setattr(result, colored or name if name == self._colored else name, part)
         return result
 
     def __repr__(self) -> str:
-        device = self.vertices.device
-        return f"Mesh({self.num_vertices} vertices, {self.num_faces} faces, textures of {self.texture_size}³, {device})"
+        colors = f"textures of {self.texture_size}³" if self._colored == "textures" else self._colored.replace("_", " ")
+        return f"Mesh({self.num_vertices} vertices, {self.num_faces} faces, {colors}, {self.vertices.device})"
 
 
 def _parameter(tensor: Tensor, like: Tensor) -> nn.Parameter:
@@ -470,20 +559,3 @@ def _parameter(tensor: Tensor, like: Tensor) -> nn.Parameter:
     result = nn.Parameter(tensor.detach().clone())
     vars(result).update(vars(like))
     return result
-
-
-def _textures(vertex_colors: Any, face_colors: Any, vertices: Tensor, faces: Tensor, size: int) -> Tensor | None:
-    """Bake colours into texture cubes [F, T, T, T, 3]; None without colours."""
-    if vertex_colors is not None and face_colors is not None:
-        raise ValueError("face_colors: expected one of vertex_colors and face_colors, got both")
-    if vertex_colors is not None:
-        colors = validate.floating("vertex_colors", as_tensor(vertex_colors), (len(vertices), 3))
-        validate.same_device(vertices=vertices, faces=faces, vertex_colors=colors)
-        validate.in_range("faces", faces, len(vertices))
-        validate.finite("vertex_colors", colors)
-        return bake_corners(colors.float()[faces.long()], size)
-    if face_colors is not None:
-        colors = validate.floating("face_colors", as_tensor(face_colors), (len(faces), 3))
-        validate.finite("face_colors", colors)
-        return colors[:, None, None, None].expand(-1, size, size, size, 3)
-    return None

@@ -66,12 +66,12 @@ def unwrap(mesh: Mesh, size: int = 1024, *, gutter: int = 4, uv: Tensor | None =
         if bool(((uv < 0) | (uv > 1)).any()):
             raise ValueError("uv: expected coordinates in [0, 1], got others")
         uv = uv.detach().to(vertices)
-    return UVMesh(vertices, faces, uv, bake(mesh.textures.detach(), uv, size), wrap="clamp")
+    return UVMesh(vertices, faces, uv, bake(mesh.colors_of_faces().detach(), uv, size), wrap="clamp")
 
 
 @torch.no_grad()
 def bake(textures: Tensor, uv: Tensor, size: int) -> Tensor:
-    """Draw texture cubes [F, T, T, T, 3] into an image, [size, size, 3] float32, row 0 at the top.
+    """Draw colours of faces, cubes or those of corners, into an image, [size, size, 3] float32, row 0 at the top.
 
     Texture coordinates [F, 3, 2] of the faces' corners are in [0, 1], v up, and faces do not overlap. Texels that no
     face covers continue the colours around them.

@@ -73,7 +73,7 @@ def draw_outputs(
         drawn = render(mesh, camera, size, outputs=smooth, **scene)
         images |= {name: getattr(drawn, name)[0] for name in smooth}
     if plain:
-        geometry = {name: scene[name] for name in ("near", "far") if name in scene}
+        geometry = {name: scene[name] for name in ("near", "far", "tile") if name in scene}
         drawn = render(
             mesh, camera, size, outputs=(*plain, "alpha"), anti_aliasing=False, shading="smooth", light=None, **geometry
         )

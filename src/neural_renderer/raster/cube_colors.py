@@ -1,4 +1,4 @@
-"""Colours from texture cubes under light, at every pixel."""
+"""Colours from texture cubes, or colours of corners, under light, at every pixel."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from .visible import VisibleFaces
 
 @dataclass(frozen=True, eq=False)
 class PackedCubes:
-    """Texture cubes of B meshes one after the other, for images with different numbers of faces.
+    """Texture cubes, or colours of corners, of B meshes one after the other, for different numbers of faces.
 
     Attributes:
-        cubes: [N, T, T, T, 3] floating, N the sum of the meshes' numbers of faces.
+        cubes: [N, T, T, T, 3] or [N, 3, 3] floating, N the sum of the meshes' numbers of faces.
         firsts: Where the cubes of each mesh begin, and N, [B + 1] int32.
     """
 
@@ -30,17 +30,20 @@ class PackedCubes:
 
 
 def cube_colors(
-    visible: VisibleFaces, textures: Any, light: Tensor | None, background: Any
-) -> tuple[Tensor, Callable[[], Tensor]]:
-    """Colour B images by texture cubes.
+    visible: VisibleFaces, textures: Any, light: Tensor | None, background: Any, of_vertices: bool = False
+) -> tuple[Tensor, Callable[[], Tensor] | None]:
+    """Colour B images by texture cubes or colours of corners.
 
     Args:
-        textures: Cubes [B or 1, F, T, T, T, 3] floating, or packed; T = 1 is one colour per face.
+        textures: Cubes [B or 1, F, T, T, T, 3] floating; T = 1 is one colour per face. Or colours of the faces'
+            corners, [B or 1, F, 3, 3] floating. Or either of them packed.
         light: Factors [B or 1, 2, F, 3] on the front and the back of each face; None for 1.
         background: As in `background_image`.
+        of_vertices: Whether faces that share a vertex have the same colour there.
 
     Returns:
-        [B, 3, H, W] float32, and a function that hashes the colours along edges (`texture_edge_hashes`).
+        [B, 3, H, W] float32, and a function that hashes the colours along edges (`texture_edge_hashes`); None if they
+        do not jump between adjacent faces.
 
     Raises TypeError for another dtype, and ValueError for another shape or device, or for NaN and infinity.
     """
@@ -48,8 +51,10 @@ def cube_colors(
     firsts = textures.firsts if isinstance(textures, PackedCubes) else None
     cubes, factors, behind = checked_colors(visible, textures, light, background, torch.float32)
     inside = corners if settings.gradient.differentiates_inside else corners.detach()
-    options = (visible.face_index, settings.eps, settings.perspective, firsts)
+    options = (visible.face_index, settings.eps, settings.perspective, firsts, *settings.drawn_strip)
     rgb = sample_textures(cubes, factors, behind, inside, *options)
+    if of_vertices and light is None and visible.rings is not None and visible.rings.alone == 0:
+        return rgb, None
     return rgb, lambda: texture_edge_hashes(cubes, factors, firsts)
 
 
@@ -59,26 +64,35 @@ def checked_colors(
     """Check what `cube_colors` takes, and convert it to what `sample_textures` takes, in a dtype.
 
     Returns:
-        Textures [B or 1, F, T, T, T, 3], or [1, N, T, T, T, 3] of packed ones, light [B or 1, 2, F, 3], background
-            [B, 3, H, W].
+        Textures as they are given, or [1, N, ...] of packed ones, light [B or 1, 2, F, 3], background [B, 3, H, W].
     """
     batch, count = visible.corners.shape[:2]
     device = visible.corners.device
     if isinstance(textures, PackedCubes):
-        cubes = _checked_textures(textures.cubes[None], 1, len(textures.cubes), device).to(dtype)
+        cubes = _fitting_textures(textures.cubes[None], 1, len(textures.cubes), device).to(dtype)
         if len(textures.firsts) != batch + 1:
             raise ValueError(f"mesh: expected a list of {batch} meshes like cameras, got {len(textures.firsts) - 1}")
     else:
-        cubes = _checked_textures(textures, batch, count, device).to(dtype)
+        cubes = _fitting_textures(textures, batch, count, device).to(dtype)
     factors = _checked_light(light, batch, count, device).to(dtype)
     behind = background_image(background, batch, 3, visible.settings, device, dtype)
     return cubes, factors, behind.expand(batch, 3, *visible.face_index.shape[1:])
 
 
-def _checked_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:
+def checked_textures(textures: Any, *owners: str) -> Tensor:
+    """Return textures if they are cubes [*owners, T, T, T, 3] or colours of corners [*owners, 3, 3], floating.
+
+    Raises TypeError or ValueError.
+    """
+    if getattr(textures, "ndim", 0) == len(owners) + 2:
+        return validate.floating("textures", textures, (*owners, 3, 3))
+    return validate.cubes("textures", textures, *owners)
+
+
+def _fitting_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:
     if textures is None:
         raise ValueError('textures: expected a tensor [B, F, T, T, T, 3] to draw "rgb", got None')
-    validate.cubes("textures", textures, "B", "F")
+    checked_textures(textures, "B", "F")
     validate.same_device(faces=torch.empty(0, device=device), textures=textures)
     if textures.shape[0] not in (1, batch) or textures.shape[1] != count:
         raise ValueError(

@@ -45,7 +45,8 @@ def rasterize_images(
             the viewing axis in world units, positive in front of the camera. Computed in ``dtype``.
         size: Side of the images, or (height, width), in pixels.
         outputs: Some of "rgb", "alpha", "depth". Other outputs are not computed.
-        textures: Cubes [B or 1, F, T, T, T, 3] floating (T = 1: one colour per face). Needed for "rgb".
+        textures: Cubes [B or 1, F, T, T, T, 3] floating (T = 1: one colour per face), or colours of the faces' corners
+            [B or 1, F, 3, 3] floating. Needed for "rgb".
         light: Factors [B or 1, 2, F, 3] on the front and the back of each face; None for 1.
         background: Number, colour [3] or [B, 3], or image [3, H, W] or [B, 3, H, W] of the returned size.
         near, far: Depth range, 0 <= near < far; a point is visible if near < depth < far.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ class Settings:
         two_sided: Whether faces whose corners run clockwise on the screen are drawn.
         perspective: Whether the projection is perspective; else orthographic.
         gradient: Estimator of the gradient through visibility.
+        below, above: Rows of the whole image below and above, if these settings are for a strip of it (`strip`).
     """
 
     height: int
@@ -53,6 +54,8 @@ class Settings:
     two_sided: bool
     perspective: bool
     gradient: Estimator
+    below: int = 0
+    above: int = 0
 
     @classmethod
     def checked(
@@ -82,6 +85,15 @@ class Settings:
         """Drawn pixels for each returned pixel, along each axis."""
         return 2 if self.anti_aliasing else 1
 
+    @property
+    def drawn_strip(self) -> tuple[int, int]:
+        """Drawn rows below and above the strip."""
+        return self.below * self.scale, self.above * self.scale
+
+    def strip(self, first: int, last: int) -> Settings:
+        """Make the settings of the rows [first, last) of a whole image, counted from its top."""
+        return replace(self, height=last - first, above=first, below=self.height - last)
+
     def corners(self, faces: Tensor, channels: int) -> Tensor:
         """Validate screen-space corners [B, F, 3, 3] floating, and convert them to float32; differentiable.
 
@@ -99,8 +111,8 @@ class Settings:
         """Find the visible face of each drawn pixel, [B, H, W] int32; see `coverage`."""
         height, width = self.height * self.scale, self.width * self.scale
         marked = needs_gradient(corners) and self.gradient.needs_mask(corners.device)
-        options = (self.near, self.far, self.two_sided, self.perspective)
-        return coverage(corners.detach(), height, width, *options, marked)
+        options = (self.near, self.far, self.two_sided, self.perspective, marked, *self.drawn_strip)
+        return coverage(corners.detach(), height, width, *options)
 
     def rings(self, corners: Tensor, triangles: Tensor) -> Rings | None:
         """Find the `edge_rings` of the faces with these vertex indices; None if no gradient needs them."""
@@ -132,7 +144,7 @@ class Settings:
 
     def drawn(self, corners: Tensor, face_index: Tensor, rings: Rings | None) -> DrawnFaces:
         """Gather what an estimator needs; arguments as of `through_visibility`."""
-        options = (self.eps, self.two_sided, self.perspective, self.anti_aliasing)
+        options = (self.eps, self.two_sided, self.perspective, self.anti_aliasing, self.drawn_strip)
         return DrawnFaces(corners, face_index, rings, *options)
 
 
@@ -167,7 +179,7 @@ def _check_memory(batch: int, height: int, width: int, channels: int, device: to
         raise ValueError(
             f"size: expected images that fit into the {have / 2**30:.1f} GiB of {device}, got {batch} of "
             f"{height} x {width} drawn pixels, which take {need / 2**30:.1f} GiB; {have // each // 10**6} million "
-            "drawn pixels fit in one call"
+            "drawn pixels fit in one call; `render` draws larger images strip by strip with tile=2048"
         )
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..one_line import OneLine
 from .colors.downsample import halve
+from .colors.interpolate import interpolate
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette
 from .ops.rings import Rings
@@ -64,7 +65,13 @@ class VisibleFaces(OneLine):
 
     def _locate(self) -> tuple[Tensor, Tensor]:
         settings = self.settings
-        return barycentrics(self.corners, self.face_index, settings.near, settings.far, settings.perspective)
+        limits = settings.near, settings.far
+        return barycentrics(self.corners, self.face_index, *limits, settings.perspective, *settings.drawn_strip)
+
+    def at_pixels(self, attributes: Tensor) -> Tensor:
+        """Interpolate attributes of corners, [1 or B, F, 3, C] float32, at each pixel, [B, H, W, C]."""
+        settings = self.settings
+        return interpolate(attributes, self.corners, self.face_index, settings.perspective, *settings.drawn_strip)
 
     @property
     def for_shading(self: Faces) -> Faces:
@@ -87,7 +94,7 @@ class VisibleFaces(OneLine):
         """Make the requested images, of "rgb", "alpha" and "depth".
 
         ``rgb`` are colours with their background, [B, 3, H, W] float32; ``edge_hashes`` as in
-        `Settings.through_visibility`.
+        `Settings.through_visibility`, or None where colours do not jump between adjacent faces.
         """
         layers = {} if rgb is None else {"rgb": rgb}
         through = "depth" in outputs and self.settings.gradient.differentiates_inside
@@ -101,7 +108,7 @@ class VisibleFaces(OneLine):
             layers["depth"] = depth[:, None]
         if layers and not alone:
             image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
-            image = self.image(image, seams=rgb is not None, edge_hashes=edge_hashes)
+            image = self.image(image, seams=edge_hashes is not None, edge_hashes=edge_hashes)
             layers = _split(image, layers)
         if depth is not None and not through:
             layers["depth"] = self._average_depth(depth)[:, None]

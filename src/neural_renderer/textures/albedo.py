@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from ..constants import read_once
-from ..raster.colors.interpolate import interpolate
 from ..raster.visible import VisibleFaces
 from .color_space import linear_to_srgb, srgb_to_linear
 from .material import Material
@@ -47,7 +46,7 @@ def sampled_albedo(
 
     def at_pixels(values: Tensor) -> Tensor:
         """Interpolate values of the faces' corners, [F, 3, C]."""
-        return interpolate(values[None].float(), visible.corners, visible.face_index, visible.settings.perspective)
+        return visible.at_pixels(values[None].float())
 
     parts = []  # colours to add up: at each pixel, all but one are 0
     # A compiled graph cannot read values, so it always adds plain colours, 0 where all faces have images.

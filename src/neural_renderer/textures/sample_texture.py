@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
-from ..raster.colors.mipmaps import all_levels, pyramid, sample_mipmaps
+from ..raster.colors.mipmaps import all_levels, kept_pyramid, sample_mipmaps
 
 WRAPS = ("repeat", "clamp", "mirror")
 
@@ -88,8 +88,7 @@ def sampled(
         return sample_mipmaps(image.flatten(1, 2), height, width, uv, face_index, 1, *repeats)
     levels = all_levels(height, width)
     levels = levels if max_mip_level is None else min(levels, max_mip_level + 1)
-    texels = pyramid(image.permute(0, 3, 1, 2), levels)
-    return sample_mipmaps(texels, height, width, uv, face_index.int(), levels, *repeats)
+    return sample_mipmaps(kept_pyramid(image, levels), height, width, uv, face_index.int(), levels, *repeats)
 
 
 def checked_wrap(wrap: Any) -> Wrap:

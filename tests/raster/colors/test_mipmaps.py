@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from torch.nn import functional
 
-from neural_renderer.raster.colors.mipmaps import all_levels, level_sizes, pyramid, sample_mipmaps
+from neural_renderer.raster.colors.mipmaps import all_levels, kept_pyramid, level_sizes, pyramid, sample_mipmaps
 from tests.raster.scenes import examples
 from tests.rounding import rounding
 
@@ -128,3 +130,42 @@ def test_compiles():
         (texels.requires_grad_(), 8, 8, uv.requires_grad_(), face_index, 4, True, True),
         test_utils=("test_schema", "test_faketensor"),
     )
+
+
+def test_kept_mipmaps_are_never_stale():
+    image = torch.rand(8, 6, 3)
+
+    def check(image, levels=4):
+        found = kept_pyramid(image[None], levels)
+        assert torch.equal(found, pyramid(image[None].permute(0, 3, 1, 2), levels))
+        return found
+
+    assert check(image) is check(image)
+    assert len(check(image, 2)[0]) == 8 * 6 + 4 * 3  # not those of four levels
+    for change in (lambda: image.mul_(2), lambda: image[3].zero_(), lambda: image.data.add_(1)):
+        change()  # torch does not count the last one
+        assert check(image) is check(image)
+    shared = image.numpy()
+    shared[2, 2] = 7
+    check(image)
+    image[0, 0] = float("nan")
+    assert kept_pyramid(image[None], 4)[0, 0].isnan().all()
+    image[0, 0] = 0
+    # Gradients flow, and what inference mode keeps serves a graph.
+    leaf = image.clone().requires_grad_()
+    assert kept_pyramid(leaf[None], 4).requires_grad
+    with torch.no_grad():
+        assert not check(leaf).requires_grad
+    with torch.inference_mode():
+        assert not check(torch.rand(4, 4, 3)).is_inference()
+        check(image)
+    assert not check(image).is_inference()
+    halves = torch.rand(2, 4, 4, 3)
+    assert not torch.equal(check(halves[0]), check(halves[1]))
+
+
+def test_kept_mipmaps_in_threads():
+    images = [torch.full((16, 16, 3), float(n)) for n in range(4)]
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda n: kept_pyramid(images[n % 4][None], 5), range(200)))
+    assert all((texels == n % 4).all() for n, texels in enumerate(found))

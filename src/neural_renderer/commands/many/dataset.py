@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from ...camera.files.load import load_cameras
-from ...io.exr import open_exr
+from ...io.image_formats.exr import open_exr
 from ...many.cameras import CameraPlan
 from ...many.dataset import FAILED, DataSet
 from ...many.models import list_models

@@ -28,7 +28,7 @@ _THERE, _BACK = 0x2545F4914F6CDD1D, 0x5851F42D4C957F2D
 
 @operator
 def texture_edge_hashes(textures: Tensor, light: Tensor, firsts: Tensor | None = None) -> Tensor:
-    """Hash the colours of texture cubes [B or 1, F, T, T, T, 3] float32 under light [B or 1, 2, F, 3] along each edge.
+    """Hash the colours of faces, as of `sample_textures`, under light [B or 1, 2, F, 3] along each edge.
 
     The hashes of two faces match if the light and the texels that are blended on the edge are equal, to about one part
     in 4000. Returns [B, F, 3, 2] int64: for edge k, from corner k to the next, the hash in this direction and the

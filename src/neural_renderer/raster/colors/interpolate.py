@@ -27,7 +27,9 @@ _interpolate_pixels_forward = _FORWARD.kernel("interpolate_pixels_forward", _Int
 
 
 @operator
-def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> Tensor:
+def interpolate(
+    attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, below: int = 0, above: int = 0
+) -> Tensor:
     """Interpolate corners' attributes [B or 1, F, 3, C] float32 at pixels, [B, H, W, C]; differentiable, also in faces.
 
     The weights of `barycentrics` are computed again, here and in the backward pass; storing them would be slower. The
@@ -37,7 +39,7 @@ def interpolate(attributes: Tensor, faces: Tensor, face_index: Tensor, perspecti
     result = empty((batch, height, width, attributes.shape[3]), faces.device)
     tasks, each = pixel_tasks(batch * height, width, faces.device)
     call = _Interpolate(
-        scene=scene_of(faces, face_index, perspective),
+        scene=scene_of(faces, face_index, perspective, below, above),
         attributes=attributes.contiguous(),
         owners=len(attributes),
         channels=attributes.shape[3],
@@ -55,7 +57,14 @@ def _(attributes: Tensor, faces: Tensor, face_index: Tensor) -> Tensor:
 
 @operator
 def interpolate_backward(
-    grad: Tensor, attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, faces_too: bool
+    grad: Tensor,
+    attributes: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    perspective: bool,
+    faces_too: bool,
+    below: int = 0,
+    above: int = 0,
 ) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `interpolate` to attributes and to faces, [B, F, 3, 3]; empty if not ``faces_too``."""
     batch, height, width = face_index.shape
@@ -63,7 +72,7 @@ def interpolate_backward(
     to_attributes = zeros(attributes.shape, faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     fields: dict[str, Any] = {
-        "scene": scene_of(faces, face_index, perspective),
+        "scene": scene_of(faces, face_index, perspective, below, above),
         "attributes": attributes.contiguous(),
         "owners": len(attributes),
         "channels": attributes.shape[3],
@@ -90,13 +99,19 @@ def _(attributes: Tensor, faces: Tensor, faces_too: bool) -> tuple[Tensor, Tenso
 
 @forward_operator(1)
 def interpolate_forward(
-    motion: Tensor, attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool
+    motion: Tensor,
+    attributes: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    perspective: bool,
+    below: int = 0,
+    above: int = 0,
 ) -> Tensor:
     """Compute the change [T, B, H, W, C] of `interpolate` for motions of the corners, [T, B, F, 3, 3] float32."""
     change = empty((len(motion), *face_index.shape, attributes.shape[3]), faces.device)
     tasks, moved = motion_of(motion, face_index)
     given = _Interpolate(
-        scene=scene_of(faces, face_index, perspective),
+        scene=scene_of(faces, face_index, perspective, below, above),
         attributes=attributes.contiguous(),
         owners=len(attributes),
         channels=attributes.shape[3],
@@ -113,24 +128,26 @@ def _(motion: Tensor, attributes: Tensor, face_index: Tensor) -> Tensor:
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    *tensors, ctx.perspective = inputs
+    *tensors, ctx.perspective, below, above = inputs
+    ctx.strip = (below, above)
     ctx.save_for_backward(*tensors)
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     (attributes, faces, face_index), faces_too = ctx.saved_tensors, ctx.needs_input_grad[1]
-    to_attributes, to_faces = interpolate_backward(grad, attributes, faces, face_index, ctx.perspective, faces_too)
-    return to_attributes, to_faces if faces_too else None, None, None
+    options = (ctx.perspective, faces_too, *ctx.strip)
+    to_attributes, to_faces = interpolate_backward(grad, attributes, faces, face_index, *options)
+    return to_attributes, to_faces if faces_too else None, *[None] * 4
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    attributes, faces, face_index, perspective = inputs
+    attributes, *options = inputs
     to_attributes, motion = tangents[:2]
     parts = []
     if to_attributes is not None:
-        parts.append(interpolate(to_attributes, faces, face_index, perspective))
+        parts.append(interpolate(to_attributes, *options))
     if motion is not None:
-        parts.append(in_direction(interpolate_forward, (motion,), attributes, faces, face_index, perspective))
+        parts.append(in_direction(interpolate_forward, (motion,), attributes, *options))
     return sum_of(parts)
 
 
@@ -138,7 +155,7 @@ differentiable(interpolate, _to_inputs, _save, _forward)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    _, _, faces, face_index, ctx.perspective, _ = inputs
+    _, _, faces, face_index, ctx.perspective, _, *ctx.strip = inputs
     ctx.save_for_backward(faces, face_index)
 
 
@@ -147,7 +164,7 @@ def _to_gradient(ctx: Any, attributes: Tensor, _: Tensor) -> Any:
     if ctx.needs_input_grad[2]:
         refuse_second("interpolate_backward")
     faces, face_index = ctx.saved_tensors
-    return interpolate(attributes, faces, face_index, ctx.perspective), *[None] * 5
+    return interpolate(attributes, faces, face_index, ctx.perspective, *ctx.strip), *[None] * 7
 
 
 differentiable(interpolate_backward, _to_gradient, _save_again)

@@ -2,18 +2,30 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+import threading
 from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.nn import functional
+from torch.utils.weak import WeakTensorKeyDictionary
 
 from ..warp.launch import launch
-from ..warp.layout import in_any_order, pixel_tasks, worth_a_thread
+from ..warp.layout import in_any_order, pixel_tasks, readable, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, refuse_second, sum_of
+from ..warp.registration import (
+    differentiable,
+    fake,
+    forward_operator,
+    in_direction,
+    is_plain,
+    needs_gradient,
+    operator,
+    refuse_second,
+    sum_of,
+)
 
 _KERNELS = Kernels(__name__, "mipmaps.h")
 _Mipmaps, _Samples = _KERNELS.struct("Mipmaps"), _KERNELS.struct("Samples")
@@ -23,6 +35,12 @@ _SampleMipmapsForward = _FORWARD.struct("SampleMipmapsForward")
 _sample_mipmaps = _KERNELS.kernel("sample_mipmaps", _SampleMipmaps)
 _sample_mipmaps_backward = _KERNELS.kernel("sample_mipmaps_backward", _SampleMipmapsBackward)
 _sample_mipmaps_forward = _FORWARD.kernel("sample_mipmaps_forward", _SampleMipmapsForward)
+
+
+_MOST = 1 << 28  # bytes of the largest pyramid that is kept
+_SEVERAL = 64  # pyramids that are kept of parts of one tensor
+_kept = WeakTensorKeyDictionary()  # of tensors, the version and pyramid of each part
+_lock = threading.Lock()
 
 
 def all_levels(height: int, width: int) -> int:
@@ -40,6 +58,37 @@ def pyramid(image: Tensor, count: int) -> Tensor:
         image = functional.avg_pool2d(image, 2) if even else functional.adaptive_avg_pool2d(image, half)
         levels.append(image)
     return torch.cat([level.flatten(2).transpose(1, 2) for level in levels], 1)
+
+
+def kept_pyramid(image: Tensor, count: int) -> Tensor:
+    """Return the `pyramid` of images [N, h, w, C] float32; those without a gradient are kept as long as the image.
+
+    On the CPU a kept one is compared with the image. On CUDA comparing values would wait for the device, so it serves
+    until torch counts a change of the tensor.
+    """
+    texels = 4 * image.numel() // 3
+    if needs_gradient(image) or not is_plain((image,)) or not 0 < 4 * texels <= _MOST:
+        return pyramid(image.permute(0, 3, 1, 2), count)
+    base = image._base if image._base is not None else image  # an indexed tensor is a new one in every call
+    counted = not image.is_inference()
+    if not (readable(image.device) or counted):
+        return pyramid(image.permute(0, 3, 1, 2), count)
+    version = base._version if counted else -1
+    place = (image.storage_offset(), image.shape, image.stride(), count)
+    with _lock:
+        known = _kept.get(base, {}).get(place)
+    if known is not None:
+        first = known[1][:, : image.shape[1] * image.shape[2]]
+        if torch.equal(first, image.flatten(1, 2)) if readable(image.device) else known[0] == version:
+            return known[1]
+    with torch.inference_mode(False), torch.no_grad():  # what is kept may be needed with gradients later
+        made = pyramid(image.clone().permute(0, 3, 1, 2), count)
+    with _lock:
+        several = _kept.setdefault(base, {})
+        if len(several) >= _SEVERAL and place not in several:
+            several.clear()
+        several[place] = (version, made)
+    return made
 
 
 def level_sizes(height: int, width: int) -> list[tuple[int, int, int]]:

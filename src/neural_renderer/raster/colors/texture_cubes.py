@@ -1,4 +1,4 @@
-"""Texture cubes: the colour of each pixel from the cube of texels of its face, under light."""
+"""Colour of each pixel from the cube of texels, or the corners' colours, of its face, under light."""
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
@@ -39,26 +39,30 @@ def sample_textures(
     eps: float,
     perspective: bool,
     firsts: Tensor | None = None,
+    below: int = 0,
+    above: int = 0,
 ) -> Tensor:
-    """Sample texture cubes, [B, 3, H, W] float32; differentiable in textures, light, background and faces.
+    """Sample colours of faces, [B, 3, H, W] float32; differentiable in textures, light, background and faces.
 
-    The coordinate along the axis of corner k is T - 1 times its weight; the 8 texels around it are blended. With T = 1
-    a face has one colour. The gradient to faces comes from the colours inside them, through the weights.
+    In a cube, the coordinate along the axis of corner k is T - 1 times its weight; the 8 texels around it are blended.
+    With T = 1 a face has one colour. Colours of corners are blended by the weights. The gradient to faces comes from
+    the colours inside them, through the weights.
 
     Args:
-        textures: Cubes, [B or 1, F, T, T, T, 3] float32; texel [a][b][c] belongs to corner weights (0, 1, 2).
+        textures: Cubes, [B or 1, F, T, T, T, 3] float32; texel [a][b][c] belongs to corner weights (0, 1, 2). Or
+            colours of the corners, [B or 1, F, 3, 3] float32.
         light: Factors on the front and the back of each face, [B or 1, 2, F, 3] float32. On the front, corners run
             counter-clockwise.
         background: [B, 3, H, W] float32, for pixels without a face.
-        faces, face_index, perspective: As in `barycentrics`.
+        faces, face_index, perspective, below, above: As in `barycentrics`.
         eps: Cube coordinates end at T - 1 - eps.
-        firsts: For images with different numbers of faces, whose textures are [1, N, T, T, T, 3] one after the other:
-            where each begins, and N, [B + 1] int32. Then faces are padded, light too.
+        firsts: For images with different numbers of faces, whose textures are [1, N, ...] one after the other: where
+            each begins, and N, [B + 1] int32. Then faces are padded, light too.
     """
     batch, height, width = face_index.shape
     color = empty((batch, 3, height, width), faces.device)
     tasks, each = pixel_tasks(batch * height, width, faces.device)
-    scene, cubes = scene_of(faces, face_index, perspective), lit_cubes(textures, light, eps, firsts)
+    scene, cubes = scene_of(faces, face_index, perspective, below, above), lit_cubes(textures, light, eps, firsts)
     call = _SampleCubes(scene=scene, textures=cubes, background=background_of(background), each=each, color=color)
     launch(_sample_pixels, tasks, [call], faces.device, worth_a_thread(each * width))
     return color
@@ -79,26 +83,30 @@ def sample_textures_backward(
     face_index: Tensor,
     eps: float,
     perspective: bool,
+    textures_too: bool,
     light_too: bool,
     faces_too: bool,
     firsts: Tensor | None = None,
+    below: int = 0,
+    above: int = 0,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Compute the gradients of `sample_textures` to textures, light (0 if not ``light_too``) and faces.
 
-    The gradient to faces is empty if not ``faces_too``.
+    Those to textures and to faces are empty, [0, ...], if not ``textures_too`` or not ``faces_too``.
     """
     batch, height, width = face_index.shape
     concurrently = in_any_order(faces.device)
     # The task of a face clears its own cubes, which saves a pass over the memory.
-    to_textures = empty(textures.shape, faces.device)
+    to_textures = empty(textures.shape if textures_too else (0, *textures.shape[1:]), faces.device)
     if concurrently or batch == 0:
         to_textures.zero_()
     to_light = zeros((batch, *light.shape[1:]), faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     fields: dict[str, Any] = {
-        "scene": scene_of(faces, face_index, perspective),
+        "scene": scene_of(faces, face_index, perspective, below, above),
         "textures": lit_cubes(textures, light, eps, firsts),
         "grad": grad.contiguous(),
+        "textures_too": textures_too,
         "light_too": light_too,
         "faces_too": faces_too,
         "to_textures": to_textures,
@@ -118,9 +126,12 @@ def sample_textures_backward(
 
 
 @fake(sample_textures_backward)
-def _(textures: Tensor, light: Tensor, faces: Tensor, faces_too: bool) -> tuple[Tensor, Tensor, Tensor]:
+def _(
+    textures: Tensor, light: Tensor, faces: Tensor, textures_too: bool, faces_too: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    to_textures = textures.new_empty(textures.shape if textures_too else (0, *textures.shape[1:]))
     to_faces = faces.new_empty(faces.shape if faces_too else (0, 0, 3, 3))
-    return textures.new_empty(textures.shape), light.new_empty(light.shape), to_faces
+    return to_textures, light.new_empty(light.shape), to_faces
 
 
 @forward_operator(1)
@@ -133,12 +144,14 @@ def sample_textures_forward(
     eps: float,
     perspective: bool,
     firsts: Tensor | None,
+    below: int,
+    above: int,
 ) -> Tensor:
     """Compute the change [T, B, 3, H, W] of `sample_textures` for motions of the corners, [T, B, F, 3, 3] float32."""
     batch, height, width = face_index.shape
     change = empty((len(motion), batch, 3, height, width), faces.device)
     tasks, moved = motion_of(motion, face_index)
-    scene, cubes = scene_of(faces, face_index, perspective), lit_cubes(textures, light, eps, firsts)
+    scene, cubes = scene_of(faces, face_index, perspective, below, above), lit_cubes(textures, light, eps, firsts)
     call = _SampleCubesForward(scene=scene, textures=cubes, motion=moved, change=change)
     launch(_sample_pixels_forward, tasks, [call], faces.device, worth_a_thread(moved.each * width * len(motion)))
     return change
@@ -158,33 +171,36 @@ def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0, firsts: Tensor 
         light=light.contiguous(),
         cubes=len(textures) if firsts is None else len(firsts) - 1,
         lamps=len(light),
-        size=textures.shape[2],
+        size=textures.shape[2] if textures.dim() == 6 else 0,
         eps=eps,
     )
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    textures, light, _, faces, face_index, ctx.eps, ctx.perspective, ctx.firsts = inputs
+    textures, light, _, faces, face_index, ctx.eps, ctx.perspective, *ctx.packing = inputs
     ctx.save_for_backward(textures, light, faces, face_index)
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     textures, light, faces, face_index = ctx.saved_tensors
     to_textures = to_light = to_background = to_faces = None
-    textures_too, light_too, faces_too = (ctx.needs_input_grad[k] for k in (0, 1, 3))
-    if textures_too or light_too or faces_too:
-        to_textures, to_light, to_faces = sample_textures_backward(
-            grad, textures, light, faces, face_index, ctx.eps, ctx.perspective, light_too, faces_too, ctx.firsts
-        )
+    asked = [ctx.needs_input_grad[k] for k in (0, 1, 3)]
+    if asked[2] and textures.dim() == 6 and textures.shape[2] == 1:  # a face of one colour has no slope
+        asked[2], to_faces = False, faces.new_zeros(()).expand(faces.shape)
+    if any(asked):
+        options = (ctx.eps, ctx.perspective, *asked, *ctx.packing)
+        results = sample_textures_backward(grad, textures, light, faces, face_index, *options)
+        to_textures, to_light = (to if too else None for to, too in zip(results[:2], asked[:2], strict=True))
+        to_faces = results[2] if asked[2] else to_faces
     if ctx.needs_input_grad[2]:
         to_background = grad * (face_index < 0)[:, None]
-    return to_textures, to_light, to_background, to_faces if faces_too else None, *[None] * 4
+    return to_textures, to_light, to_background, to_faces, *[None] * 6
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    textures, light, background, faces, face_index, eps, perspective, firsts = inputs
+    textures, light, background, *options = inputs
+    face_index = options[1]
     to_textures, to_light, to_background, motion = tangents[:4]
-    options = (faces, face_index, eps, perspective, firsts)
     black = background.new_zeros(()).expand(background.shape)
     parts = []
     if to_textures is not None:
@@ -202,7 +218,10 @@ differentiable(sample_textures, _to_inputs, _save, _forward)
 
 
 def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    grad, textures, light, faces, face_index, ctx.eps, ctx.perspective, ctx.light_too, _, ctx.firsts = inputs
+    grad, textures, light, faces, face_index, ctx.eps, ctx.perspective, ctx.textures_too, ctx.light_too, _, *packing = (
+        inputs
+    )
+    ctx.packing = packing
     ctx.save_for_backward(grad, textures, light, faces, face_index)
 
 
@@ -213,13 +232,21 @@ def _to_first(ctx: Any, textures: Tensor, light: Tensor, _: Tensor) -> Any:
     grad, own_textures, own_light, faces, face_index = ctx.saved_tensors
     options = (faces, face_index, ctx.eps, ctx.perspective)
     black = grad.new_zeros(()).expand(grad.shape)
-    to_grad = sample_textures(textures, own_light, black, *options, ctx.firsts)
-    to_textures = to_light = None
+    to_grad = to_textures = to_light = None
+    if ctx.textures_too:
+        to_grad = sample_textures(textures, own_light, black, *options, *ctx.packing)
+        if ctx.needs_input_grad[2]:
+            _, to_light, _ = sample_textures_backward(
+                grad, textures, own_light, *options, False, True, False, *ctx.packing
+            )
     if ctx.light_too:
-        to_grad = to_grad + sample_textures(own_textures, light, black, *options, ctx.firsts)
-        to_textures, _, _ = sample_textures_backward(grad, own_textures, light, *options, False, False, ctx.firsts)
-        _, to_light, _ = sample_textures_backward(grad, textures, own_light, *options, True, False, ctx.firsts)
-    return to_grad, to_textures, to_light, *[None] * 7
+        more = sample_textures(own_textures, light, black, *options, *ctx.packing)
+        to_grad = more if to_grad is None else to_grad + more
+        if ctx.needs_input_grad[1]:
+            to_textures, _, _ = sample_textures_backward(
+                grad, own_textures, light, *options, True, False, False, *ctx.packing
+            )
+    return to_grad, to_textures, to_light, *[None] * 10
 
 
 differentiable(sample_textures_backward, _to_first, _save_again)

@@ -66,7 +66,6 @@ struct FaceBackward {
     CornerSums<float> sums = {};
 #if NR_LANES
     CornerSums<floats8> sums_of_eights = {};
-    bool by_eights = false;
 
     void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {
         floats8 to_weights[3], to_depth = load<floats8>(call.grad_depth + place.pixel);
@@ -74,8 +73,7 @@ struct FaceBackward {
         for (int k = 0; k < 3; ++k) to_weights[k] = select(here, to_weights[k], floats8{});
         sums_of_eights.add(face, slopes, points, to_weights, select(here, to_depth, floats8{}), here);
     }
-    void finish_eights() { by_eights = true; }
-    void restart() {}
+    void finish_eights() { sums.add(sums_of_eights); }
 #endif
     NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
         sums.add(face, slopes, point, call.grad_weights[place.pixel].c, call.grad_depth[place.pixel], true);
@@ -87,11 +85,7 @@ NR_FUNC void face_backward(const BarycentricsBackward& call, int image, int f, c
     face.set(call.scene.corners(image, f), call.scene);
     FaceBackward visitor = {call, Slopes(face)};
     over_face(call.scene, face, image, f, box, true, visitor);
-    vec3* to = call.to_faces + ((int64)image * call.scene.count + f) * 3;
-#if NR_LANES
-    if (visitor.by_eights) return visitor.sums_of_eights.give(to, alone);
-#endif
-    visitor.sums.give(to, alone);
+    visitor.sums.give(call.to_faces + ((int64)image * call.scene.count + f) * 3, alone);
 }
 
 // The pixels that show one face of one image.

@@ -37,7 +37,7 @@ struct Lines : ScanAxis {
     int64 area, grad_area;
 
     NR_FUNC Lines(int axis, const Scene& scene, const Pictures& pictures, const int* adjacent, int b)
-        : ScanAxis(axis, scene.height, scene.width),
+        : ScanAxis(axis, scene.height, scene.width, scene.below, scene.above),
           height(scene.height),
           width(scene.width),
           channels(pictures.channels),

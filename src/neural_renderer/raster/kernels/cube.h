@@ -1,4 +1,5 @@
-// A cube of texels: the 8 texels around a point, blended, and the gradients of the blend.
+// The colour of a face at a point: the 8 texels around it in a cube, or the colours of the corners, blended; and the
+// gradients of the blend.
 #pragma once
 
 #include "geometry.h"
@@ -6,17 +7,19 @@
 
 namespace nr {
 
-// The cubes of all faces, and the light on them.
+// The cubes of all faces, or the colours of their corners, and the light on them.
 struct LitCubes {
-    const vec3* texels;  // [cubes, faces, size, size, size]
+    const vec3* texels;  // [cubes, faces, size, size, size], or of corners [cubes, faces, 3]
     const int* firsts;   // of images with different numbers of cubes, one after the other: where each begins, and the
                          // end, [cubes + 1]; else null
     const vec3* light;   // factors on the front and the back of each face, [lamps, 2, faces]
     int cubes, lamps;    // images of cubes and of light; 1 if all share them
-    int size;            // texels along a side of a cube
+    int size;            // texels along a side of a cube; 0 for colours of corners
     float eps;           // coordinates in a cube end at size - 1 - eps
 
-    NR_FUNC int64 volume() const { return (int64)size * size * size; }
+    NR_FUNC int64 volume() const { return size == 0 ? 3 : (int64)size * size * size; }
+    // Whether all texels are those of a few pixels, eight of which are blended at once.
+    NR_FUNC bool is_small() const { return size <= 2; }
     // The first texel of a cube.
     NR_FUNC int64 place(const Scene& scene, int image, int face) const {
         const int64 first = firsts ? firsts[image] : (int64)shared(image, cubes) * scene.count;
@@ -51,41 +54,90 @@ struct CubeCoordinates {
     }
 };
 
-// The point of one pixel, in a cube of any size. A cube of one texel has nothing to blend.
+// The point of one pixel, in a cube of any size, or between corners (size 0). A cube of one texel has nothing to blend.
 struct Cube {
     int size, low[3];  // the first of the two texels along each axis
-    float up[3];       // the share of the second one
+    float up[3];       // the share of the second one, or of a corner
     bool free[3];
 
     NR_FUNC Cube(const float* weights, int texels, float eps) : size(texels) {
         const CubeCoordinates<float> inside(weights, size, eps);
-        for (int k = 0; k < 3; ++k) {
-            const int down = (int)inside.at[k];  // the last texel has no other one after it
-            low[k] = down < size - 1 || size == 1 ? down : size - 2;
-            free[k] = inside.free[k], up[k] = inside.at[k] - (float)low[k];
-        }
+        for (int k = 0; k < 3; ++k)
+            if (size == 0) up[k] = weights[k];
+            else set(k, inside.at[k], inside.free[k]);
+    }
+#if NR_LANES
+    // The point of one of eight pixels.
+    Cube(const CubeCoordinates<floats8>& inside, int pixel, int texels) : size(texels) {
+        for (int k = 0; k < 3; ++k) set(k, inside.at[k][pixel], inside.free[k][pixel] != 0);
+    }
+#endif
+    NR_FUNC void set(int axis, float at, bool is_free) {
+        const int down = (int)at;  // the last texel has no other one after it
+        low[axis] = down < size - 1 || size == 1 ? down : size - 2;
+        free[axis] = is_free, up[axis] = at - (float)low[axis];
     }
     NR_FUNC float part(int axis, int above) const { return above ? up[axis] : 1.0f - up[axis]; }
     NR_FUNC int texel(int i, int j, int k) const { return ((low[0] + i) * size + low[1] + j) * size + low[2] + k; }
     NR_FUNC vec3 blend(const vec3* texels) const {
         if (size == 1) return texels[0];
+        if (size == 0) {
+            vec3 color;
+            for (int c = 0; c < 3; ++c) color[c] = interpolated(up, texels[0].c, c, 3);
+            return color;
+        }
+#if NR_LANES
+        floats4 sum = {};
+        for (int n = 0; n < 8; ++n) {
+            const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
+            sum += part(0, i) * part(1, j) * part(2, k) * as_vector(texels[texel(i, j, k)]);
+        }
+        return as_vec3(sum);
+#else
         vec3 sum = {};
         for (int n = 0; n < 8; ++n) {
             const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
             sum += part(0, i) * part(1, j) * part(2, k) * texels[texel(i, j, k)];
         }
         return sum;
+#endif
     }
     // Add the gradient of a colour to the texels; ``alone``: no other task writes them.
     NR_FUNC void scatter(vec3* texels, const vec3& color, bool alone) const {
         if (size == 1) return add(texels, color, alone);
-        for (int n = 0; n < 8; ++n) {
+        for (int k = 0; k < 3 && size == 0; ++k) add(texels + k, up[k] * color, alone);
+        for (int n = 0; n < (size == 0 ? 0 : 8); ++n) {
             const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
             add(texels + texel(i, j, k), part(0, i) * part(1, j) * part(2, k) * color, alone);
         }
     }
+#if NR_LANES
+    // The blend of a cube of several texels; and its derivatives by the weights of the corners, times ``color``.
+    void blend_and_slope(const vec3* texels, const vec3& color, vec3& blended, vec3& slope) const {
+        NR_FUSED
+        floats4 along[2], by_last[2], by_middle[2];  // blends along the last two axes, and their slopes
+        for (int i = 0; i < 2; ++i) {
+            floats4 row[2], rise[2];
+            for (int j = 0; j < 2; ++j) {
+                const vec3* at = texels + texel(i, j, 0);
+                rise[j] = as_vector(at[1]) - as_vector(at[0]);
+                row[j] = as_vector(at[0]) + up[2] * rise[j];
+            }
+            by_middle[i] = row[1] - row[0];
+            along[i] = row[0] + up[1] * by_middle[i];
+            by_last[i] = rise[0] + up[1] * (rise[1] - rise[0]);
+        }
+        const floats4 by_first = along[1] - along[0];
+        blended = as_vec3(along[0] + up[0] * by_first);
+        const floats4 by[3] = {
+            by_first, by_middle[0] + up[0] * (by_middle[1] - by_middle[0]),
+            by_last[0] + up[0] * (by_last[1] - by_last[0])};
+        for (int k = 0; k < 3; ++k) slope[k] = free[k] ? dot(as_vec3(by[k]), color) * (float)(size - 1) : 0.0f;
+    }
+#endif
     // The derivative of the blend, times ``color``, by the weights of the corners.
     NR_FUNC vec3 slope(const vec3* texels, const vec3& color) const {
+        if (size == 0) return {dot(texels[0], color), dot(texels[1], color), dot(texels[2], color)};
         vec3 sum = {};
         for (int n = 0; n < (size == 1 ? 0 : 8); ++n) {
             const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
@@ -100,8 +152,9 @@ struct Cube {
 };
 
 #if NR_LANES
-// The points of eight pixels of one face, in a cube of one texel or of 2 x 2 x 2. Its texels are the same for all, so
-// that blending along one axis after the other takes fewer products than `Cube`, and no texel is looked up.
+// The points of eight pixels of one face, between its corners, or in a cube of one texel or of 2 x 2 x 2. The texels
+// are the same for all, so that blending along one axis after the other takes fewer products than `Cube`, and no texel
+// is looked up.
 struct CubeOfEight {
     // Sums of gradients over pixels, times the shares of texels.
     struct Sums {
@@ -110,15 +163,21 @@ struct CubeOfEight {
         vec3 of(int n) const { return {sum(of_texel[n][0]), sum(of_texel[n][1]), sum(of_texel[n][2])}; }
     };
     int size;
+    const floats8* weights;
     CubeCoordinates<floats8> inside;
     const floats8* up = inside.at;  // shares of the second texels; ``down`` those of the first ones
     floats8 down[3];
 
-    CubeOfEight(const floats8* weights, int texels, float eps) : size(texels), inside(weights, texels, eps) {
+    CubeOfEight(const floats8* of_corners, int texels, float eps)
+        : size(texels), weights(of_corners), inside(of_corners, texels, eps) {
         for (int k = 0; k < 3; ++k) down[k] = 1.0f - up[k];
     }
     CubeOfEight(const CubeOfEight&) = delete;
     void blend(const vec3* texels, floats8* color) const {
+        if (size != 0) return blend_texels(texels, color);
+        for (int c = 0; c < 3; ++c) color[c] = interpolated(weights, texels[0].c, c, 3);
+    }
+    void blend_texels(const vec3* texels, floats8* color) const {
         NR_FUSED
         for (int c = 0; c < 3; ++c) {
             color[c] = all<floats8>(texels[0][c]);
@@ -134,6 +193,11 @@ struct CubeOfEight {
             for (int c = 0; c < 3; ++c) sums.of_texel[0][c] += color[c];
             return;
         }
+        if (size == 0) {
+            for (int k = 0; k < 3; ++k)
+                for (int c = 0; c < 3; ++c) sums.of_texel[k][c] += weights[k] * color[c];
+            return;
+        }
         for (int n = 0; n < 8; ++n) {
             const floats8 part =
                 ((n >> 2) ? up[0] : down[0]) * (((n >> 1) & 1) ? up[1] : down[1]) * ((n & 1) ? up[2] : down[2]);
@@ -146,8 +210,10 @@ struct CubeOfEight {
         for (int k = 0; k < 3; ++k) to_weights[k] = floats8{};
         if (size == 1) return;
         floats8 gain[8];
-        for (int n = 0; n < 8; ++n)
+        for (int n = 0; n < (size == 0 ? 3 : 8); ++n)
             gain[n] = texels[n][0] * color[0] + texels[n][1] * color[1] + texels[n][2] * color[2];
+        for (int k = 0; k < 3 && size == 0; ++k) to_weights[k] = gain[k];
+        if (size == 0) return;
         for (int n = 0; n < 4; ++n) {
             const int j = n >> 1, k = n & 1;
             const floats8 *a = j ? up : down, *b = k ? up : down;

@@ -28,9 +28,12 @@ struct Drawing {
     int each;           // rows of a task of `decode_keys`; on CUDA
     int* face_index;    // result, [images, height, width]; row 0 at the top, -1 where there is no face
     int* visible;       // mask of visible faces, [images, count + 1], 0 before; may be null
+    int below, above;   // as of `Scene`
 
     NR_FUNC const vec3* corners(int image, int face) const { return faces + ((int64)image * count + face) * 3; }
     NR_FUNC int64 row_start(int image, int j) const { return ((int64)image * height + height - 1 - j) * width; }
+    NR_FUNC int whole_height() const { return below + height + above; }
+    NR_FUNC float centre_of_row(int j) const { return pixel_centre(below + j, whole_height()); }
 };
 
 // Where drawing begins: at the near plane, or behind a depth that each pixel has.
@@ -83,7 +86,7 @@ NR_FUNC DrawnFace drawn_face(const Drawing& call, int image, int f, float low, f
 
 // The depth at a pixel of a face across the camera's plane; 0 outside the face.
 NR_NOINLINE float crossing_depth(const Drawing& call, const vec3* v, int i, int j) {
-    const vec3d a = homogeneous_weights(v, pixel_centre(i, call.width), pixel_centre(j, call.height));
+    const vec3d a = homogeneous_weights(v, pixel_centre(i, call.width), call.centre_of_row(j));
     return a[0] >= 0.0 && a[1] >= 0.0 && a[2] >= 0.0 ? (float)(1.0 / (a[0] + a[1] + a[2])) : 0.0f;
 }
 
@@ -115,7 +118,7 @@ NR_FUNC void for_each_span(
     const float x0 = v[0][0], x1 = v[1][0], x2 = v[2][0], w = (float)call.width;
     const float slope[3] = {v[1][1] - v[2][1], v[2][1] - v[0][1], v[0][1] - v[1][1]};
     for (int j = box.bottom; j <= box.top; ++j) {
-        const float y = pixel_centre(j, call.height);
+        const float y = call.centre_of_row(j);
         Span span = {box.left, box.right, call.row_start(image, j), v[0][1] - y, v[1][1] - y, v[2][1] - y};
         if (box.right - box.left >= at_once) {
             float low = -2.0f, high = 2.0f;
@@ -209,12 +212,12 @@ NR_FUNC void draw_band_of_rows(const Drawing& call, int task) {
     const int top = (int)((int64)(band + 1) * call.height / call.bands) - 1;
     const int64 start = call.row_start(image, top), stop = call.row_start(image, bottom) + call.width;
     for (int64 i = start; i < stop; ++i) call.nearest[i] = call.far, call.face_index[i] = -1;
-    const float low = pixel_centre(bottom, call.height), high = pixel_centre(top, call.height);
+    const float low = call.centre_of_row(bottom), high = call.centre_of_row(top);
     for (int f = 0; f < call.count; ++f) {
         if (!may_be_drawn(call, call.corners(image, f), low, high)) continue;
         const DrawnFace face = drawn_face(call, image, f, low, high);
         if (face.front < 0) continue;
-        Box box = pixel_box(face.v, face.front, call.height, call.width);
+        Box box = pixel_box(face.v, face.front, call);
         box.bottom = larger(box.bottom, bottom), box.top = smaller(box.top, top);
         if (face.front == 0) draw_crossing<Start>(call, image, face, box);
         else if (box.left <= box.right) draw_box<Start>(call, image, face, box);
@@ -273,7 +276,7 @@ NR_FUNC void draw_or_queue(const Drawing& call, int task) {
     const int image = task / call.count;
     const DrawnFace face = drawn_face(call, image, task % call.count, -1.0f, 1.0f);
     if (face.front < 0) return;
-    const Box box = pixel_box(face.v, face.front, call.height, call.width);
+    const Box box = pixel_box(face.v, face.front, call);
     if (box.is_empty()) return;
     const int columns = box.right - box.left + 1, rows = box.top - box.bottom + 1;
     if (columns * rows <= SMALL_BOX) draw_part<Start>(call, image, face, box, 0, 1);
@@ -289,7 +292,7 @@ NR_FUNC void draw_from_queue(const Drawing& call, int task) {
         call.queue.find(thread, number, own);
         const int image = (int)(number / call.count);
         const DrawnFace face = drawn_face(call, image, (int)(number % call.count), -1.0f, 1.0f);
-        const Box box = pixel_box(face.v, face.front, call.height, call.width);
+        const Box box = pixel_box(face.v, face.front, call);
         const int lanes = lanes_of(box), row = box.bottom + (int)own / lanes;
         draw_part<Start>(call, image, face, {box.left, box.right, row, row}, (int)own % lanes, lanes);
     }

@@ -69,9 +69,8 @@ NR_FUNC float clamped_nearness_at(const vec3* v, float x, float y, int perspecti
 // The part of the gain that an edge has beside the face at the outer pixel: none if this face passes in front of the
 // crossing, and so hides or cuts the edge; half if the face ends there, at the same depth.
 NR_FUNC float part_beside_face(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
-    const float along = (2.0f * at.v + 1.0f - (float)lines.length) / (float)lines.length;
-    const float across = (2.0f * (float)at.u + 1.0f - (float)lines.count) / (float)lines.count;
-    const float x = lines.axis ? across : along, y = lines.axis ? along : across;
+    const float u = (float)at.u, v = at.v;
+    const float x = lines.on_screen(lines.axis ? u : v, 0), y = lines.on_screen(lines.axis ? v : u, 1);
     const int perspective = lines.perspective;
     const float own = (1.0f - at.share) * nearness(edge.pz, perspective) + at.share * nearness(edge.qz, perspective);
     const vec3* corners = lines.faces + (int64)at.outer_face * 3;
@@ -142,7 +141,7 @@ NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const
 NR_FUNC bool is_small(const Lines& lines, int f) {
     const vec3* v = lines.faces + (int64)f * 3;
     const vec3 s = v[1] - v[0], t = v[2] - v[0];
-    return fabsf(s[0] * t[1] - s[1] * t[0]) * (float)lines.height * (float)lines.width / 8.0f < SMALL_AREA;
+    return fabsf(s[0] * t[1] - s[1] * t[0]) * (float)lines.whole * (float)lines.width / 8.0f < SMALL_AREA;
 }
 
 // A pixel that shows a face, among the 3 x 3 around its centroid: its place in memory, or -1.
@@ -150,7 +149,7 @@ NR_FUNC int64 middle_of_face(const Lines& lines, int f) {
     const vec3* v = lines.faces + (int64)f * 3;
     const int height = lines.height, width = lines.width;
     const float x = to_pixels((v[0][0] + v[1][0] + v[2][0]) / 3.0f, width);
-    const float y = to_pixels((v[0][1] + v[1][1] + v[2][1]) / 3.0f, height);
+    const float y = to_pixels((v[0][1] + v[1][1] + v[2][1]) / 3.0f, lines.whole) - (float)lines.below;
     if (!(fabsf(x) < 32768.0f && fabsf(y) < 32768.0f)) return -1;
     const int i = (int)floorf(x + 0.5f), j = (int)floorf(y + 0.5f);
     // The pixel itself, the four beside it, then the four at its corners.
@@ -314,7 +313,7 @@ struct FaceEdge {
     }
     // Pixels, outward, that a crossing moves if an end moves by 1 on the screen; a pixel has a quarter of its block.
     NR_FUNC float scale(const Lines& lines) const {
-        return (lines.halved ? 0.125f : 0.5f) * (float)(edge.outward * lines.length);
+        return (lines.halved ? 0.125f : 0.5f) * (float)(edge.outward * lines.whole_length());
     }
 };
 

@@ -31,7 +31,7 @@ NR_FUNC uint64 add_color(uint64 hash, const vec3& color) {
     return hash;
 }
 
-// The edges of one face of one image: the texels that are blended on them, under the light on both sides.
+// The edges of one face of one image: the texels, or corners, that are blended on them, under the light on both sides.
 NR_FUNC void hash_edges(const HashEdges& call, int task) {
     const LitCubes& textures = call.textures;
     const int b = task / call.scene.count, f = task % call.scene.count, size = textures.size;
@@ -47,6 +47,11 @@ NR_FUNC void hash_edges(const HashEdges& call, int task) {
     const int64 square = (int64)size * size, along[3] = {square, size, 1}, beside[3] = {size, 1, square};
     for (int k = 0; k < 3; ++k) {
         uint64 hashes[2] = {0, 0};
+        if (size == 0) {
+            const uint64 first = mixed(add_color(0, cube[k])), second = mixed(add_color(0, cube[(k + 1) % 3]));
+            hashes[0] = mixed(first + THERE) + mixed(second + BACK);
+            hashes[1] = mixed(first + BACK) + mixed(second + THERE);
+        }
         for (int i = 0; i < size; ++i)
             for (int j = larger(size - 2 - i, 0); j <= smaller(size - i, size - 1); ++j) {
                 const uint64 color = mixed(add_color(0, cube[i * along[k] + j * beside[k]]));

@@ -37,10 +37,10 @@ struct Face {
     float inverse[3];  // 1 / z of each corner in perspective, else 1
     bool front;        // whether it is in front of the camera; other visible faces cross the camera's plane
     bool known;        // whether the matrix gives weights
-    int perspective, height, width;
+    int perspective, height, width, below;  // size of the whole image, and rows of it below the strip
 
     NR_FUNC void set(const vec3* corners, const Scene& scene) {
-        perspective = scene.perspective, height = scene.height, width = scene.width;
+        perspective = scene.perspective, height = scene.whole_height(), width = scene.width, below = scene.below;
         float x[3], y[3], far = 0.0f;
         for (int k = 0; k < 3; ++k) {
             v[k] = corners[k];
@@ -102,6 +102,7 @@ struct Point {
 // The point at pixel i of row j from the bottom, of any face that shows it.
 NR_FUNC Point<float> point_at(const Face& face, int i, int j) {
     Point<float> point;
+    j += face.below;
     if (!face.front) {
         const vec3d a = homogeneous_weights(face.v, pixel_centre(i, face.width), pixel_centre(j, face.height));
         const double sum = a[0] + a[1] + a[2];
@@ -168,26 +169,20 @@ struct CornerSums {
             to[3 * k + 2] += share * (face.perspective ? -g[k] * face.inverse[k] : to_depth);
         }
     }
-    // Add the sums to the corners; ``alone``: no other task writes them, and they are written once.
-    NR_FUNC void give(vec3* corners, bool alone) const;
-};
-
-template <>
-NR_FUNC void CornerSums<float>::give(vec3* corners, bool alone) const {
-    for (int k = 0; k < 3; ++k) {
-        const vec3 part = {to[3 * k], to[3 * k + 1], to[3 * k + 2]};
-        if (alone) corners[k] = part;
-        else atomic_add(corners + k, part);
+    // Add the sums of several lanes.
+    template <class G>
+    NR_FUNC void add(const CornerSums<G>& other) {
+        for (int k = 0; k < 9; ++k) to[k] += sum(other.to[k]);
     }
-}
-#if NR_LANES
-template <>
-inline void CornerSums<floats8>::give(vec3* corners, bool alone) const {
-    CornerSums<float> sums;
-    for (int k = 0; k < 9; ++k) sums.to[k] = sum(to[k]);
-    sums.give(corners, alone);
-}
-#endif
+    // Add the sums to the corners; ``alone``: no other task writes them, and they are written once.
+    NR_FUNC void give(vec3* corners, bool alone) const {
+        for (int k = 0; k < 3; ++k) {
+            const vec3 part = {to[3 * k], to[3 * k + 1], to[3 * k + 2]};
+            if (alone) corners[k] = part;
+            else atomic_add(corners + k, part);
+        }
+    }
+};
 
 // The change of a point while the corners of its face move by ``by``: the transpose of `CornerSums::add`.
 template <class F>
@@ -278,7 +273,8 @@ NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) 
                 int run = 1;
                 while (run < 8 && i + run < right && shown[i + run] == f) ++run;
                 Point<floats8> points;
-                const ints8 lost = points.by_matrix(face, to_floats(lane_numbers<ints8>() + i), (float)place.j);
+                const ints8 lost =
+                    points.by_matrix(face, to_floats(lane_numbers<ints8>() + i), (float)(face.below + place.j));
                 if (!any(lost & (lane_numbers<ints8>() < run))) {
                     visitor.run(face, points, run, place, extras[slot]);
                     i += run - 1;
@@ -329,35 +325,35 @@ NR_FUNC void over_changes(const Scene& scene, const Motion& motion, int task, co
 
 // Visit the pixels of a box that show face f of an image, by eights on the CPU where ``in_eights``.
 //
-// The visitor has these methods; each returns nothing:
-//     one(face, point, place)          a pixel
-//     eight(face, points, place, here)    eight neighbours from the place on; ``here`` marks those that show the face
-//     finish_eights()                  after all pixels were visited by eights
-//     restart()                        before all pixels are visited one by one after all
+// The visitor has these methods:
+//     one(face, point, place)             a pixel
+//     eight(face, points, place, here)    eight neighbours from the place on; ``here`` marks those to visit
+//     finish_eights()                     after all pixels, if some may have been visited by eights
 template <class Visitor>
 NR_FUNC void over_face(
     const Scene& scene, const Face& face, int image, int f, const Box& box, bool in_eights, Visitor& visitor) {
-    bool done = false;
     const int width = scene.width;
 #if NR_LANES
     if (face.is_usual() && width >= 8 && in_eights) {
-        done = true;
-        for (int j = box.bottom; j <= box.top && done; ++j) {
+        for (int j = box.bottom; j <= box.top; ++j) {
             const int64 row = scene.row_start(image, j);
-            for (int i = box.left; i <= box.right && done; i += 8) {
+            for (int i = box.left; i <= box.right; i += 8) {
                 const int at = i < width - 8 ? i : width - 8;
                 const ints8 here = (load<ints8>(scene.face_index + row + at) == f) & (lane_numbers<ints8>() >= i - at);
                 if (!any(here)) continue;
                 Point<floats8> points;
-                done = !any(points.by_matrix(face, to_floats(lane_numbers<ints8>() + at), (float)j) & here);
-                if (done) visitor.eight(face, points, Place{image, f, at, j, row + at}, here);
+                const ints8 lost =
+                    points.by_matrix(face, to_floats(lane_numbers<ints8>() + at), (float)(face.below + j)) & here;
+                visitor.eight(face, points, Place{image, f, at, j, row + at}, here & ~lost);
+                if (!any(lost)) continue;
+                for (int n = 0; n < 8; ++n)
+                    if (lost[n]) visitor.one(face, point_at(face, at + n, j), Place{image, f, at + n, j, row + at + n});
             }
         }
-        if (done) visitor.finish_eights();
-        else visitor.restart();
+        return visitor.finish_eights();
     }
 #endif
-    for (int j = box.bottom; j <= box.top && !done; ++j) {
+    for (int j = box.bottom; j <= box.top; ++j) {
         const int64 row = scene.row_start(image, j);
         for (int i = box.left; i <= box.right; ++i) {
             if (scene.face_index[row + i] != f) continue;

@@ -20,16 +20,22 @@ constexpr float NARROWEST = 2.384185791015625e-07f;  // 2^-22
 // only near pixel 0.
 constexpr float SHORTEST = 1.0e-9f;
 
+// The screen coordinate of the centre of pixel i.
+NR_FUNC float pixel_centre(int i, int size) { return (float)(2 * i + 1 - size) / (float)size; }
+
 // The faces that an operator looks at.
 struct Scene {
     const vec3* faces;      // corners on the screen, [images, count, 3]
     const int* face_index;  // visible face of each pixel, -1 for none, [images, height, width]; row 0 at the top
     int images;
-    int count;        // faces of an image
-    int height;       // pixels
-    int width;        // pixels
-    int perspective;  // whether the projection is perspective, else orthographic
+    int count;         // faces of an image
+    int height;        // pixels
+    int width;         // pixels
+    int perspective;   // whether the projection is perspective, else orthographic
+    int below, above;  // rows of the whole image below and above this strip of it; both 0 for a whole image
 
+    NR_FUNC int whole_height() const { return below + height + above; }
+    NR_FUNC float centre_of_row(int j) const { return pixel_centre(below + j, whole_height()); }
     NR_FUNC const vec3* corners(int image, int face) const { return faces + ((int64)image * count + face) * 3; }
     // The place in memory of the first pixel of a row that counts from the bottom.
     NR_FUNC int64 row_start(int image, int j) const { return ((int64)image * height + height - 1 - j) * width; }
@@ -43,8 +49,11 @@ struct Box {
     NR_FUNC bool is_empty() const { return left > right || bottom > top; }
 };
 
-// The screen coordinate of the centre of pixel i.
-NR_FUNC float pixel_centre(int i, int size) { return (float)(2 * i + 1 - size) / (float)size; }
+// Channel c of the attributes of a face, by its corners' weights.
+template <class F>
+NR_FUNC F interpolated(const F* weights, const float* from, int c, int channels) {
+    return weights[0] * from[c] + weights[1] * from[channels + c] + weights[2] * from[2 * channels + c];
+}
 
 // A screen coordinate in pixels, whose centres are the integers.
 NR_FUNC float to_pixels(float x, int size) { return 0.5f * ((float)size * x + (float)(size - 1)); }
@@ -100,21 +109,24 @@ NR_FUNC vec2i pixel_span(float low, float high, int size, int first, int last) {
         (int)floorf(smaller(larger(b, (float)(first - 1)), (float)last))};
 }
 
-// The pixels that a face may cover; ``front`` as from `in_front`.
-NR_FUNC Box pixel_box(const vec3* v, int front, int height, int width) {
+// The pixels that a face may cover, in a picture, a `Scene` or another struct with the size of images; ``front`` as
+// from `in_front`.
+template <class Picture>
+NR_FUNC Box pixel_box(const vec3* v, int front, const Picture& picture) {
+    const int height = picture.height, width = picture.width, below = picture.below;
     if (front != 1) return {0, width - 1, 0, height - 1};
     const auto low = [v](int k) { return smaller(v[0][k], smaller(v[1][k], v[2][k])); };
     const auto high = [v](int k) { return larger(v[0][k], larger(v[1][k], v[2][k])); };
     const vec2i x = pixel_span(low(0), high(0), width, 0, width - 1);
-    const vec2i y = pixel_span(low(1), high(1), height, 0, height - 1);
-    return {x[0], x[1], y[0], y[1]};
+    const vec2i y = pixel_span(low(1), high(1), picture.whole_height(), below, below + height - 1);
+    return {x[0], x[1], y[0] - below, y[1] - below};
 }
 
 // The pixels that a face of a scene may cover; none if it cannot be drawn.
 NR_FUNC Box box_of_face(const Scene& scene, int image, int face) {
     const vec3* v = scene.corners(image, face);
     const int front = in_front(v, scene.perspective);
-    return front < 0 ? Box{0, -1, 0, -1} : pixel_box(v, front, scene.height, scene.width);
+    return front < 0 ? Box{0, -1, 0, -1} : pixel_box(v, front, scene);
 }
 
 // a_k = w_k / z_k at a screen position; in double, for corners near the camera's plane.

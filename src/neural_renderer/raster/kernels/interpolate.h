@@ -14,12 +14,6 @@ struct Interpolate {
     float* result;  // [images, height, width, channels], 0 where no face is visible
 };
 
-// Channel c of the attributes of a face, by its corners' weights.
-template <class F>
-NR_FUNC F interpolated(const F* weights, const float* from, int c, int channels) {
-    return weights[0] * from[c] + weights[1] * from[channels + c] + weights[2] * from[2 * channels + c];
-}
-
 struct InterpolateRows {
     const Interpolate& call;
 
@@ -122,8 +116,7 @@ struct CornersBackward {
             for (int k = 0; k < 3; ++k) to[k * channels + c] += total[k * channels + c] = sum(sums_of_pull[3 * c + k]);
         by_eights = true;
     }
-    void restart() {}
-    // Set the sums for the corners of the face from those of eights.
+    // Add the sums of eights to those for the corners of the face.
     void into_corners(const Face& face) {
         float right[MOST], up[MOST], all_right = 0.0f, all_up = 0.0f;  // slopes of the channels, of 1
         for (int c = 0; c < channels; ++c) right[c] = up[c] = 0.0f;
@@ -140,9 +133,9 @@ struct CornersBackward {
                 const float part = total[k * channels + c];
                 to_x += right[c] * part, to_y += up[c] * part, to_near += beside[k * channels + c] * part;
             }
-            sums.to[3 * k] = -to_x * z;
-            sums.to[3 * k + 1] = -to_y * z;
-            sums.to[3 * k + 2] = face.perspective ? -to_near * face.inverse[k] : 0.0f;
+            sums.to[3 * k] -= to_x * z;
+            sums.to[3 * k + 1] -= to_y * z;
+            if (face.perspective) sums.to[3 * k + 2] -= to_near * face.inverse[k];
         }
     }
 #endif

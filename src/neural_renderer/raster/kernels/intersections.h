@@ -56,8 +56,8 @@ NR_FUNC bool may_meet(const Intersections& call, int image, int f, int other, in
     const bool in_front =
         (v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f) & (u[0][2] > 0.0f) & (u[1][2] > 0.0f) & (u[2][2] > 0.0f);
     if (perspective && !in_front) return true;
-    const float x = pixel_centre(i, scene.width), y = pixel_centre(scene.height - 1 - row, scene.height);
-    const float x2 = down ? x : x + 2.0f / (float)scene.width, y2 = down ? y - 2.0f / (float)scene.height : y;
+    const float x = pixel_centre(i, scene.width), y = scene.centre_of_row(scene.height - 1 - row);
+    const float x2 = down ? x : x + 2.0f / (float)scene.width, y2 = down ? y - 2.0f / (float)scene.whole_height() : y;
     if (share_of_way(v, x, y, x2, y2) + share_of_way(u, x2, y2, x, y) < 0.999f) return false;
     const float own_here = nearness_at(v, x, y, perspective);
     const float ahead = own_here - nearness_at(u, x, y, perspective);
@@ -178,7 +178,9 @@ NR_FUNC vec2 nearness_slope(const vec3* v, float x, float y, float here, const v
     return {right, up};
 }
 
-NR_FUNC vec2 size_of_pixel(const Scene& scene) { return {2.0f / (float)scene.width, 2.0f / (float)scene.height}; }
+NR_FUNC vec2 size_of_pixel(const Scene& scene) {
+    return {2.0f / (float)scene.width, 2.0f / (float)scene.whole_height()};
+}
 
 NR_FUNC bool has_gradient(const vec3* v, int perspective) { return in_front(v, perspective) == 1 && !degenerate(v); }
 
@@ -189,8 +191,8 @@ NR_FUNC Intersection find_intersection(const Scene& scene, const PixelPair& pair
     const int perspective = scene.perspective;
     const vec3 *v = scene.corners(pair.image, f), *u = scene.corners(pair.image, g);
     if (!has_gradient(u, perspective)) return found;
-    const float x = pixel_centre(pair.i, scene.width), y = pixel_centre(pair.j, scene.height);
-    const float x2 = pixel_centre(pair.i2, scene.width), y2 = pixel_centre(pair.j2, scene.height);
+    const float x = pixel_centre(pair.i, scene.width), y = scene.centre_of_row(pair.j);
+    const float x2 = pixel_centre(pair.i2, scene.width), y2 = scene.centre_of_row(pair.j2);
     const vec3 own_first = nearness_terms(v, x, y, perspective), own_second = nearness_terms(v, x2, y2, perspective);
     const vec3 other_first = nearness_terms(u, x, y, perspective);
     const vec3 other_second = nearness_terms(u, x2, y2, perspective);
@@ -277,7 +279,7 @@ NR_FUNC void intersect_face(const Intersections& call, int task) {
     const int image = task / scene.count, f = task % scene.count;
     const vec3* v = scene.corners(image, f);
     if (!call.candidates[task] || !has_gradient(v, scene.perspective)) return;
-    const Box box = pixel_box(v, 1, scene.height, scene.width);
+    const Box box = pixel_box(v, 1, scene);
     vec3 to[3] = {};
     for (int j = box.bottom; j <= box.top; ++j) {
         const int* shown = scene.face_index + scene.row_start(image, j);

@@ -105,6 +105,7 @@ NR_FUNC void store_first(float* to, const F& values, int count) {
 #else
 #define NR_VECTOR(type, n) __attribute__((vector_size(4 * n))) type
 #endif
+typedef NR_VECTOR(float, 4) floats4;
 typedef NR_VECTOR(float, 8) floats8;
 typedef NR_VECTOR(int, 8) ints8;
 typedef NR_VECTOR(float, 16) floats16;
@@ -175,6 +176,14 @@ inline float sum(floats16 v) {
         + __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15);
     return half[0] + half[4] + (half[2] + half[6]) + (half[1] + half[5] + (half[3] + half[7]));
 }
+
+// A vec3 as a vector, whose last lane is 0.
+inline floats4 as_vector(const vec3& value) {
+    floats4 result = {};
+    memcpy(&result, value.c, sizeof(value));
+    return result;
+}
+inline vec3 as_vec3(floats4 value) { return {value[0], value[1], value[2]}; }
 
 // Three channels of eight pixels that lie side by side, as in an array of vec3.
 inline void load(const vec3* from, floats8* to) {

@@ -1,6 +1,7 @@
 // Textures with mipmaps: trilinear samples (Williams, "Pyramidal parametrics", 1983), and their gradient.
 #pragma once
 
+#include "lanes.h"
 #include "tasks.h"
 
 namespace nr {
@@ -127,6 +128,35 @@ NR_FUNC void blend_block(const TexelBlock& block, const float* image, int channe
         color[c] += up * (x[0] * above[0][c] + x[1] * above[1][c]) + down * (x[0] * below[0][c] + x[1] * below[1][c]);
 }
 
+#if NR_LANES
+// The four texels of a block, of three channels each, as vectors: two of the row above and two of the one below.
+struct FourTexels {
+    floats4 above[2], below[2];
+
+    FourTexels(const TexelBlock& block, const vec3* image) {
+        for (int k = 0; k < 2; ++k)
+            above[k] = as_vector(image[block.texel(0, k)]), below[k] = as_vector(image[block.texel(1, k)]);
+    }
+};
+#endif
+
+// The colour of a pixel that shows a face, of three channels, the usual number.
+NR_FUNC vec3 sample_rgb(const SampleMipmaps& call, const float* image, int64 pixel, int i, int j) {
+    vec3 color = {};
+    for_each_level(call.maps, call.samples, pixel, i, j, [&](const TexelBlock& block) {
+#if NR_LANES
+        const FourTexels texels(block, (const vec3*)image);
+        const float *x = block.x.part, *y = block.y.part, up = block.share * y[0], down = block.share * y[1];
+        color += as_vec3(
+            up * (x[0] * texels.above[0] + x[1] * texels.above[1])
+            + down * (x[0] * texels.below[0] + x[1] * texels.below[1]));
+#else
+        blend_block(block, image, 3, color.c);
+#endif
+    });
+    return color;
+}
+
 // The pixels of a task.
 NR_FUNC void sample_mipmaps(const SampleMipmaps& call, int task) {
     const int channels = call.maps.channels;
@@ -135,9 +165,12 @@ NR_FUNC void sample_mipmaps(const SampleMipmaps& call, int task) {
         for (int c = 0; c < channels; ++c) color[c] = 0.0f;
         if (call.samples.face_index[pixel] < 0) return;
         const float* image = call.maps.texels + call.maps.start(b);
+        if (channels == 3) {
+            *(vec3*)color = sample_rgb(call, image, pixel, i, j);
+            return;
+        }
         for_each_level(call.maps, call.samples, pixel, i, j, [&](const TexelBlock& block) {
-            if (channels == 3) blend_block(block, image, 3, color);
-            else blend_block(block, image, channels, color);
+            blend_block(block, image, channels, color);
         });
     });
 }
@@ -190,6 +223,24 @@ NR_FUNC void sample_mipmaps_backward(const SampleMipmapsBackward& call, int task
         float* to = call.texels_too ? call.to_texels + call.maps.start(b) : nullptr;
         vec2 to_uv = {0.0f, 0.0f};  // gradient along rows of texels, which run down
         for_each_level(call.maps, call.samples, pixel, i, j, [&](const TexelBlock& block) {
+#if NR_LANES
+            if (channels == 3) {  // the usual number
+                const FourTexels texels(block, (const vec3*)image);
+                const float *x = block.x.part, *y = block.y.part;
+                const floats4 g = block.share * as_vector(*(const vec3*)pull);
+                const floats4 right =
+                    y[0] * (texels.above[1] - texels.above[0]) + y[1] * (texels.below[1] - texels.below[0]);
+                const floats4 down =
+                    x[0] * (texels.below[0] - texels.above[0]) + x[1] * (texels.below[1] - texels.above[1]);
+                to_uv[0] += dot(as_vec3(g), as_vec3(right)) * block.x.slope;
+                to_uv[1] += dot(as_vec3(g), as_vec3(down)) * block.y.slope;
+                for (int n = 0; n < 4 && to; ++n) {
+                    vec3* texel = (vec3*)to + block.texel(n >> 1, n & 1);
+                    *texel = as_vec3(as_vector(*texel) + g * y[n >> 1] * x[n & 1]);
+                }
+                return;
+            }
+#endif
             if (channels == 3) blend_block_backward(block, image, 3, pull, to, to_uv);
             else blend_block_backward(block, image, channels, pull, to, to_uv);
         });

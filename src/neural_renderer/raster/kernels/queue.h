@@ -42,8 +42,8 @@ struct LineTask {
 };
 
 // The number of threads that share the scan lines of a face: a power of 2, ``most`` lines each at most.
-NR_FUNC int line_parts(const vec3* v, int height, int width, int most) {
-    const Box box = pixel_box(v, 1, height, width);
+NR_FUNC int line_parts(const vec3* v, const Scene& scene, int most) {
+    const Box box = pixel_box(v, 1, scene);
     const int lines = box.right - box.left + box.top - box.bottom;
     int parts = 1;
     while (most * parts < lines) parts *= 2;
@@ -52,7 +52,7 @@ NR_FUNC int line_parts(const vec3* v, int height, int width, int most) {
 
 // Put a face into the queue of `for_each_line_task`.
 NR_FUNC void put_lines(const Queue& queue, const Scene& scene, int image, int face, int lanes, int most) {
-    const int parts = line_parts(scene.corners(image, face), scene.height, scene.width, most);
+    const int parts = line_parts(scene.corners(image, face), scene, most);
     queue.put((int64)image * scene.count + face, (int64)parts * lanes);
 }
 
@@ -68,7 +68,7 @@ NR_FUNC void for_each_line_task(const Queue& queue, const Scene& scene, int task
         int64 face, own;
         queue.find(thread, face, own);
         const int image = (int)(face / scene.count), f = (int)(face % scene.count);
-        const int parts = line_parts(scene.corners(image, f), scene.height, scene.width, most);
+        const int parts = line_parts(scene.corners(image, f), scene, most);
         visit(LineTask{image, f, (int)(own % lanes), lanes, (int)(own / lanes), parts});
     }
 }

@@ -13,19 +13,30 @@ namespace nr {
 struct ScanAxis {
     int axis, count, length;
     int64 origin, across, along;  // place of pixel 0 of line 0, steps to the next line and pixel
+    int below, whole;             // rows of the whole image below the first one, and all of them
 
-    NR_FUNC ScanAxis(int axis, int height, int width)
+    NR_FUNC ScanAxis(int axis, int height, int width, int below = 0, int above = 0)
         : axis(axis),
           count(axis ? width : height),
           length(axis ? height : width),
           origin((int64)(height - 1) * width),
           across(axis ? 1 : -width),
-          along(axis ? -width : 1) {}
+          along(axis ? -width : 1),
+          below(below),
+          whole(below + height + above) {}
 
     // The place of a pixel in a map [height, width].
     NR_FUNC int64 pixel(int u, int v) const { return origin + u * across + v * along; }
-    NR_FUNC float u_of(const vec3& p) const { return to_pixels(p[1 - axis], count); }
-    NR_FUNC float v_of(const vec3& p) const { return to_pixels(p[axis], length); }
+    NR_FUNC float column_of(const vec3& p) const { return to_pixels(p[0], axis ? count : length); }
+    NR_FUNC float row_of(const vec3& p) const { return to_pixels(p[1], whole) - (float)below; }
+    NR_FUNC int whole_length() const { return axis ? whole : length; }
+    // The screen coordinate of a column (0) or row (1).
+    NR_FUNC float on_screen(float position, int coordinate) const {
+        const int size = coordinate ? whole : axis ? count : length;
+        return (2.0f * (position + (coordinate ? (float)below : 0.0f)) + 1.0f - (float)size) / (float)size;
+    }
+    NR_FUNC float u_of(const vec3& p) const { return axis ? column_of(p) : row_of(p); }
+    NR_FUNC float v_of(const vec3& p) const { return axis ? row_of(p) : column_of(p); }
 };
 
 // An edge p -> q of a counter-clockwise face with third corner r.

@@ -1,4 +1,5 @@
-// The colour of each pixel from the cube of texels of its face, under light, and its gradient.
+// The colour of each pixel from the cube of texels, or the corners' colours, of its face, under light; and its
+// gradient.
 #pragma once
 
 #include "background.h"
@@ -42,15 +43,15 @@ struct SampleRows {
     void run(const Face&, const Point<floats8>& points, int count, const Place& place, const Factors& factors) const {
         const LitCubes& textures = call.textures;
         floats8 mixed[3];
-        if (textures.size <= 2) {
-            const vec3* cube = textures.cube(call.scene, place.image, place.face);
-            CubeOfEight(points.weights, textures.size, textures.eps).blend(cube, mixed);
-        } else
+        const vec3* cube = textures.cube(call.scene, place.image, place.face);
+        if (textures.is_small()) CubeOfEight(points.weights, textures.size, textures.eps).blend(cube, mixed);
+        else {
+            const CubeCoordinates<floats8> inside(points.weights, textures.size, textures.eps);
             for (int n = 0; n < count; ++n) {
-                const float weights[3] = {points.weights[0][n], points.weights[1][n], points.weights[2][n]};
-                const vec3 own = blend(weights, place);
+                const vec3 own = Cube(inside, n, textures.size).blend(cube);
                 for (int c = 0; c < 3; ++c) mixed[c][n] = own[c];
             }
+        }
         float* to = first(place);
         for (int c = 0; c < 3; ++c, to += call.scene.area()) {
             mixed[c] *= factors[c];
@@ -78,20 +79,17 @@ NR_FUNC void sample_pixels(const SampleCubes& call, int task) {
 struct SampleCubesBackward {
     Scene scene;
     LitCubes textures;
-    const float* grad;         // [images, 3, height, width]
-    int light_too, faces_too;  // whether these gradients are asked for
-    const int* visible;        // mask of visible faces, [images, count + 1]; on the CPU
-    int run;                   // pixels of a task on CUDA
-    vec3* to_textures;         // as the texels; 0 before, on CUDA
-    vec3* to_light;            // [images, 2, count], 0 before
-    vec3* to_faces;            // [images, count, 3], 0 before
+    const float* grad;                       // [images, 3, height, width]
+    int textures_too, light_too, faces_too;  // whether these gradients are asked for
+    const int* visible;                      // mask of visible faces, [images, count + 1]; on the CPU
+    int run;                                 // pixels of a task on CUDA
+    vec3* to_textures;                       // as the texels; 0 before, on CUDA
+    vec3* to_light;                          // [images, 2, count], 0 before
+    vec3* to_faces;                          // [images, count, 3], 0 before
 };
 
 struct CubeBackward {
-    const int size;
-    const float eps;
-    const bool light_too, faces_too;
-    const int64 area;
+    const SampleCubesBackward& call;
     const vec3* cube;
     const vec3 factor;
     vec3* to_cube;
@@ -100,71 +98,88 @@ struct CubeBackward {
     const Slopes slopes;
     CornerSums<float> sums = {};
     vec3 lit = {};  // gradient to the light
+    const int size = call.textures.size;
+    const int64 area = call.scene.area();
 #if NR_LANES
     vec3 lit_cube[8] = {};
     CubeOfEight::Sums sums_of_texels = {};
     CornerSums<floats8> sums_of_eights = {};
-    bool by_eights = false;
+    floats8 lit_of_eights[3] = {};
 
+    void prepare() {
+        for (int n = 0; n < call.textures.volume(); ++n) lit_cube[n] = times(cube[n], factor);
+    }
     void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {
-        const CubeOfEight inside(points.weights, size, eps);
         floats8 pull[3], to_weights[3];
         for (int c = 0; c < 3; ++c) pull[c] = select(here, load<floats8>(grads + c * area + place.pixel), floats8{});
-        inside.scatter(sums_of_texels, pull);
-        if (faces_too) {
-            inside.slope(lit_cube, pull, to_weights);
-            sums_of_eights.add(face, slopes, points, to_weights, floats8{}, here);
+        if (call.textures.is_small()) {
+            const CubeOfEight inside(points.weights, size, call.textures.eps);
+            if (call.textures_too) inside.scatter(sums_of_texels, pull);
+            else if (call.light_too) {
+                floats8 color[3];
+                inside.blend(cube, color);
+                for (int c = 0; c < 3; ++c) lit_of_eights[c] += color[c] * pull[c];
+            }
+            if (call.faces_too) inside.slope(lit_cube, pull, to_weights);
+        } else {
+            const CubeCoordinates<floats8> inside(points.weights, size, call.textures.eps);
+            for (int k = 0; k < 3; ++k) to_weights[k] = floats8{};
+            for (unsigned left = bits(here); left; left &= left - 1) {
+                const int n = lowest_bit(left);
+                const Cube at(inside, n, size);
+                const vec3 own = {pull[0][n], pull[1][n], pull[2][n]}, seen = times(own, factor);
+                vec3 color, slope;
+                at.blend_and_slope(cube, seen, color, slope);
+                lit += times(color, own);
+                if (call.textures_too) at.scatter(to_cube, seen, alone);
+                for (int k = 0; k < 3; ++k) to_weights[k][n] = slope[k];
+            }
         }
+        if (call.faces_too) sums_of_eights.add(face, slopes, points, to_weights, floats8{}, here);
     }
     void finish_eights() {
-        by_eights = true;
-        for (int n = 0; n < size * size * size; ++n) {
+        sums.add(sums_of_eights);
+        for (int c = 0; c < 3; ++c) lit[c] += sum(lit_of_eights[c]);
+        if (!call.textures.is_small() || !call.textures_too) return;
+        for (int n = 0; n < call.textures.volume(); ++n) {
             const vec3 sum = sums_of_texels.of(n);
             lit += times(cube[n], sum);
             to_cube[n] += times(sum, factor);
         }
     }
-    void restart() {}
 #endif
     NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
-        const Cube at(point.weights, size, eps);
-        vec3 g;
-        for (int c = 0; c < 3; ++c) g[c] = grads[c * area + place.pixel];
-        if (light_too) lit += times(at.blend(cube), g);
-        g = times(g, factor);
-        at.scatter(to_cube, g, alone);
-        if (faces_too) sums.add(face, slopes, point, at.slope(cube, g).c, 0.0f, true);
+        vec3 pull;
+        for (int c = 0; c < 3; ++c) pull[c] = grads[c * area + place.pixel];
+        const vec3 to_weights = texels(Cube(point.weights, size, call.textures.eps), pull);
+        if (call.faces_too) sums.add(face, slopes, point, to_weights.c, 0.0f, true);
+    }
+    // Send the gradient of a pixel's colour to light and texels; returns that to the corners' weights.
+    NR_FUNC vec3 texels(const Cube& at, const vec3& pull) {
+        if (call.light_too) lit += times(at.blend(cube), pull);
+        const vec3 own = times(pull, factor);
+        if (call.textures_too) at.scatter(to_cube, own, alone);
+        return call.faces_too ? at.slope(cube, own) : vec3{};
     }
 };
 
 // The pixels of a box that show face f, whose cube is that of image ``own``; ``alone``: no other task writes to it.
 NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, int f, const Box& box, bool alone) {
     const Scene& scene = call.scene;
-    const int64 volume = call.textures.volume(), at = call.textures.place(scene, own, f);
+    const int64 at = call.textures.place(scene, own, f);
     Face face;
     face.set(scene.corners(image, f), scene);
     const int side = visible_side(face.v, scene.perspective);
     const vec3 factor = call.textures.light_on(scene, image, f, side);
     const float* grads = call.grad + 2 * image * scene.area();
-    const bool light_too = call.light_too, faces_too = call.faces_too;
-    const int size = call.textures.size;
-    CubeBackward visitor = {
-        size,   call.textures.eps,     light_too, faces_too, scene.area(), call.textures.texels + at,
-        factor, call.to_textures + at, grads,     alone,     Slopes(face)};
-    const bool small = size <= 2;
+    vec3* to_cube = call.textures_too ? call.to_textures + at : nullptr;
+    CubeBackward visitor = {call, call.textures.texels + at, factor, to_cube, grads, alone, Slopes(face)};
 #if NR_LANES
-    for (int n = 0; small && n < volume; ++n) visitor.lit_cube[n] = times(visitor.cube[n], factor);
+    if (call.faces_too && call.textures.is_small()) visitor.prepare();
 #endif
-    over_face(scene, face, image, f, box, small, visitor);
-    if (faces_too) {
-        vec3* to = call.to_faces + ((int64)image * scene.count + f) * 3;
-#if NR_LANES
-        if (visitor.by_eights) visitor.sums_of_eights.give(to, alone);
-        else
-#endif
-            visitor.sums.give(to, alone);
-    }
-    if (light_too) atomic_add(call.to_light + (2 * (int64)image + side) * scene.count + f, visitor.lit);
+    over_face(scene, face, image, f, box, true, visitor);
+    if (call.faces_too) visitor.sums.give(call.to_faces + ((int64)image * scene.count + f) * 3, alone);
+    if (call.light_too) atomic_add(call.to_light + (2 * (int64)image + side) * scene.count + f, visitor.lit);
 }
 
 // The pixels that show one face, in one image or in all. The task clears its cube: a pass over the memory less.
@@ -172,7 +187,8 @@ NR_FUNC void cubes_of_face_backward(const SampleCubesBackward& call, int task) {
     const LitCubes& textures = call.textures;
     const int owner = task / call.scene.count, face = task % call.scene.count;
     if (!textures.has(owner, face)) return;
-    memset(call.to_textures + textures.place(call.scene, owner, face), 0, textures.volume() * sizeof(vec3));
+    if (call.textures_too)
+        memset(call.to_textures + textures.place(call.scene, owner, face), 0, textures.volume() * sizeof(vec3));
     for_each_view(call.scene, call.visible, textures.cubes, task, [&](int image, int own, int f, const Box& box) {
         cube_backward(call, image, own, f, box, true);
     });
@@ -224,7 +240,7 @@ struct ColorChanges {
 #if NR_LANES
     ColorSlopes<floats8> at(const Face& face, const Point<floats8>& points, const Place& place) const {
         const LitCubes& textures = call.textures;
-        if (textures.size > 2) return at<floats8>(face, points, place);
+        if (!textures.is_small()) return at<floats8>(face, points, place);
         const vec3* cube = textures.cube(call.scene, place.image, place.face);
         const int side = visible_side(face.v, face.perspective);
         const vec3 factors = textures.light_on(call.scene, place.image, place.face, side);

@@ -27,7 +27,7 @@ _weights_of_pixels_forward = _FORWARD.kernel("weights_of_pixels_forward", _Weigh
 
 @operator
 def barycentrics(
-    faces: Tensor, face_index: Tensor, near: float, far: float, perspective: bool
+    faces: Tensor, face_index: Tensor, near: float, far: float, perspective: bool, below: int = 0, above: int = 0
 ) -> tuple[Tensor, Tensor]:
     """Compute barycentric weights and depth at each pixel; differentiable in the corners.
 
@@ -39,7 +39,7 @@ def barycentrics(
     Args:
         faces: Screen-space corners, [B, F, 3, 3] float32.
         face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
-        near, far, perspective: As in `coverage`.
+        near, far, perspective, below, above: As in `coverage`.
 
     Returns:
         Weights in space, [B, H, W, 3] float32 in [0, 1], which interpolate values at the corners. Their sum is 1, or 0
@@ -50,7 +50,7 @@ def barycentrics(
     weights = empty((batch, height, width, 3), faces.device)
     depth = empty((batch, height, width), faces.device)
     tasks, each = pixel_tasks(batch * height, width, faces.device)
-    scene = scene_of(faces, face_index, perspective)
+    scene = scene_of(faces, face_index, perspective, below, above)
     call = _Weigh(scene=scene, near=near, far=far, each=each, weights=weights, depth=depth)
     launch(_weigh_pixels, tasks, [call], faces.device, worth_a_thread(each * width))
     return weights, depth
@@ -69,12 +69,14 @@ def barycentrics_backward(
     faces: Tensor,
     face_index: Tensor,
     perspective: bool,
+    below: int = 0,
+    above: int = 0,
 ) -> Tensor:
     """Compute the gradient of `barycentrics` to the corners, [B, F, 3, 3] float32."""
     batch, height, width = face_index.shape
     result = zeros(faces.shape, faces.device)
     maps = {"grad_weights": grad_weights.contiguous(), "grad_depth": grad_depth.contiguous(), "to_faces": result}
-    scene = scene_of(faces, face_index, perspective)
+    scene = scene_of(faces, face_index, perspective, below, above)
     if in_any_order(faces.device):
         tasks, run = run_tasks(batch * height, width)
         launch(_weights_of_run_backward, tasks, [_BarycentricsBackward(scene=scene, run=run, **maps)], faces.device)
@@ -92,13 +94,16 @@ def _(faces: Tensor) -> Tensor:
 
 
 @forward_operator(1)
-def barycentrics_forward(motion: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> tuple[Tensor, Tensor]:
+def barycentrics_forward(
+    motion: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, below: int = 0, above: int = 0
+) -> tuple[Tensor, Tensor]:
     """Compute the changes of weights and depth, [T, ...], for motions of the corners, [T, B, F, 3, 3] float32."""
     batch, height, width = face_index.shape
     shape = (len(motion), batch, height, width)
     weights, depth = empty((*shape, 3), faces.device), empty(shape, faces.device)
     tasks, moved = motion_of(motion, face_index)
-    call = _WeighForward(scene=scene_of(faces, face_index, perspective), motion=moved, weights=weights, depth=depth)
+    scene = scene_of(faces, face_index, perspective, below, above)
+    call = _WeighForward(scene=scene, motion=moved, weights=weights, depth=depth)
     launch(_weights_of_pixels_forward, tasks, [call], faces.device, worth_a_thread(moved.each * width * len(motion)))
     return weights, depth
 
@@ -117,19 +122,19 @@ def motion_of(motion: Tensor, face_index: Tensor) -> tuple[int, Call]:
 
 
 def _save(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
-    faces, face_index, _, _, ctx.perspective = inputs
+    faces, face_index, _, _, *ctx.view = inputs
     ctx.save_for_backward(faces, face_index)
 
 
 def _to_corners(ctx: Any, grad_weights: Tensor, grad_depth: Tensor) -> tuple[Any, ...]:
     faces, face_index = ctx.saved_tensors
-    grad = barycentrics_backward(grad_weights, grad_depth, faces, face_index, ctx.perspective)
-    return grad, None, None, None, None
+    grad = barycentrics_backward(grad_weights, grad_depth, faces, face_index, *ctx.view)
+    return grad, *[None] * 6
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    faces, face_index, _, _, perspective = inputs
-    return in_direction(barycentrics_forward, tangents[:1], faces, face_index, perspective)
+    faces, face_index, _, _, *view = inputs
+    return in_direction(barycentrics_forward, tangents[:1], faces, face_index, *view)
 
 
 differentiable(barycentrics, _to_corners, _save, _forward)

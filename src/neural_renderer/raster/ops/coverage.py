@@ -29,6 +29,8 @@ def coverage(
     two_sided: bool,
     perspective: bool,
     marked: bool = False,
+    below: int = 0,
+    above: int = 0,
 ) -> Tensor:
     """Find the visible face of each pixel: the nearest one at its centre, or at equal depth the one of lowest index.
 
@@ -39,6 +41,7 @@ def coverage(
         near, far: Faces are drawn at pixels where ``near < z < far``, in world units.
         two_sided: Whether faces whose corners run clockwise on the screen are drawn.
         perspective: Whether depth is ``1 / sum(w_k / z_k)``; else ``sum(w_k z_k)``.
+        below, above: Rows of a whole image below and above this strip of it, which it equals to the bit.
         marked: Whether the result keeps its mask from the start, as `visible_faces` will ask for it in backward.
 
     Returns:
@@ -50,7 +53,7 @@ def coverage(
     if marked and not face_index.is_inference():
         visible = zeros((batch, count + 1), faces.device, torch.int32)
         keep_mask(face_index, visible)
-    _NEAREST.draw(faces, face_index, Drawing(near, far, two_sided, perspective), visible=visible)
+    _NEAREST.draw(faces, face_index, Drawing(near, far, two_sided, perspective, below, above), visible=visible)
     return face_index
 
 

@@ -30,6 +30,8 @@ class Drawing(NamedTuple):
     far: float
     two_sided: bool
     perspective: bool
+    below: int = 0  # rows of the whole image below and above this strip of it
+    above: int = 0
 
 
 class DrawingKernels:

@@ -35,8 +35,11 @@ class _Mask(NamedTuple):
         return same and self.values.shape[1] == count + 1 and (self.stream is None or self.stream == stream)
 
 
-def scene_of(faces: Tensor, face_index: Tensor, perspective: bool = False) -> Call:
-    """Make the `Scene` of kernels: corners [B, F, 3, 3] float32, and the visible face of each pixel [B, H, W] int32."""
+def scene_of(faces: Tensor, face_index: Tensor, perspective: bool = False, below: int = 0, above: int = 0) -> Call:
+    """Make the `Scene` of kernels: corners [B, F, 3, 3] float32, and the visible face of each pixel [B, H, W] int32.
+
+    The image may be a strip of a whole one, of which some rows lie ``below`` and ``above``.
+    """
     images, height, width = face_index.shape
     return _Scene(
         faces=faces.contiguous(),
@@ -46,6 +49,8 @@ def scene_of(faces: Tensor, face_index: Tensor, perspective: bool = False) -> Ca
         height=height,
         width=width,
         perspective=int(perspective),
+        below=below,
+        above=above,
     )
 
 

@@ -128,11 +128,14 @@ def sample_textures_reference(
     batch, size, covered = len(faces), textures.shape[2], (face_index >= 0)[..., None]
     if not faces.shape[1]:
         return background.double()
-    c = (weights.double() * (size - 1)).clamp(0, max(size - 1 - eps, 0))
-    # Tent functions along the three axes: the trilinear blend as a sum over the whole cube.
-    tents = (1 - (c[..., None] - torch.arange(size, dtype=torch.float64, device=c.device)).abs()).clamp(min=0)
-    cubes = _own(textures.double().expand(batch, *textures.shape[1:]), face_index)
-    blend = torch.einsum("bhwi,bhwj,bhwk,bhwijkc->bhwc", *tents.unbind(-2), cubes)
+    own = _own(textures.double().expand(batch, *textures.shape[1:]), face_index)
+    if textures.dim() == 4:
+        blend = torch.einsum("bhwk,bhwkc->bhwc", weights.double(), own)
+    else:
+        c = (weights.double() * (size - 1)).clamp(0, max(size - 1 - eps, 0))
+        # Tent functions along the three axes: the trilinear blend as a sum over the whole cube.
+        tents = (1 - (c[..., None] - torch.arange(size, dtype=torch.float64, device=c.device)).abs()).clamp(min=0)
+        blend = torch.einsum("bhwi,bhwj,bhwk,bhwijkc->bhwc", *tents.unbind(-2), own)
     back = _own((sides(faces, perspective) < 0)[..., None], face_index)
     front_light, back_light = light.double().expand(batch, *light.shape[1:]).unbind(1)
     lit = blend * torch.where(back, _own(back_light, face_index), _own(front_light, face_index))

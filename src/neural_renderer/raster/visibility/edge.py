@@ -71,13 +71,15 @@ def edge_gradient(
     rings: Optional[Tensor] = None,  # noqa: UP045
     halved: bool = False,
     alone: int = -1,
+    below: int = 0,
+    above: int = 0,
 ) -> Tensor:
     """Return the image, and in backward send a gradient through visibility to the faces.
 
     Args:
         image: Any number of channels with their background, before anti-aliasing, [B, C, H, W] float32. None stands for
             the silhouette, of one channel.
-        faces, two_sided, perspective: As in `coverage`, which finds the ``face_index``.
+        faces, two_sided, perspective, below, above: As in `coverage`, which finds the ``face_index``.
         seams: Whether colours may jump between adjacent faces of a surface, as with texture cubes and flat shading. If
             False, edges between adjacent faces have no gradient, which is right, and less noisy, for interpolated
             colours.
@@ -111,6 +113,8 @@ def edge_gradient_backward(
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045
     rings: Optional[Tensor] = None,  # noqa: UP045
     alone: int = -1,
+    below: int = 0,
+    above: int = 0,
 ) -> Tensor:
     """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces; arguments as there.
 
@@ -121,10 +125,11 @@ def edge_gradient_backward(
     if result.numel() == 0 or grad.numel() == 0:
         return result
     adjacent, search = _adjacent(faces, two_sided, perspective, rings, alone)
-    edges = Edges(image, grad, faces, face_index, adjacent, perspective, seams, edge_hashes, search=search)
+    strip = (below, above)
+    edges = Edges(image, grad, faces, face_index, adjacent, perspective, seams, edge_hashes, None, search, strip)
     edges.add_gradient(result)
     if image is not None:  # where two faces of a silhouette meet, both are 1
-        add_intersections(result, grad, image, faces, face_index, adjacent, perspective)
+        add_intersections(result, grad, image, faces, face_index, adjacent, perspective, *strip)
     return result
 
 
@@ -147,6 +152,8 @@ def edge_gradient_forward(
     rings: Optional[Tensor] = None,  # noqa: UP045
     halved: bool = False,
     alone: int = -1,
+    below: int = 0,
+    above: int = 0,
 ) -> Tensor:
     """Compute the change of `edge_gradient` in T directions, [T, B, C, H, W] or halved; the transpose of its backward.
 
@@ -160,10 +167,11 @@ def edge_gradient_forward(
     if motion.numel() == 0 or result.numel() == 0:
         return result
     adjacent, search = _adjacent(faces, two_sided, perspective, rings, alone)
-    edges = Edges(image, result[0], faces, face_index, adjacent, perspective, seams, edge_hashes, search=search)
+    strip = (below, above)
+    edges = Edges(image, result[0], faces, face_index, adjacent, perspective, seams, edge_hashes, None, search, strip)
     edges.push(result, motion)
     if image is not None:
-        push_intersections(result, motion, image, faces, face_index, adjacent, perspective)
+        push_intersections(result, motion, image, faces, face_index, adjacent, perspective, *strip)
     return result
 
 
@@ -193,6 +201,7 @@ class Edges:
         folds: Faces that the surface folds back to, as from `neighbors`; where a surface folds, only the front
             face receives the gradient. None: edges behind folds are hidden anyway.
         search: On CUDA, rings without edges that are alone, and ``two_sided``, to find ``adjacent``, which is written.
+        strip: Rows of a whole image below and above this strip of it.
     """
 
     def __init__(
@@ -207,12 +216,13 @@ class Edges:
         edge_hashes: Tensor | None,
         folds: Tensor | None = None,
         search: tuple[Rings, bool] | None = None,
+        strip: tuple[int, int] = (0, 0),
     ) -> None:
         batch, height, width = face_index.shape
         self._faces, self._lines, device = faces, (height, width), faces.device
         if edge_hashes is None and seams:
             edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=device)  # 0 matches nothing
-        scene = scene_of(faces, face_index, perspective)
+        scene = scene_of(faces, face_index, perspective, *strip)
         rings, two_sided = search or (None, False)
         searched = Neighbors(
             scene=scene, two_sided=int(two_sided), way=-1, rings=rings_of(rings), adjacent=adjacent.contiguous()
@@ -261,9 +271,8 @@ class Edges:
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    image, faces, face_index, ctx.two_sided, ctx.perspective, ctx.seams, edge_hashes, rings, ctx.halved, ctx.alone = (
-        inputs
-    )
+    image, faces, face_index, *ctx.options, edge_hashes, rings, ctx.halved, ctx.alone, below, above = inputs
+    ctx.strip = (below, above)
     ctx.save_for_backward(image, faces, face_index, edge_hashes, rings)  # callers may change the output in place
 
 
@@ -273,18 +282,17 @@ def _backward(ctx: Any, grad: Tensor) -> Any:
     if image is not None:
         to_image = grad = halve_backward(grad) if ctx.halved else grad
     if ctx.needs_input_grad[1]:
-        options = (ctx.two_sided, ctx.perspective, ctx.seams, *rest, ctx.alone)
+        options = (*ctx.options, *rest, ctx.alone, *ctx.strip)
         to_faces = edge_gradient_backward(grad, image, faces, face_index, *options)
-    return to_image, to_faces, *[None] * 8
+    return to_image, to_faces, *[None] * 10
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    image, faces, face_index, two_sided, perspective, seams, edge_hashes, rings, halved, alone = inputs
     to_image, motion = tangents[:2]
     if motion is None:
+        halved = inputs[8]
         return change_averaged(to_image, halved)
-    options = (two_sided, perspective, seams, edge_hashes, rings, halved, alone)
-    return in_direction(edge_gradient_forward, (to_image, motion), image, faces, face_index, *options)
+    return in_direction(edge_gradient_forward, (to_image, motion), *inputs)
 
 
 differentiable(edge_gradient, _backward, _save, _forward)

@@ -37,6 +37,7 @@ class DrawnFaces:
         two_sided: Whether faces whose corners run clockwise on the screen are drawn.
         perspective: Whether the projection is perspective; else orthographic.
         halved: Whether blocks of 2 x 2 pixels are averaged (anti-aliasing).
+        strip: Rows of the whole image below and above, if a strip of it is drawn.
     """
 
     corners: Tensor
@@ -46,6 +47,7 @@ class DrawnFaces:
     two_sided: bool
     perspective: bool
     halved: bool
+    strip: tuple[int, int] = (0, 0)
 
 
 class Estimator:
@@ -54,6 +56,8 @@ class Estimator:
     Attributes:
         differentiates_inside: Whether depth, and what is shaded inside faces, has derivatives by the faces' position.
         needs_rings: Whether `edge_rings` of a mesh are of use.
+        is_local: Whether the gradient at a pixel depends on the pixels beside it alone, so that strips of an image have
+            the gradients of the whole one.
         joins_layers: Whether `attach_layers` adds the gradient of a picture of several layers; else `attach` adds that
             of each layer.
 
@@ -69,6 +73,7 @@ class Estimator:
 
     differentiates_inside = False
     needs_rings = False
+    is_local = False
     joins_layers = False
 
     def attach(
@@ -169,6 +174,7 @@ class Derivative(Estimator):
 
     differentiates_inside = True
     needs_rings = True
+    is_local = True
     joins_layers = True
 
     def attach(
@@ -180,7 +186,7 @@ class Derivative(Estimator):
     ) -> Tensor:
         """See `Estimator.attach`."""
         hashes = edge_hashes() if edge_hashes is not None and seams else None
-        options = (drawn.two_sided, drawn.perspective, seams, hashes, *_rings_and_halved(drawn))
+        options = (drawn.two_sided, drawn.perspective, seams, hashes, *_rings_and_halved(drawn), *drawn.strip)
         return edge_gradient(image, drawn.corners, drawn.face_index, *options)
 
     def attach_layers(

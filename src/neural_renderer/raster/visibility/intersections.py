@@ -38,12 +38,20 @@ def pictures_of(image: Tensor | None, grad: Tensor, width: int) -> Call:
 
 
 def add_intersections(
-    result: Tensor, grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, adjacent: Tensor, perspective: bool
+    result: Tensor,
+    grad: Tensor,
+    image: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    adjacent: Tensor,
+    perspective: bool,
+    below: int = 0,
+    above: int = 0,
 ) -> None:
     """Add the gradient of the intersections of faces to ``result``; arguments as in `edge_gradient_backward`."""
     batch, count = faces.shape[:2]
     height, width = face_index.shape[1:]
-    tasks, fields = _fields(grad, image, faces, face_index, adjacent, perspective)
+    tasks, fields = _fields(grad, image, faces, face_index, adjacent, perspective, below, above)
     fields["to_faces"] = result
     if in_any_order(faces.device):
         launch(_intersect_pairs, tasks, [_Intersections(**fields)], faces.device)
@@ -62,9 +70,11 @@ def push_intersections(
     face_index: Tensor,
     adjacent: Tensor,
     perspective: bool,
+    below: int = 0,
+    above: int = 0,
 ) -> None:
     """Add the change of images by motions [T, B, F, 3, 3] to ``result``; arguments as in `edge_gradient_forward`."""
-    tasks, fields = _fields(result[0], image, faces, face_index, adjacent, perspective)
+    tasks, fields = _fields(result[0], image, faces, face_index, adjacent, perspective, below, above)
     shared = in_any_order(faces.device)
     if concurrent(faces.device) and not shared:  # both rows of a block of pixels in one task
         tasks, fields["each"] = -(-face_index[..., 0].numel() // 2), 2
@@ -79,10 +89,17 @@ def push_intersections(
 
 
 def _fields(
-    grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, adjacent: Tensor, perspective: bool
+    grad: Tensor,
+    image: Tensor,
+    faces: Tensor,
+    face_index: Tensor,
+    adjacent: Tensor,
+    perspective: bool,
+    below: int,
+    above: int,
 ) -> tuple[int, dict[str, Any]]:
     """Return the number of tasks of pixels, and fields of `Intersections`."""
     batch, height, width = face_index.shape
     tasks, each = pixel_tasks(batch * height, width, faces.device)
-    scene, pictures = scene_of(faces, face_index, perspective), pictures_of(image, grad, width)
+    scene, pictures = scene_of(faces, face_index, perspective, below, above), pictures_of(image, grad, width)
     return tasks, {"scene": scene, "pictures": pictures, "adjacent": adjacent, "each": each}

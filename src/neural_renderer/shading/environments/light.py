@@ -14,9 +14,9 @@ from ... import validate
 from ...camera import Camera
 from ...camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
 from ...constants import on_device
-from ...io.exr import read_exr
+from ...io.image_formats.exr import read_exr
+from ...io.image_formats.radiance import read_radiance
 from ...io.images import load_image
-from ...io.radiance import read_radiance
 from ...one_line import OneLine
 from ...raster.settings import image_size
 from ...raster.warp.registration import is_plain

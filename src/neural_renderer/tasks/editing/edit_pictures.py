@@ -50,7 +50,7 @@ def normalized_like(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
     vertices = (mesh.vertices[used] - center) / half
     if isinstance(mesh, UVMesh):
         return replace(mesh, vertices=vertices, faces=faces)
-    return Mesh(vertices, faces, mesh.textures)
+    return Mesh(vertices, faces, mesh.cubes())
 
 
 def photographs(mesh: Mesh | UVMesh, angles: list[float] | tuple[float, ...], size: int) -> Iterator[Tensor]:

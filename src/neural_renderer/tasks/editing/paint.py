@@ -56,7 +56,7 @@ class FacePaint:
         size = self._texels.size
         if self._mesh.texture_size != size:
             raise ValueError(f"mesh: expected textures of {size}³ texels, got {self._mesh.texture_size}³")
-        return self._texels.from_cubes(self._mesh.textures.detach())
+        return self._texels.from_cubes(self._mesh.cubes().detach())
 
     def apply(self, vertices: Tensor, colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         return vertices, self._mesh.faces, self._texels.cubes(colors)
@@ -65,7 +65,7 @@ class FacePaint:
         return Mesh(*self.apply(vertices, self._texels.fill_unknown(colors, known)))
 
     def unpainted(self, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        return vertices, self._mesh.faces, self._mesh.textures.detach()
+        return vertices, self._mesh.faces, self._mesh.cubes().detach()
 
 
 class ImagePaint:

@@ -45,7 +45,7 @@ def upright(mesh: Mesh, views: Views, up: tuple[float, float, float] | None = No
     """Scale a mesh to [-1, 1]³, and turn ``up``, or what is up for its cameras, to +y."""
     direction = up_of_cameras(views) if up is None else torch.tensor(up)
     turn = _rotation_to_y(F.normalize(direction.cpu().float(), dim=0))
-    return Mesh(mesh.vertices @ turn.t().to(mesh.vertices), mesh.faces, mesh.textures).normalize()
+    return Mesh(mesh.vertices @ turn.t().to(mesh.vertices), mesh.faces, mesh.cubes()).normalize()
 
 
 def up_axis(views: Views) -> str:

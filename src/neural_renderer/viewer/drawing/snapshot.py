@@ -106,7 +106,7 @@ def check_mesh(mesh: Any) -> None:
 def _parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
     """Return vertices, faces and textures of one mesh; check their types and shapes."""
     if isinstance(mesh, Mesh):
-        mesh = mesh.vertices, mesh.faces, mesh.textures
+        mesh = mesh.vertices, mesh.faces, mesh.cubes()
     if not isinstance(mesh, (tuple, list)) or len(mesh) not in (2, 3):
         raise TypeError(
             f"mesh: expected a Mesh, a UVMesh, (vertices, faces) or (vertices, faces, textures), got "

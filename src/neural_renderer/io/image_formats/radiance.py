@@ -12,7 +12,7 @@ import re
 import numpy as np
 from PIL import Image
 
-from .files import existing
+from ..files import existing
 
 _SIZE = re.compile(rb"([+-])Y (\d{1,9}) ([+-])X (\d{1,9})$")
 _CODED = range(8, 32768)  # widths of rows that may hold the runs of each channel one after the other

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from .atomic_write import replacing
-from .files import existing, import_library
+from ..atomic_write import replacing
+from ..files import existing, import_library
 
 
 def write_exr(path: Path, values: np.ndarray, name: str = "rgb") -> None:

@@ -1,0 +1,58 @@
+"""Images larger than the memory, drawn in strips of rows, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, TypeAlias
+
+import torch
+from torch import Tensor
+
+from .raster.background import background_image
+from .raster.outputs import Images
+from .raster.settings import Settings
+from .raster.warp.registration import needs_gradient
+
+Draw: TypeAlias = Callable[[Settings, Any], Images]
+"""Draw the images of settings, over a background."""
+
+# Rows that are drawn beyond each border of a strip and cut off. Mipmaps compare a pixel with the next one. The gradient
+# through visibility looks at the next two, at faces thinner than a pixel behind them, and at seams at the middles of
+# the faces beside.
+_BESIDE = 16
+
+
+def drawn_strips(
+    draw: Draw, settings: Settings, background: Any, batch: int, device: torch.device, tile: int
+) -> Iterator[Images]:
+    """Draw ``batch`` images of ``settings`` in strips of about tile² pixels, from the top.
+
+    The background is as in `background_image`. Each strip has the whole width.
+    """
+    whole = background_image(background, batch, 3, replace(settings, anti_aliasing=False), device)
+    is_image = whole.shape[2:] == (settings.height, settings.width)
+    rows = max(1, tile * tile // settings.width)
+    for first in range(0, settings.height, rows):
+        last = min(first + rows, settings.height)
+        begin, end = max(first - _BESIDE, 0), min(last + _BESIDE, settings.height)
+        images = draw(settings.strip(begin, end), whole[:, :, begin:end] if is_image else whole.flatten(1))
+        own = slice(first - begin, last - begin)
+        # Copies, so that the rows beside are freed.
+        yield Images(**{name: image[..., own, :].clone() for name, image in vars(images).items()})
+
+
+def drawn_whole(draw: Draw, settings: Settings, background: Any, corners: Tensor, tile: int) -> Images:
+    """Draw the images of corners [B, F, 3, 3] strip by strip, as `drawn_strips`; backward draws each strip again."""
+    if needs_gradient(corners) and not settings.gradient.is_local:
+        raise ValueError(f"tile: expected None with the gradient {settings.gradient!r}, got {tile}")
+
+    def again(settings: Settings, background: Any) -> Images:
+        from torch.utils.checkpoint import checkpoint
+
+        images = checkpoint(lambda: vars(draw(settings, background)), use_reentrant=False, preserve_rng_state=False)
+        return Images(**images)
+
+    each = again if torch.is_grad_enabled() else draw
+    strips = [vars(images) for images in drawn_strips(each, settings, background, len(corners), corners.device, tile)]
+    return Images(**{name: torch.cat([strip[name] for strip in strips], -2) for name in strips[0]})
