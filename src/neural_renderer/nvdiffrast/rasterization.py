@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..raster.ahead import load_clip_kernels
 from ..raster.clip.triangles import NearestTriangles, show_triangles
 from . import checks
 from .contexts import RasterizeCudaContext, free_context
@@ -76,6 +77,7 @@ class Layers:
             own = _checked_ranges(ranges, len(triangles))
         self._positions, self._triangles = positions, triangles
         self._grad_db, self._output_db = validate.flag("grad_db", grad_db), glctx.output_db
+        load_clip_kernels(positions)
         self._nearest = NearestTriangles(positions.detach(), triangles, own, height, width)
 
     def next(self) -> tuple[Tensor, Tensor]:
