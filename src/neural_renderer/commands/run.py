@@ -31,7 +31,7 @@ def run(options: RunOptions) -> int:
         except SystemExit as stop:
             if stop.code is None or isinstance(stop.code, int):
                 return stop.code or 0
-            print(stop.code, file=sys.stderr)
+            sys.stderr.write(f"{stop.code}\n")
             return 1
         except Exception as error:
             _show(error)
