@@ -38,7 +38,7 @@ test-native: $(VENV)/installed
 		variables=$$($(BIN)/python -m tests.native.compiler $$sanitizer) && env $$variables \
 		$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --capture sys --sanitizer $$sanitizer \
 			tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
-			tests/tasks/reconstruction/data/test_voxelize.py || exit 1; \
+			tests/drop_in/test_dr_*.py tests/tasks/reconstruction/data/test_voxelize.py || exit 1; \
 	done
 
 lint: $(VENV)/installed

@@ -32,6 +32,8 @@ def _short(value: Any) -> str:
         return repr(value) if value.ndim < 2 and value.numel() <= _FEW else shape_of(value)
     if isinstance(value, tuple) and value and isinstance(value[0], OneLine):
         return f"{len(value)} × {value[0]!r}"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_short, value))})"
     if is_dataclass(value) and not isinstance(value, OneLine):
         return f"{type(value).__name__}(…)"
     return repr(value)

@@ -173,7 +173,7 @@ def test_operators_are_well_formed(name: str) -> None:
         ),
         "sample_levels": (
             texture_levels.sample_levels,
-            (torch.rand(1, 20, 3, requires_grad=True), UV, UV_DA, None, [4, 4, 2], 3, 0),
+            (torch.rand(1, 20, 3, requires_grad=True), UV, UV_DA, None, [4, 4, 2], 3, [0, 1]),
         ),
         "blend_silhouettes": (
             silhouettes.blend_silhouettes,

@@ -62,6 +62,12 @@ def test_module(program: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
 def test_exit_codes_and_tracebacks(program: Path, capsys: pytest.CaptureFixture[str]) -> None:
     program.write_text("import sys\nsys.exit(7)\n")
     assert cli.main(["run", str(program)]) == 7
+    program.write_text("import sys\nsys.exit('no images')\n")
+    assert cli.main(["run", str(program)]) == 1
+    assert capsys.readouterr().err.endswith("no images\n")
+    program.write_text("def f(:\n")
+    assert cli.main(["run", str(program)]) == 1
+    assert "runpy" not in capsys.readouterr().err
     program.write_text("def fail():\n    raise KeyError('here')\n\nfail()\n")
     assert cli.main(["run", str(program)]) == 1
     trace = capsys.readouterr().err
@@ -102,6 +108,7 @@ MADE = {
     "modules": lambda: torch.nn.Linear(2, 2, device="cuda").to("cuda").cuda().weight,
     "scripts": lambda: torch.jit.script(_ones)(torch.device("cuda")),
     "pinned memory": lambda: torch.zeros(2).pin_memory().cuda(),
+    "made in pinned memory": lambda: torch.zeros(2, pin_memory=True).cuda(),
 }
 
 
@@ -165,7 +172,7 @@ def test_functions_of_a_program_run_backward_on_the_cpu() -> None:
 def test_files_and_defaults(tmp_path: Path) -> None:
     torch.save({"a": torch.ones(2)}, tmp_path / "a.pt")
     with cuda_on_cpu(always=True):
-        for place in ("cuda", torch.device("cuda:0"), {"cuda:0": "cuda:0"}, None):
+        for place in ("cuda", torch.device("cuda:0"), {"cpu": "cuda:0"}, lambda storage, _: storage.cuda(), None):
             assert torch.load(tmp_path / "a.pt", map_location=place)["a"].device == CPU
         torch.set_default_device("cuda")
         assert torch.zeros(1).device == CPU

@@ -15,7 +15,7 @@ from .options import RunOptions
 
 
 def run(options: RunOptions) -> int:
-    """Run the program; return its exit code, 1 if it ends with an error."""
+    """Run the program; return its exit code, 1 if it ends with an error or a message."""
     program = options.program
     if not options.module and not Path(program).is_file():
         raise FileNotFoundError(2, "expected a Python file", program)
@@ -28,6 +28,11 @@ def run(options: RunOptions) -> int:
                 runpy.run_module(program, run_name="__main__", alter_sys=True)
             else:
                 runpy.run_path(program, run_name="__main__")
+        except SystemExit as stop:
+            if stop.code is None or isinstance(stop.code, int):
+                return stop.code or 0
+            sys.stderr.write(f"{stop.code}\n")
+            return 1
         except Exception as error:
             _show(error)
             return 1
@@ -39,4 +44,6 @@ def _show(error: Exception) -> None:
     trace = error.__traceback__
     while trace is not None and trace.tb_frame.f_globals.get("__name__") != "__main__":
         trace = trace.tb_next
-    traceback.print_exception(error.with_traceback(trace or error.__traceback__))
+    if trace is None and not isinstance(error, SyntaxError):
+        trace = error.__traceback__
+    traceback.print_exception(error.with_traceback(trace))

@@ -27,7 +27,9 @@ class _OnCPU(TorchFunctionMode):
     """Replaces devices of CUDA in calls of torch's functions."""
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        kwargs = kwargs or {}
+        kwargs = dict(kwargs or {})
+        if kwargs.get("pin_memory"):  # memory that CUDA copies from faster
+            kwargs["pin_memory"] = False
         if func in (Tensor.cuda, Tensor.cpu):
             return _copied(args[0])
         if func is Tensor.pin_memory:
@@ -166,11 +168,7 @@ def _replaced() -> list[tuple[Any, str, Any]]:
     set_device, set_type = torch.set_default_device, torch.set_default_tensor_type
 
     def load_here(file: Any, map_location: Any = None, *args: Any, **kwargs: Any) -> Any:
-        if isinstance(map_location, dict):
-            map_location = {key: _here(value) for key, value in map_location.items()}
-        elif not callable(map_location):
-            map_location = _CPU
-        return load(file, map_location, *args, **kwargs)
+        return load(file, map_location if callable(map_location) else _CPU, *args, **kwargs)
 
     def backward(*args: Any, **kwargs: Any) -> Any:
         # The mode is off inside the functions that it sees, `Tensor.backward` among them; functions that a program
@@ -188,6 +186,7 @@ def _replaced() -> list[tuple[Any, str, Any]]:
         *names,
         (torch, "Generator", _Generator),
         (torch, "load", load_here),
+        (torch.UntypedStorage, "cuda", lambda storage, *_, **__: storage.clone()),
         (torch.jit, "script", script),
         (torch, "set_default_device", lambda device: set_device(_here(device))),
         (torch, "set_default_tensor_type", lambda kind: set_type(_here(kind))),

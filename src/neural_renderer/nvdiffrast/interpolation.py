@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 from torch import Tensor
@@ -65,6 +65,8 @@ def _chosen(diff_attrs: str | Sequence[int], values: Tensor) -> Tensor:
         if diff_attrs != "all":
             raise ValueError(f"diff_attrs: expected 'all' or numbers of attributes, got {diff_attrs!r}")
         return all_channels(count, values.device)
+    if not isinstance(diff_attrs, Iterable):
+        raise TypeError(f"diff_attrs: expected 'all' or numbers of attributes, got {type(diff_attrs).__name__}")
     numbers = [validate.whole("diff_attrs", number, 0) for number in diff_attrs]
     if any(number >= count for number in numbers):
         raise ValueError(f"diff_attrs: expected numbers below {count}, got {numbers}")

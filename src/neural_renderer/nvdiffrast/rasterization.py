@@ -9,7 +9,9 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..raster.ahead import load_clip_kernels
 from ..raster.clip.triangles import NearestTriangles, show_triangles
+from ..raster.settings import image_size
 from . import checks
 from .contexts import RasterizeCudaContext, free_context
 
@@ -33,7 +35,7 @@ def rasterize(
         pos: Vertices (x, y, z, w) in clip space: [B, V, 4] float32, the same triangles in each image (instanced mode),
             or [V, 4] with ``ranges`` (range mode).
         tri: Vertex indices, [F, 3] int32.
-        resolution: Height and width of the images in pixels.
+        resolution: Height and width of the images in pixels, 1 to 32768.
         ranges: In range mode first triangle and number of triangles of each image, [B, 2] int32, on the CPU.
         grad_db: Whether gradients reach ``pos`` through the second result.
 
@@ -67,15 +69,18 @@ class Layers:
         triangles = checks.triangles(tri, positions.shape[1])
         validate.same_device(pos=pos, tri=tri)
         try:
-            height, width = resolution
-        except (TypeError, ValueError):
-            raise ValueError(f"resolution: expected (height, width), got {resolution!r}") from None
-        height, width = validate.whole("resolution", height, 1), validate.whole("resolution", width, 1)
+            sides = tuple(resolution)
+        except TypeError:
+            sides = ()
+        if len(sides) != 2:
+            raise ValueError(f"resolution: expected (height, width), got {resolution!r}")
+        height, width = image_size("resolution", sides)
         own = None
         if pos.dim() == 2:
             own = _checked_ranges(ranges, len(triangles))
         self._positions, self._triangles = positions, triangles
         self._grad_db, self._output_db = validate.flag("grad_db", grad_db), glctx.output_db
+        load_clip_kernels(positions)
         self._nearest = NearestTriangles(positions.detach(), triangles, own, height, width)
 
     def next(self) -> tuple[Tensor, Tensor]:

@@ -83,6 +83,7 @@ def texture(
         filter_mode = FILTERS[-1] if chosen else "linear"
     if filter_mode not in FILTERS:
         raise ValueError(f"filter_mode: expected 'auto' or one of {', '.join(FILTERS)}, got {filter_mode!r}")
+    max_mip_level = _checked_limit(max_mip_level)
     levels = [tex]
     if "mipmap" in filter_mode:
         if not chosen:
@@ -91,8 +92,8 @@ def texture(
     flat = [level.reshape(len(level), -1, level.shape[-1]) for level in levels]
     texels = flat[0] if len(flat) == 1 else torch.cat(flat, 1)
     size = [*tex.shape[-3:-1], len(levels)]
-    place = FILTERS.index(filter_mode), BOUNDARIES.index(boundary_mode)
-    return sample_levels(texels, uv, uv_da if len(levels) > 1 else None, mip_level_bias, size, *place)
+    filtering, boundary = FILTERS.index(filter_mode), [BOUNDARIES.index(boundary_mode)] * 2
+    return sample_levels(texels, uv, uv_da if len(levels) > 1 else None, mip_level_bias, size, filtering, boundary)
 
 
 @validate.checked_together
@@ -118,7 +119,12 @@ def texture_construct_mip(tex: Tensor, max_mip_level: int | None = None, cube_mo
         torch.Size([1, 64, 64, 3])
     """
     _checked_texture("tex", tex, validate.flag("cube_mode", cube_mode))
+    max_mip_level = _checked_limit(max_mip_level)
     return MipStack(tuple(_halved(tex.detach(), max_mip_level)), max_mip_level, cube_mode)
+
+
+def _checked_limit(max_mip_level: Any) -> int | None:
+    return None if max_mip_level is None else validate.whole("max_mip_level", max_mip_level, 0)
 
 
 def _checked_texture(name: str, tex: Any, cube: bool) -> None:
@@ -131,10 +137,9 @@ def _checked_texture(name: str, tex: Any, cube: bool) -> None:
 
 def _halved(tex: Tensor, max_mip_level: int | None) -> list[Tensor]:
     """Make the smaller levels of a texture."""
-    limit = None if max_mip_level is None else validate.whole("max_mip_level", max_mip_level, 0)
     levels: list[Tensor] = []
     image = tex.reshape(-1, *tex.shape[-3:])
-    while max(image.shape[1:3]) > 1 and (limit is None or len(levels) < limit):
+    while max(image.shape[1:3]) > 1 and (max_mip_level is None or len(levels) < max_mip_level):
         height, width = image.shape[1:3]
         if any(side > 1 and side % 2 for side in (height, width)):
             raise ValueError(
@@ -156,8 +161,11 @@ def _smaller_levels(tex: Tensor, mip: Any, max_mip_level: int | None, cube: bool
         limit = len(mip.levels) if max_mip_level is None else min(len(mip.levels), max_mip_level)
         # The object holds no graph, so that a texture with a gradient may use it in several steps.
         levels = _halved(tex, limit) if tex.requires_grad and torch.is_grad_enabled() else list(mip.levels[:limit])
+    elif isinstance(mip, Sequence):
+        levels = list(mip)[:max_mip_level]
     else:
-        levels = list(mip) if max_mip_level is None else list(mip)[:max_mip_level]
+        expected = "the result of texture_construct_mip or a list of tensors"
+        raise TypeError(f"mip: expected {expected}, got {type(mip).__name__}")
     *batch, height, width, channels = tex.shape
     for n, level in enumerate(levels):
         if any(side > 1 and side % 2 for side in (height, width)) or max(height, width) == 1:

@@ -7,6 +7,10 @@ from typing import Any
 
 from torch import Tensor
 
+from .clip.attributes import interpolate_attributes
+from .clip.silhouettes import blend_silhouettes
+from .clip.texture_levels import sample_levels
+from .clip.triangles import show_triangles
 from .colors.composite import composite
 from .colors.interpolate import interpolate
 from .colors.light_pixels import light_pixels
@@ -17,6 +21,7 @@ from .ops.corners import gather_corners
 from .ops.coverage import coverage
 from .ops.draw import DrawingKernels
 from .ops.flat_light import flat_light
+from .ops.peel import draw_behind
 from .ops.pinhole import pinhole
 from .ops.project_corners import project_corners
 from .settings import Settings
@@ -30,6 +35,14 @@ ATTRIBUTES: Functions = (interpolate, composite)
 IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels)
 PROJECTION: Functions = (pinhole, project_corners)
 SCENE: Functions = (*PROJECTION, flat_light)
+CLIP: Functions = (
+    sample_levels,
+    draw_behind,
+    blend_silhouettes,
+    show_triangles,
+    interpolate_attributes,
+    gather_corners,
+)
 _ALWAYS: Functions = (coverage, DrawingKernels, gather_corners)
 
 
@@ -52,3 +65,9 @@ def load_kernels(
     if "depth" in outputs:
         needed += (barycentrics,)
     load_ahead(needed + _ALWAYS, positions[0].device)
+
+
+def load_clip_kernels(positions: Tensor) -> None:
+    """Compile the kernels for vertices in clip space, as `load_kernels`."""
+    if is_plain((positions,)):
+        load_ahead(CLIP, positions.device)

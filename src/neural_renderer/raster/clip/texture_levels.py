@@ -40,7 +40,7 @@ def sample_levels(
     bias: Tensor | None,
     size: list[int],
     filter_mode: int,
-    boundary: int,
+    boundary: list[int],
 ) -> Tensor:
     """Sample textures; differentiable in texels, uv, footprint and bias.
 
@@ -51,7 +51,8 @@ def sample_levels(
         footprint: Change of each of them by one pixel, right and up in turn, [B, H, W, 4 or 6] float32.
         bias: Added to the level, [B, H, W] float32.
         size: Height and width of the largest level, and number of levels.
-        filter_mode, boundary: Places in `FILTERS` and `BOUNDARIES`.
+        filter_mode: Place in `FILTERS`.
+        boundary: Places in `BOUNDARIES` along s and t; both are that of "cube", or neither.
 
     Returns:
         [B, H, W, C] float32; 0 for directions of length 0.
@@ -80,7 +81,7 @@ def sample_levels_backward(
     bias: Tensor | None,
     size: list[int],
     filter_mode: int,
-    boundary: int,
+    boundary: list[int],
     texels_too: bool,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Compute the gradients to texels, uv, footprint and bias; empty if not ``texels_too`` or where there is none."""
@@ -119,7 +120,7 @@ def _(
     )
 
 
-def _texture(texels: Tensor, size: list[int], filter_mode: int, boundary: int) -> Call:
+def _texture(texels: Tensor, size: list[int], filter_mode: int, boundary: list[int]) -> Call:
     return _TextureLevels(
         texels=texels.contiguous(),
         total=texels.shape[1],
@@ -129,7 +130,8 @@ def _texture(texels: Tensor, size: list[int], filter_mode: int, boundary: int) -
         width=size[1],
         levels=size[2],
         filter=filter_mode,
-        boundary=boundary,
+        boundary=boundary[0],
+        boundary_t=boundary[1],
     )
 
 

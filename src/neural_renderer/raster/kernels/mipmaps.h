@@ -3,6 +3,7 @@
 
 #include "lanes.h"
 #include "tasks.h"
+#include "texel_pair.h"
 
 namespace nr {
 
@@ -25,29 +26,6 @@ struct Samples {
     int each;  // rows of a task
 };
 
-// The two texels along one side of a level around a coordinate, and their shares.
-struct TexelPair {
-    int texel[2];
-    float part[2];
-    float slope;  // slope of the position by the coordinate, in texels
-
-    NR_FUNC TexelPair(float at, int size, int repeat) {
-        const float raw = at * (float)size - 0.5f, last = (float)(size - 1);
-        float x = raw < last ? raw : last;
-        x = x > 0.0f ? x : 0.0f;
-        slope = repeat || (raw >= 0.0f && raw <= last) ? (float)size : 0.0f;
-        if (repeat) x = (at - floorf(at)) * (float)size - 0.5f;
-        const float low = floorf(x);
-        part[1] = x - low, part[0] = 1.0f - part[1];
-        const int first = (int)clamp(low, -1.0f, last);  // a number for NaN coordinates, too
-        for (int k = 0; k < 2; ++k) {
-            int n = first + k;
-            if (repeat) n = n < 0 ? n + size : n >= size ? n - size : n;
-            texel[k] = n < 0 ? 0 : n >= size ? size - 1 : n;
-        }
-    }
-};
-
 // The four texels of a level around a point.
 struct TexelBlock {
     int64 first;  // place of the level's first texel
@@ -65,8 +43,9 @@ NR_FUNC TexelBlock block_of_level(const Mipmaps& maps, vec2 uv, int level, float
         before += (int64)width * height;
         width = width > 1 ? width >> 1 : 1, height = height > 1 ? height >> 1 : 1;
     }
-    return {
-        before, width, TexelPair(uv[0], width, maps.repeat_u), TexelPair(1.0f - uv[1], height, maps.repeat_v), share};
+    const TexelPair x(uv[0], width, maps.repeat_u ? WRAP : CLAMP);
+    const TexelPair y(1.0f - uv[1], height, maps.repeat_v ? WRAP : CLAMP);
+    return {before, width, x, y, share};
 }
 
 // The change of uv to the next pixel, or from the previous one; 0 if neither shows the same face.

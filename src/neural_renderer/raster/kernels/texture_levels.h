@@ -6,12 +6,12 @@
 #pragma once
 
 #include "tasks.h"
+#include "texel_pair.h"
 
 namespace nr {
 
-// The filters and what lies beyond the image, by the numbers of `texture_levels.py`.
+// The filters, by the numbers of `texture_levels.py`.
 constexpr int NEAREST = 0, LINEAR = 1, NEAREST_LEVEL = 2, LINEAR_LEVELS = 3;
-constexpr int WRAP = 0, CLAMP = 1, ZERO = 2, CUBE = 3;
 
 struct TextureLevels {
     const float* texels;  // each level after the larger one, [owners, total, channels]
@@ -20,7 +20,8 @@ struct TextureLevels {
     int channels;
     int height, width;  // texels of the largest level
     int levels;
-    int filter, boundary;
+    int filter;
+    int boundary, boundary_t;  // along s and along t; a cube map has one
 
     NR_FUNC int64 start(int image) const { return shared(image, owners) * total * channels; }
     NR_FUNC int sides() const { return boundary == CUBE ? 6 : 1; }
@@ -86,30 +87,6 @@ NR_FUNC int64 cube_texel(const Spot& spot, int i, int j, int size) {
     return ((int64)other.face * size + row) * size + column;
 }
 
-// The two texels along one side of a level around a coordinate.
-struct Neighbours {
-    int first;    // the second one follows
-    float part;   // share of the second one
-    float slope;  // slope of the position by the coordinate, in texels
-
-    NR_FUNC Neighbours(float at, int size, int boundary, bool nearest) {
-        const float last = (float)(size - 1), beyond = boundary == CLAMP ? 0.0f : boundary == CUBE ? 0.5f : 1.0f;
-        const float raw = (boundary == WRAP ? at - floorf(at) : at) * (float)size - 0.5f;
-        const float x = clamp(raw, -beyond, last + beyond);  // a number for NaN coordinates, too
-        slope = x == raw ? (float)size : 0.0f;
-        const float low = floorf(nearest ? x + 0.5f : x);
-        part = nearest ? 0.0f : x - low;
-        first = (int)low;
-        if (nearest && boundary != ZERO) first = larger(0, smaller(first, size - 1));
-    }
-};
-
-// Place n on a side, which lies beyond it by one step at most, on the side itself.
-NR_FUNC int onto_side(int n, int size, int boundary) {
-    if (boundary == WRAP) return n < 0 ? n + size : n >= size ? n - size : n;
-    return n < 0 ? 0 : n >= size ? size - 1 : n;
-}
-
 // The four texels of a level around a spot, first along s, and their shares in the level.
 struct LevelBlock {
     int64 texel[4];  // place in the image's texels; -1 for zero
@@ -144,26 +121,20 @@ NR_FUNC LevelBlock block_at(const TextureLevels& texture, const Spot& spot, int 
         width = width > 1 ? width >> 1 : 1, height = height > 1 ? height >> 1 : 1;
     }
     const bool nearest = texture.filter == NEAREST;
-    const int boundary = texture.boundary;
-    const Neighbours s(spot.s, width, boundary, nearest), t(spot.t, height, boundary, nearest);
+    const TexelPair s(spot.s, width, texture.boundary, nearest), t(spot.t, height, texture.boundary_t, nearest);
     LevelBlock block;
-    block.x = s.part, block.y = t.part, block.slope_s = s.slope, block.slope_t = t.slope;
+    block.x = s.part[1], block.y = t.part[1], block.slope_s = s.slope, block.slope_t = t.slope;
     block.missing = -1, block.share = share;
     block.weigh();
-    if (boundary == CUBE) {
-        take_cube_texels(block, spot, s.first, t.first, width, before);
+    if (texture.boundary == CUBE) {
+        take_cube_texels(block, spot, s.texel[0], t.texel[0], width, before);
         return block;
     }
-    const int i[2] = {onto_side(s.first, width, boundary), onto_side(s.first + 1, width, boundary)};
-    const int64 j[2] = {
-        before + (int64)onto_side(t.first, height, boundary) * width,
-        before + (int64)onto_side(t.first + 1, height, boundary) * width};
-    for (int k = 0; k < 4; ++k) block.texel[k] = j[k >> 1] + i[k & 1];
-    if (boundary == ZERO)
-        for (int k = 0; k < 4; ++k) {
-            const int column = s.first + (k & 1), row = t.first + (k >> 1);
-            if (column < 0 || column >= width || row < 0 || row >= height) block.texel[k] = -1;
-        }
+    for (int k = 0; k < 4; ++k) {
+        const int i = s.texel[k & 1], j = t.texel[k >> 1];
+        const bool inside = i >= 0 && i < width && j >= 0 && j < height;
+        block.texel[k] = inside ? before + (int64)j * width + i : -1;
+    }
     return block;
 }
 
