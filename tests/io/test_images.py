@@ -17,7 +17,7 @@ import trimesh
 from PIL import Image
 
 from neural_renderer.io.formats import load_mesh
-from neural_renderer.io.images import load_image, save_animation, save_image
+from neural_renderer.io.images import load_image, load_reduced, save_animation, save_image
 from neural_renderer.meshes.uv_mesh import UVMesh
 from tests.rounding import relative
 
@@ -233,3 +233,61 @@ def test_an_encoder_that_fails_or_writes_nothing(tmp_path, monkeypatch, encoder)
     with pytest.raises(OSError, match=r"a\.mp4: expected to write it, got: "):
         save_animation(tmp_path / "a.mp4", moving_square((16, 16)))
     assert (tmp_path / "a.mp4").read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "RGBA"])
+def test_reduced_pictures_are_means_of_blocks(tmp_path, mode):
+    """Pillow rounds colours to 1/255; with transparency their products with it, which then are rounded again."""
+    shape = (32, 64) if mode == "L" else (32, 64, len(mode))
+    pixels = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    Image.fromarray(pixels, mode).save(tmp_path / "a.png")
+    full = load_image(tmp_path / "a.png")
+    for least, divisor in ((None, 1), (64, 1), (33, 1), (32, 2), (17, 2), (16, 4), (8, 8), (1, 8)):
+        reduced, size = load_reduced(tmp_path / "a.png", least=least)
+        assert size == (32, 64) and reduced.shape == (32 // divisor, 64 // divisor, full.shape[2])
+        alpha, expected = full[..., 3:] if mode == "RGBA" else torch.ones(32, 64, 1), full[..., :3]
+        products, mean = means(alpha * expected, divisor), means(alpha, divisor)
+        roundings = 1 if divisor == 1 or mode != "RGBA" else 3  # of the products, their means, and alpha
+        own = reduced[..., 3:] if mode == "RGBA" else torch.ones_like(mean)
+        assert (own - mean).abs().max() <= 0.51 / 255
+        assert (own * reduced[..., :3] - products).abs().max() <= (0.51 * roundings + (roundings > 1)) / 255
+
+
+def means(values: torch.Tensor, divisor: int) -> torch.Tensor:
+    """Average blocks of values [H, W, C]."""
+    return values.unfold(0, divisor, divisor).unfold(1, divisor, divisor).mean((3, 4))
+
+
+@pytest.mark.parametrize("divisor", [2, 4, 8])
+def test_reduced_jpegs_keep_colours_that_are_constant(tmp_path, divisor):
+    """Blocks of 16 pixels of one colour have no frequency for the decoder to leave out."""
+    colors = np.random.default_rng(0).integers(0, 256, (4, 6, 3), np.uint8)
+    Image.fromarray(colors.repeat(16, 0).repeat(16, 1)).save(tmp_path / "a.jpg", quality=95)
+    full = load_image(tmp_path / "a.jpg")
+    reduced, size = load_reduced(tmp_path / "a.jpg", least=96 // divisor)
+    assert size == (64, 96) and reduced.shape == (64 // divisor, 96 // divisor, 3)
+    # Inside of the blocks: beside their borders full pictures blend the colours of neighbours.
+    inside = reduced.unfold(0, 16 // divisor, 16 // divisor).unfold(1, 16 // divisor, 16 // divisor)
+    centers = full[8::16, 8::16]
+    assert (inside[..., -1, -1] - centers).abs().max() <= 2 / 255
+
+
+def test_sides_that_cannot_be_divided_stay(tmp_path):
+    for size, expected in (((30, 20), (10, 15)), ((28, 20), (5, 7)), ((15, 20), (20, 15)), ((31, 33), (33, 31))):
+        Image.new("RGB", size).save(tmp_path / "a.png")
+        image, full = load_reduced(tmp_path / "a.png", least=1)
+        assert tuple(image.shape[:2]) == expected and full == size[::-1]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_reduced_photos_of_a_turned_camera(tmp_path, suffix):
+    picture = Image.new("L", (64, 32))
+    picture.paste(255, (0, 0, 16, 16))
+    exif = Image.Exif()
+    exif[0x0112] = 6  # the top of the scene is to the right
+    picture.save(tmp_path / f"a{suffix}", exif=exif)
+    stored, size = load_reduced(tmp_path / f"a{suffix}", least=16)
+    assert size == (32, 64) and stored.shape == (8, 16, 3) and stored[:4, :4].min() > 0.9 > 0.1 > stored[:, 4:].max()
+    upright, size = load_reduced(tmp_path / f"a{suffix}", least=16, upright=True)
+    assert size == (64, 32)
+    assert torch.equal(upright, stored.rot90(-1))
