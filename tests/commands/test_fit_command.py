@@ -14,7 +14,7 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.tasks.fit import MeshFit, Views, load_views
+from neural_renderer.tasks.fit import DetailWeights, MeshFit, Views, load_views
 from tests.rounding import STEP
 
 EYES = nr.get_points_from_angles(3.0, torch.tensor([70.0, 10, -35, 20, 40, -5]), torch.arange(6) * 60.0)
@@ -171,8 +171,12 @@ def test_maps_of_normals_are_followed_and_resumed(
     assert cli.main(arguments) == 130
     assert (tmp_path / "a" / "preview.png").is_file()
     monkeypatch.setattr(MeshFit, "advance", advance)
-    assert cli.main([*arguments, "--detail-weights.normals", "2", "--resume"]) == 1
     capsys.readouterr()
+    assert cli.main([*arguments, "--detail-weights.normals", "2", "--resume"]) == 1
+    normal = DetailWeights().normals
+    assert capsys.readouterr().err.endswith(
+        f": expected a checkpoint of this run (detail_weights.normals 2.0), got one of detail_weights.normals {normal}\n"
+    )
     assert cli.main([*arguments, "--resume"]) == 0
     arguments[3] = str(tmp_path / "b")
     assert cli.main(arguments) == 0

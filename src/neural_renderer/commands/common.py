@@ -62,10 +62,14 @@ def check_folder(option: str, folder: Path) -> None:
         raise OSError(f"{option}: expected a folder that can be written, got {folder} ({reason})")
 
 
-def check_earlier(folder: Path, resume: bool, force: bool) -> None:
-    """Raise FileExistsError if a run would replace the results of an earlier one, which it neither resumes nor may."""
+def check_earlier(folder: Path, resume: bool, force: bool, results: Iterable[Path] = ()) -> None:
+    """Raise FileExistsError if a run would replace the results of an earlier one, which it neither resumes nor may.
+
+    An earlier run left a checkpoint, a report, or one of ``results``.
+    """
     has_checkpoint = (folder / CHECKPOINT).is_file()
-    if force or (resume and has_checkpoint) or not (has_checkpoint or (folder / REPORT).is_file()):
+    found = has_checkpoint or any(path.is_file() for path in (folder / REPORT, *results))
+    if force or (resume and has_checkpoint) or not found:
         return
     continues = "--resume continues it, " if has_checkpoint else ""
     raise FileExistsError(

@@ -174,6 +174,24 @@ def test_phases_resume_exactly() -> None:
     torch.testing.assert_close(outside.quality(shape)["iou"], inside, atol=0.02, rtol=0)
 
 
+@pytest.mark.parametrize("start", ["hull", "mesh"])
+def test_the_texture_may_follow_unfinished_cameras(start: str) -> None:
+    """From a hull, which was not carved yet, or from the shape given; cameras stay as they were."""
+    views = Views.of(nr.Mesh(*cow(2)), wrong(lens("angle"), 1.0, 0.01), 32, light=None)
+    given = nr.Mesh(*cow(2)) if start == "mesh" else "hull"
+    fit = MeshFit(views, given, refine_cameras=True, camera_steps=3, steps=4, texture_steps=2, cells=16)  # type: ignore[arg-type, call-arg]
+    fit.advance()
+    assert fit.phase == "cameras" and fit.skip_to_texture() and fit.phase == "texture"
+    cameras = fit.cameras()
+    assert not torch.equal(cameras.rotation, views.camera.rotation)  # moved in the one step
+    shape = [part.clone() for part in fit.shape[:2]]
+    while not fit.done:
+        fit.advance()
+    assert fit.phase == "texture" and len(fit.shape) == 3
+    assert all(torch.equal(a, b) for a, b in zip(shape, fit.shape, strict=False))
+    assert torch.equal(fit.cameras().rotation, cameras.rotation) and fit.mesh().num_faces == len(shape[1])
+
+
 def test_located_cameras_are_better_and_the_mesh_stays() -> None:
     camera = lens("angle")
     views = Views.of(nr.Mesh(*cow()), camera, 64, light=None)

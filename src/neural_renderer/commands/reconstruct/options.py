@@ -183,5 +183,8 @@ class PredictOptions:
     refine: int | None = None
     """Steps of test-time refinement (0: none); by default the configuration's. Refinement fits a predicted mesh to the
     silhouette of its image."""
+    force: bool = False
+    """Replace meshes of these pictures in the output folder, from an earlier run. A mesh file that --output names is
+    replaced anyway."""
     device: Device = "auto"
     watch: Watch = field(default_factory=WatchOptions)

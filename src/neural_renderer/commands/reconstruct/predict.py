@@ -22,7 +22,7 @@ from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshe
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
 from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.networks.checkpoint import Model, load_model
-from ..common import check_between, check_counts, check_outputs, choose_device, say
+from ..common import check_between, check_counts, check_earlier, check_outputs, choose_device, say
 from ..watch import stay, watching
 from .options import PredictOptions
 
@@ -78,6 +78,8 @@ def _check(options: PredictOptions) -> dict[Path, Path]:
     check_between("threshold", options.threshold, 0, 1)
     mask, count = options.mask, len(options.images)
     targets = _targets(options)
+    if options.output not in targets.values():
+        check_earlier(options.output, False, options.force, targets.values())
     extras = [_beside(target, name) for target in targets.values() for name in ("sheet.png", "turntable.gif")]
     masks = list(mask.iterdir()) if mask is not None and mask.is_dir() else [mask]
     check_outputs([*targets.values(), *extras], [*options.images, *masks, options.checkpoint])

@@ -160,6 +160,24 @@ def test_masks_in_a_folder(pictures: Path) -> None:
     assert (pictures / "out" / "crowd.ply").is_file()
 
 
+def test_meshes_in_a_folder_are_replaced_only_if_asked_for(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["-o", pictures / "out", "--turntable", "0", "--no-sheet"]
+    assert command("wall.jpg", *options) == 0
+    mesh = pictures / "out" / "wall.obj"
+    mesh.write_text("earlier")
+    capsys.readouterr()
+    assert command("cut.png", "wall.jpg", *options) == 1
+    assert capsys.readouterr().err == (
+        f"--output: expected a folder without results, got {pictures / 'out'}, which has those of an earlier run; "
+        "--force replaces it, another folder keeps it\n"
+    )
+    assert mesh.read_text() == "earlier" and not (pictures / "out" / "cut.obj").exists()
+    assert command("cut.png", *options) == 0 and mesh.read_text() == "earlier"  # one more picture
+    assert command("wall.jpg", *options, "--force") == 0 and mesh.read_text() != "earlier"
+    mesh.write_text("earlier")
+    assert command("wall.jpg", "-o", mesh, "--turntable", "0", "--no-sheet") == 0 and mesh.read_text() != "earlier"
+
+
 @pytest.mark.parametrize(
     ("images", "options", "sentence"),
     [
