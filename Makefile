@@ -58,7 +58,9 @@ benchmark: $(VENV)/installed
 coverage: $(VENV)/installed
 	$(BIN)/python -m pytest --cov --cov-report=term --cov-report=html
 
-# A wheel and a source distribution in dist/; each is then installed and tested in an environment of its own.
+# A wheel and a source distribution in dist/; each is then installed and tested in an environment of its own. Where uv
+# is installed, it runs the wheel, too, with torch's CPU build from PIP_FIND_LINKS or from torch's own index.
+UV_TORCH := $(if $(PIP_FIND_LINKS),--find-links $(PIP_FIND_LINKS),--torch-backend cpu)
 package: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt build twine
 	rm -rf dist build
@@ -71,6 +73,10 @@ package: $(VENV)/installed
 		&& (cd build && package/bin/neural-renderer info \
 			&& package/bin/neural-renderer demo -o demo --frames 4 --steps 20 && test -s demo/knot.png) || exit 1; \
 	done
+	if command -v uv; then \
+		uv tool run --isolated --python $(PYTHON) $(UV_TORCH) --constraints constraints.txt --from dist/*.whl \
+			neural-renderer demo -o build/uv_demo --frames 4 --steps 20 && test -s build/uv_demo/knot.png || exit 1; \
+	fi
 	mkdir build/sdist && tar -xzf dist/*.tar.gz --strip-components 1 -C build/sdist
 	build/package/bin/python -m pip install --quiet --constraint constraints.txt "build/sdist[dev]"
 	cd build/sdist && ../package/bin/python -m pytest tests/raster tests/io tests/test_rendering.py

@@ -173,10 +173,9 @@ def test_maps_of_normals_are_followed_and_resumed(
     monkeypatch.setattr(MeshFit, "advance", advance)
     capsys.readouterr()
     assert cli.main([*arguments, "--detail-weights.normals", "2", "--resume"]) == 1
-    normal = DetailWeights().normals
-    assert capsys.readouterr().err.endswith(
-        f": expected a checkpoint of this run (detail_weights.normals 2.0), got one of detail_weights.normals {normal}\n"
-    )
+    name = "detail_weights.normals"
+    mine, theirs = f"{name} 2.0", f"{name} {DetailWeights().normals}"
+    assert capsys.readouterr().err.endswith(f": expected a checkpoint of this run ({mine}), got one of {theirs}\n")
     assert cli.main([*arguments, "--resume"]) == 0
     arguments[3] = str(tmp_path / "b")
     assert cli.main(arguments) == 0
