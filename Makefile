@@ -59,8 +59,10 @@ coverage: $(VENV)/installed
 	$(BIN)/python -m pytest --cov --cov-report=term --cov-report=html
 
 # A wheel and a source distribution in dist/; each is then installed and tested in an environment of its own. Where uv
-# is installed, it runs the wheel, too, with torch's CPU build from PIP_FIND_LINKS or from torch's own index.
+# is installed, it runs the wheel, too, with torch's CPU build from PIP_FIND_LINKS or from torch's own index. The cache of
+# kernels is new, so that the first demo says how long a user waits for a first picture.
 UV_TORCH := $(if $(PIP_FIND_LINKS),--find-links $(PIP_FIND_LINKS),--torch-backend cpu)
+package: export WARP_CACHE_PATH := $(CURDIR)/build/kernels
 package: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt build twine
 	rm -rf dist build
@@ -70,8 +72,8 @@ package: $(VENV)/installed
 		$(PYTHON) -m venv --clear build/package \
 		&& build/package/bin/python -m pip install --quiet "$(TORCH)" \
 		&& build/package/bin/python -m pip install --quiet --constraint constraints.txt "$$file" \
-		&& (cd build && package/bin/neural-renderer info \
-			&& package/bin/neural-renderer demo -o demo --frames 4 --steps 20 && test -s demo/knot.png) || exit 1; \
+		&& (cd build && package/bin/neural-renderer demo -o demo --frames 4 --steps 20 && test -s demo/knot.png \
+			&& package/bin/neural-renderer info) || exit 1; \
 	done
 	if command -v uv; then \
 		uv tool run --isolated --python $(PYTHON) $(UV_TORCH) --constraints constraints.txt --from dist/*.whl \

@@ -36,6 +36,18 @@ def test_meshes_of_trimesh() -> None:
     assert (both.num_vertices, both.num_faces) == (170, 332) and both.vertices.max() == 2.5
 
 
+@pytest.mark.parametrize("name", ["spot", "box"])
+def test_images_go_to_trimesh_and_back(name: str) -> None:
+    mesh = (
+        nr.UVMesh.load(EXAMPLES / "data" / "spot.obj")
+        if name == "spot"
+        else nr.UVMesh.from_trimesh(trimesh.creation.box())
+    )
+    back = mesh.to_trimesh()
+    assert np.array_equal(back.vertices[back.faces].astype(np.float32), mesh.vertices[mesh.faces.long()].numpy())
+    assert torch.equal(nr.render(back, CAMERA, 64).rgb, nr.render(mesh, CAMERA, 64).rgb)
+
+
 def test_textures_of_trimesh() -> None:
     loaded = trimesh.load(EXAMPLES / "data" / "spot.obj", process=False)
     found, want = nr.UVMesh.from_trimesh(loaded), nr.UVMesh.load(EXAMPLES / "data" / "spot.obj")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
@@ -164,8 +165,6 @@ class UVMesh:
     def from_trimesh(cls, mesh: Any, grey: float = 1.0) -> UVMesh:
         """Convert a mesh of trimesh with its colours, or its image and texture coordinates.
 
-        `Mesh.to_trimesh` is the way back; files have images, too: ``trimesh.load`` of a GLB that `save` wrote.
-
         Args:
             mesh: ``trimesh.Trimesh``, or a ``Scene``, whose meshes are transformed and joined.
             grey: Colour of a mesh without colours, in [0, 1].
@@ -182,6 +181,26 @@ class UVMesh:
             UVMesh(8 vertices, 12 faces, 0 images, cpu)
         """
         return cls._of_surface(*read_trimesh(mesh), validate.number("grey", grey))
+
+    def to_trimesh(self) -> Any:
+        """Convert the mesh to one of trimesh with its images, by way of an OBJ file as `save` writes it.
+
+        Returns:
+            A ``trimesh.Trimesh``, or a ``Scene`` with one for each image and material; vertices at seams are split.
+
+        Raises:
+            TypeError, ValueError, OSError: As `save`.
+
+        Example:
+            >>> nr.Mesh.icosphere(2).save("white.obj")
+            >>> nr.UVMesh.load("white.obj").to_trimesh().faces.shape
+            (320, 3)
+        """
+        import trimesh  # imported here because it is slow
+
+        with tempfile.TemporaryDirectory() as folder:
+            self.save(f"{folder}/mesh.obj")
+            return trimesh.load(f"{folder}/mesh.obj", process=False)
 
     @classmethod
     def _of_surface(cls, vertices: np.ndarray, faces: np.ndarray, surface: SurfaceColors | None, grey: float) -> UVMesh:
