@@ -26,6 +26,7 @@ test-all: $(VENV)/installed
 test-cuda-emulated: $(VENV)/installed
 	$(BIN)/python -m pytest --emulated-cuda races tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
 		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/tasks/reconstruction/data/test_voxelize.py \
+		tests/drop_in/test_dr_[airt]*.py \
 		--ignore tests/raster/visibility/test_gradient_quality.py \
 		--deselect tests/raster/visibility/test_intersections.py::test_mean_gradient_is_a_central_difference \
 		--deselect tests/raster/visibility/test_layers_gradient.py::test_the_derivative_of_pictures
