@@ -234,4 +234,5 @@ def test_plain_tensors_compile_in_one_graph():
         points = vertices.clone().requires_grad_()
         alpha = function(points)
         found.append((alpha.detach(), *torch.autograd.grad(alpha.sum(), points)))
-    assert all(torch.equal(plain, compiled) for plain, compiled in zip(*found, strict=True))
+    assert torch.equal(found[0][0], found[1][0])
+    torch.testing.assert_close(found[1][1], found[0][1], **rounding(16 * 16, float(found[0][1].abs().max())))

@@ -194,6 +194,16 @@ def _(given, values):
     assert values[0].shape == (1, given["H"], given["W"], 3)
 
 
+@PAGE.row('`dr.texture(cube, directions')
+def _(given, values):
+    # A cube map's faces are those of +x, −x, +y, −y, +z and −z, as its documentation orders them.
+    axes = torch.tensor([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+    plain = torch.rand(6, 1, 1, 3).expand(6, 4, 4, 3)
+    found = nr.sample_texture(plain, axes[None, None])[0, 0]
+    torch.testing.assert_close(found, plain[:, 0, 0], **rounding(16))
+    assert values[0].shape == (1, given["H"], given["W"], 3)
+
+
 @PAGE.row("`dr.antialias(")
 def _(given, values):
     # nvdiffrast blends a pixel with its neighbour by the place of the edge between their centres, an estimate of the

@@ -105,7 +105,7 @@ void test_pixel_box() {
 
 void test_box_of_face() {
     const Corners faces[] = {FACE, FACE.with(0, 0, NAN)};
-    const Scene scene = {faces[0].v, nullptr, 1, 2, 10, 20, 1};
+    const Scene scene = {faces[0].v, nullptr, 1, 2, 10, 20, 1, 0, 0};
     CHECK(!box_of_face(scene, 0, 0).is_empty());
     CHECK(box_of_face(scene, 0, 1).is_empty());
     CHECK(scene.row_start(0, 9) == 0 && scene.row_start(1, 0) == 380 && scene.area() == 200);
