@@ -599,7 +599,7 @@ def _(given, values):
     scene = Scene(given)
     expected = scene.picture(torch.ones(*scene.size, 1))
     same_but_at_edges(values[0], expected, 1e-6, AT_EDGES)
-    same_but_at_edges(values[1][0], expected, 1e-6, AT_EDGES)
+    same_but_at_edges(values[1], expected, 1e-6, AT_EDGES)
 
 
 @PAGE.row("`interpolate_face_attributes(")

@@ -81,7 +81,13 @@ def test_what_is_there(models: Path, undisturbed: dict[str, bytes], tmp_path: Pa
             assert tar.getnames() == [f"{row['sample']}.{part}" for part in ("rgba.png", "depth.npy", "camera.json")]
 
 
-@pytest.mark.parametrize("options", [("-j", "2"), ("--engine", "ray", "-j", "2")], ids=["processes", "ray"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(("-j", "2"), id="processes"),
+        pytest.param(("--engine", "ray", "-j", "2"), id="ray", marks=pytest.mark.slow),
+    ],
+)
 def test_the_same_bytes_from_every_engine(
     models: Path, undisturbed: dict[str, bytes], tmp_path: Path, options: tuple[str, ...]
 ) -> None:
