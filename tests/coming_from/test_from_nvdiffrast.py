@@ -194,7 +194,7 @@ def _(given, values):
     assert values[0].shape == (1, given["H"], given["W"], 3)
 
 
-@PAGE.row('`dr.texture(cube, directions')
+@PAGE.row("`dr.texture(cube, directions")
 def _(given, values):
     # A cube map's faces are those of +x, −x, +y, −y, +z and −z, as its documentation orders them.
     axes = torch.tensor([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
