@@ -159,9 +159,8 @@ class Camera:
         """Make cameras at ``eye`` that look along ``direction``.
 
         Args:
-            eye: Position, [3] or [B, 3] in world units: list, tuple, array or tensor.
-            direction: Viewing direction, likewise, of any length.
-            up, viewing_angle, orthographic, scale, mirrored: As in `Camera.look_at`.
+            direction: Viewing direction, [3] or [B, 3], of any length.
+            eye, up, viewing_angle, orthographic, scale, mirrored: As in `Camera.look_at`.
 
         Returns:
             B cameras; one if no argument has a batch.
@@ -267,12 +266,8 @@ class Camera:
         axis is not drawn, and faces that reach beyond it are drawn inexactly near it.
 
         Args:
-            K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels, with the third row (0, 0, 1).
-            R: [3, 3] or [B, 3, 3], world-to-camera rotation.
-            t: [3], [B, 3] or [B, 1, 3], world-to-camera translation; or columns [3, 1], [B, 3, 1].
+            K, R, t, orig_size: As in `Camera.projection`.
             dist_coeffs: [4] or [B, 4], (k1, k2, k3, k4), or a column. None means zeros, the equidistant lens.
-            orig_size: Side or (height, width) in pixels of the image that K describes. Required, as in
-                `Camera.projection`.
 
         Returns:
             B cameras; one if no argument has a batch.
@@ -314,12 +309,10 @@ class Camera:
                 ``"blender"`` (also NeRF): right, up, backward. ``"pytorch3d"``: left, up, forward, and the matrix [4,
                 4] multiplies rows of points from the right, as that of ``Transform3d.get_matrix()``. The world's axes
                 stay as they are.
-            viewing_angle: Half the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
             K, dist_coeffs, orig_size: As in `Camera.projection`, in place of ``viewing_angle``. Pixels run to the right
                 and **down** in every convention.
             fisheye: Whether K belongs to a fisheye lens, with the four coefficients of `Camera.fisheye`.
-            orthographic: Draw without perspective, with ``scale`` in place of ``viewing_angle``.
-            scale: Screen units per world unit: a number, or a tensor [] or [B].
+            viewing_angle, orthographic, scale: As in `Camera.look_at`.
 
         Returns:
             B cameras; one if no argument has a batch.
