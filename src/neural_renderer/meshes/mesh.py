@@ -151,10 +151,8 @@ class Mesh(nn.Module):
         """Read a mesh file with its colours, or white if it has none.
 
         Args:
-            path: OBJ, PLY, STL, OFF, GLB or glTF file.
-            texture_size: T, texels along a cube's edge, ≥ 1.
+            path, texture_size, allow_outside: As in `load_mesh`.
             normalize: Centre and scale the mesh; see `Mesh.normalize`.
-            allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
         Returns:
             The mesh, on the CPU.
@@ -219,11 +217,8 @@ class Mesh(nn.Module):
         """Read an OBJ file.
 
         Args:
-            filename_obj: Path of the file.
-            normalization: Centre the bounding box at the origin and scale its longest side to [−1, 1].
+            filename_obj, normalization, texture_size, allow_outside: As in `load_obj`.
             load_texture: Read the colours; otherwise the texture is noise that receives gradients.
-            texture_size: T, texels along a cube's edge, ≥ 1.
-            allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
         Returns:
             The mesh, on the device of `load_obj`. It has no parameters, as in the first packages.
@@ -245,8 +240,7 @@ class Mesh(nn.Module):
         """Make a white sphere of 10·4ˡᵉᵛᵉˡ + 2 vertices.
 
         Args:
-            level: Number of subdivisions, 0 to 8; see the function `icosphere`.
-            radius: Radius, > 0.
+            level, radius: As in the function `icosphere`.
             texture_size: T, texels along a cube's edge, ≥ 1.
 
         Returns:
@@ -316,8 +310,7 @@ class Mesh(nn.Module):
         """Write the mesh as OBJ, PLY or GLB, with textures, or baked colours, clamped to [0, 1].
 
         Args:
-            path: Name that ends in ``.obj``, ``.ply`` or ``.glb``. A file of this name is replaced.
-            overwrite: Replace foreign files beside an OBJ, too; see `save_mesh`.
+            path, overwrite: As in `save_mesh`.
 
         Raises:
             OSError, TypeError, ValueError: As `save_mesh`.
