@@ -64,7 +64,7 @@ class DisplayPanel:
         self._equal.on_update(arrange)
         up.on_update(lambda _: scene.set_up(_UP[up.value]))
         background.on_update(lambda _: self._set_background(background.value))
-        whole.on_click(self._show_whole)
+        whole.on_click(lambda event: scene.show_whole(event.client))
         save.on_click(self._save_picture)
         self._set_background(_BACKGROUND)
         self._up = up
@@ -114,10 +114,6 @@ class DisplayPanel:
 
         box.on_update(hide)
         return box
-
-    def _show_whole(self, event: Any) -> None:
-        """Show everything in the browser whose button was pressed."""
-        self._scene.show_whole(event.client)
 
     def _save_picture(self, event: Any) -> None:
         """Send the browser whose button was pressed the picture that it shows, as a file to keep."""
