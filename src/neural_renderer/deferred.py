@@ -80,8 +80,7 @@ class Fragments(VisibleFaces):
             [B, H, W, C] of ``dtype``; 0 where no face is visible.
 
         Raises:
-            TypeError: A tensor of another dtype.
-            ValueError: Another shape, device or index, NaN or infinite attributes.
+            TypeError, ValueError: A tensor does not fit, an index is out of range, or an attribute is not finite.
 
         Example:
             >>> fragments = nr.fragments(mesh, camera, 64)
@@ -197,8 +196,7 @@ class Fragments(VisibleFaces):
             Images [B, C, height, width] float32, of the size given to `fragments`.
 
         Raises:
-            TypeError: A tensor of another dtype.
-            ValueError: Another shape or device, NaN or infinite colours.
+            TypeError, ValueError: A tensor does not fit, or a colour is not finite.
 
         Example:
             >>> fragments = nr.fragments(mesh, camera, 64)
@@ -270,8 +268,7 @@ class Layers(OneLine):
             Images [B, C, height, width] float32, of the size given to `fragments`.
 
         Raises:
-            TypeError: A tensor of another dtype.
-            ValueError: Another shape, number of layers or device; NaN or infinite colours.
+            TypeError, ValueError: A tensor or the number of layers does not fit, or a colour is not finite.
 
         Example:
             >>> layers = nr.fragments(mesh, camera, 64, layers=2)
@@ -420,8 +417,7 @@ def fragments(
         anti-aliasing.
 
     Raises:
-        TypeError: An argument of another type.
-        ValueError: An argument of another shape, device or range.
+        TypeError, ValueError: An argument does not fit.
 
     Example:
         >>> fragments = nr.fragments(mesh, camera, 64)
@@ -442,11 +438,7 @@ def fragments(
 def visible_fragments(
     corners: Tensor, faces: Tensor, count: int | None, settings: Settings, channels: int
 ) -> Fragments:
-    """Find the visible faces of corners in screen space [B, F, 3, 3].
-
-    ``faces`` are checked vertex indices of ``count`` vertices, None if that is not known; the memory of images of
-    ``channels`` is checked.
-    """
+    """Find the visible faces of corners in screen space [B, F, 3, 3]; ``count`` is the number of vertices, or None."""
     corners = settings.corners(corners, channels)
     rings = settings.rings(corners, faces)
     return Fragments(corners, settings.face_index(corners), settings, rings, faces, count)
