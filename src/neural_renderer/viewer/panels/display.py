@@ -42,7 +42,7 @@ class DisplayPanel:
             self._equal: Any = gui.add_checkbox("Equal size", scene.equal_size, hint="Show all as large as the first")
             up: Any = gui.add_dropdown("Up", tuple(_UP))
             background = gui.add_rgb("Background", _BACKGROUND)
-            whole = gui.add_button("Whole view")
+            whole: Any = gui.add_button("Whole view")
             save = gui.add_button("Save picture", hint="Of the browser's view, as a PNG")
         self._meshes = gui.add_folder("Meshes")
         with self._meshes:
