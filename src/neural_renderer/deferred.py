@@ -54,6 +54,9 @@ class Fragments(VisibleFaces):
         >>> height = fragments.interpolate(mesh.vertices)[..., 1:2]
         >>> fragments.composite(height, background=0.0).shape
         torch.Size([1, 1, 64, 64])
+        >>> seen = mesh.submesh(fragments.visible_faces().any(0))  # the half that the camera sees
+        >>> fragments.visible_vertices().shape
+        torch.Size([1, 162])
     """
 
     triangles: Tensor
@@ -121,12 +124,6 @@ class Fragments(VisibleFaces):
 
         Returns:
             [B, F] bool.
-
-        Example:
-            >>> fragments = nr.fragments(mesh, camera, 64)
-            >>> seen = mesh.submesh(fragments.visible_faces().any(0))  # the half that the camera sees
-            >>> 100 < seen.num_faces < 200
-            True
         """
         batch, count = self.corners.shape[:2]
         shown = self.corners.new_zeros((batch, count + 1), dtype=torch.bool)
@@ -144,11 +141,6 @@ class Fragments(VisibleFaces):
 
         Raises:
             TypeError, ValueError: ``count`` is not a whole number, or less than an index + 1.
-
-        Example:
-            >>> fragments = nr.fragments(mesh, camera, 64)
-            >>> fragments.visible_vertices().shape
-            torch.Size([1, 162])
         """
         shown = self.visible_faces()
         triangles = self.triangles.long().expand(len(shown), -1, -1)

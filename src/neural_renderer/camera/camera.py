@@ -81,6 +81,10 @@ class Camera:
         >>> x, y, depth = camera(torch.zeros(1, 3))[0, 0]  # the origin, at the image's centre
         >>> depth
         tensor(2.6926)
+        >>> two = nr.Camera.cat([camera, nr.Camera.look((0.0, 0.0, -3.0), direction=(0.0, 0.0, 1.0))])
+        >>> two.to(dtype=torch.float64).save("views/cameras.json", size=(256, 256), names=["front.png", "low.png"])
+        >>> nr.Camera.load("views/cameras.json")
+        Camera(2 cameras, K of 256 × 256, cpu)
     """
 
     rotation: Tensor
@@ -167,10 +171,6 @@ class Camera:
 
         Raises:
             TypeError, ValueError: As the functions `look` and `perspective`.
-
-        Example:
-            >>> camera = nr.Camera.look((0.0, 1.0, -2.5), direction=(0.0, -0.4, 1.0))
-            >>> images = nr.render(mesh, camera, 64)
         """
         dtype = float_type(eye, direction, up, viewing_angle, scale)
         frame = look_frame(eye, direction, up, dtype, mirrored)
@@ -408,11 +408,6 @@ class Camera:
 
         Raises:
             TypeError, ValueError: An item is not a Camera, there is none, or they differ in lens, device or mirroring.
-
-        Example:
-            >>> left, right = nr.Camera.look_at((-1.0, 0.0, -2.5)), nr.Camera.look_at((1.0, 0.0, -2.5))
-            >>> len(nr.Camera.cat([left, right]))
-            2
         """
         if not isinstance(cameras, (list, tuple)) or not all(isinstance(camera, Camera) for camera in cameras):
             kinds = [type(one).__name__ for one in cameras] if isinstance(cameras, (list, tuple)) else type(cameras)
@@ -451,11 +446,6 @@ class Camera:
         Raises:
             FileNotFoundError: There is no such file.
             ValueError: The file is malformed, or `Camera` does not have the lens.
-
-        Example:
-            >>> nr.Camera.look_at((0.0, 1.0, -2.5)).save("cameras.json")
-            >>> nr.Camera.load("cameras.json")
-            Camera(1 camera, viewing angle 30, cpu)
         """
         camera: Camera = import_module(f"{__package__}.files.load").load_cameras(Path(path), size)[0]
         return camera
@@ -477,9 +467,6 @@ class Camera:
         Raises:
             ValueError: The number of names is another.
             OSError: The file cannot be written. An existing file stays as it was.
-
-        Example:
-            >>> nr.Camera.look_at((0.0, 1.0, -2.5)).save("views/cameras.json", size=(256, 256), names=["front.png"])
         """
         import_module(f"{__package__}.files.load").save(path, self, size, names)
 
@@ -648,10 +635,6 @@ class Camera:
 
         Raises:
             TypeError: ``dtype`` is not a floating dtype.
-
-        Example:
-            >>> nr.Camera.look_at((0.0, 0.0, -2.5)).to(dtype=torch.float64).rotation.dtype
-            torch.float64
         """
         if not (dtype is None or (isinstance(dtype, torch.dtype) and dtype.is_floating_point)):
             raise TypeError(f"dtype: expected a floating dtype, got {dtype!r}")

@@ -30,12 +30,7 @@ _LIGHT = {
     "direction": "light_direction",
 }
 # Argument of `rasterize_images` → attribute of `Renderer`.
-_RASTERIZER = {
-    "size": "image_size",
-    "background": "background_color",
-    "eps": "rasterizer_eps",
-    "light": "light_*",
-}
+_RASTERIZER = {"size": "image_size", "background": "background_color", "eps": "rasterizer_eps", "light": "light_*"}
 _COLOR_EPS = 1e-3  # default of the first packages
 
 

@@ -66,6 +66,12 @@ class Mesh(nn.Module):
         >>> vertices, faces = nr.cube()
         >>> nr.Mesh(vertices, faces, torch.ones(12, 1, 1, 1, 3))
         Mesh(8 vertices, 12 faces, textures of 1³, cpu)
+        >>> cube = nr.Mesh(vertices, faces, vertex_colors=vertices.abs())
+        >>> cube.colors_of_faces().shape, cube.cubes().shape
+        (torch.Size([12, 3, 3]), torch.Size([12, 4, 4, 4, 3]))
+        >>> cube.normalize().save("cube.ply")
+        >>> nr.Mesh.load("cube.ply").to_trimesh()
+        <trimesh.Trimesh(vertices.shape=(8, 3), faces.shape=(12, 3))>
     """
 
     vertices: Tensor
@@ -142,11 +148,7 @@ class Mesh(nn.Module):
 
     @classmethod
     def load(
-        cls,
-        path: str | os.PathLike[str],
-        texture_size: int = 4,
-        normalize: bool = False,
-        allow_outside: bool = False,
+        cls, path: str | os.PathLike[str], texture_size: int = 4, normalize: bool = False, allow_outside: bool = False
     ) -> Mesh:
         """Read a mesh file with its colours, or white if it has none.
 
@@ -159,11 +161,6 @@ class Mesh(nn.Module):
 
         Raises:
             OSError, TypeError, ValueError: As `load_mesh`.
-
-        Example:
-            >>> nr.save_mesh("torus.ply", *nr.torus(segments=16, sides=8))
-            >>> nr.Mesh.load("torus.ply", texture_size=2)
-            Mesh(128 vertices, 256 faces, textures of 2³, cpu)
         """
         vertices, faces, textures = load_mesh(path, texture_size, allow_outside)
         mesh = cls(vertices, faces, white_cubes(faces, texture_size) if textures is None else textures)
@@ -198,10 +195,6 @@ class Mesh(nn.Module):
 
         Returns:
             The mesh of trimesh. A colour is the mean of the textures of the faces around the vertex, at that corner.
-
-        Example:
-            >>> nr.Mesh.icosphere(2).to_trimesh()
-            <trimesh.Trimesh(vertices.shape=(162, 3), faces.shape=(320, 3))>
         """
         return as_trimesh(self.vertices, self.faces, self.cubes())
 
@@ -276,11 +269,6 @@ class Mesh(nn.Module):
 
         Returns:
             [F, T, T, T, 3] float32.
-
-        Example:
-            >>> vertices, faces = nr.cube()
-            >>> nr.Mesh(vertices, faces, vertex_colors=vertices.abs(), texture_size=2).cubes().shape
-            torch.Size([12, 2, 2, 2, 3])
         """
         colors, size = self.colors_of_faces(), self._texture_size
         if self._colored == "textures":
@@ -295,11 +283,6 @@ class Mesh(nn.Module):
         Returns:
             Texture cubes [F, T, T, T, 3], those of one texel for colours of faces; or colours of the faces' corners
             [F, 3, 3], for colours of vertices. float32.
-
-        Example:
-            >>> vertices, faces = nr.cube()
-            >>> nr.Mesh(vertices, faces, vertex_colors=vertices.abs()).colors_of_faces().shape
-            torch.Size([12, 3, 3])
         """
         own = getattr(self, self._colored)
         if self._colored == "vertex_colors":
@@ -314,9 +297,6 @@ class Mesh(nn.Module):
 
         Raises:
             OSError, TypeError, ValueError: As `save_mesh`.
-
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.glb")
         """
         save_mesh(path, self.vertices, self.faces, self.cubes(), overwrite=overwrite)
 
@@ -359,10 +339,6 @@ class Mesh(nn.Module):
 
         Raises:
             ValueError: All vertices coincide, or one is not finite.
-
-        Example:
-            >>> nr.Mesh.icosphere(radius=3.0).normalize().vertices.max().item()
-            1.0
         """
         return self._like(centered(self.vertices).float(), self.faces, getattr(self, self._colored))
 

@@ -8,17 +8,7 @@ import numpy as np
 import torch
 
 from ...camera import Camera
-from ..drawing.our_picture import (
-    FREE_LOSSES,
-    IMAGE_LOSSES,
-    Target,
-    View,
-    arrows,
-    draw,
-    heat,
-    loss_gradient,
-    picture,
-)
+from ..drawing.our_picture import FREE_LOSSES, IMAGE_LOSSES, Target, View, arrows, draw, heat, loss_gradient, picture
 from ..frusta import Frusta
 from ..scene import Scene
 from ..shown import Shown
@@ -136,13 +126,7 @@ class RendererPanel:
             return
         camera, size, target, lit = scenery
         value, found = loss_gradient(
-            shown.snapshot,
-            camera,
-            size,
-            self._loss.value,
-            target=target,
-            gradient=self._estimator.value,
-            lit=lit,
+            shown.snapshot, camera, size, self._loss.value, target=target, gradient=self._estimator.value, lit=lit
         )
         norms = found.norm(dim=1)
         most = float(norms.max())
