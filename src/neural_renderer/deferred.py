@@ -54,6 +54,9 @@ class Fragments(VisibleFaces):
         >>> height = fragments.interpolate(mesh.vertices)[..., 1:2]
         >>> fragments.composite(height, background=0.0).shape
         torch.Size([1, 1, 64, 64])
+        >>> seen = mesh.submesh(fragments.visible_faces().any(0))  # the half that the camera sees
+        >>> fragments.visible_vertices().shape
+        torch.Size([1, 162])
     """
 
     triangles: Tensor
@@ -80,8 +83,7 @@ class Fragments(VisibleFaces):
             [B, H, W, C] of ``dtype``; 0 where no face is visible.
 
         Raises:
-            TypeError: A tensor of another dtype.
-            ValueError: Another shape, device or index, NaN or infinite attributes.
+            TypeError, ValueError: A tensor does not fit, an index is out of range, or an attribute is not finite.
 
         Example:
             >>> fragments = nr.fragments(mesh, camera, 64)
@@ -122,12 +124,6 @@ class Fragments(VisibleFaces):
 
         Returns:
             [B, F] bool.
-
-        Example:
-            >>> fragments = nr.fragments(mesh, camera, 64)
-            >>> seen = mesh.submesh(fragments.visible_faces().any(0))  # the half that the camera sees
-            >>> 100 < seen.num_faces < 200
-            True
         """
         batch, count = self.corners.shape[:2]
         shown = self.corners.new_zeros((batch, count + 1), dtype=torch.bool)
@@ -145,11 +141,6 @@ class Fragments(VisibleFaces):
 
         Raises:
             TypeError, ValueError: ``count`` is not a whole number, or less than an index + 1.
-
-        Example:
-            >>> fragments = nr.fragments(mesh, camera, 64)
-            >>> fragments.visible_vertices().shape
-            torch.Size([1, 162])
         """
         shown = self.visible_faces()
         triangles = self.triangles.long().expand(len(shown), -1, -1)
@@ -197,8 +188,7 @@ class Fragments(VisibleFaces):
             Images [B, C, height, width] float32, of the size given to `fragments`.
 
         Raises:
-            TypeError: A tensor of another dtype.
-            ValueError: Another shape or device, NaN or infinite colours.
+            TypeError, ValueError: A tensor does not fit, or a colour is not finite.
 
         Example:
             >>> fragments = nr.fragments(mesh, camera, 64)
@@ -270,8 +260,7 @@ class Layers(OneLine):
             Images [B, C, height, width] float32, of the size given to `fragments`.
 
         Raises:
-            TypeError: A tensor of another dtype.
-            ValueError: Another shape, number of layers or device; NaN or infinite colours.
+            TypeError, ValueError: A tensor or the number of layers does not fit, or a colour is not finite.
 
         Example:
             >>> layers = nr.fragments(mesh, camera, 64, layers=2)
@@ -420,8 +409,7 @@ def fragments(
         anti-aliasing.
 
     Raises:
-        TypeError: An argument of another type.
-        ValueError: An argument of another shape, device or range.
+        TypeError, ValueError: An argument does not fit.
 
     Example:
         >>> fragments = nr.fragments(mesh, camera, 64)
@@ -442,11 +430,7 @@ def fragments(
 def visible_fragments(
     corners: Tensor, faces: Tensor, count: int | None, settings: Settings, channels: int
 ) -> Fragments:
-    """Find the visible faces of corners in screen space [B, F, 3, 3].
-
-    ``faces`` are checked vertex indices of ``count`` vertices, None if that is not known; the memory of images of
-    ``channels`` is checked.
-    """
+    """Find the visible faces of corners in screen space [B, F, 3, 3]; ``count`` is the number of vertices, or None."""
     corners = settings.corners(corners, channels)
     rings = settings.rings(corners, faces)
     return Fragments(corners, settings.face_index(corners), settings, rings, faces, count)

@@ -51,11 +51,7 @@ def check_values(enabled: bool) -> None:
 
 
 def values_are_checked(value: Tensor) -> bool:
-    """Tell whether values of this tensor are checked now.
-
-    Values that cannot be read are not checked: in torch.compile, torch.func and make_fx, on the device "meta", and in
-    tensor subclasses such as FakeTensor.
-    """
+    """Tell whether values of this tensor are checked now; those that cannot be read, as in torch.compile, are not."""
     return _check_values and not (
         torch.compiler.is_compiling()
         or value.is_meta
@@ -122,12 +118,7 @@ def shape_of(value: Tensor) -> str:
 
 
 def floating(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
-    """Return ``value`` if it is a floating tensor whose shape fits. In ``shape``, a name stands for any size.
-
-    Raises:
-        TypeError: ``value`` is not a floating tensor.
-        ValueError: The shape does not fit.
-    """
+    """Return ``value`` if it is a floating tensor whose shape fits. In ``shape``, a name stands for any size."""
     if not isinstance(value, Tensor):
         raise TypeError(f"{name}: expected a floating-point torch tensor, got {type(value).__name__}")
     _match(name, real(name, value), shape)
@@ -146,9 +137,7 @@ def real(name: str, value: Tensor) -> Tensor:
 def indices(name: str, value: Any, shape: Sequence[int | str], always: bool = False) -> Tensor:
     """Convert whole numbers of any real dtype to int64; int32 and int64 stay as they are. ``shape`` as in `floating`.
 
-    Raises:
-        TypeError: ``value`` is not a tensor of real numbers.
-        ValueError: The shape does not fit; while values are checked, or with ``always``, also a number is not whole.
+    Numbers that are not whole are found while values are checked, or ``always``.
     """
     if not isinstance(value, Tensor):
         raise TypeError(f"{name}: expected a torch tensor of whole numbers, got {type(value).__name__}")

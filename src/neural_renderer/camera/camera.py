@@ -81,6 +81,10 @@ class Camera:
         >>> x, y, depth = camera(torch.zeros(1, 3))[0, 0]  # the origin, at the image's centre
         >>> depth
         tensor(2.6926)
+        >>> two = nr.Camera.cat([camera, nr.Camera.look((0.0, 0.0, -3.0), direction=(0.0, 0.0, 1.0))])
+        >>> two.to(dtype=torch.float64).save("views/cameras.json", size=(256, 256), names=["front.png", "low.png"])
+        >>> nr.Camera.load("views/cameras.json")
+        Camera(2 cameras, K of 256 × 256, cpu)
     """
 
     rotation: Tensor
@@ -159,19 +163,14 @@ class Camera:
         """Make cameras at ``eye`` that look along ``direction``.
 
         Args:
-            eye: Position, [3] or [B, 3] in world units: list, tuple, array or tensor.
-            direction: Viewing direction, likewise, of any length.
-            up, viewing_angle, orthographic, scale, mirrored: As in `Camera.look_at`.
+            direction: Viewing direction, [3] or [B, 3], of any length.
+            eye, up, viewing_angle, orthographic, scale, mirrored: As in `Camera.look_at`.
 
         Returns:
             B cameras; one if no argument has a batch.
 
         Raises:
             TypeError, ValueError: As the functions `look` and `perspective`.
-
-        Example:
-            >>> camera = nr.Camera.look((0.0, 1.0, -2.5), direction=(0.0, -0.4, 1.0))
-            >>> images = nr.render(mesh, camera, 64)
         """
         dtype = float_type(eye, direction, up, viewing_angle, scale)
         frame = look_frame(eye, direction, up, dtype, mirrored)
@@ -267,12 +266,8 @@ class Camera:
         axis is not drawn, and faces that reach beyond it are drawn inexactly near it.
 
         Args:
-            K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels, with the third row (0, 0, 1).
-            R: [3, 3] or [B, 3, 3], world-to-camera rotation.
-            t: [3], [B, 3] or [B, 1, 3], world-to-camera translation; or columns [3, 1], [B, 3, 1].
+            K, R, t, orig_size: As in `Camera.projection`.
             dist_coeffs: [4] or [B, 4], (k1, k2, k3, k4), or a column. None means zeros, the equidistant lens.
-            orig_size: Side or (height, width) in pixels of the image that K describes. Required, as in
-                `Camera.projection`.
 
         Returns:
             B cameras; one if no argument has a batch.
@@ -314,12 +309,10 @@ class Camera:
                 ``"blender"`` (also NeRF): right, up, backward. ``"pytorch3d"``: left, up, forward, and the matrix [4,
                 4] multiplies rows of points from the right, as that of ``Transform3d.get_matrix()``. The world's axes
                 stay as they are.
-            viewing_angle: Half the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
             K, dist_coeffs, orig_size: As in `Camera.projection`, in place of ``viewing_angle``. Pixels run to the right
                 and **down** in every convention.
             fisheye: Whether K belongs to a fisheye lens, with the four coefficients of `Camera.fisheye`.
-            orthographic: Draw without perspective, with ``scale`` in place of ``viewing_angle``.
-            scale: Screen units per world unit: a number, or a tensor [] or [B].
+            viewing_angle, orthographic, scale: As in `Camera.look_at`.
 
         Returns:
             B cameras; one if no argument has a batch.
@@ -415,11 +408,6 @@ class Camera:
 
         Raises:
             TypeError, ValueError: An item is not a Camera, there is none, or they differ in lens, device or mirroring.
-
-        Example:
-            >>> left, right = nr.Camera.look_at((-1.0, 0.0, -2.5)), nr.Camera.look_at((1.0, 0.0, -2.5))
-            >>> len(nr.Camera.cat([left, right]))
-            2
         """
         if not isinstance(cameras, (list, tuple)) or not all(isinstance(camera, Camera) for camera in cameras):
             kinds = [type(one).__name__ for one in cameras] if isinstance(cameras, (list, tuple)) else type(cameras)
@@ -458,11 +446,6 @@ class Camera:
         Raises:
             FileNotFoundError: There is no such file.
             ValueError: The file is malformed, or `Camera` does not have the lens.
-
-        Example:
-            >>> nr.Camera.look_at((0.0, 1.0, -2.5)).save("cameras.json")
-            >>> nr.Camera.load("cameras.json")
-            Camera(1 camera, viewing angle 30, cpu)
         """
         camera: Camera = import_module(f"{__package__}.files.load").load_cameras(Path(path), size)[0]
         return camera
@@ -484,9 +467,6 @@ class Camera:
         Raises:
             ValueError: The number of names is another.
             OSError: The file cannot be written. An existing file stays as it was.
-
-        Example:
-            >>> nr.Camera.look_at((0.0, 1.0, -2.5)).save("views/cameras.json", size=(256, 256), names=["front.png"])
         """
         import_module(f"{__package__}.files.load").save(path, self, size, names)
 
@@ -655,10 +635,6 @@ class Camera:
 
         Raises:
             TypeError: ``dtype`` is not a floating dtype.
-
-        Example:
-            >>> nr.Camera.look_at((0.0, 0.0, -2.5)).to(dtype=torch.float64).rotation.dtype
-            torch.float64
         """
         if not (dtype is None or (isinstance(dtype, torch.dtype) and dtype.is_floating_point)):
             raise TypeError(f"dtype: expected a floating dtype, got {dtype!r}")

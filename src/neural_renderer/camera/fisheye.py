@@ -13,17 +13,10 @@ _STEPS = 10  # Newton's method; each step doubles the correct digits
 
 
 def fisheye(points: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
-    """Project camera coordinates with a fisheye lens to the plane at depth 1, before the intrinsic matrix.
+    """Project camera coordinates [..., V, 3] with a lens as of `Camera.fisheye` to x and y at depth 1, [..., V] each.
 
-    A point at the angle θ from the viewing direction is at the distance θ · (1 + k1·θ² + k2·θ⁴ + k3·θ⁶ + k4·θ⁸) from
-    the axis. θ runs up to π, so that points behind the camera stay outside of the image.
-
-    Args:
-        points: [..., V, 3], x right, y down, z forward.
-        coefficients: [..., 4], (k1, k2, k3, k4).
-
-    Returns:
-        x and y, [..., V]. Values and gradients are finite, also on the axis.
+    The coefficients [..., 4] are (k1, k2, k3, k4). The angle runs up to π, so that points behind the camera stay
+    outside of the image. Values and gradients are finite, also on the axis.
     """
     # Only the direction matters. Scaled to a longest side of 1, its squares neither overflow nor vanish.
     x, y, z = (points / points.detach().abs().amax(-1, keepdim=True).clamp(min=NEAREST)).unbind(-1)
@@ -33,12 +26,7 @@ def fisheye(points: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def undo_fisheye(u: Tensor, v: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
-    """Find x and y at depth 1 of the points that `fisheye` moves to u and v, all [B, V], by Newton's method.
-
-    Args:
-        u, v: As from `fisheye`.
-        coefficients: [B, 4].
-    """
+    """Find x and y at depth 1 of the points that `fisheye` moves to u and v, all [B, V], by Newton's method."""
     target = (u * u + v * v).clamp(min=torch.finfo(u.dtype).eps).sqrt() + 0 * coefficients[..., :1]
     theta = target.detach().clamp(max=math.pi / 2)
     for step in range(_STEPS):

@@ -105,11 +105,7 @@ def projection(
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating, in the world.
-        K: [3, 3] or [B, 3, 3], intrinsic matrix in pixels.
-        R: [3, 3] or [B, 3, 3], world-to-camera rotation.
-        t: [3], [B, 3] or [B, 1, 3], world-to-camera translation; or columns [3, 1], [B, 3, 1].
-        dist_coeffs: [5] or [B, 5], (k1, k2, p1, p2, k3), or the first four; or a column. None means no distortion.
-        orig_size: Side or (height, width) in pixels of the image that K describes.
+        K, R, t, dist_coeffs, orig_size: As in `Camera.projection`.
         eps: Number added to the depth before the division.
 
     Returns:

@@ -26,11 +26,7 @@ _SINGULAR = 1e-6  # relative size below which an orthogonalised row counts as ze
 def view_frame(
     world_to_camera: Any, camera_to_world: Any, convention: str, dtype: torch.dtype, device: torch.device
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Split a view matrix into OpenCV's R [..., 3, 3], the camera's position [..., 3] and OpenCV's t [..., 3].
-
-    Raises:
-        TypeError, ValueError: As `Camera.from_matrix`.
-    """
+    """Split a view matrix into OpenCV's R [..., 3, 3], the camera's position [..., 3] and OpenCV's t [..., 3]."""
     if convention not in _AXES:
         raise ValueError(f"convention: expected one of {', '.join(map(repr, _AXES))}, got {convention!r}")
     if (world_to_camera is None) == (camera_to_world is None):
@@ -51,11 +47,7 @@ def view_frame(
 
 
 def clip_frame(matrix: Any, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor, bool]:
-    """Split a perspective clip matrix into K [B, 3, 3] for an image of 2 × 2 pixels, R, t, and whether it mirrors.
-
-    Raises:
-        TypeError, ValueError: As `Camera.from_clip`.
-    """
+    """Split a perspective clip matrix into K [B, 3, 3] for an image of 2 × 2 pixels, R, t, and whether it mirrors."""
     clip = _matrix("matrix", matrix, (4,), device).double()
     clip = clip if clip.ndim == 3 else clip[None]
     x, y, _, w = clip.unbind(-2)
@@ -91,11 +83,7 @@ def clip_frame(matrix: Any, dtype: torch.dtype, device: torch.device) -> tuple[T
 
 
 def clip_range(matrix: Any, device: torch.device) -> tuple[float, float]:
-    """Read the near and the far depth from a perspective clip matrix, or several of one range.
-
-    Raises:
-        TypeError, ValueError: As `Camera.clip_range`.
-    """
+    """Read the near and the far depth from a perspective clip matrix, or several of one range."""
     clip = _matrix("matrix", matrix, (4,), device).detach().double().reshape(-1, 4, 4)
     z, w = clip[:, 2], clip[:, 3]
     slope = _dot(z[:, :3], w[:, :3]) / _dot(w[:, :3], w[:, :3])

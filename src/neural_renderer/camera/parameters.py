@@ -26,19 +26,10 @@ def parameter(
     device: torch.device | None = None,
     shared: bool = False,
 ) -> Tensor:
-    """Convert ``value`` to a tensor of shape ``size`` or ``[B, *size]``; gradients flow through.
+    """Convert numbers to a tensor of shape ``size`` or ``[B, *size]``, on a device if one is given; gradients flow.
 
-    Args:
-        name: Name of the argument, for messages.
-        value: Numbers: tensor, array or nested sequence.
-        size: Shape without the batch.
-        dtype: Dtype of the result.
-        device: Device of the result; None keeps the device.
-        shared: The result is only read, so that calls may share it if ``value`` holds Python numbers.
-
-    Raises:
-        TypeError: ``value`` does not hold numbers.
-        ValueError: The shape does not fit; while values are checked, also a number that is not finite.
+    A ``shared`` result is only read, so that calls may share that of Python numbers. TypeError: These are no numbers.
+    ValueError: The shape does not fit; while values are checked, also a number is not finite.
     """
     if shared and device is not None and not isinstance(value, Tensor):
         known = constant(value, dtype, device)

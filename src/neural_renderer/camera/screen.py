@@ -20,18 +20,10 @@ from .parameters import batch_of, batch_size, scalar
 
 
 def scene_camera(vertices: Any, camera: Any) -> tuple[Any, Camera]:
-    """Check the camera of a scene. Without one, convert vertices in clip space to points of the camera that shows them.
+    """Check the camera of a scene; return its vertices and the camera.
 
-    Args:
-        vertices: Vertices of the mesh; without a camera [V, 4] or [B, V, 4], (x, y, z, w) in clip space.
-        camera: A `Camera`, or None.
-
-    Returns:
-        The vertices [V, 3] or [B, V, 3], and the camera.
-
-    Raises:
-        TypeError: ``camera`` is neither.
-        ValueError: Without a camera, the vertices are not clip coordinates of a perspective projection.
+    Without a camera, convert vertices (x, y, z, w) in clip space, [V, 4] or [B, V, 4], to points of the one that shows
+    them; ValueError if they are not those of a perspective projection.
     """
     if isinstance(camera, Camera):
         return vertices, camera
@@ -62,22 +54,10 @@ def causes(vertices: Tensor, camera: Camera) -> tuple[Tensor, ...]:
 
 
 def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) -> tuple[Tensor, Tensor]:
-    """Project the corners of faces, as ``camera(vertices, aspect)`` and `corners_of` do one after the other.
+    """Project the corners of faces: [B, F, 3, 3] float32, and the faces as from `checked_faces`.
 
-    The values are the same; there are first derivatives only.
-
-    Args:
-        camera: B cameras.
-        vertices: [V, 3] or [B, V, 3] floating, in the world.
-        faces: Vertex indices [F, 3] or [B, F, 3].
-        aspect: Width / height of the image.
-
-    Returns:
-        The corners, [B, F, 3, 3] float32, and the faces as from `checked_faces`.
-
-    Raises:
-        TypeError, ValueError: As `Camera.__call__`, `checked_faces` and `corners_of`, in this order; or a position that
-            overflows float32.
+    Values and errors are those of ``camera(vertices, aspect)``, `checked_faces` and `corners_of`, in this order; there
+    are first derivatives only. A position that overflows float32 is a ValueError.
     """
     simple = _pinhole(camera, vertices)
     if simple is None:
@@ -106,14 +86,12 @@ def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, 
 
 
 def _by_camera(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
-    """Project vertices as ``camera`` does, with the points behind a fisheye mirrored, as a pinhole mirrors them.
-
-    So the rasteriser cuts faces at the camera's plane.
-    """
+    """Project vertices as ``camera`` does, with the points behind a fisheye mirrored."""
     screen = camera(vertices, aspect=aspect)
     if not camera.is_fisheye:
         return screen
     place, depth = screen[..., :2], screen[..., 2:]
+    # Pinholes mirror them, too; so the rasteriser cuts faces at the camera's plane.
     return torch.cat((torch.where(depth < 0, -place, place), depth), -1)
 
 

@@ -50,10 +50,8 @@ def look(vertices: Tensor, eye: Array, direction: Array | None = None, up: Array
     """Transform world vertices to the coordinates of a camera at ``eye`` that looks along ``direction``.
 
     Args:
-        vertices: [V, 3] or [B, V, 3] floating.
-        eye: Position of the camera, [3] or [B, 3] in world units.
+        vertices, eye, up: As in `look_at`.
         direction: Viewing direction, [3] or [B, 3], of any length; None means +z.
-        up: Direction that is up in the picture, likewise; None means +y.
 
     Returns:
         Camera coordinates in the same left-handed axes as `look_at`.
@@ -74,8 +72,7 @@ def look(vertices: Tensor, eye: Array, direction: Array | None = None, up: Array
 def look_at_frame(eye: Array, at: Array, up: Array, dtype: torch.dtype, mirrored: bool = True) -> tuple[Tensor, Tensor]:
     """Compute the axes of `look_at`, as rows of [3, 3] or [B, 3, 3], and the camera's position [3] or [B, 3].
 
-    ``mirrored`` gives the left-handed axes of the old functions. Otherwise x = norm(z × up) points to the right of a
-    viewer in a right-handed world.
+    Unless ``mirrored``, x = norm(z × up) points to the right of a viewer in a right-handed world.
     """
     eye, at, up = _vectors(dtype, eye=eye, at=at, up=up)
     problem = "eye: expected a point away from `at`, got the same point"

@@ -94,14 +94,9 @@ def run_edit(
     preset: Preset,
     weights: StyleWeights | DreamWeights,
 ) -> int:
-    """Edit a mesh, and write results and report; return the exit code: 0, or 130 after Ctrl-C.
+    """Edit a mesh, as from `load_initial_mesh`, and write results and report, with the loss ``weights``.
 
-    Args:
-        options: The options of the command.
-        mesh, colored: As from `load_initial_mesh`.
-        objective: The objective.
-        preset: Default values of options.
-        weights: Loss weights of the objective, for the report.
+    Returns the exit code: 0, or 130 after Ctrl-C.
     """
     chosen = preset.fill(options)
     if chosen["init"] == "mesh" and not colored:

@@ -78,8 +78,7 @@ def _check_image(device: torch.device) -> list[str]:
     depth = torch.full((1, 16, 16), 100.0)
     depth[:, 4:12, 4:10], depth[:, 4:12, 10:12] = 2, 3
     expected = {"rgb": rgb, "alpha": rgb.sum(1), "depth": depth}
-    found = {name: getattr(images, name) for name in expected}
-    return [_difference(n, found[n], e, 1e-4) for n, e in expected.items() if _differs(found[n], e, 1e-4)]
+    return [problem for name in expected for problem in _compare(name, getattr(images, name), expected[name], 1e-4)]
 
 
 def _check_sphere(device: torch.device) -> list[str]:
@@ -95,17 +94,12 @@ def _check_sphere(device: torch.device) -> list[str]:
     face_index = coverage_reference(corners, 24, 24, 0.1, 100.0, False, True)
     alpha = (face_index >= 0).float()
     expected = nmr_gradient_reference(weight.cpu()[:, None], alpha[:, None], corners, face_index, 1e-3, False).float()
-    problems = []
-    if _differs(images.alpha, alpha, 0):
-        problems.append(_difference("sphere", images.alpha, alpha, 0))
-    if _differs(found, expected, 1e-3):
-        problems.append(_difference("sphere's gradient", found, expected, 1e-3))
-    return problems
+    return _compare("sphere", images.alpha, alpha, 0) + _compare("sphere's gradient", found, expected, 1e-3)
 
 
 def _check_gradient(device: torch.device) -> list[str]:
     """Check the published gradients of two triangles."""
-    problems = []
+    problems: list[str] = []
     for number, (corners, (row, column), target, gradient) in enumerate(_CASES, 1):
         screen = torch.tensor(corners, device=device).requires_grad_()
         faces = torch.cat((screen, torch.ones(3, 1, device=device)), dim=1)[None, None]
@@ -114,23 +108,18 @@ def _check_gradient(device: torch.device) -> list[str]:
         )
         loss = (images.alpha[0, row, column] - target).abs()
         (found,) = torch.autograd.grad(loss, screen)
-        expected = torch.tensor(gradient)
-        if _differs(found, expected, 1e-2):
-            problems.append(_difference(f"gradient {number}", found, expected, 1e-2))
+        problems += _compare(f"gradient {number}", found, torch.tensor(gradient), 1e-2)
     return problems
 
 
-def _differs(found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> bool:
-    """Tell whether numbers differ by more than a relative tolerance."""
+def _compare(name: str, found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> list[str]:
+    """Describe the largest difference of numbers that differ by more than a relative tolerance."""
+    found = found.detach().cpu()
     # A small sum of large terms has the absolute error of its terms.
-    least = 1e-5 * max(1.0, expected.abs().max().item())
-    return not torch.allclose(found.detach().cpu(), expected, rtol=tolerance, atol=least)
-
-
-def _difference(name: str, found: torch.Tensor, expected: torch.Tensor, tolerance: float) -> str:
-    """Describe the largest difference."""
-    worst = (found.cpu() - expected).abs().max().item()
-    return f"{name}: expected agreement within {tolerance:g}, got a difference of {worst:.3g}"
+    if torch.allclose(found, expected, rtol=tolerance, atol=1e-5 * max(1.0, expected.abs().max().item())):
+        return []
+    worst = (found - expected).abs().max().item()
+    return [f"{name}: expected agreement within {tolerance:g}, got a difference of {worst:.3g}"]
 
 
 def _cache() -> str:

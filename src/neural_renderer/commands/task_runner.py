@@ -25,14 +25,7 @@ _SECONDS, _SHARE = 4.0, 0.02
 
 
 class Task(Protocol):
-    """Task of many steps, in one or several phases.
-
-    Attributes:
-        phase: Name of the current phase.
-        step: Number of steps taken in this phase.
-        steps: Number of steps of this phase.
-        done: Whether all phases are over.
-    """
+    """Task of many steps, in one or several phases; ``step`` of ``steps`` are those taken in the current phase."""
 
     @property
     def phase(self) -> str: ...
@@ -52,21 +45,9 @@ class Task(Protocol):
 class TaskRunner:
     """Runs a task with progress bars, previews and checkpoints, until it is done or interrupted.
 
-    Args:
-        folder: Folder for ``preview.png`` and ``checkpoint.pt``.
-        task: The task.
-        settings: Plain values that identify the task. A checkpoint is accepted only if its settings are equal.
-        preview: Writes a preview to the given path.
-        every: Steps between two previews and checkpoints; None for every few seconds.
-        device: Device of the task; a checkpoint may come from another.
-        observer: Sees the steps, may pause and stop the task, and change its settings.
-        mesh: Makes the current mesh for the observer, or several by name.
-
-    Attributes:
-        stopped: Whether the observer has stopped the task.
-        changes: Settings that the observer has changed: "phase", "step" and the new value by name.
-        history: Numbers of each step (the result of ``advance``), with its "phase".
-        seconds: Time of all steps, including those before an interruption.
+    ``settings`` identify the task: a checkpoint is accepted only if its own are equal. ``preview`` writes a picture to
+    a path, after ``every`` steps, or every few seconds. The observer sees the steps, may pause and stop the task, and
+    change its settings; ``mesh`` makes the current mesh for it, or several by name.
     """
 
     def __init__(
@@ -83,22 +64,15 @@ class TaskRunner:
         self._folder, self._task, self._settings, self._preview, self._every = folder, task, settings, preview, every
         self._checkpoint, self._device = folder / CHECKPOINT, device
         self._observer, self._mesh = observer, mesh
-        self.history: list[dict[str, Any]] = []
-        self.changes: list[dict[str, Any]] = []
-        self.seconds = 0.0
-        self.stopped = False
+        self.history: list[dict[str, Any]] = []  # numbers of each step (the result of ``advance``), with its "phase"
+        self.changes: list[dict[str, Any]] = []  # by the observer: "phase", "step" and the new value by name
+        self.seconds = 0.0  # of all steps, including those before an interruption
+        self.stopped = False  # by the observer
 
     def run(self, resume: bool) -> bool:
-        """Take all remaining steps.
+        """Take all remaining steps, from the checkpoint if ``resume``; return False if Ctrl-C or the observer ended it.
 
-        Args:
-            resume: Whether to continue from the checkpoint, if there is one.
-
-        Returns:
-            False if Ctrl-C interrupted the task, or the observer stopped it.
-
-        Raises:
-            ValueError: The checkpoint is unreadable, or belongs to a task with other settings or of another version.
+        ValueError: The checkpoint is unreadable, or belongs to a task with other settings or of another version.
         """
         if resume and self._checkpoint.is_file():
             self._restore()

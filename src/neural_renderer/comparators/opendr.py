@@ -60,17 +60,10 @@ class OpenDR(Estimator):
 def opendr_gradient(
     image: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, halved: bool = False
 ) -> Tensor:
-    """Return the image and send a gradient to the x and y of faces, by OpenDR's rule.
+    """Return the image and send a gradient to the x and y of faces [B, F, 3, 3], by OpenDR's rule.
 
-    Args:
-        image: [B, C, H, W] float32, any number of channels, with its background, before anti-aliasing.
-        faces: Screen-space corners, [B, F, 3, 3] float32.
-        face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
-        perspective: As in `coverage`.
-        halved: Whether to average blocks of 2 x 2 pixels (anti-aliasing).
-
-    Returns:
-        [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``.
+    The image [B, C, H, W] has its background; ``halved`` averages blocks of 2 x 2 pixels. Indices [B, H, W] int32 and
+    ``perspective`` are as in `coverage`.
     """
     return halve(image) if halved else copy(image)
 

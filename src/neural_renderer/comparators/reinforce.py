@@ -54,8 +54,7 @@ def reinforce(
         Mean loss of the samples, a number of the type of the losses, differentiable in ``parameters`` once.
 
     Raises:
-        TypeError: Parameters that are not floating, or losses that are not a tensor.
-        ValueError: A number out of its range, or losses of another shape.
+        TypeError, ValueError: An argument is out of range, or the losses do not fit.
 
     Example:
         >>> vertices, faces = nr.icosphere(1)

@@ -46,8 +46,7 @@ def soft_silhouettes(faces: Tensor, size: int | tuple[int, int], *, sigma: float
         [B, H, W] in [0, 1], of the type of ``faces``.
 
     Raises:
-        TypeError: An argument of another type.
-        ValueError: An argument of another shape or range.
+        TypeError, ValueError: An argument does not fit.
 
     Example:
         >>> vertices, triangles = nr.icosphere(1)

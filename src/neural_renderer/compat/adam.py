@@ -30,9 +30,7 @@ class Adam(torch.optim.Optimizer):
         lr: Learning rate α, ≥ 0.
         betas: Decay rates (β1, β2), each in [0, 1).
         eps: Number added to √v, > 0.
-        alpha: Chainer's name of ``lr``; it takes precedence.
-        beta1: Chainer's name of the first of ``betas``; it takes precedence.
-        beta2: Chainer's name of the second of ``betas``; it takes precedence.
+        alpha, beta1, beta2: Chainer's names of ``lr`` and the two ``betas``; they take precedence.
 
     Raises:
         TypeError, ValueError: A number is out of range; in `step`, a gradient is sparse or complex.

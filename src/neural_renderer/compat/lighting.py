@@ -20,10 +20,9 @@ def face_light(
     color_directional: Array = _WHITE,
     direction: Array = _UP,
 ) -> Tensor:
-    """Compute the light on each face as the published renderer does, [B, F, 3 colours]. Arguments: see `lighting`.
+    """Compute the light on each face as the published renderer does, [B, F, 3 colours]; see `lighting`.
 
-    Light falls on the side to which (v0 − v1) × (v2 − v1) points. Through the mirroring cameras of `look_at` and
-    `look`, corners on this side run counter-clockwise on the screen. Differentiable in all arguments.
+    Through the mirroring cameras of `look_at` and `look`, corners on the lit side run counter-clockwise on the screen.
     """
     light = Light(intensity_ambient, intensity_directional, color_ambient, color_directional, direction)
     return light._shade(light._facing(corners))

@@ -30,11 +30,7 @@ OLD_MODULES: dict[str, dict[str, tuple[str, ...]]] = {
         "interface": ("rasterize", "rasterize_rgbad", "rasterize_silhouettes", "rasterize_depth", "Rasterize"),
         "compat.old_functions": ("RasterizeFunction",),
         "compat.rasterize": (
-            "DEFAULT_IMAGE_SIZE",
-            "DEFAULT_ANTI_ALIASING",
-            "DEFAULT_NEAR",
-            "DEFAULT_FAR",
-            "DEFAULT_EPS",
+            *("DEFAULT_IMAGE_SIZE", "DEFAULT_ANTI_ALIASING", "DEFAULT_NEAR", "DEFAULT_FAR", "DEFAULT_EPS"),
             "DEFAULT_BACKGROUND_COLOR",
         ),
     },

@@ -96,9 +96,7 @@ def rasterize(
     """Draw colour.
 
     Args:
-        faces: [B, F, 3 corners, 3] floating, in screen space.
-        textures: [B, F, T, T, T, 3] floating.
-        image_size, anti_aliasing, near, far, eps, background_color, gradient: As in `rasterize_rgbad`.
+        faces, textures, image_size, anti_aliasing, near, far, eps, background_color, gradient: As in `rasterize_rgbad`.
 
     Returns:
         [B, 3, H, W] float32, differentiable in faces and textures.
@@ -127,8 +125,7 @@ def rasterize_silhouettes(
     """Draw silhouettes.
 
     Args:
-        faces: [B, F, 3 corners, 3] floating, in screen space.
-        image_size, anti_aliasing, near, far, eps, gradient: As in `rasterize_rgbad`.
+        faces, image_size, anti_aliasing, near, far, eps, gradient: As in `rasterize_rgbad`.
 
     Returns:
         [B, H, W] float32: 1 on faces, 0 elsewhere, fractions with ``anti_aliasing``. Differentiable in faces.
@@ -157,8 +154,7 @@ def rasterize_depth(
     """Draw depth.
 
     Args:
-        faces: [B, F, 3 corners, 3] floating, in screen space.
-        image_size, anti_aliasing, near, far, eps, gradient: As in `rasterize_rgbad`.
+        faces, image_size, anti_aliasing, near, far, eps, gradient: As in `rasterize_rgbad`.
 
     Returns:
         [B, H, W] float32, ``far`` in the background. Differentiable in faces.
@@ -179,8 +175,8 @@ class Rasterize(nn.Module):
     """Rasteriser as a module: no anti-aliasing, rows from the **bottom**, channels last.
 
     Args:
-        image_size, near, far, eps, background_color: As in `rasterize_rgbad`.
-        return_rgb, return_alpha, return_depth, gradient: As in `rasterize_rgbad`.
+        image_size, near, far, eps, background_color, return_rgb, return_alpha, return_depth, gradient: As in
+            `rasterize_rgbad`.
 
     Raises:
         ValueError: Nothing is requested.
@@ -222,8 +218,7 @@ class Rasterize(nn.Module):
         """Draw faces.
 
         Args:
-            faces: [B, F, 3 corners, 3] floating, in screen space.
-            textures: [B, F, T, T, T, 3] floating, for colour; otherwise None.
+            faces, textures: As in `rasterize_rgbad`.
 
         Returns:
             (rgb [B, H, W, 3], alpha [B, H, W], depth [B, H, W]), None if not requested.

@@ -30,12 +30,7 @@ _LIGHT = {
     "direction": "light_direction",
 }
 # Argument of `rasterize_images` → attribute of `Renderer`.
-_RASTERIZER = {
-    "size": "image_size",
-    "background": "background_color",
-    "eps": "rasterizer_eps",
-    "light": "light_*",
-}
+_RASTERIZER = {"size": "image_size", "background": "background_color", "eps": "rasterizer_eps", "light": "light_*"}
 _COLOR_EPS = 1e-3  # default of the first packages
 
 
@@ -70,15 +65,12 @@ class Renderer(nn.Module):
         camera_direction: Viewing direction in the mode "look", [3] or [B, 3].
         near: Smallest visible depth.
         far: Largest visible depth.
-        light_intensity_ambient: See `Light.ambient`.
-        light_intensity_directional: See `Light.directional`.
-        light_color_ambient: See `Light.ambient_color`.
-        light_color_directional: See `Light.directional_color`.
-        light_direction: See `Light.direction`.
+        light_intensity_ambient, light_intensity_directional: See ``ambient`` and ``directional`` of `Light`.
+        light_color_ambient, light_color_directional: See ``ambient_color`` and ``directional_color`` of `Light`.
+        light_direction: See ``direction`` of `Light`.
         gradient: Gradient estimator, "nmr" or "edge".
         camera_up: Direction that is up in the picture, [3] or [B, 3].
-        image_height: Height in pixels; takes precedence over ``image_size``.
-        image_width: Width in pixels; takes precedence over ``image_size``.
+        image_height, image_width: Height and width in pixels; they take precedence over ``image_size``.
 
     Attributes:
         eye: Position of the camera, [3] or [B, 3].
@@ -90,7 +82,13 @@ class Renderer(nn.Module):
     Example:
         >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
         >>> renderer.eye = nr.get_points_from_angles(2.7, 0.0, 30.0)
-        >>> rgb, depth, alpha = renderer(*mesh.get_batch(1))
+        >>> vertices, faces, textures = mesh.get_batch(1)
+        >>> rgb, depth, alpha = renderer(vertices, faces, textures)
+        >>> alpha = renderer(vertices, faces, mode="silhouettes")
+        >>> rgb, depth, alpha = renderer.render(vertices, faces, textures)
+        >>> rgb = renderer.render_rgb(vertices, faces, textures)
+        >>> alpha = renderer.render_silhouettes(vertices, faces)
+        >>> depth = renderer.render_depth(vertices, faces)
     """
 
     def __init__(
@@ -193,9 +191,8 @@ class Renderer(nn.Module):
         """Draw images.
 
         Args:
-            vertices, faces, textures: As in `render`.
+            vertices, faces, textures, K, R, t, dist_coeffs, orig_size: As in `render`.
             mode: None calls `render`, "rgb" `render_rgb`, "silhouettes" `render_silhouettes`, "depth" `render_depth`.
-            K, R, t, dist_coeffs, orig_size: As in `render`.
 
         Returns:
             The result of the method that ``mode`` selects.
@@ -203,9 +200,6 @@ class Renderer(nn.Module):
         Raises:
             TypeError, ValueError: As `render`, or the mode is unknown.
 
-        Example:
-            >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
-            >>> alpha = renderer(*mesh.get_batch(1), mode="silhouettes")
         """
         camera = (K, R, t, dist_coeffs, orig_size)
         if mode is None:
@@ -236,9 +230,6 @@ class Renderer(nn.Module):
         Raises:
             TypeError, ValueError: An argument or attribute does not fit.
 
-        Example:
-            >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
-            >>> rgb, depth, alpha = renderer.render(*mesh.get_batch(1))
         """
         images = self._draw(("rgb", "alpha", "depth"), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size))
         return images.rgb, images.depth, images.alpha
@@ -258,9 +249,6 @@ class Renderer(nn.Module):
         Raises:
             TypeError, ValueError: As `render`.
 
-        Example:
-            >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
-            >>> rgb = renderer.render_rgb(*mesh.get_batch(1))
         """
         return self._draw(("rgb",), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size)).rgb
 
@@ -279,10 +267,6 @@ class Renderer(nn.Module):
         Raises:
             TypeError, ValueError: As `render`.
 
-        Example:
-            >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
-            >>> vertices, faces, _ = mesh.get_batch(1)
-            >>> alpha = renderer.render_silhouettes(vertices, faces)
         """
         return self._draw(("alpha",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).alpha
 
@@ -301,10 +285,6 @@ class Renderer(nn.Module):
         Raises:
             TypeError, ValueError: As `render`.
 
-        Example:
-            >>> renderer = nr.Renderer(image_size=64, camera_mode="look_at")
-            >>> vertices, faces, _ = mesh.get_batch(1)
-            >>> depth = renderer.render_depth(vertices, faces)
         """
         return self._draw(("depth",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).depth
 

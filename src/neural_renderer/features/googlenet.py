@@ -138,15 +138,11 @@ class Inception(nn.Module):
 
 
 class _LayerBuilder:
-    """Makes layers from a checkpoint and checks that each fits the number of channels before it.
-
-    Attributes:
-        width: Number of channels after the layers made so far.
-    """
+    """Makes layers from a checkpoint and checks that each fits the number of channels before it."""
 
     def __init__(self, weights: Mapping[str, Tensor]) -> None:
         self._weights = weights
-        self.width = 3
+        self.width = 3  # channels after the layers made so far
 
     def convolution(self, name: str, inputs: int | None = None, stride: int = 1) -> nn.Module:
         """Make a convolution with ReLU; ``inputs`` is its number of input channels, by default ``width``."""

@@ -101,10 +101,7 @@ def _convolution_stages(
 
 
 def _from_torchvision(weights: Mapping[str, Tensor]) -> _Convolutions:
-    """Find the convolutions by torchvision's indices, which step by 2 inside a block and by 3 to the next one.
-
-    ReLUs and pools take the indices between them.
-    """
+    """Find the convolutions by torchvision's indices, which step by 2 (a ReLU between) or 3 (a pool) to a new block."""
     convolutions: _Convolutions = {}
     block, place, last = 1, 0, -2
     for index in sorted({int(name.split(".")[1]) for name in weights if re.fullmatch(r"features\.\d+\.\w+", name)}):

@@ -23,17 +23,10 @@ _TRIANGLE = np.array([[0, 0], [0, 1], [1, 1]])  # (x, y down) of the corners in 
 
 
 def build_atlas(textures: np.ndarray, tile: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Draw the texture cubes of a mesh, [F, T, T, T, 3] float32 in [0, 1], into one image.
+    """Draw texture cubes [F, T, T, T, 3] float32 in [0, 1] into one image; ValueError if there are too many faces.
 
-    A tile is ``tile`` ≥ 4 pixels wide; None chooses about 15, up to 50 if the picture is at most 1024 wide, and fewer
-    for meshes of more than 290,000 faces, because the picture would be wider than 8192.
-
-    Returns:
-        The picture, [H, W, 3] uint8, row 0 at the top, and the pixel positions of the faces' corners, [F, 3, 2]
-        float64 (x right, y down; pixel 0 has its centre at 0).
-
-    Raises:
-        ValueError: The mesh has too many faces.
+    A tile is ``tile`` ≥ 4 pixels wide, or as `_span` chooses. Returns the image [H, W, 3] uint8, and the pixel
+    positions of the faces' corners, [F, 3, 2] float64 (x right, y down; pixel 0 has its centre at 0).
     """
     faces, size = textures.shape[:2]
     columns = math.ceil(math.sqrt(faces))
@@ -71,7 +64,10 @@ def _by_color(means: np.ndarray) -> np.ndarray:
 
 
 def _span(size: int, columns: int) -> int:
-    """Choose n, the pixels between two corners: a multiple of T − 1, unless the picture would become too wide."""
+    """Choose n, the pixels between two corners: a multiple of T − 1, unless the picture would become too wide.
+
+    A tile has about 15 pixels, up to 50 in narrow pictures, and fewer for meshes of more than 290,000 faces.
+    """
     steps = max(size - 1, 1)
     span = max(1, round(min(_MOST_SPAN, max(_LEAST_SPAN, _GOOD_WIDTH // columns - _BORDER)) / steps)) * steps
     most = _LARGEST // columns - _BORDER

@@ -35,20 +35,13 @@ def writing(path: str | os.PathLike[str]) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Write ``path`` and files beside it, all or none.
+    """Write ``path`` and files beside it, all or none; OSError if that fails.
 
     Yields a path of the same name in a temporary folder. At the end of the block, all files in that folder are synced
     and renamed into the folder of ``path``, with ``path`` last. If a rename fails, or Ctrl-C comes between two of them,
     those before it are undone. Missing folders are made, permissions of replaced files are kept, and symbolic links are
     followed. The next write into the same folder cleans up after a killed process: it deletes temporary files, and
     restores the old files of a set that was renamed only in part.
-
-    Raises:
-        OSError: ``path`` cannot be written, is not a regular file, or is write-protected.
-
-    Example:
-        >>> with replacing("a.txt") as fresh:   # doctest: +SKIP
-        ...     fresh.write_text("whole")
     """
     path = Path(path)
     with writing(path):

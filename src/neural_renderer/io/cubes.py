@@ -26,15 +26,9 @@ def barycentric_grid(size: int) -> np.ndarray:
 
 
 def trilinear_texels(weights: np.ndarray, size: int, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Find the eight texels that the renderer blends at barycentric weights [N, 3], and their shares.
+    """Find the eight texels that the renderer blends at barycentric weights [N, 3]: indices and shares, [N, 8] each.
 
-    Args:
-        weights: [N, 3] floating, ≥ 0, sum 1.
-        size: T, texels along the edge of a cube.
-        margin: Coordinates in the cube end at T − 1 − margin; the ``eps`` of `render`.
-
-    Returns:
-        Indices into the T · T · T texels, [N, 8] int64, and shares [N, 8] of the dtype of the weights, of sum 1.
+    Coordinates in the cube of ``size``³ texels end at size − 1 − margin, as by the ``eps`` of `render`.
     """
     at = (weights * (size - 1)).clip(0, size - 1 - margin if size > 1 else 0)
     low = np.floor(at + 1e-9).clip(0, max(size - 2, 0)).astype(np.int64)
@@ -77,21 +71,12 @@ def bake_image(
     bilinear: bool = True,
     pixel_centers: bool = False,
 ) -> np.ndarray:
-    """Bake an image into texture cubes.
+    """Bake an image [H, W, 3] float32 into the texture cubes [N, T, T, T, 3] of N faces.
 
-    Args:
-        image: [H, W, 3] float32, row 0 at the top.
-        uv: [N, 3, 2] float64, finite, texture coordinates of the faces' corners: u to the right, v **up**, the image
-            over [0, 1]².
-        size: T, texels along a cube's edge.
-        wrap: Wrapping outside [0, 1]: "repeat", "mirror", "clamp", or a pair of them for u and v; or "border", which is
-            black. With "repeat", exactly 1 is the far border of the image, unless the face begins there.
-        bilinear: Interpolate between the four nearest pixels; otherwise take the nearest one.
-        pixel_centers: Whether u = 0 and 1 are the borders of the image, as in glTF and OpenGL. Otherwise they are the
-            centres of the outermost pixels, as the first packages read OBJ files.
-
-    Returns:
-        [N, T, T, T, 3] float32.
+    Texture coordinates [N, 3, 2] of the corners, v **up**, are wrapped outside [0, 1] by "repeat", "mirror", "clamp", a
+    pair of them for u and v, or "border", which is black. With "repeat", exactly 1 is the far border of the image,
+    unless the face begins there. With ``pixel_centers``, 0 and 1 are the borders of the image, as in glTF; otherwise
+    they are the centres of the outermost pixels, as the first packages read OBJ files.
     """
     repeat = _axes(wrap, "repeat")
     if repeat.any():

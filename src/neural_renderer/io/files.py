@@ -39,17 +39,14 @@ def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
 
 
 def import_library(name: str, use: str) -> Any:
-    """Import an optional library, or one of its modules; ``use`` says what for: "to make charts".
-
-    Raises ModuleNotFoundError with the command that installs the library itself: extras of this package would name it
-    on an index, where the name may belong to somebody else.
-    """
+    """Import an optional library, or one of its modules; ``use`` says what for: "to make charts"."""
     library = name.partition(".")[0]
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name not in (library, name):
             raise
+        # The command names the library itself: an extra of this package, on an index, may belong to somebody else.
         raise ModuleNotFoundError(
             f"expected {library} to be installed {use} (pip install {library})", name=library
         ) from None
@@ -104,19 +101,9 @@ def read_text(path: Path) -> str:
 
 
 def mesh_to_write(vertices: Any, faces: Any, textures: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Convert a mesh to arrays on the CPU and check it, even with `check_values(False)`.
+    """Convert a mesh, as `save_mesh` takes it, to arrays on the CPU and check it, even with `check_values(False)`.
 
-    Args:
-        vertices: [V, 3] floating tensor or array.
-        faces: [F, 3] tensor or array of whole numbers.
-        textures: [F, T, T, T, 3] floating tensor or array, or None.
-
-    Returns:
-        Vertices float32, faces int64, and textures float32, clamped to [0, 1], or None.
-
-    Raises:
-        TypeError, ValueError: A type or shape does not fit, a number is not finite, an index is out of range, or there
-            are no faces.
+    Returns vertices float32, faces int64, and textures float32, clamped to [0, 1], or None.
     """
     vertices, faces = _on_host("vertices", vertices), _on_host("faces", faces)
     validate.floating("vertices", vertices, ["V", 3])
@@ -152,12 +139,8 @@ def _on_host(name: str, value: Any) -> Any:
 
 
 def load_tensors(path: str | os.PathLike[str], device: torch.device | str = "cpu") -> Any:
-    """Load tensors and plain values from a file of torch.save, without running code from the file.
-
-    Raises the errors of torch (see `why_not_loaded`), and ValueError for a compressed archive. torch.save does not
-    compress, and a compressed file could fill the memory.
-    """
-    if zipfile.is_zipfile(path):
+    """Load tensors and plain values from a file of torch.save, without running code from it; see `why_not_loaded`."""
+    if zipfile.is_zipfile(path):  # torch.save does not compress, and a compressed file could fill the memory
         with zipfile.ZipFile(path) as archive:
             if sum(member.file_size for member in archive.infolist()) > os.path.getsize(path):
                 raise ValueError("it is compressed")

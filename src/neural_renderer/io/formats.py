@@ -84,8 +84,7 @@ def read_mesh(
 ) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None, bool]:
     """Read a mesh file without baking, as `load_mesh`; with ``materials``, also materials, normals and uv1.
 
-    Returns:
-        Vertices [V, 3] float64, faces [F, 3] int64, surface colours or None, and ``pixel_centers`` of `bake_image`.
+    Returns vertices [V, 3] float64, faces [F, 3] int64, surface colours or None, and ``pixel_centers`` of `bake_image`.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -129,12 +128,7 @@ def is_trimesh(value: Any) -> bool:
 
 
 def read_trimesh(mesh: Any) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
-    """Convert a mesh or scene of trimesh, as `read_mesh` does files; colours are display values.
-
-    Raises:
-        TypeError: It is something else.
-        ValueError: It has no faces, a vertex that is not finite, or an index out of range.
-    """
+    """Convert a mesh or scene of trimesh, as `read_mesh` does files; colours are display values."""
     if not is_trimesh(mesh):
         raise TypeError(f"mesh: expected a Trimesh or Scene of trimesh, got {type(mesh).__name__}")
     parts = list(_parts(mesh))

@@ -88,8 +88,7 @@ def unpack(
 ) -> np.ndarray:
     """Decode an open image to the array of `load_image`; messages call it ``where``.
 
-    Without ``transparency``, an alpha channel is dropped. The sides are divided by ``divisor``, 1, 2, 4 or 8. Raises
-    ValueError if the image is damaged or too large.
+    Without ``transparency``, an alpha channel is dropped. The sides are divided by ``divisor``, 1, 2, 4 or 8.
     """
     if file.format == "EPS":  # Pillow would run another program to draw it
         raise ValueError(f"{where}: expected a picture of pixels, got PostScript")

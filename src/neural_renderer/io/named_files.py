@@ -15,22 +15,11 @@ _NAMING = (".obj", ".mtl", ".ply", ".gltf", ".glb", ".json", ".csv")  # suffixes
 
 
 def find_file(source: Path, name: str, *folders: Path, allow_outside: bool = False) -> Path | None:
-    """Find the regular file that ``source`` calls ``name``.
+    """Find the regular file that ``source`` calls ``name``, in folders, by default its own; None if there is none.
 
     The full name is searched first, then its last part, because exporters write paths of their own machine.
-    Backslashes are separators. Upper and lower case differ only if both files exist.
-
-    Args:
-        source: File that contains the name.
-        name: Path in any spelling.
-        folders: Folders to search; by default the folder of ``source``.
-        allow_outside: Search outside the folder of ``source``, too. Otherwise absolute paths elsewhere are not found.
-
-    Returns:
-        Path of the file, or None if there is none.
-
-    Raises:
-        ValueError: ``..`` leads out of the folder of ``source``, without ``allow_outside``.
+    Backslashes are separators. Upper and lower case differ only if both files exist. Without ``allow_outside``, files
+    outside the folder of ``source`` are not found; ValueError if ``..`` leads there.
     """
     folders, home = folders or (source.parent,), source.parent
     relative = name[len(Path(name).drive) :].replace("\\", "/")

@@ -34,33 +34,19 @@ class FileTexture(NamedTuple):
 
 @dataclass
 class SurfaceColors:
-    """Colours of F faces.
+    """Colours of F faces, and their materials: the arguments of `Material`, with a `FileTexture` for each texture."""
 
-    Attributes:
-        colors: [F, 3 corners, 3] float32 in [0, 1], for faces without an image.
-        image: [F] int, index into ``images``; −1 for a face without an image.
-        uv: [F, 3, 2] float64, texture coordinates of the corners: u to the right, v up, the image over [0, 1]².
-        images: [H, W, 3] float32 each, row 0 at the top.
-        wraps: Wrapping of each image, as in `bake_image`.
-        materials: Arguments of a `Material` each, with a `FileTexture` for each texture; empty if they were not read.
-        material: [F] int, index into ``materials``; −1 for none.
-        normals: [F, 3, 3], of the corners, or None.
-        tangents: [F, 3, 4], of the corners, with the sign of the bitangent, or None. 0 for faces without any.
-        uv1: [F, 3, 2], second texture coordinates, or None. 0 for faces without any.
-        has_colors: Whether the file has colours.
-    """
-
-    colors: np.ndarray
-    image: np.ndarray
-    uv: np.ndarray
-    images: list[np.ndarray] = field(default_factory=list)
-    wraps: list[Any] = field(default_factory=list)
-    materials: list[dict[str, Any]] = field(default_factory=list)
-    material: np.ndarray | None = None
-    normals: np.ndarray | None = None
-    tangents: np.ndarray | None = None
-    uv1: np.ndarray | None = None
-    has_colors: bool = True
+    colors: np.ndarray  # [F, 3 corners, 3] float32 in [0, 1], for faces without an image
+    image: np.ndarray  # [F] int, index into ``images``; −1 for a face without an image
+    uv: np.ndarray  # [F, 3, 2] float64, of the corners: u to the right, v up, the image over [0, 1]²
+    images: list[np.ndarray] = field(default_factory=list)  # [H, W, 3] float32 each, row 0 at the top
+    wraps: list[Any] = field(default_factory=list)  # of each image, as in `bake_image`
+    materials: list[dict[str, Any]] = field(default_factory=list)  # empty if they were not read
+    material: np.ndarray | None = None  # [F] int, index into ``materials``; −1 for none
+    normals: np.ndarray | None = None  # [F, 3, 3], of the corners
+    tangents: np.ndarray | None = None  # [F, 3, 4], with the sign of the bitangent; 0 for faces without any
+    uv1: np.ndarray | None = None  # [F, 3, 2], second texture coordinates; 0 for faces without any
+    has_colors: bool = True  # whether the file has colours
     _numbers: dict[tuple[int, Any], int] = field(default_factory=dict, repr=False)
     _opaque: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 

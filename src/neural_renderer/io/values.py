@@ -26,20 +26,11 @@ def save_output(path: Path, values: np.ndarray, name: str, depth_scale: float = 
 
 
 def encode_output(path: Path, values: np.ndarray, name: str, depth_scale: float = 1000.0, level: int = 6) -> bytes:
-    """Encode an output of `render` for a file of a name.
+    """Encode the output of `render` of a name, [H, W] or [H, W, C], for the file at ``path``.
 
-    Args:
-        path: Name. An .npy and an .exr keep the numbers; an .exr stores whole numbers as float32, exact up to 2²⁴. A
-            .png holds (n + 1) / 2 of normals n, and depth · ``depth_scale`` in 16 bits, rounded, 0 where there is
-            nothing. Others are those of `encode_image`.
-        values: [H, W] or [H, W, C], float32 or int32.
-        name: Name of the output, for depth, normals and `write_exr`.
-        depth_scale: Steps of depth for one unit.
-        level: Compression of a .png, 0 to 9.
-
-    Raises:
-        ModuleNotFoundError: OpenEXR is not installed.
-        ValueError: A depth is more than 65,535 steps.
+    An .npy and an .exr keep the numbers; an .exr stores whole numbers as float32, exact up to 2²⁴. A .png holds
+    (n + 1) / 2 of normals n, and depth · ``depth_scale`` in 16 bits, rounded, 0 where there is nothing. ``level`` is
+    its compression, 0 to 9. ValueError: A depth is more than 65,535 steps.
     """
     suffix, file = path.suffix.lower(), io.BytesIO()
     if suffix == ".npy":

@@ -66,6 +66,12 @@ class Mesh(nn.Module):
         >>> vertices, faces = nr.cube()
         >>> nr.Mesh(vertices, faces, torch.ones(12, 1, 1, 1, 3))
         Mesh(8 vertices, 12 faces, textures of 1³, cpu)
+        >>> cube = nr.Mesh(vertices, faces, vertex_colors=vertices.abs())
+        >>> cube.colors_of_faces().shape, cube.cubes().shape
+        (torch.Size([12, 3, 3]), torch.Size([12, 4, 4, 4, 3]))
+        >>> cube.normalize().save("cube.ply")
+        >>> nr.Mesh.load("cube.ply").to_trimesh()
+        <trimesh.Trimesh(vertices.shape=(8, 3), faces.shape=(12, 3))>
     """
 
     vertices: Tensor
@@ -142,30 +148,19 @@ class Mesh(nn.Module):
 
     @classmethod
     def load(
-        cls,
-        path: str | os.PathLike[str],
-        texture_size: int = 4,
-        normalize: bool = False,
-        allow_outside: bool = False,
+        cls, path: str | os.PathLike[str], texture_size: int = 4, normalize: bool = False, allow_outside: bool = False
     ) -> Mesh:
         """Read a mesh file with its colours, or white if it has none.
 
         Args:
-            path: OBJ, PLY, STL, OFF, GLB or glTF file.
-            texture_size: T, texels along a cube's edge, ≥ 1.
+            path, texture_size, allow_outside: As in `load_mesh`.
             normalize: Centre and scale the mesh; see `Mesh.normalize`.
-            allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
         Returns:
             The mesh, on the CPU.
 
         Raises:
             OSError, TypeError, ValueError: As `load_mesh`.
-
-        Example:
-            >>> nr.save_mesh("torus.ply", *nr.torus(segments=16, sides=8))
-            >>> nr.Mesh.load("torus.ply", texture_size=2)
-            Mesh(128 vertices, 256 faces, textures of 2³, cpu)
         """
         vertices, faces, textures = load_mesh(path, texture_size, allow_outside)
         mesh = cls(vertices, faces, white_cubes(faces, texture_size) if textures is None else textures)
@@ -200,10 +195,6 @@ class Mesh(nn.Module):
 
         Returns:
             The mesh of trimesh. A colour is the mean of the textures of the faces around the vertex, at that corner.
-
-        Example:
-            >>> nr.Mesh.icosphere(2).to_trimesh()
-            <trimesh.Trimesh(vertices.shape=(162, 3), faces.shape=(320, 3))>
         """
         return as_trimesh(self.vertices, self.faces, self.cubes())
 
@@ -219,11 +210,8 @@ class Mesh(nn.Module):
         """Read an OBJ file.
 
         Args:
-            filename_obj: Path of the file.
-            normalization: Centre the bounding box at the origin and scale its longest side to [−1, 1].
+            filename_obj, normalization, texture_size, allow_outside: As in `load_obj`.
             load_texture: Read the colours; otherwise the texture is noise that receives gradients.
-            texture_size: T, texels along a cube's edge, ≥ 1.
-            allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
         Returns:
             The mesh, on the device of `load_obj`. It has no parameters, as in the first packages.
@@ -245,8 +233,7 @@ class Mesh(nn.Module):
         """Make a white sphere of 10·4ˡᵉᵛᵉˡ + 2 vertices.
 
         Args:
-            level: Number of subdivisions, 0 to 8; see the function `icosphere`.
-            radius: Radius, > 0.
+            level, radius: As in the function `icosphere`.
             texture_size: T, texels along a cube's edge, ≥ 1.
 
         Returns:
@@ -282,11 +269,6 @@ class Mesh(nn.Module):
 
         Returns:
             [F, T, T, T, 3] float32.
-
-        Example:
-            >>> vertices, faces = nr.cube()
-            >>> nr.Mesh(vertices, faces, vertex_colors=vertices.abs(), texture_size=2).cubes().shape
-            torch.Size([12, 2, 2, 2, 3])
         """
         colors, size = self.colors_of_faces(), self._texture_size
         if self._colored == "textures":
@@ -301,11 +283,6 @@ class Mesh(nn.Module):
         Returns:
             Texture cubes [F, T, T, T, 3], those of one texel for colours of faces; or colours of the faces' corners
             [F, 3, 3], for colours of vertices. float32.
-
-        Example:
-            >>> vertices, faces = nr.cube()
-            >>> nr.Mesh(vertices, faces, vertex_colors=vertices.abs()).colors_of_faces().shape
-            torch.Size([12, 3, 3])
         """
         own = getattr(self, self._colored)
         if self._colored == "vertex_colors":
@@ -316,14 +293,10 @@ class Mesh(nn.Module):
         """Write the mesh as OBJ, PLY or GLB, with textures, or baked colours, clamped to [0, 1].
 
         Args:
-            path: Name that ends in ``.obj``, ``.ply`` or ``.glb``. A file of this name is replaced.
-            overwrite: Replace foreign files beside an OBJ, too; see `save_mesh`.
+            path, overwrite: As in `save_mesh`.
 
         Raises:
             OSError, TypeError, ValueError: As `save_mesh`.
-
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.glb")
         """
         save_mesh(path, self.vertices, self.faces, self.cubes(), overwrite=overwrite)
 
@@ -366,10 +339,6 @@ class Mesh(nn.Module):
 
         Raises:
             ValueError: All vertices coincide, or one is not finite.
-
-        Example:
-            >>> nr.Mesh.icosphere(radius=3.0).normalize().vertices.max().item()
-            1.0
         """
         return self._like(centered(self.vertices).float(), self.faces, getattr(self, self._colored))
 

@@ -50,16 +50,10 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def face_normals(corners: Tensor) -> Tensor:
-    """Compute unit normals of faces along (v0 − v1) × (v2 − v1), the orientation of the first packages.
+    """Compute unit normals [..., 3] of corners [..., 3, 3] along (v0 − v1) × (v2 − v1), as the first packages do.
 
     They point to the side where corners run **clockwise** in a right-handed world. The normal of a degenerate face is
     shorter than 1, down to 0. Values and gradients are finite.
-
-    Args:
-        corners: [..., 3 corners, 3] floating.
-
-    Returns:
-        [..., 3], differentiable.
     """
     v0, v1, v2 = _in_range(validate.wide(corners), (-2, -1)).unbind(-2)
     a, b = v0 - v1, v2 - v1

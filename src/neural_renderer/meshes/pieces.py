@@ -11,11 +11,7 @@ from .. import validate
 
 
 def chosen_faces(index: Any, faces: Tensor) -> Tensor:
-    """Convert a slice, face numbers [N], or a bool for each face [F], to numbers [N] int64 on the device of the faces.
-
-    Raises:
-        TypeError, ValueError: A type or shape does not fit, a number is out of range, or there is none.
-    """
+    """Convert a slice, face numbers [N], or a bool for each face [F], to numbers [N] int64 on the faces' device."""
     if isinstance(index, slice):
         index = range(len(faces))[index]
     try:
@@ -42,13 +38,7 @@ def used_vertices(faces: Tensor) -> tuple[Tensor, Tensor]:
 def merged_vertices(vertices: Tensor, faces: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
     """Find vertices in the same place: return the number of the first in each place, and the faces in new numbers.
 
-    Args:
-        vertices: [V, 3].
-        faces: [F, 3] integer.
-        tolerance: Width of the cells of a grid that count as one place; 0 for equal coordinates.
-
-    Raises:
-        TypeError, ValueError: ``tolerance`` is not a number ≥ 0.
+    The ``tolerance`` is as in `Mesh.merge_vertices`.
     """
     tolerance = validate.not_negative("tolerance", tolerance)
     places = vertices.detach().double()

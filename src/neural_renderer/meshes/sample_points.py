@@ -90,12 +90,7 @@ def sample_points(mesh: Any, count: int, generator: torch.Generator | None = Non
         >>> points.shape
         torch.Size([100, 3])
     """
-    vertices, faces, _ = mesh_parts(mesh)
-    vertices = validate.wide(validate.floating("vertices", vertices, ("V", 3)))
-    faces = validate.indices("faces", faces, ("F", 3)).long()
-    validate.same_device(vertices=vertices, faces=faces)
-    validate.finite("vertices", vertices)
-    validate.in_range("faces", faces, len(vertices))
+    vertices, faces = checked_surface(mesh)
     count = validate.whole("count", count, 1)
     with torch.no_grad():
         a, b, c = vertices[faces].double().unbind(1)
@@ -111,3 +106,14 @@ def sample_points(mesh: Any, count: int, generator: torch.Generator | None = Non
     corners = vertices[faces[index]]
     points, normals = (weights[..., None] * corners).sum(1), -face_normals(corners)  # `face_normals` point inward
     return SurfacePoints(points, normals, index, weights, faces)
+
+
+def checked_surface(mesh: Any, always: bool = False) -> tuple[Tensor, Tensor]:
+    """Check one mesh; return vertices [V, 3] of 32 or 64 bits and faces [F, 3] int64; see `validate.finite`."""
+    vertices, faces, _ = mesh_parts(mesh)
+    vertices = validate.wide(validate.floating("vertices", vertices, ("V", 3)))
+    faces = validate.indices("faces", faces, ("F", 3)).long()
+    validate.same_device(vertices=vertices, faces=faces)
+    validate.finite("vertices", vertices, always)
+    validate.in_range("faces", faces, len(vertices), always)
+    return vertices, faces

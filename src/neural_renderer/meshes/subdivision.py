@@ -41,17 +41,9 @@ def checked_levels(levels: Any, scheme: Any) -> int:
 
 
 def subdivided(vertices: Tensor, faces: Tensor, scheme: str) -> tuple[Tensor, Tensor]:
-    """Split each face into four.
+    """Split each face into four, as `Mesh.subdivide`: vertices [V + E, 3], the old ones first, and faces [4 F, 3].
 
-    Args:
-        vertices: [V, 3] floating.
-        faces: [F, 3] integer, valid indices.
-        scheme: "midpoint" keeps the surface. "loop" moves vertices towards the smooth surface of Loop's scheme; edges
-            that do not have two faces are creases, which become smooth curves, and vertices stay where other than two
-            creases meet.
-
-    Returns:
-        Vertices [V + E, 3], the old ones first, differentiable; and faces [4 F, 3].
+    By the scheme "loop", edges that do not have two faces are creases; vertices stay where other than two meet.
     """
     edges, split = split_faces(faces.long(), len(vertices))
     ends = vertices[edges]
@@ -90,10 +82,7 @@ def split_corners(values: Tensor) -> Tensor:
 
 
 def split_cubes(cubes: Tensor) -> Tensor:
-    """Sample texture cubes [F, T, T, T, 3] for the four children of each face, [4 F, T, T, T, 3].
-
-    A texel gets the colour that the renderer draws at its place.
-    """
+    """Sample texture cubes [F, T, T, T, 3], as the renderer does, for the four children of each face."""
     size = cubes.shape[1]
     if size == 1:
         return cubes.repeat_interleave(4, 0)

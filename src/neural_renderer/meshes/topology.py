@@ -15,13 +15,8 @@ from ..raster.warp.registration import fake, operator
 class Topology:
     """Edges and adjacent faces of a mesh, computed once by `Topology.of` and accepted by losses in place of ``faces``.
 
-    A face with a repeated vertex index is ignored.
-
-    Attributes:
-        edges: [E, 2] int64, each edge once, smaller vertex index first, sorted.
-        hinges: [I, 4] int64: (v0, v1, v2, v3) for each pair of faces with the common edge (v0, v1); v2 and v3 are the
-            opposite corners. A boundary edge has no hinge; an edge of k faces has k − 1.
-        vertices: Smallest possible number of vertices: the largest index + 1.
+    A face with a repeated vertex index is ignored. ``hinges`` are (v0, v1, v2, v3) for each pair of faces with the
+    common edge (v0, v1); v2 and v3 are the opposite corners. A boundary edge has none; an edge of k faces has k − 1.
 
     Example:
         >>> topology = Topology.of(torch.tensor([[0, 1, 2], [2, 1, 3]]))
@@ -29,23 +24,15 @@ class Topology:
         [[1, 2, 3, 0]]
     """
 
-    edges: Tensor
-    hinges: Tensor
-    vertices: int
+    edges: Tensor  # [E, 2] int64, each edge once, smaller vertex index first, sorted
+    hinges: Tensor  # [I, 4] int64
+    vertices: int  # smallest possible number of vertices: the largest index + 1
 
     @classmethod
     def of(cls, faces: Tensor) -> Topology:
-        """Find the edges of faces in O(F log F).
-
-        Args:
-            faces: [F, 3], whole numbers of any real dtype.
-
-        Raises:
-            TypeError, ValueError: The dtype or shape does not fit, or an index is negative; not in torch.compile, where
-                ``vertices`` is 0, because values are not known there.
-        """
+        """Find the edges of faces [F, 3], whole numbers of any real dtype; raise ValueError for a negative index."""
         faces = validate.has_numbers("faces", validate.indices("faces", faces, ("F", 3))).long()
-        if torch.compiler.is_compiling():
+        if torch.compiler.is_compiling():  # values are not known
             return cls(*edges_and_hinges(faces), vertices=0)
         count = int(faces.max()) + 1 if len(faces) else 0
         validate.in_range("faces", faces, max(count, 1))

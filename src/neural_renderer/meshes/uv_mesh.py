@@ -87,6 +87,18 @@ class UVMesh:
         >>> image = torch.rand(64, 64, 3, requires_grad=True)
         >>> cube = nr.UVMesh(vertices, faces, uv, image)
         >>> nr.render(cube, camera, 64).rgb.mean().backward()
+        >>> optimizer = torch.optim.Adam(cube.trainable().parameters(), lr=0.01)
+        >>> offset = torch.zeros(8, 3, requires_grad=True)
+        >>> moved = cube.replace(vertices=vertices + offset)
+        >>> fragments = nr.fragments(moved, camera, 64)
+        >>> fragments.composite(moved.shade(fragments)).shape
+        torch.Size([1, 3, 64, 64])
+        >>> cube.normalize().subdivide().submesh(range(10)).resized(128).to("cpu").save("part.obj")
+        >>> part = nr.UVMesh.load("part.obj").merge_vertices()
+        >>> part
+        UVMesh(14 vertices, 10 faces, 1 image of 128 × 128, 1 material, cpu)
+        >>> part.to_trimesh().faces.shape
+        (10, 3)
     """
 
     vertices: Tensor
@@ -143,9 +155,8 @@ class UVMesh:
         coordinates have the transform of the base colour's texture (``KHR_texture_transform``).
 
         Args:
-            path: OBJ, PLY, STL, OFF, GLB or glTF file.
+            path, allow_outside: As in `load_mesh`.
             grey: Colour of a mesh without colours, in [0, 1].
-            allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
         Returns:
             The mesh, on the CPU.
@@ -153,10 +164,6 @@ class UVMesh:
         Raises:
             OSError, TypeError, ValueError: As `load_mesh`.
 
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.obj")
-            >>> nr.UVMesh.load("sphere.obj").uv.shape
-            torch.Size([320, 3, 2])
         """
         vertices, faces, surface, _ = read_mesh(path, allow_outside, materials=True)
         return cls._of_surface(vertices, faces, surface, validate.number("grey", grey))
@@ -166,14 +173,14 @@ class UVMesh:
         """Convert a mesh of trimesh with its colours, or its image and texture coordinates.
 
         Args:
-            mesh: ``trimesh.Trimesh``, or a ``Scene``, whose meshes are transformed and joined.
+            mesh: As in `Mesh.from_trimesh`.
             grey: Colour of a mesh without colours, in [0, 1].
 
         Returns:
             The mesh, on the CPU, with all vertices in order. Of materials it has the base colour.
 
         Raises:
-            TypeError, ValueError: It is no such mesh, or has no faces or bad numbers.
+            TypeError, ValueError: As `Mesh.from_trimesh`.
 
         Example:
             >>> import trimesh
@@ -191,10 +198,6 @@ class UVMesh:
         Raises:
             TypeError, ValueError, OSError: As `save`.
 
-        Example:
-            >>> nr.Mesh.icosphere(2).save("white.obj")
-            >>> nr.UVMesh.load("white.obj").to_trimesh().faces.shape
-            (320, 3)
         """
         import trimesh  # imported here because it is slow
 
@@ -238,18 +241,10 @@ class UVMesh:
 
         Args:
             path: Name that ends in ``.obj`` or ``.glb``. A file of this name is replaced, missing folders are made.
-            overwrite: Replace any MTL and PNG beside an OBJ. By default only those are replaced that were written with
-                an OBJ of this name, so that a foreign model keeps its materials and images.
+            overwrite: As in `save_mesh`.
 
         Raises:
-            TypeError, ValueError: The suffix is unknown, a tensor does not fit, or a number is not finite.
-            FileExistsError: The MTL or a PNG would replace a foreign file.
-            OSError: A file cannot be written. All existing files stay as they were.
-
-        Example:
-            >>> nr.Mesh.icosphere(2).save("white.obj")
-            >>> sphere = nr.UVMesh.load("white.obj")
-            >>> sphere.save("sphere.glb")
+            TypeError, ValueError, FileExistsError, OSError: As `save_mesh`.
         """
         self._check(always=True)
         corners: dict[str, Any] = {name: _array(getattr(self, name)) for name in _CORNER_ATTRIBUTES}
@@ -291,12 +286,6 @@ class UVMesh:
         Raises:
             ValueError: A name is not one of these, or the mesh lacks the attribute.
 
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.obj")
-            >>> sphere = nr.UVMesh.load("sphere.obj").trainable()
-            >>> optimizer = torch.optim.Adam(sphere.parameters(), lr=0.01)
-            >>> nr.render(sphere, camera, 32).rgb.mean().backward()
-            >>> optimizer.step()
         """
         if not names:
             plain = not self.images or read_once(self.image_index, has_negative)
@@ -316,10 +305,6 @@ class UVMesh:
         Returns:
             The leaf tensors that require gradients, of the mesh and its materials, each once.
 
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.obj")
-            >>> [part.shape for part in nr.UVMesh.load("sphere.obj").trainable("vertices").parameters()]
-            [torch.Size([162, 3])]
         """
         found = {id(part): part for part in _tensors(self) if part.requires_grad and part.is_leaf}
         return iter(found.values())
@@ -340,12 +325,6 @@ class UVMesh:
         Raises:
             ValueError: ``fragments`` belongs to a mesh with another number of faces.
 
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.obj")
-            >>> sphere = nr.UVMesh.load("sphere.obj")
-            >>> fragments = nr.fragments(sphere, camera, 64)
-            >>> fragments.composite(sphere.shade(fragments)).shape
-            torch.Size([1, 3, 64, 64])
         """
         self._check()
         validate.same_device(uv=self.uv, fragments=fragments.corners)
@@ -369,14 +348,6 @@ class UVMesh:
         Raises:
             TypeError, ValueError: A name is not that of an attribute, or the parts do not fit together.
 
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.obj")
-            >>> mesh = nr.UVMesh.load("sphere.obj")
-            >>> offset = torch.zeros_like(mesh.vertices, requires_grad=True)
-            >>> moved = mesh.replace(vertices=mesh.vertices + offset)
-            >>> nr.render(moved, camera, 32).alpha.sum().backward()
-            >>> offset.grad.shape == mesh.vertices.shape
-            True
         """
         return dataclasses.replace(self, **parts)
 
@@ -389,10 +360,6 @@ class UVMesh:
         Raises:
             ValueError: All vertices coincide, or one is not finite.
 
-        Example:
-            >>> nr.Mesh.icosphere(2, radius=3.0).save("sphere.obj")
-            >>> nr.UVMesh.load("sphere.obj").normalize().vertices.max().item()
-            1.0
         """
         return self.replace(vertices=centered(self.vertices).float())
 
@@ -400,18 +367,13 @@ class UVMesh:
         """Take some of the faces, with their texture coordinates and the vertices that they use.
 
         Args:
-            index: Numbers of faces [N], or a bool for each face [F]: tensor, array or list. Or a slice.
+            index: As in `Mesh.submesh`.
 
         Returns:
             The mesh, with the same images; differentiable in all tensors. Its vertices keep their order.
 
         Raises:
-            TypeError, ValueError: A type or shape does not fit, a number is out of range, or there is none.
-
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.obj")
-            >>> nr.UVMesh.load("sphere.obj").submesh(range(10)).faces.shape
-            torch.Size([10, 3])
+            TypeError, ValueError: As `Mesh.submesh`.
         """
         kept = chosen_faces(index, self.faces)
         rows, faces = used_vertices(self.faces[kept])
@@ -430,12 +392,6 @@ class UVMesh:
         Raises:
             TypeError, ValueError: ``tolerance`` is not a number ≥ 0.
 
-        Example:
-            >>> vertices, faces = nr.cube()
-            >>> corners, uv, image = vertices[faces].reshape(-1, 3), torch.rand(36, 2), torch.rand(8, 8, 3)
-            >>> soup = nr.UVMesh(corners, torch.arange(36).reshape(12, 3), uv, image)
-            >>> soup.merge_vertices().vertices.shape
-            torch.Size([8, 3])
         """
         rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
         return self.replace(vertices=self.vertices[rows], faces=faces)
@@ -453,10 +409,6 @@ class UVMesh:
         Raises:
             TypeError, ValueError: As `Mesh.subdivide`.
 
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.obj")
-            >>> nr.UVMesh.load("sphere.obj").subdivide(scheme="loop").num_faces
-            1280
         """
         levels, mesh = checked_levels(levels, scheme), self
         for _ in range(levels):
@@ -481,10 +433,6 @@ class UVMesh:
         Raises:
             TypeError, ValueError: ``side`` is not a whole number ≥ 1.
 
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.obj")
-            >>> [image.shape for image in nr.UVMesh.load("sphere.obj").resized(128).images]
-            [torch.Size([128, 128, 3])]
         """
         size = (validate.whole("side", side, 1),) * 2
         images = [image.movedim(2, 0)[None] for image in self.images]
@@ -500,9 +448,6 @@ class UVMesh:
         Returns:
             The copy. Gradients flow back to the original.
 
-        Example:
-            >>> nr.Mesh.icosphere(2).save("sphere.obj")
-            >>> sphere = nr.UVMesh.load("sphere.obj").to("cuda" if torch.cuda.is_available() else "cpu")
         """
 
         def moved(value: Any) -> Any:
@@ -564,11 +509,7 @@ class UVMesh:
 
 
 def _one_image(vertices: Any, faces: Any, uv: Any, image: Any, wrap: Wrap) -> tuple[Any, ...]:
-    """Check the short form of `UVMesh`; return its attributes in order.
-
-    Raises:
-        TypeError, ValueError: A type, shape or device does not fit, or an index is out of range.
-    """
+    """Check the short form of `UVMesh`; return its attributes in order."""
     vertices = validate.floating("vertices", as_tensor(vertices), ("V", 3)).float()
     faces = validate.indices("faces", as_tensor(faces), ("F", 3)).int()
     image = as_image("image", image)

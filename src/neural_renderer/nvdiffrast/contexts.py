@@ -42,7 +42,9 @@ class RasterizeGLContext(RasterizeCudaContext):
 
     Example:
         >>> import neural_renderer.nvdiffrast as dr
-        >>> glctx = dr.RasterizeGLContext(output_db=False)
+        >>> glctx = dr.RasterizeGLContext(output_db=False, mode="manual")
+        >>> glctx.set_context()
+        >>> glctx.release_context()
     """
 
     def __init__(self, output_db: bool = True, mode: str = "automatic", device: Any = None) -> None:
@@ -52,20 +54,10 @@ class RasterizeGLContext(RasterizeCudaContext):
             raise ValueError(f"mode: expected 'automatic' or 'manual', got {mode!r}")
 
     def set_context(self) -> None:
-        """Do nothing; there is no OpenGL context to make current.
-
-        Example:
-            >>> import neural_renderer.nvdiffrast as dr
-            >>> dr.RasterizeGLContext(mode="manual").set_context()
-        """
+        """Do nothing; there is no OpenGL context to make current."""
 
     def release_context(self) -> None:
-        """Do nothing, as `set_context`.
-
-        Example:
-            >>> import neural_renderer.nvdiffrast as dr
-            >>> dr.RasterizeGLContext(mode="manual").release_context()
-        """
+        """Do nothing, as `set_context`."""
 
 
 def free_context(glctx: Any) -> RasterizeCudaContext:

@@ -62,12 +62,6 @@ class DepthPeeler:
 
         Raises:
             RuntimeError: Outside of the ``with`` block.
-
-        Example:
-            >>> import neural_renderer.nvdiffrast as dr
-            >>> pos = torch.tensor([[[-1.0, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]]])
-            >>> with dr.DepthPeeler(dr.RasterizeCudaContext(), pos, torch.tensor([[0, 1, 2]]).int(), [8, 8]) as peeler:
-            ...     rast, rast_db = peeler.rasterize_next_layer()
         """
         if not self._context.peels:
             raise RuntimeError("rasterize_next_layer: expected a call inside `with DepthPeeler(...) as peeler:`")

@@ -37,8 +37,7 @@ def show_in_notebooks() -> None:
 def images_png(images: Images) -> bytes | None:
     """Draw the first images of a batch: a row of colours, a row of silhouettes, a row of depth (near is white).
 
-    Returns:
-        A PNG file, or None for a batch without pixels; the notebook then shows text.
+    Returns a PNG file, or None for a batch without pixels; the notebook then shows text.
     """
     rows = []
     rgb, alpha, depth = images

@@ -33,11 +33,7 @@ def scale_to_see(radius: float, aspect: float = 1.0) -> float:
 
 
 def depth_range(mesh: Any, camera: Camera) -> tuple[float, float]:
-    """Return near and far planes that contain what a camera sees of a mesh.
-
-    Raises:
-        ValueError: All of the mesh is behind the camera.
-    """
+    """Return near and far planes that contain what a camera sees of a mesh; ValueError if it is behind the camera."""
     depth = camera(mesh.vertices.detach())[0, :, 2]
     low, high = depth.min().item(), depth.max().item()
     if high <= 0:
@@ -50,16 +46,11 @@ def depth_range(mesh: Any, camera: Camera) -> tuple[float, float]:
 def draw_outputs(
     mesh: Any, camera: Camera, size: int | tuple[int, int], names: Collection[str], **scene: Any
 ) -> dict[str, np.ndarray]:
-    """Draw outputs from one camera: [H, W] or [H, W, C] by name.
+    """Draw outputs of `render`, and "rgba", from one camera: [H, W] or [H, W, C] by name. ``scene`` are its arguments.
 
     "rgb", "alpha" and "rgba" are anti-aliased. The others are those at the pixels' centres, with smooth normals: 0
     where no face is visible, -1 for "face_index". The colours of "rgba" are not multiplied by alpha, whatever the
     background.
-
-    Args:
-        mesh, camera, size: As `render` takes them.
-        names: Outputs of `render`, and "rgba".
-        scene: Further arguments of `render`. The planes ``near`` and ``far`` hold for all outputs.
     """
     images: dict[str, Tensor] = {}
     if "rgba" in names:

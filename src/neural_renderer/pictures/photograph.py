@@ -45,19 +45,10 @@ def photograph(
     viewing_angle: float = 19.0,
     floor: float | None = None,
 ) -> Tensor:
-    """Draw a mesh with studio light and a shadow on the ground.
+    """Draw a mesh in about [-1, 1]³ with studio light and a shadow on the ground: [3, H, W] float32 in [0, 1].
 
-    Args:
-        mesh: Mesh in about [-1, 1]³.
-        azimuth: Position of the camera around the y axis in degrees; 180 is at +z.
-        elevation: Elevation of the camera in degrees.
-        size: Side of the picture, or height and width, in pixels.
-        distance: Distance of the camera from the origin.
-        viewing_angle: Half the vertical field of view in degrees.
-        floor: Height of the ground; by default the height of the lowest vertex.
-
-    Returns:
-        [3, H, W] float32 in [0, 1].
+    Angles are in degrees, as in `get_points_from_angles`; the viewing angle is half the vertical field of view. The
+    floor is the height of the ground, by default that of the lowest vertex.
     """
     size = (size, size) if isinstance(size, int) else size
     eye = torch.tensor(get_points_from_angles(distance, elevation, azimuth), device=mesh.vertices.device)
@@ -110,12 +101,11 @@ def _backdrop(size: tuple[int, int]) -> Tensor:
 def _shadow(mesh: Mesh | UVMesh, camera: Camera, lamp: Tensor, ground: float, size: tuple[int, int]) -> Tensor:
     """Draw the shadow on the ground, [H, W] in [0, 1]: the mesh projected along the light, then blurred.
 
-    It is drawn at half the size, because the blur leaves nothing finer. It fades out towards the border, because a
-    sheet of pictures would show its end as a line.
+    It fades out towards the border, because a sheet of pictures would show its end as a line.
     """
     steep = F.normalize(lamp * lamp.new_tensor([1.0, _SHADOW_STEEPNESS, 1.0]), dim=0)
     flat = mesh.vertices - (mesh.vertices[:, 1:2] - ground) / steep[1] * steep
-    half = max(size[0] // 2, 1), max(size[1] // 2, 1)
+    half = max(size[0] // 2, 1), max(size[1] // 2, 1)  # the blur leaves nothing finer
     shadow = render((flat, mesh.faces), camera, half, outputs="alpha").alpha[:, None]
     radius = max(int(half[0] * _SHADOW_BLUR), 1)
     for _ in range(3):  # three box blurs are close to a Gaussian

@@ -155,15 +155,9 @@ class Frusta:
 
 def quaternion(axes: np.ndarray) -> np.ndarray:
     """Convert a rotation [3, 3] to a quaternion (w, x, y, z)."""
-    m = axes
-    # Choose the form, of four, that divides by the largest number.
-    squares = np.array([np.trace(m), m[0, 0], m[1, 1], m[2, 2]]) * [1, 2, 2, 2] - [0, *[np.trace(m)] * 3] + 1
-    w = [squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]
-    x = [m[2, 1] - m[1, 2], squares[1], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]
-    y = [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], squares[2], m[1, 2] + m[2, 1]]
-    z = [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[3]]
-    found = np.array([w, x, y, z][int(squares.argmax())])
-    return found / np.linalg.norm(found)
+    from scipy.spatial.transform import Rotation  # imported here because it is slow
+
+    return Rotation.from_matrix(axes).as_quat()[[3, 0, 1, 2]]
 
 
 def _pixels(one: Photograph, mirrored: bool) -> np.ndarray | None:
@@ -173,8 +167,12 @@ def _pixels(one: Photograph, mirrored: bool) -> np.ndarray | None:
     picture = torch.full((1, 3, *one.size), 0.6) if one.photos is None else one.photos
     if one.masks is not None:
         picture = picture * (1.0 if one.photos is not None else one.masks[:, None]) + _PAPER * (1 - one.masks[:, None])
-    scale = min(_PHOTO / max(one.size), 1.0)
-    size = [max(round(side * scale), 1) for side in one.size]
-    small = F.interpolate(picture, size, mode="area")[0]
-    small = small.flip(2) if mirrored else small
+    return thumbnail(picture[0].flip(2) if mirrored else picture[0], _PHOTO)
+
+
+def thumbnail(picture: Tensor, most: int) -> np.ndarray:
+    """Reduce a picture [3, H, W] in [0, 1] to ``most`` pixels a side: [H, W, 3] uint8."""
+    scale = min(most / max(picture.shape[1:]), 1.0)
+    size = [max(round(side * scale), 1) for side in picture.shape[1:]]
+    small = F.interpolate(picture[None], size, mode="area")[0]
     return (small.permute(1, 2, 0).clamp(0, 1) * 255 + 0.5).byte().numpy()

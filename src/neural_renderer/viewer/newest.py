@@ -20,10 +20,6 @@ class Newest:
     Copies are made at most ``rate`` times a second, and take at most 1 % of the time. ``put`` takes the name of a mesh
     and its new copy. Unless ``is_watched`` tells that a browser or a record wants copies, one per second is made.
     ``postpone`` is called when a mesh came too early; `catch_up` is to be called soon.
-
-    Attributes:
-        frame: Number and label of the newest step.
-        is_hurried: Whether copies may take all the time, because the work is over.
     """
 
     def __init__(
@@ -40,8 +36,8 @@ class Newest:
         self._early: dict[str, Any] = {}
         self._next = 0.0  # time of the next copy
         self._left_out: tuple[tuple[int, str], Callable[[], Mapping[str, Any]]] | None = None
-        self.frame = (0, "")
-        self.is_hurried = False
+        self.frame = (0, "")  # number and label of the newest step
+        self.is_hurried = False  # copies may take all the time, because the work is over
 
     def __contains__(self, name: str) -> bool:
         return name in self._copies

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,23 +26,14 @@ _VIEW_SIZE = 256  # longer side of a photograph in pixels
 
 @dataclass
 class Results:
-    """Contents of a file or folder, for the viewer.
+    """Contents of a file or folder, for the viewer."""
 
-    Attributes:
-        meshes: Meshes by name, for `Viewer.show`.
-        pictures: Image files by name.
-        views: Cameras with photographs, or None.
-        record: Frames of a record, or None.
-        numbers: Points (step, value) of curves.
-        notes: Sentences about what is missing.
-    """
-
-    meshes: dict[str, Any] = field(default_factory=dict)
-    pictures: dict[str, Path] = field(default_factory=dict)
-    views: Views | None = None
+    meshes: dict[str, Any] = field(default_factory=dict)  # by name, for `Viewer.show`
+    pictures: dict[str, Path] = field(default_factory=dict)  # image files by name
+    views: Views | None = None  # cameras with photographs
     record: Record | None = None
-    numbers: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    numbers: dict[str, list[tuple[float, float]]] = field(default_factory=dict)  # points (step, value) of curves
+    notes: list[str] = field(default_factory=list)  # sentences about what is missing
 
 
 def read_results(path: Path, allow_outside: bool = False) -> Results:
@@ -93,10 +85,12 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
     results.pictures |= {path.relative_to(folder).as_posix(): path for path in pictures[-_MOST_PICTURES:]}
     if inputs.get("images"):
         reads = _read_camera if isinstance(report.get("camera"), dict) else _read_views
-        _try(results, Path(inputs["images"]), lambda: reads(results, report, inputs, allow_outside))
+        with _noting(results, Path(inputs["images"])):
+            reads(results, report, inputs, allow_outside)
     for path in files:
         if is_record(path) and results.record is None:
-            _try(results, path, partial(_read_record, results, path))
+            with _noting(results, path):
+                results.record = Record(path)
     _read_log(folder / "log.csv", results)
     if not (results.meshes or results.pictures or results.record or results.numbers):
         notes = f" ({'; '.join(results.notes)})" if results.notes else ""
@@ -104,15 +98,11 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
     return results
 
 
-def _read_record(results: Results, path: Path) -> None:
-    """Read a record."""
-    results.record = Record(path)
-
-
-def _try(results: Results, path: Path, read: Any) -> None:
+@contextmanager
+def _noting(results: Results, path: Path) -> Iterator[None]:
     """Read a file of a folder; note it if that fails."""
     try:
-        read()
+        yield
     except (OSError, ValueError, TypeError, KeyError) as error:
         text = reason(error)
         results.notes.append(text if str(path) in text else f"{path}: {text}")
@@ -122,11 +112,8 @@ def _try_mesh(results: Results, name: str, path: Path, allow_outside: bool) -> N
     """Read a mesh of a folder."""
     while name in results.meshes:
         name += "'"
-
-    def read() -> None:
+    with _noting(results, path):
         results.meshes[name] = read_mesh_to_show(path, allow_outside)
-
-    _try(results, path, read)
 
 
 def _read_views(results: Results, _: dict[str, Any], inputs: dict[str, Any], allow_outside: bool) -> None:

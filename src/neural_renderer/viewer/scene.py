@@ -27,15 +27,7 @@ _GROWN = 1.4  # growth or shrinkage since the first view after which a mesh is s
 
 
 class Scene:
-    """The meshes of a page.
-
-    Attributes:
-        look: How meshes are shown.
-        wireframe, normals: Whether edges and vertex normals are drawn.
-        side_by_side: Whether meshes stand in a row; otherwise each at its own coordinates.
-        equal_size: Whether all meshes are shown as large as the first.
-        meshes: The meshes by name. Only the worker's thread changes them.
-    """
+    """The meshes of a page."""
 
     def __init__(self, server: viser.ViserServer, worker: Worker) -> None:
         self._server, self._worker = server, worker
@@ -45,8 +37,9 @@ class Scene:
         self._paths = 0
         self._axes = axes_of("+y")
         self.look, self.wireframe, self.normals = Look(), False, False
-        self.side_by_side, self.equal_size = True, False
-        self.meshes: dict[str, Shown] = {}
+        self.side_by_side = True  # meshes stand in a row; otherwise each at its own coordinates
+        self.equal_size = False  # all meshes are shown as large as the first
+        self.meshes: dict[str, Shown] = {}  # by name; only the worker's thread changes them
         self.first_view = FirstView(server)
         self.on_change: Callable[[], None] = lambda: None
         """Called in the worker's thread after meshes have changed or moved."""

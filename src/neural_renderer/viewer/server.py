@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 _STOPPING = 1.0  # seconds that the end waits for open connections
 _PORTS = 100  # most ports that are tried
-_NOT_HERE = (errno.EADDRNOTAVAIL,)
 _THEME = (43, 90, 140)  # RGB of buttons
 _STARTING = threading.Lock()
 _QUIET = logging.getLogger(f"{__name__}.requests")  # malformed requests are the senders' matter, not the terminal's
@@ -135,13 +134,10 @@ def _own_pages_only(is_local: bool) -> Iterator[None]:
 
 
 def is_own_page(origin: str | None, host: str, is_local: bool) -> bool:
-    """Tell whether a request comes from this server's page, or from a program that is no browser.
+    """Tell by its headers "Origin" and "Host" whether a request comes from this server's page, or from no page.
 
-    Args:
-        origin: Header "Origin": address of the server whose page asks; None if no page does.
-        host: Header "Host": name and port under which the page's browser knows this server.
-        is_local: Whether only this machine reaches the server. Names of other machines are then refused: whoever owns
-            a name can let it point to 127.0.0.1.
+    If only this machine reaches the server (``is_local``), names of other machines are refused: whoever owns a name can
+    let it point to 127.0.0.1.
     """
     if origin is None:
         return True
@@ -176,7 +172,7 @@ def _free_port(host: str, port: int) -> int:
             except PermissionError as error:
                 raise OSError(f"port: expected one that this user may open, got {candidate}") from error
             except OSError as error:
-                if error.errno in _NOT_HERE:
+                if error.errno == errno.EADDRNOTAVAIL:
                     raise OSError(f"host: expected an address of this machine, got {host!r}") from None
                 continue
             return int(probe.getsockname()[1])

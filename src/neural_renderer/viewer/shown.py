@@ -24,31 +24,18 @@ _MOST_NORMALS = 4000  # most normals drawn
 
 @dataclass
 class Shown:
-    """A mesh and its nodes.
+    """A mesh and its nodes."""
 
-    Attributes:
-        original: The mesh, without faces that cannot be drawn.
-        snapshot: The mesh in its shown size.
-        scale: Size of ``snapshot`` relative to ``original``.
-        left_out: Number of faces that cannot be drawn.
-        visible: Whether the mesh is shown.
-        place: Origin of the mesh in the scene, [3].
-        values: Colours [V, 3] to show in place of the mesh's own, or None.
-        path: Name of the nodes.
-        framed: Size of the mesh when the first view was chosen.
-        coming: Bytes that a browser has to decode before `swap`.
-    """
-
-    original: Snapshot
-    path: str
-    snapshot: Snapshot = field(init=False)
-    scale: float = 1.0
-    left_out: int = 0
+    original: Snapshot  # without faces that cannot be drawn
+    path: str  # name of the nodes
+    snapshot: Snapshot = field(init=False)  # the mesh in its shown size
+    scale: float = 1.0  # of ``snapshot`` relative to ``original``
+    left_out: int = 0  # number of faces that cannot be drawn
     visible: bool = True
-    place: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    values: Tensor | None = None
-    framed: float = 0.0
-    coming: int = 0
+    place: np.ndarray = field(default_factory=lambda: np.zeros(3))  # origin of the mesh in the scene
+    values: Tensor | None = None  # colours [V, 3] to show in place of the mesh's own
+    framed: float = 0.0  # size of the mesh when the first view was chosen
+    coming: int = 0  # bytes that a browser has to decode before `swap`
     frame: Any = None
     front: Any = None  # node that is visible
     back: Any = None  # node that a browser is decoding

@@ -40,21 +40,13 @@ class Viewer:
     may be called from any thread.
 
     Args:
-        host: Name or address of this machine to listen on.
-        port: First port to try, 1 to 65535; the next free one is taken. 0 takes any.
-        rate: Updates a second at most, > 0.
-        record: Name of an HTML file that keeps the frames; None for none.
-        record_limit: Size of that file in MiB at most, ≥ 1.
-        browser: Open a port for browsers. Without it, only the record is made.
-        title: Title of the page.
+        host, port, rate, record, record_limit, browser, title: As in `view`.
 
     Attributes:
         url: Address of the page, or None without one.
 
     Raises:
-        TypeError, ValueError: An argument is out of range.
-        ModuleNotFoundError: viser is not installed.
-        OSError: The host is unknown, no port is free, or the record cannot be written.
+        TypeError, ValueError, ModuleNotFoundError, OSError: As `view`.
 
     Example:
         >>> viewer = nr.view(browser=False, record="run.html")
@@ -316,9 +308,7 @@ class Viewer:
         """See a step of a task; see ``tasks.observer.Observer``.
 
         Args:
-            phase: Name of the phase.
-            step: Number of steps taken in it.
-            steps: Number of its steps.
+            phase, step, steps: Name of the phase, number of steps taken in it, and number of its steps.
             numbers: Losses and measures of the step.
             mesh: Makes the current mesh, or several by name.
 

@@ -16,7 +16,7 @@ import torch
 from ...io.files import read_text
 from ..camera import Camera
 from ..view import get_points_from_angles
-from .keys import number, rows_of, value_of
+from .keys import above_zero, mask_of, number, rows_of, value_of
 from .lens_models import Lens
 from .posed import CameraFile, PosedImage
 
@@ -24,7 +24,7 @@ _VIEWING_ANGLE = 30.0  # default of ``viewing_angle``
 
 
 def read_csv(path: Path) -> CameraFile:
-    """Read ``cameras.csv``; raises ValueError with the place if a value is missing or out of range."""
+    """Read ``cameras.csv``."""
     try:
         rows = list(csv.DictReader(read_text(path).splitlines(), skipinitialspace=True))
     except csv.Error as error:
@@ -33,23 +33,20 @@ def read_csv(path: Path) -> CameraFile:
 
 
 def parse_angles(path: Path, content: dict[str, Any]) -> CameraFile:
-    """Convert the content of ``cameras.json``; raises ValueError with the place, as `read_csv`."""
+    """Convert the content of ``cameras.json``."""
     default = number(str(path), content, "viewing_angle", _VIEWING_ANGLE)
     images, places = [], rows_of(path, content["views"])
     for where, row in places:
         name = str(value_of(where, row, "file"))
-        far, height, around = (number(where, row, key) for key in ("distance", "elevation", "azimuth"))
-        angle = number(where, row, "viewing_angle", default)
+        far, height = above_zero(where, row, "distance"), number(where, row, "elevation")
+        around, angle = number(where, row, "azimuth"), number(where, row, "viewing_angle", default)
         if abs(abs(height) - 90) < 1e-3:
             raise ValueError(f"{where}: elevation: expected an angle other than ±90 degrees, got {height:g}")
-        if far <= 0:
-            raise ValueError(f"{where}: distance: expected a number above 0, got {far:g}")
         if not 0 < angle < 90:
             raise ValueError(f"{where}: viewing_angle: expected degrees between 0 and 90, got {angle:g}")
         eye = torch.tensor(get_points_from_angles(far, height, around), dtype=torch.float64)
         axes = Camera.look_at(eye).rotation[0]
         rotation = axes * axes.new_tensor([1.0, -1.0, 1.0])[:, None]
         lens = Lens("PINHOLE", {}, viewing_angle=angle)
-        mask = str(row["mask"]) if row.get("mask") else None
-        images.append(PosedImage(where, name, rotation, -rotation @ eye, lens, mask))
+        images.append(PosedImage(where, name, rotation, -rotation @ eye, lens, mask_of(row)))
     return CameraFile(path, images, (path.parent,), convention="distances and angles")

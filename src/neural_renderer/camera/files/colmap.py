@@ -90,7 +90,7 @@ def _image_folders(path: Path) -> tuple[Path, ...]:
 
 
 def read_text_cameras(path: Path) -> dict[int, Camera]:
-    """Read ``cameras.txt``: cameras by number. Raises ValueError with the line if it is malformed."""
+    """Read ``cameras.txt``: cameras by number."""
     cameras = {}
     for where, words in _lines(path):
         if words:
@@ -102,10 +102,7 @@ def read_text_cameras(path: Path) -> dict[int, Camera]:
 
 
 def read_text_images(path: Path) -> dict[int, Image]:
-    """Read ``images.txt``: images by number. Raises ValueError with the line if it is malformed.
-
-    Each image has two lines. The second one lists its points, and may be empty.
-    """
+    """Read ``images.txt``: images by number. Each has two lines; the second lists its points, and may be empty."""
     images, lines = {}, list(_lines(path))
     while lines and not lines[0][1]:
         lines.pop(0)
@@ -121,7 +118,7 @@ def read_text_images(path: Path) -> dict[int, Image]:
 
 
 def read_text_points(path: Path) -> Tensor:
-    """Read the places of ``points3D.txt``, [P, 3] float64. Raises ValueError with the line if it is malformed."""
+    """Read the places of ``points3D.txt``, [P, 3] float64."""
     places = []
     for where, words in _lines(path):
         if words:
@@ -179,7 +176,7 @@ class _Reader:
 
 
 def read_binary_cameras(path: Path) -> dict[int, Camera]:
-    """Read ``cameras.bin``: cameras by number. Raises ValueError if it is malformed or a lens model is unknown."""
+    """Read ``cameras.bin``: cameras by number."""
     file, cameras = _Reader(path), {}
     for _ in range(file.read("Q")[0]):
         number, kind, width, height = file.read("IiQQ")
@@ -191,7 +188,7 @@ def read_binary_cameras(path: Path) -> dict[int, Camera]:
 
 
 def read_binary_images(path: Path) -> dict[int, Image]:
-    """Read ``images.bin``: images by number. Raises ValueError if it is malformed."""
+    """Read ``images.bin``: images by number."""
     file, images = _Reader(path), {}
     for _ in range(file.read("Q")[0]):
         number, *pose, camera = file.read("I7dI")
@@ -201,7 +198,7 @@ def read_binary_images(path: Path) -> dict[int, Image]:
 
 
 def read_binary_points(path: Path) -> Tensor:
-    """Read the places of ``points3D.bin``, [P, 3] float64. Raises ValueError if it is malformed."""
+    """Read the places of ``points3D.bin``, [P, 3] float64."""
     file, places = _Reader(path), []
     for _ in range(file.read("Q")[0]):
         places.append(file.read("Q3d3BdQ"))

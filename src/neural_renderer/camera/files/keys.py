@@ -82,7 +82,6 @@ def check_rotation(where: str, key: str, turn: Tensor, value: Any) -> None:
         raise ValueError(f"{where}: {key}: expected a rotation without scale or mirroring, got {short(value)}")
 
 
-def check_last_row(where: str, key: str, found: Tensor) -> None:
-    """Raise ValueError if a matrix [4, 4] does not end in the row 0, 0, 0, 1."""
-    if len(found) == 4 and not torch.allclose(found[3], found.new_tensor([0, 0, 0, 1])):
-        raise ValueError(f"{where}: {key}: expected the last row 0, 0, 0, 1, got {found[3].tolist()}")
+def mask_of(row: dict[str, Any], key: str = "mask") -> str | None:
+    """Return the name of a mask, or None if there is none."""
+    return str(row[key]) if row.get(key) else None

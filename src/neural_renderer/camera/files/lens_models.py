@@ -31,22 +31,13 @@ _OPENCV = ("k1", "k2", "p1", "p2", "k3")  # what `Camera.projection` expresses
 
 @dataclass(frozen=True)
 class Lens:
-    """The lens of one image.
+    """The lens of one image. A missing centre is the image's centre."""
 
-    Attributes:
-        model: COLMAP's name of the model, a key of `MODELS`.
-        values: Parameters by name: ``fx``, ``fy``, ``cx`` and ``cy`` in pixels, and the distortion. A missing centre is
-            the image's centre.
-        size: Height and width in pixels of the image that the parameters describe; None for the image's own.
-        field: Horizontal field of view in radians, in place of ``fx``.
-        viewing_angle: Half the vertical field of view in degrees, in place of ``fx``.
-    """
-
-    model: str
-    values: dict[str, float]
-    size: tuple[float, float] | None = None
-    field: float | None = None
-    viewing_angle: float | None = None
+    model: str  # a key of `MODELS`
+    values: dict[str, float]  # ``fx``, ``fy``, ``cx`` and ``cy`` in pixels, and the distortion
+    size: tuple[float, float] | None = None  # height and width that the values describe; None for the image's own
+    field: float | None = None  # horizontal field of view in radians, in place of ``fx``
+    viewing_angle: float | None = None  # half the vertical field of view in degrees, in place of ``fx``
 
     @classmethod
     def of_model(cls, where: str, model: str, parameters: list[float], size: tuple[float, float]) -> Lens:

@@ -26,8 +26,7 @@ def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camer
     """Load the cameras of a file of any format, or with the matrices that `entries` describes, or in a folder.
 
     Returns also the height and width of the first image in pixels, if the file says it; ``size`` is used where it does
-    not. ValueError: The file is malformed, or `Camera` does not have the lens, or the lens needs a size and there is
-    none.
+    not. ValueError: The file is malformed, `Camera` does not have the lens, or a size is missing.
     """
     path = find_camera_file(path)
     rows = _entries(read_json(path)) if path.suffix.lower() == ".json" else None
@@ -69,10 +68,8 @@ def _posed_cameras(file: CameraFile, size: tuple[int, int] | None) -> Camera:
     full = size or ((1, 1) if all(lens.field is not None for lens in lenses) else None)
     if all(lens.model in _FISHEYES for lens in lenses) and full is not None:
         K = torch.tensor([lens.intrinsics(full) for lens in lenses])
-        rotation = torch.stack([image.rotation for image in file.images]).float()
-        translation = torch.stack([image.translation for image in file.images]).float()
         bends = torch.tensor([[lens.values.get(name, 0.0) for name in ("k1", "k2", "k3", "k4")] for lens in lenses])
-        return Camera.fisheye(K, rotation, translation, bends, orig_size=full)
+        return Camera.fisheye(K, *file.poses(), bends, orig_size=full)
     for image in file.images:
         if image.lens.needs_undistortion:
             raise ValueError(f"{image.where}: expected a pinhole, OPENCV or fisheye lens, got {image.lens.model}")

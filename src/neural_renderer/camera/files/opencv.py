@@ -19,7 +19,7 @@ from torch import Tensor
 
 from ...io.atomic_write import write_file
 from ..camera import Camera
-from .keys import above_zero, check_rotation, matrix, rows_of, value_of
+from .keys import above_zero, check_rotation, mask_of, matrix, rows_of, value_of
 from .lens_models import Lens
 from .posed import CameraFile, PosedImage
 
@@ -57,9 +57,8 @@ def parse_opencv(path: Path, content: dict[str, Any]) -> CameraFile:
         size = None
         if given.get("width") is not None and given.get("height") is not None:
             size = above_zero(where, given, "height"), above_zero(where, given, "width")
-        mask = str(row["mask"]) if row.get("mask") else None
         lens = Lens("OPENCV", {**intrinsic_values(where, K), **_distortion(where, given)}, size)
-        images.append(PosedImage(where, name, rotation, translation.reshape(3), lens, mask))
+        images.append(PosedImage(where, name, rotation, translation.reshape(3), lens, mask_of(row)))
     return CameraFile(path, images, (path.parent,))
 
 
@@ -86,8 +85,7 @@ def save_cameras(
 ) -> None:
     """Write cameras with perspective as K, R and t in the conventions of OpenCV, with a name of an image for each.
 
-    ``size`` is the height and width of the images in pixels, for cameras without K. ValueError: The cameras are
-    parallel or fisheye ones, or the number of names is another.
+    ``size``, height and width in pixels, is for cameras without K. ValueError: They are parallel or fisheye ones.
     """
     if len(names) != len(camera):
         raise ValueError(f"names: expected {len(camera)} names, got {len(names)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -15,42 +15,30 @@ from .lens_models import Lens
 
 @dataclass(frozen=True)
 class PosedImage:
-    """An entry of a camera file.
+    """An entry of a camera file. A world point X is at rotation · X + translation: x right, y down, z forward."""
 
-    Attributes:
-        where: Place in the file, for messages.
-        name: Name of the image, as in the file.
-        rotation: [3, 3] float64, from the world to the camera; x right, y down, z forward, as in OpenCV.
-        translation: [3] float64; a world point X is at rotation · X + translation.
-        lens: The lens.
-        mask: Name of the mask, or None.
-    """
-
-    where: str
-    name: str
-    rotation: Tensor
-    translation: Tensor
+    where: str  # place in the file, for messages
+    name: str  # of the image, as in the file
+    rotation: Tensor  # [3, 3] float64
+    translation: Tensor  # [3] float64
     lens: Lens
-    mask: str | None = None
+    mask: str | None = None  # its name
 
 
 @dataclass(frozen=True)
 class CameraFile:
-    """A camera file.
-
-    Attributes:
-        path: The file.
-        images: Its entries.
-        folders: Folders that may contain the images, in the order of search.
-        points: [P, 3] float64, points of the scene in the world, or None.
-        convention: Axes and direction of the matrices in the file, for messages.
-    """
+    """A camera file."""
 
     path: Path
     images: Sequence[PosedImage]
-    folders: tuple[Path, ...]
-    points: Tensor | None = field(default=None)
-    convention: str = "world-to-camera, in OpenCV's axes"
+    folders: tuple[Path, ...]  # that may contain the images, in the order of search
+    points: Tensor | None = None  # [P, 3] float64, of the scene in the world
+    convention: str = "world-to-camera, in OpenCV's axes"  # of the matrices in the file, for messages
+
+    def poses(self) -> tuple[Tensor, Tensor]:
+        """Return rotations [N, 3, 3] and translations [N, 3] of all images, float32."""
+        rotations, translations = zip(*((image.rotation, image.translation) for image in self.images), strict=True)
+        return torch.stack(rotations).float(), torch.stack(translations).float()
 
     def cameras(self, size: tuple[int, int] | None = None) -> Camera:
         """Make the cameras of all images; ``size``, their height and width, is needed if the file does not tell it.
@@ -58,8 +46,7 @@ class CameraFile:
         Lenses that `Camera` does not express are pinholes with the same K; see `undistort`. ValueError: There is no
         size, or kinds of lenses are mixed.
         """
-        rotation = torch.stack([image.rotation for image in self.images]).float()
-        translation = torch.stack([image.translation for image in self.images]).float()
+        rotation, translation = self.poses()
         angles = [image.lens.viewing_angle for image in self.images]
         if all(angle is not None for angle in angles):
             pose = torch.cat((rotation, translation[:, :, None]), 2)

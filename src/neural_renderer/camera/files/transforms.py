@@ -14,7 +14,7 @@ from typing import Any
 
 import torch
 
-from .keys import above_zero, check_last_row, check_rotation, matrix, number, rows_of, value_of
+from .keys import above_zero, check_rotation, mask_of, matrix, number, rows_of, value_of
 from .lens_models import Lens
 from .posed import CameraFile, PosedImage
 
@@ -30,11 +30,12 @@ def parse_transforms(path: Path, content: dict[str, Any]) -> CameraFile:
         name = str(value_of(where, row, "file_path"))
         pose = matrix(where, row, "transform_matrix", (4, 4), (3, 4))
         check_rotation(where, "transform_matrix", pose[:3, :3], row["transform_matrix"])
-        check_last_row(where, "transform_matrix", pose)
+        if len(pose) == 4 and not torch.allclose(pose[3], pose.new_tensor([0, 0, 0, 1])):
+            got = pose[3].tolist()
+            raise ValueError(f"{where}: transform_matrix: expected the last row 0, 0, 0, 1, got {got}")
         rotation = _AXES @ pose[:3, :3].t()
         lens = _lens(path, where, {**common, **row})
-        mask = str(row["mask_path"]) if row.get("mask_path") else None
-        images.append(PosedImage(where, name, rotation, -rotation @ pose[:3, 3], lens, mask))
+        images.append(PosedImage(where, name, rotation, -rotation @ pose[:3, 3], lens, mask_of(row, "mask_path")))
     return CameraFile(path, images, (path.parent,), convention="camera-to-world, in OpenGL's axes")
 
 

@@ -13,14 +13,7 @@ from ..files import existing, import_library
 
 
 def write_exr(path: Path, values: np.ndarray, name: str = "rgb") -> None:
-    """Write an image [H, W] or [H, W, C] as float32, completely or not at all.
-
-    Channels are R, G, B (and A) for "rgb", Z for "depth", A for "alpha", and else ``name`` or ``name.X``, ….
-
-    Raises:
-        ModuleNotFoundError: OpenEXR is not installed.
-        OSError: The file cannot be written. An existing file stays as it was.
-    """
+    """Write an image [H, W] or [H, W, C] as float32, completely or not at all. ``name`` chooses the channels' names."""
     exr = open_exr(path)
     planes = values.astype(np.float32).reshape(*values.shape[:2], -1)
     channels = {key: np.ascontiguousarray(planes[..., i]) for i, key in enumerate(_channels(name, planes.shape[2]))}
@@ -29,13 +22,7 @@ def write_exr(path: Path, values: np.ndarray, name: str = "rgb") -> None:
 
 
 def read_exr(path: Path) -> np.ndarray:
-    """Read the colours of an OpenEXR picture: [H, W, 3] float32 RGB, or grey three times; row 0 at the top.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        ModuleNotFoundError: OpenEXR is not installed.
-        ValueError: The file is damaged, has no such channels, or more than ``PIL.Image.MAX_IMAGE_PIXELS`` pixels.
-    """
+    """Read the colours of an OpenEXR picture: [H, W, 3] float32 RGB, or grey three times; row 0 at the top."""
     exr = open_exr(existing(path), "read")
     limit = Image.MAX_IMAGE_PIXELS
     try:

@@ -18,12 +18,7 @@ _LEVEL = 6  # of the compression, as Pillow's
 
 
 def save_png_strips(path: str | os.PathLike[str], strips: Iterable[np.ndarray], height: int, width: int) -> None:
-    """Write strips of rows, [rows, width] or [rows, width, 3 or 4] uint8, from the top, completely or not at all.
-
-    Raises:
-        ValueError: The strips have another width, other numbers of channels or another number of rows in all.
-        OSError: The file cannot be written. An existing file stays as it was.
-    """
+    """Write strips of rows, [rows, width] or [rows, width, 3 or 4] uint8, from the top, completely or not at all."""
     with replacing(path) as fresh, open(fresh, "wb") as file:
         packer, rows, channels = zlib.compressobj(_LEVEL), 0, 0
         for strip in strips:

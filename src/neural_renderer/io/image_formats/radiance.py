@@ -19,12 +19,7 @@ _CODED = range(8, 32768)  # widths of rows that may hold the runs of each channe
 
 
 def read_radiance(path: str | os.PathLike[str]) -> np.ndarray:
-    """Read a Radiance picture in the format "32-bit_rle_rgbe": [H, W, 3] float32, linear RGB; row 0 at the top.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        ValueError: The file is damaged, of another format, or has more than ``PIL.Image.MAX_IMAGE_PIXELS`` pixels.
-    """
+    """Read a Radiance picture in the format "32-bit_rle_rgbe": [H, W, 3] float32, linear RGB; row 0 at the top."""
     data = existing(path).read_bytes()
     header, _, rest = data.partition(b"\n\n")
     lines = header.split(b"\n")

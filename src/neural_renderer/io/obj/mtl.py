@@ -43,37 +43,22 @@ _SAME = 1 / 255  # difference of the channels of a grey image
 
 @dataclass
 class Map:
-    """Image of a material.
+    """Image of a material, read at uv · scale + offset."""
 
-    Attributes:
-        image: File name.
-        scale: Factor of texture coordinates; the image is read at uv · scale + offset.
-        offset: Offset of texture coordinates.
-        clamp: Whether the image is clamped beyond [0, 1]; otherwise it repeats.
-        bump: Factor of heights, or of the slopes of normals.
-    """
-
-    image: str
+    image: str  # file name
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
-    clamp: bool = False
-    bump: float = 1.0
+    clamp: bool = False  # beyond [0, 1]; otherwise it repeats
+    bump: float = 1.0  # factor of heights, or of the slopes of normals
 
 
 @dataclass
 class Material:
-    """Material of an MTL file.
+    """Material of an MTL file."""
 
-    Attributes:
-        folder: Folder of the file.
-        colors: Kd, Ks and Ke by name, [3] float64 in [0, 1]; Ke may exceed 1.
-        numbers: Ns, d (or 1 − Tr), Pm and Pr by name.
-        maps: Images by name.
-    """
-
-    folder: Path
-    colors: dict[str, np.ndarray] = field(default_factory=dict)
-    numbers: dict[str, float] = field(default_factory=dict)
+    folder: Path  # of the file
+    colors: dict[str, np.ndarray] = field(default_factory=dict)  # Kd, Ks and Ke, [3] float64 in [0, 1]; Ke may exceed 1
+    numbers: dict[str, float] = field(default_factory=dict)  # Ns, d (or 1 − Tr), Pm and Pr
     maps: dict[str, Map] = field(default_factory=dict)
 
 
@@ -255,12 +240,8 @@ def statements(
 ) -> tuple[str, dict[str, np.ndarray]]:
     """Format a material: return the statements, and images by file name, [H, W, 1 or 3] each, but that of the colour.
 
-    Args:
-        name: Name of the material.
-        own: Arguments of a `Material`, with a `FileTexture` for each texture.
-        color: [3], colour of faces without an image, sRGB.
-        picture, clamp: Name of the image of the diffuse colour, or None; and whether it is clamped.
-        images: Beginning of the names of the other images.
+    ``own`` are the arguments of a `Material`, with a `FileTexture` for each texture; ``color`` [3] is that of faces
+    without an image, sRGB. ``picture`` is the image of the diffuse colour; ``images`` begins the names of the others.
     """
     base = np.asarray(own.get("base_color", (1.0, 1.0, 1.0)), dtype=np.float64).clip(0, 1)
     diffuse = linear_to_srgb(base) * color

@@ -17,39 +17,23 @@ _MOST = 2**31  # bound of indices
 
 @dataclass
 class ObjFile:
-    """Content of an OBJ file, in the file's order of vertices and faces.
-
-    Attributes:
-        path: Path of the file.
-        vertices: [V, 3] float64.
-        colors: [V, 3] float64 in [0, 1]; NaN for a vertex without a colour.
-        faces: [F, 3] int64, indices from 0.
-        uv: [F, 3, 2] float64; NaN for a corner without texture coordinates.
-        normals: [F, 3, 3] float64, unit normals of the corners; 0 for a corner without one. None if there are none.
-        material: [F] int, index into ``names``, or −1.
-        names: Names of materials.
-        libraries: Text after each ``mtllib``.
-    """
+    """Content of an OBJ file, in the file's order of vertices and faces."""
 
     path: Path
-    vertices: np.ndarray
-    colors: np.ndarray
-    faces: np.ndarray
-    uv: np.ndarray
-    normals: np.ndarray | None
-    material: np.ndarray
-    names: list[str]
-    libraries: list[str]
+    vertices: np.ndarray  # [V, 3] float64
+    colors: np.ndarray  # [V, 3] float64 in [0, 1]; NaN for a vertex without a colour
+    faces: np.ndarray  # [F, 3] int64, indices from 0
+    uv: np.ndarray  # [F, 3, 2] float64; NaN for a corner without texture coordinates
+    normals: np.ndarray | None  # [F, 3, 3] float64, unit normals of the corners; 0 for a corner without one
+    material: np.ndarray  # [F] int, index into ``names``, or −1
+    names: list[str]  # of materials
+    libraries: list[str]  # text after each ``mtllib``
 
 
 def read_obj(path: Path, with_uv: bool) -> ObjFile:
     """Read an OBJ file and triangulate its polygons. Points, lines, curves and groups are ignored.
 
     Without ``with_uv``, texture coordinates and normals are ignored, even if they are invalid.
-
-    Raises:
-        ValueError: A statement is invalid, a vertex is not finite in float32, a face has fewer than three corners,
-            an index is out of range (the message names file and line), or there are no faces.
     """
     parser = _Parser(path)
     text = read_text(path)

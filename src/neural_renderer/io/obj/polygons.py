@@ -13,17 +13,11 @@ _OTHER = np.array([[1, 2, 3], [1, 3, 0]])  # a quadrilateral as the fan of its s
 
 
 def triangulate(points: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split polygons into triangles.
+    """Split polygons, with ``sizes`` [P] ≥ 3 of the ``corners`` [C], into triangles.
 
-    Args:
-        points: [V, 3] float positions.
-        corners: [C] int, vertex of each corner, polygon after polygon.
-        sizes: [P] int, number of corners of each polygon, ≥ 3.
-
-    Returns:
-        The triangles [F, 3] as indices into ``corners``, in the polygons' order, and the polygon of each triangle [F].
-        A polygon with corners 0, 1, …, n − 1 becomes the fan (0, 1, 2), (0, 2, 3), …. If a triangle of that fan is
-        turned over, the polygon is concave and is triangulated by ear clipping.
+    Returns the triangles [F, 3] as indices into ``corners``, in the polygons' order, and the polygon of each triangle.
+    A polygon with corners 0, 1, …, n − 1 becomes the fan (0, 1, 2), (0, 2, 3), …. If a triangle of that fan is turned
+    over, the polygon is concave and is triangulated by ear clipping.
     """
     counts = sizes - 2
     starts, offsets = np.cumsum(sizes) - sizes, np.cumsum(counts) - counts

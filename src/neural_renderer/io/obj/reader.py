@@ -97,16 +97,10 @@ def obj_surface_colors(
     materials: dict[str, Material] | None = None,
     with_materials: bool = False,
 ) -> SurfaceColors | None:
-    """Collect the surface colours of an OBJ file read with ``with_uv``. Faces without a colour are grey 0.5.
+    """Collect the surface colours of an OBJ file read with ``with_uv``; None without colours and material files.
 
-    Args:
-        wrapping, allow_outside: As in `load_obj`.
-        materials: Materials by name, in place of those in the file's material files.
-        with_materials: Collect materials and normals, too.
-
-    Returns:
-        The colours, or None if the file has neither colours nor material files. Errors and warnings are those of
-        `load_obj`.
+    ``materials`` by name take the place of those in the material files; ``with_materials`` collects them and normals,
+    too. Faces without a colour are grey 0.5.
     """
     if wrapping not in _WRAPS:
         raise ValueError(f"texture_wrapping: expected one of {', '.join(_WRAPS)}, got {wrapping!r}")

@@ -28,25 +28,17 @@ PNG_LEVEL = 4
 class Part(NamedTuple):
     """Faces with a common image.
 
-    Attributes:
-        faces: [n] int64, indices of the faces.
-        places: [P, 2] float64, texture coordinates, v up.
-        corners: [n, 3] int64, indices into ``places`` of the faces' corners.
-        picture: [H, W, 3] uint8, row 0 at the top.
-        clamp: Whether the image is clamped beyond [0, 1]; otherwise it repeats.
-        material: Arguments of a `Material`, with a `FileTexture` for each texture; empty for a matt one.
-        color: Colour of the faces if ``picture`` is None, sRGB.
-        normals: [n, 3, 3], or None.
+    ``material`` has the arguments of a `Material`, with a `FileTexture` for each texture; it is empty for a matt one.
     """
 
-    faces: np.ndarray
-    places: np.ndarray
-    corners: np.ndarray
-    picture: np.ndarray | None
-    clamp: bool = False
+    faces: np.ndarray  # [n] int64, indices of the faces
+    places: np.ndarray  # [P, 2] float64, texture coordinates, v up
+    corners: np.ndarray  # [n, 3] int64, indices into ``places`` of the faces' corners
+    picture: np.ndarray | None  # [H, W, 3] uint8, row 0 at the top
+    clamp: bool = False  # beyond [0, 1]; otherwise the picture repeats
     material: dict[str, Any] = {}  # noqa: RUF012 (never changed)
-    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    normals: np.ndarray | None = None
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)  # of the faces if there is no picture, sRGB
+    normals: np.ndarray | None = None  # [n, 3, 3]
 
 
 def save_obj(
@@ -58,18 +50,12 @@ def save_obj(
 
     Args:
         filename: Name that ends in ``.obj``. Missing folders are made.
-        vertices: [V, 3] floating tensor or array, on any device. float32 is read back exactly.
-        faces: [F, 3] tensor or array of whole numbers.
+        vertices, faces, overwrite: As in `save_mesh`. float32 is read back exactly.
         textures: [F, T, T, T, 3] floating, clamped to [0, 1]; or None. Each face gets a tile of 15 × 15 to 50 × 50
             pixels in the PNG, fewer above 290,000 faces.
-        overwrite: Replace any MTL and PNG of these names. By default only those are replaced that were written with
-            ``filename``.
 
     Raises:
-        TypeError, ValueError: The suffix is unknown, a type or shape does not fit, a number is not finite, or there are
-            too many faces for one image.
-        FileExistsError: The MTL or PNG would replace a foreign file.
-        OSError: A file cannot be written. All existing files stay as they were.
+        TypeError, ValueError, FileExistsError, OSError: As `save_mesh`, or there are too many faces for one image.
 
     Example:
         >>> vertices, faces = nr.cube()

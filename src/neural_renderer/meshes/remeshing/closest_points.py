@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from ... import validate
-from ..batch import mesh_parts
 from ..normals import face_normals
-from ..sample_points import SurfacePoints
+from ..sample_points import SurfacePoints, checked_surface
 
 _AT_ONCE = 32768  # points searched together, which limits memory
 _BITS = 10  # bits per coordinate in the order of faces along a space-filling curve
@@ -38,20 +37,14 @@ def closest_points(mesh: Any, points: Tensor) -> SurfacePoints:
         >>> found.points.detach()
         tensor([[1.0000, 0.5000, 0.0000]])
     """
-    vertices, faces, _ = mesh_parts(mesh)
-    vertices = validate.wide(validate.floating("vertices", vertices, ("V", 3)))
-    faces = validate.indices("faces", faces, ("F", 3)).long()
+    vertices, faces = checked_surface(mesh)
     points = validate.wide(validate.floating("points", points, ("N", 3))).to(vertices.dtype)
-    validate.same_device(vertices=vertices, faces=faces, points=points)
-    validate.finite("vertices", vertices)
+    validate.same_device(vertices=vertices, points=points)
     validate.finite("points", points)
-    validate.in_range("faces", faces, len(vertices))
     if not len(faces):
         raise ValueError("mesh: expected at least one face, got none")
     with torch.no_grad():
-        tree = FaceTree(vertices, faces)
-        found = [tree.closest(part) for part in points.detach().split(_AT_ONCE)]
-        index, weights = (torch.cat(part) for part in zip(*found, strict=True))
+        index, weights = FaceTree(vertices, faces).closest(points.detach())
     corners = vertices[faces[index]]
     return SurfacePoints((weights[..., None] * corners).sum(1), -face_normals(corners), index, weights, faces)
 
@@ -75,12 +68,16 @@ class FaceTree:
 
     def project(self, points: Tensor) -> Tensor:
         """Find the closest points [N, 3] on the mesh."""
-        found = [self.closest(part) for part in points.split(_AT_ONCE)]
-        index, weights = (torch.cat(part) for part in zip(*found, strict=True))
+        index, weights = self.closest(points)
         return (weights[..., None] * self._vertices[self._indices[index]]).sum(1)
 
     def closest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Find the face [N] and the weights [N, 3] of its corners at the closest point for each of N points."""
+        index, weights = zip(*map(self._search, points.split(_AT_ONCE)), strict=True)
+        return torch.cat(index), torch.cat(weights)
+
+    def _search(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Do as `closest`, for all points together."""
         rows = torch.arange(len(points), device=points.device)
         bound = torch.full_like(points[:, 0], torch.inf)  # squared distance of the closest point, at most
         owner, node = rows, torch.zeros_like(rows)

@@ -12,24 +12,17 @@ from torch import Tensor
 class Edges:
     """Edges of a mesh.
 
-    Attributes:
-        keys: [E] int64, ascending: lower vertex index · number of vertices + higher index.
-        ends: [E, 2] int64, lower vertex index first.
-        sides: [F, 3] int64, the edge from each corner of a face to the next one.
-        faces: [E, 2] int64, two faces of each edge; only valid where ``regular``.
-        opposite: [E, 2] int64, the third vertices of ``faces``; only valid where ``regular``.
-        regular: [E] bool: exactly two faces have the edge, in opposite directions. Other edges are boundaries, are not
-            manifold, or join faces of different orientation.
-        fixed: [V] bool, vertices at edges that are not regular.
+    Exactly two faces have a regular edge, in opposite directions. Other edges are boundaries, are not manifold, or join
+    faces of different orientation.
     """
 
-    keys: Tensor
-    ends: Tensor
-    sides: Tensor
-    faces: Tensor
-    opposite: Tensor
-    regular: Tensor
-    fixed: Tensor
+    keys: Tensor  # [E] int64, ascending: lower vertex index · number of vertices + higher index
+    ends: Tensor  # [E, 2] int64, lower vertex index first
+    sides: Tensor  # [F, 3] int64, the edge from each corner of a face to the next one
+    faces: Tensor  # [E, 2] int64, two faces of each edge; only valid where ``regular``
+    opposite: Tensor  # [E, 2] int64, the third vertices of ``faces``; only valid where ``regular``
+    regular: Tensor  # [E] bool
+    fixed: Tensor  # [V] bool, vertices at edges that are not regular
 
     @classmethod
     def of(cls, faces: Tensor, count: int) -> Edges:

@@ -56,9 +56,8 @@ def split(surface: Surface, edges: Edges, chosen: Tensor) -> Surface:
 def collapse_short(surface: Surface, rounds: int = 4) -> Surface:
     """Collapse edges that are too short to their midpoints, in a number of rounds at most; drop unused vertices.
 
-    In each round, edges are collapsed that are shorter than all candidates within one edge of their ends. The others
-    wait for the next round. An edge stays if its collapse would change the topology, turn a face over, make a sliver,
-    or make an edge that is too long.
+    A round collapses those that are shorter than all candidates within one edge of their ends. An edge stays if its
+    collapse would change the topology, turn a face over, make a sliver, or make an edge that is too long.
     """
     refused = surface.faces.new_empty(0)
     for _ in range(rounds):
@@ -152,8 +151,8 @@ def _collapse(surface: Surface, edges: Edges, chosen: Tensor) -> Surface:
 def flip_edges(surface: Surface, rounds: int = 4) -> Surface:
     """Flip edges where that brings the four vertices around nearer to six neighbours, in a number of rounds at most.
 
-    In each round, edges are flipped that gain more than all other candidates with a vertex in common. An edge stays if
-    the surface would become sharper there, or if the other two vertices are connected already.
+    A round flips those that gain more than all candidates with a vertex in common. An edge stays if the surface would
+    become sharper there, or if the other two vertices are connected already.
     """
     for _ in range(rounds):
         edges = surface.edges

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ... import validate
 from ...one_line import OneLine
-from ..batch import mesh_parts
+from ..sample_points import checked_surface
 from .closest_points import FaceTree
 from .edges import area_vectors
 from .operations import collapse_short, flip_edges, move_safely, relax, split_long
@@ -81,12 +81,8 @@ def remesh(
         True
         >>> finer_above = nr.remesh((vertices, faces), torch.where(vertices[:, 1] > 0, 0.05, 0.1))
     """
-    vertices, faces, _ = mesh_parts(mesh)
-    vertices = validate.wide(validate.floating("vertices", vertices, ("V", 3))).detach()
-    faces = validate.indices("faces", faces, ("F", 3)).long()
-    validate.same_device(vertices=vertices, faces=faces)
-    validate.finite("vertices", vertices, always=True)
-    validate.in_range("faces", faces, len(vertices), always=True)
+    vertices, faces = checked_surface(mesh, always=True)
+    vertices = vertices.detach()
     values = [vertices, _lengths_of_vertices(edge_length, vertices)]
     if attributes is not None:
         attributes = validate.floating("attributes", attributes, (len(vertices), "C")).detach()

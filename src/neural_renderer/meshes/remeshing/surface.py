@@ -14,15 +14,10 @@ from .edges import Edges
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A mesh whose vertices carry values: positions, target lengths and attributes in one tensor.
+    """A mesh whose vertices carry values: positions, target lengths and attributes in one tensor."""
 
-    Attributes:
-        values: [V, 4 + C] floating: position, target length of the edges around, attributes.
-        faces: [F, 3] int64.
-    """
-
-    values: Tensor
-    faces: Tensor
+    values: Tensor  # [V, 4 + C] floating: position, target length of the edges around, attributes
+    faces: Tensor  # [F, 3] int64
 
     @property
     def vertices(self) -> Tensor:

@@ -12,16 +12,10 @@ from ...meshes.topology import Topology
 
 @dataclass(frozen=True, eq=False)
 class Deformation:
-    """A mesh and its initial shape.
+    """A mesh and its initial shape."""
 
-    Attributes:
-        vertices: [V, 3], current positions.
-        start: [V, 3], initial positions.
-        topology: Topology of the mesh.
-    """
-
-    vertices: Tensor
-    start: Tensor
+    vertices: Tensor  # [V, 3], current positions
+    start: Tensor  # [V, 3], initial positions
     topology: Topology
 
     @property

@@ -112,9 +112,7 @@ class Dream:
         """Compute the losses.
 
         Args:
-            images: [B, 3, H, W] in [0, 1].
-            masks: [B, H, W] in [0, 1], silhouettes of the object.
-            shape: Deformation of the mesh.
+            images, masks, shape: As in `Style.losses`.
 
         Returns:
             Weighted losses "dream", "bend", "variation" and "edges", scalars; their sum is to be minimised.
@@ -149,7 +147,7 @@ class Dream:
             [B], without a gradient.
 
         Raises:
-            TypeError, ValueError: The images do not fit or are too small for the layer.
+            TypeError, ValueError: As `losses`.
         """
         return self._norms(images)
 

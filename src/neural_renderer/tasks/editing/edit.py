@@ -34,15 +34,10 @@ _HELD_OUT, _HELD_OUT_AZIMUTH = 8, 11.0  # number of the views of `MeshEdit.measu
 
 
 class Objective(Protocol):
-    """Loss on the images of an edited mesh: `Style` or `Dream`.
+    """Loss on the images of an edited mesh: `Style` or `Dream`."""
 
-    Attributes:
-        name: Name of the main loss.
-        plain: [3], initial colour of a mesh without colours.
-    """
-
-    name: str
-    plain: Tensor
+    name: str  # of the main loss
+    plain: Tensor  # [3], initial colour of a mesh without colours
 
     def background(self, count: int, generator: torch.Generator, /) -> Tensor:
         """Choose the background colours of ``count`` images, [count, 3]."""

@@ -19,11 +19,7 @@ _BYTES = 12  # bytes of an RGB colour in float32
 
 
 class Paint(Protocol):
-    """Parameters of a texture, colours [count, 3] in [0, 1], and how to apply them to a mesh.
-
-    Attributes:
-        count: Number of colours.
-    """
+    """Parameters of a texture, colours [count, 3] in [0, 1], and how to apply them to a mesh."""
 
     count: int
 

@@ -83,7 +83,7 @@ class RandomViews:
             elevation: Elevation in degrees; by default the middle of the range.
 
         Returns:
-            ``count`` cameras and as many lights, on the CPU; None in place of lights if ``light`` is None.
+            As `sample`.
         """
         azimuth = 360 / count * torch.arange(count) + offset
         middle = sum(self.elevation) / 2 if elevation is None else elevation

@@ -169,14 +169,13 @@ class Style:
         """Compute the style loss of each image.
 
         Args:
-            images: [B, 3, H, W] in [0, 1].
-            masks: [B, H, W] in [0, 1], silhouettes of the object.
+            images, masks: As in `losses`.
 
         Returns:
             [B], without a gradient.
 
         Raises:
-            TypeError, ValueError: The images do not fit or are too small for a layer.
+            TypeError, ValueError: As `losses`.
         """
         return self._distances(images, masks)
 
@@ -241,14 +240,10 @@ class Palette:
 
     The Gram matrices of a narrow network do not tell every colour from a mixture of others: it takes cream for yellow
     beside pink. Colours outside the ellipsoid of the painting's colours are therefore penalised; those inside are free.
-
-    Attributes:
-        mean: [3], mean RGB.
-        whiten: [3, 3], maps a difference from the mean to standard deviations.
     """
 
-    mean: Tensor
-    whiten: Tensor
+    mean: Tensor  # [3], RGB
+    whiten: Tensor  # [3, 3], maps a difference from the mean to standard deviations
 
     @classmethod
     def of(cls, painting: Tensor, mask: Tensor) -> Palette:

@@ -109,16 +109,10 @@ class MaskRule:
 
 
 def plain_background_mask(image: Tensor) -> Tensor:
-    """Separate an object from a plain background, such as a wall or paper in uneven light.
+    """Separate an object from a plain background, such as a wall or paper in uneven light: [H, W] in [0, 1].
 
     The background is a quadratic function of position, fitted to the border of the picture [H, W, 3 or 4], whose alpha
-    is ignored. Up to a third of the border may show the object.
-
-    Returns:
-        [H, W] in [0, 1], 1 on the object, soft at its outline.
-
-    Raises:
-        ValueError: The background is not plain.
+    is ignored. Up to a third of the border may show the object. ValueError: The background is not plain.
     """
     rgb = limit_size(image[..., :3], _MOST_SEARCHED).permute(2, 0, 1)
     height, width = rgb.shape[1:]

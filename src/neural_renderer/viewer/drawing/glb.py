@@ -19,31 +19,18 @@ _WRAPS = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
 
 @dataclass(frozen=True, eq=False)
 class Drawable:
-    """Arrays that a graphics card draws.
+    """Arrays that a graphics card draws."""
 
-    Attributes:
-        vertices: [V, 3] float32.
-        corners: [N], the vertex at each drawn position; None if the vertices are drawn.
-        normals: [V, 3] float32, for smooth light; None for flat light.
-        index: [F, 3] uint32, faces as indices of drawn positions; None if each three positions are a face.
-        color: RGB of the whole mesh in [0, 1].
-        colors: [N, 3] uint8 sRGB, or None.
-        uv: [N, 2] float32, v down, or None.
-        image: A PNG or JPEG file, or None.
-        wrap: "repeat", "clamp" or "mirror" beyond the border of the image, or a pair of them, for u and v.
-        lit: Whether light falls on the mesh; otherwise colours are shown unchanged.
-    """
-
-    vertices: np.ndarray
-    corners: np.ndarray | None = None
-    normals: np.ndarray | None = None
-    index: np.ndarray | None = None
-    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    colors: np.ndarray | None = None
-    uv: np.ndarray | None = None
-    image: bytes | None = None
-    wrap: str | tuple[str, str] = "repeat"
-    lit: bool = True
+    vertices: np.ndarray  # [V, 3] float32
+    corners: np.ndarray | None = None  # [N], the vertex at each drawn position; None if the vertices are drawn
+    normals: np.ndarray | None = None  # [V, 3] float32, for smooth light; None for flat light
+    index: np.ndarray | None = None  # [F, 3] uint32, faces of drawn positions; None if each three are a face
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB of the whole mesh in [0, 1]
+    colors: np.ndarray | None = None  # [N, 3] uint8 sRGB
+    uv: np.ndarray | None = None  # [N, 2] float32, v down
+    image: bytes | None = None  # a PNG or JPEG file
+    wrap: str | tuple[str, str] = "repeat"  # beyond the border of the image, or a pair, for u and v
+    lit: bool = True  # otherwise colours are shown unchanged
 
     @property
     def positions(self) -> np.ndarray:
@@ -121,17 +108,11 @@ def write_glb(parts: Sequence[Drawable]) -> bytes:
 
 
 class _Body:
-    """The binary part of a GLB file, with descriptions of its arrays.
-
-    Attributes:
-        parts: The bytes so far, each part padded to a multiple of four.
-        size: Number of bytes.
-        views, accessors: Descriptions of the arrays.
-    """
+    """The binary part of a GLB file, with descriptions of its arrays."""
 
     def __init__(self) -> None:
-        self.parts: list[bytes] = []
-        self.size = 0
+        self.parts: list[bytes] = []  # each padded to a multiple of four
+        self.size = 0  # of all parts
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
 

@@ -21,19 +21,12 @@ _Value = TypeVar("_Value")
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """Copy of a mesh.
+    """Copy of a mesh, on the CPU."""
 
-    Attributes:
-        vertices: [V, 3] float32, on the CPU.
-        faces: [F, 3] int32, on the CPU.
-        textures: [F, T, T, T, 3] float32, or None.
-        uv_mesh: The mesh with its images, or None.
-    """
-
-    vertices: Tensor
-    faces: Tensor
-    textures: Tensor | None = None
-    uv_mesh: UVMesh | None = None
+    vertices: Tensor  # [V, 3] float32
+    faces: Tensor  # [F, 3] int32
+    textures: Tensor | None = None  # [F, T, T, T, 3] float32
+    uv_mesh: UVMesh | None = None  # the mesh with its images
 
     def finite(self) -> tuple[Snapshot, int]:
         """Leave out faces with a vertex that is not finite, as after an optimisation diverged; count them, too.

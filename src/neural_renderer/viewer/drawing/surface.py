@@ -31,20 +31,16 @@ _JPEGS: Memo[bytes] = Memo()
 
 @dataclass(frozen=True)
 class Look:
-    """Settings of the display of meshes.
+    """Settings of the display of meshes."""
 
-    Attributes:
-        surface: What the colours mean: "colours" of the mesh, "clay", "normals" in world space, or a colour per face.
-        lit: Whether light falls on "colours", "clay" and "faces".
-        smooth: Whether the light is interpolated over faces that share vertices.
-    """
-
-    surface: Surface = "colours"
-    lit: bool = True
-    smooth: bool = True
+    surface: Surface = (
+        "colours"  # of the mesh, or "clay", "normals" in world space, or a colour for each of the "faces"
+    )
+    lit: bool = True  # but "normals", which are never lit
+    smooth: bool = True  # whether the light is interpolated over faces that share vertices
 
 
-_UNLIT, _UNLIT_FLAT = Look(lit=False), Look(lit=False, smooth=False)
+_UNLIT = Look(lit=False)
 
 
 def drawables(snapshot: Snapshot, look: Look, values: Tensor | None = None) -> list[Drawable]:
@@ -59,7 +55,7 @@ def drawables(snapshot: Snapshot, look: Look, values: Tensor | None = None) -> l
         if look.smooth:
             return [_of_vertices(vertices, faces, _bytes((vertex_normals(vertices, faces) + 1) / 2), _UNLIT)]
         normals = _bytes((_unit(_face_normals(vertices, faces)) + 1) / 2)
-        return [_of_corners(vertices, faces, normals[:, None].repeat(3, 1), _UNLIT_FLAT)]
+        return [_of_corners(vertices, faces, normals[:, None].repeat(3, 1), _UNLIT)]
     if look.surface == "faces":
         colors = _bytes(face_colors(np.arange(len(faces))))
         return [_of_corners(vertices, faces, colors[:, None].repeat(3, 1), look)]
@@ -110,7 +106,7 @@ def _of_cubes(vertices: np.ndarray, faces: np.ndarray, cubes: np.ndarray, look: 
     first = np.stack((number % columns, number // columns), 1)[:, None] * width + 1.5
     places = first + (size - 1) * np.array([[0, 0], [1, 0], [0, 1]])
     uv = (places / [columns * width, rows * width]).astype(np.float32).reshape(-1, 2)
-    return Drawable(*_unrolled(vertices, faces), uv=uv, image=_jpeg(picture), wrap="clamp", lit=look.lit)
+    return Drawable(vertices, faces.reshape(-1), uv=uv, image=_jpeg(picture), wrap="clamp", lit=look.lit)
 
 
 def _is_even(texels: np.ndarray) -> bool:
@@ -160,7 +156,7 @@ def _of_images(vertices: np.ndarray, faces: np.ndarray, mesh: UVMesh, look: Look
             first, inverse = _seams(corners, uv)
             normals = vertex_normals(vertices, faces)
             corners, uv, order = corners[first], uv[first], inverse.reshape(-1, 3).astype(np.uint32)
-        picture = _JPEGS.get(image, _jpeg_of)
+        picture = _JPEGS.get(image, lambda image: _jpeg(_bytes(image.numpy())))
         found.append(Drawable(vertices, corners, normals, order, uv=uv, image=picture, wrap=wrap, lit=look.lit))
     rest = index < 0
     if rest.any():
@@ -182,7 +178,7 @@ def _plain(vertices: np.ndarray, faces: np.ndarray, color: tuple[float, float, f
     """Show one colour."""
     if look.smooth or look.lit:  # a browser lights single colours smoothly or not, as it is told
         return Drawable(vertices, index=faces.astype(np.uint32), color=color, lit=look.lit)
-    return Drawable(*_unrolled(vertices, faces), color=color, lit=look.lit)
+    return Drawable(vertices, faces.reshape(-1), color=color, lit=look.lit)
 
 
 def _of_vertices(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray, look: Look) -> Drawable:
@@ -195,12 +191,7 @@ def _of_vertices(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray, lo
 
 def _of_corners(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray, look: Look) -> Drawable:
     """Show colours of the faces' corners, [F, 3, 3] uint8."""
-    return Drawable(*_unrolled(vertices, faces), colors=colors.reshape(-1, 3), lit=look.lit)
-
-
-def _unrolled(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices, and the vertex at each corner of the faces, [3 F]: faces share no positions."""
-    return vertices, faces.reshape(-1)
+    return Drawable(vertices, faces.reshape(-1), colors=colors.reshape(-1, 3), lit=look.lit)
 
 
 def _face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -220,13 +211,8 @@ def _bytes(colors: np.ndarray) -> np.ndarray:
     return (np.minimum(np.fmax(colors, 0), 1) * 255 + 0.5).astype(np.uint8)  # fmax turns NaN to 0
 
 
-def _jpeg_of(image: Tensor) -> bytes:
-    """Encode a texture image [H, W, 3] in [0, 1], reduced if it is very large."""
-    return _jpeg(_bytes(image.numpy()))
-
-
 def _jpeg(pixels: np.ndarray) -> bytes:
-    """Encode an image, with colours at full resolution."""
+    """Encode an image, with colours at full resolution, reduced if it is very large."""
     picture, file = Image.fromarray(pixels), io.BytesIO()
     if max(picture.size) > _LARGEST_IMAGE:
         picture.thumbnail((_LARGEST_IMAGE, _LARGEST_IMAGE))

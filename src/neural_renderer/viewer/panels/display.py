@@ -42,7 +42,7 @@ class DisplayPanel:
             self._equal: Any = gui.add_checkbox("Equal size", scene.equal_size, hint="Show all as large as the first")
             up: Any = gui.add_dropdown("Up", tuple(_UP))
             background = gui.add_rgb("Background", _BACKGROUND)
-            whole = gui.add_button("Whole view")
+            whole: Any = gui.add_button("Whole view")
             save = gui.add_button("Save picture", hint="Of the browser's view, as a PNG")
         self._meshes = gui.add_folder("Meshes")
         with self._meshes:
@@ -64,7 +64,7 @@ class DisplayPanel:
         self._equal.on_update(arrange)
         up.on_update(lambda _: scene.set_up(_UP[up.value]))
         background.on_update(lambda _: self._set_background(background.value))
-        whole.on_click(self._show_whole)
+        whole.on_click(lambda event: scene.show_whole(event.client))
         save.on_click(self._save_picture)
         self._set_background(_BACKGROUND)
         self._up = up
@@ -114,10 +114,6 @@ class DisplayPanel:
 
         box.on_update(hide)
         return box
-
-    def _show_whole(self, event: Any) -> None:
-        """Show everything in the browser whose button was pressed."""
-        self._scene.show_whole(event.client)
 
     def _save_picture(self, event: Any) -> None:
         """Send the browser whose button was pressed the picture that it shows, as a file to keep."""

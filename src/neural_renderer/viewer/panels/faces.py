@@ -31,7 +31,9 @@ class FacesPanel:
 
     def update(self) -> None:
         """Label the faces of small meshes, if that is asked for. Runs in the worker's thread."""
-        self._clear()
+        for label in self._labels:
+            label.remove()
+        self._labels = []
         shown = [one for one in self._scene.meshes.values() if one.visible]
         if not self._box.value or sum(len(one.snapshot.faces) for one in shown) > _MOST_LABELS:
             return
@@ -81,12 +83,6 @@ class FacesPanel:
             f"/faces/{len(self._labels)}", text, position=place, anchor="bottom-center", font_screen_scale=0.8
         )
         self._labels.append(label)
-
-    def _clear(self) -> None:
-        """Remove all labels."""
-        for label in self._labels:
-            label.remove()
-        self._labels = []
 
 
 def first_face(vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[int, float]:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch.nn.functional as F
 
 from ...io import load_image
+from ..frusta import thumbnail
 
 if TYPE_CHECKING:
     import viser
@@ -42,14 +42,8 @@ class PicturesPanel:
     def _show(self, _: Any) -> None:
         """Show the chosen picture."""
         path = self._files.get(self._choice.value)
-        if path is None:
-            return
-        pixels = load_image(path)[..., :3]
-        scale = _LARGEST / max(pixels.shape[:2])
-        if scale < 1:
-            size = [max(round(side * scale), 1) for side in pixels.shape[:2]]
-            pixels = F.interpolate(pixels.movedim(2, 0)[None], size, mode="area")[0].movedim(0, 2)
-        self._image.image = (pixels.clamp(0, 1) * 255 + 0.5).byte().numpy()
+        if path is not None:
+            self._image.image = thumbnail(load_image(path)[..., :3].movedim(2, 0), _LARGEST)
 
 
 class StepsPanel:

@@ -8,17 +8,7 @@ import numpy as np
 import torch
 
 from ...camera import Camera
-from ..drawing.our_picture import (
-    FREE_LOSSES,
-    IMAGE_LOSSES,
-    Target,
-    View,
-    arrows,
-    draw,
-    heat,
-    loss_gradient,
-    picture,
-)
+from ..drawing.our_picture import FREE_LOSSES, IMAGE_LOSSES, Target, View, arrows, draw, heat, loss_gradient, picture
 from ..frusta import Frusta
 from ..scene import Scene
 from ..shown import Shown
@@ -63,8 +53,7 @@ class RendererPanel:
         controls = (self._on, self._output, self._height, self._gradient, self._mesh, self._loss, self._target)
         for control in (*controls, self._estimator, self._form):
             control.on_update(lambda _: self.update())
-
-        server.on_client_connect(lambda client: self._follow(client))
+        server.on_client_connect(self._follow)
 
     def update(self) -> None:
         """Draw again soon, where something is asked for. Any thread may call it."""
@@ -124,7 +113,10 @@ class RendererPanel:
             self._arrows.remove()
             self._arrows = None
         if self._colored is not None and (shown is None or not as_colors or self._colored != self._mesh.value):
-            self._color(self._colored, None)
+            before = self._scene.meshes.get(self._colored)
+            if before is not None:
+                before.values = None
+                self._scene.redraw(self._colored)
             self._colored = None
         if shown is None:
             return
@@ -134,13 +126,7 @@ class RendererPanel:
             return
         camera, size, target, lit = scenery
         value, found = loss_gradient(
-            shown.snapshot,
-            camera,
-            size,
-            self._loss.value,
-            target=target,
-            gradient=self._estimator.value,
-            lit=lit,
+            shown.snapshot, camera, size, self._loss.value, target=target, gradient=self._estimator.value, lit=lit
         )
         norms = found.norm(dim=1)
         most = float(norms.max())
@@ -190,10 +176,3 @@ class RendererPanel:
             head_length=_HEAD_LENGTH * size,
             position=tuple(shown.place),
         )
-
-    def _color(self, name: str, values: Any) -> None:
-        """Colour a mesh by values of its vertices; None restores its own colours."""
-        shown = self._scene.meshes.get(name)
-        if shown is not None:
-            shown.values = values
-            self._scene.redraw(name)

@@ -25,18 +25,12 @@ _LAST = 1e9  # order of the settings, below the curves
 
 
 class Run:
-    """State of a run that the browser may change. Any thread may use it.
-
-    Attributes:
-        paused: Whether the work is to wait.
-        stopped: Whether the work is to end and to keep its result.
-        is_used: Whether there is a run: a task has asked for changes or logged numbers.
-        knobs: The settings that may change.
-    """
+    """State of a run that the browser may change. Any thread may use it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self.paused = self.stopped = self.is_used = False
+        self.paused = self.stopped = False  # the work is to wait; to end, and to keep its result
+        self.is_used = False  # a task has asked for changes or logged numbers
         self.text = ""
         self.numbers: dict[str, list[tuple[float, float]]] = {}
         self._steps = 0

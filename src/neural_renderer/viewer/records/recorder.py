@@ -26,8 +26,7 @@ BEGIN, END = '<script id="record" type="application/json">', "</script>"
 """Text before and after the data in a file."""
 DEFAULT_LIMIT = 32.0
 """Size of a file in MiB at most."""
-_LEVELS = 2**16 - 1  # levels of a coordinate over the mesh's bounding box
-_UV_LEVELS = 2**16 - 1
+_LEVELS = 2**16 - 1  # levels of a coordinate over its extent
 _PAGE = Path(__file__).with_name("record.html")
 _MARK = "<!-- record -->"
 _WRITING = 0.02  # share of the time that writing the file may take during a run
@@ -117,15 +116,8 @@ class Recorder:
 
     def _part(self, part: Drawable) -> dict[str, Any]:
         """Encode a part of a mesh."""
-        low, high = part.vertices.min(0).astype(float), part.vertices.max(0).astype(float)
-        size = np.maximum(high - low, 1e-30)
-        levels = np.rint((part.vertices - low) / size * _LEVELS).astype(np.uint16)
-        found: dict[str, Any] = {
-            "low": low.tolist(),
-            "size": size.tolist(),
-            "vertices": self._blob(_planes(levels)),
-            "color": [round(value, 4) for value in part.color],
-        }
+        found: dict[str, Any] = {"color": [round(value, 4) for value in part.color]}
+        found["low"], found["size"], found["vertices"] = self._levels(part.vertices)
         if part.corners is not None:
             found["corners"] = self._blob(_planes(part.corners.astype(np.uint32)[:, None]))
         if part.index is not None:
@@ -133,12 +125,16 @@ class Recorder:
         if part.colors is not None:
             found["colors"] = self._blob(_planes(part.colors))
         if part.uv is not None and part.image is not None:
-            least, most = part.uv.min(0).astype(float), part.uv.max(0).astype(float)
-            extent = np.maximum(most - least, 1e-30)
-            found |= {"uv_low": least.tolist(), "uv_size": extent.tolist(), "wrap": part.wrap}
-            found["uv"] = self._blob(_planes(np.rint((part.uv - least) / extent * _UV_LEVELS).astype(np.uint16)))
-            found["image"] = self._blob(part.image, compress=False)
+            found["uv_low"], found["uv_size"], found["uv"] = self._levels(part.uv)
+            found |= {"wrap": part.wrap, "image": self._blob(part.image, compress=False)}
         return found
+
+    def _levels(self, values: np.ndarray) -> tuple[list[float], list[float], str]:
+        """Keep values [N, C] in 16 bits: return their least numbers, their extents, and the name of the bytes."""
+        low, high = values.min(0).astype(float), values.max(0).astype(float)
+        size = np.maximum(high - low, 1e-30)
+        levels = np.rint((values - low) / size * _LEVELS).astype(np.uint16)
+        return low.tolist(), size.tolist(), self._blob(_planes(levels))
 
     def _blob(self, data: bytes, compress: bool = True) -> str:
         """Keep bytes once; return their name."""
@@ -187,7 +183,7 @@ class Recorder:
             "version": __version__,
             "title": self.path.stem,
             "levels": _LEVELS,
-            "uv_levels": _UV_LEVELS,
+            "uv_levels": _LEVELS,
             "frames": self._frames,
             "numbers": numbers,
             "blobs": self._blobs,

@@ -24,13 +24,9 @@ _LARGEST = 2**30  # most bytes of an array: more is a damaged file
 
 
 class Record:
-    """The frames of an HTML file that a `Recorder` wrote.
+    """The frames of an HTML file that a `Recorder` wrote; ValueError if it is damaged or of another version.
 
-    ValueError: The file is no record, is damaged, or belongs to another version.
-
-    Attributes:
-        labels: What each frame is, such as "shape step 20".
-        numbers: Points (step, value) of each curve.
+    ``labels`` tell what each frame is, such as "shape step 20"; ``numbers`` are points (step, value) of each curve.
     """
 
     def __init__(self, path: Path) -> None:
@@ -72,7 +68,7 @@ class Record:
         for part in parts:
             if part["vertices"] not in first:
                 first[part["vertices"]] = sum(map(len, vertices))
-                vertices.append(self._vertices(part))
+                vertices.append(torch.from_numpy(self._values(part, "vertices", "levels", "")).float())
             corners = self._faces(part, len(vertices[-1]))
             count = len(corners)
             faces.append(torch.from_numpy(self._at_corners(part, corners)) + first[part["vertices"]])
@@ -81,8 +77,7 @@ class Record:
                 rgb = self._array(part["colors"], 3, np.uint8)
                 color = torch.from_numpy(rgb[corners].astype(np.float32) / 255)
             if "image" in part:
-                whole = self._array(part["uv"], 2, np.uint16) / self._data["uv_levels"]
-                places = np.array(part["uv_low"]) + np.array(part["uv_size"]) * whole
+                places = self._values(part, "uv", "uv_levels", "uv_")
                 uv = torch.from_numpy(places[corners] * [1, -1] + [0, 1]).float()
                 images.append(self._image(part["image"]))
                 wraps.append(part["wrap"] if isinstance(part["wrap"], str) else tuple(part["wrap"]))
@@ -100,11 +95,10 @@ class Record:
             return Snapshot(joined, all_faces, bake_corners(all_colors, 2))
         return Snapshot(joined, all_faces, all_colors[:, :1, None, None].contiguous())
 
-    def _vertices(self, part: dict[str, Any]) -> Tensor:
-        """Decode the vertices of a part, [V, 3]."""
-        levels = self._array(part["vertices"], 3, np.uint16)
-        places = np.array(part["low"]) + np.array(part["size"]) * (levels / self._data["levels"])
-        return torch.from_numpy(places.astype(np.float32))
+    def _values(self, part: dict[str, Any], name: str, levels: str, prefix: str) -> np.ndarray:
+        """Decode the vertices [V, 3] or the texture coordinates [N, 2] of a part."""
+        low, size = np.array(part[f"{prefix}low"]), np.array(part[f"{prefix}size"])
+        return low + size * (self._array(part[name], len(low), np.uint16) / self._data[levels])
 
     def _faces(self, part: dict[str, Any], vertices: int) -> np.ndarray:
         """Decode the faces of a part as indices of drawn positions, [F, 3]."""
