@@ -11,6 +11,7 @@ from PIL import Image
 
 from .atomic_write import write_file
 from .image_formats.exr import write_exr
+from .image_formats.png import encode_png
 from .images import encode_image
 
 VALUE_SUFFIXES = (".npy", ".exr")
@@ -25,7 +26,7 @@ def save_output(path: Path, values: np.ndarray, name: str, depth_scale: float = 
         write_file(path, encode_output(path, values, name, depth_scale))
 
 
-def encode_output(path: Path, values: np.ndarray, name: str, depth_scale: float = 1000.0, level: int = 6) -> bytes:
+def encode_output(path: Path, values: np.ndarray, name: str, depth_scale: float = 1000.0, fast: bool = False) -> bytes:
     """Encode an output of `render` for a file of a name.
 
     Args:
@@ -35,7 +36,7 @@ def encode_output(path: Path, values: np.ndarray, name: str, depth_scale: float 
         values: [H, W] or [H, W, C], float32 or int32.
         name: Name of the output, for depth, normals and `write_exr`.
         depth_scale: Steps of depth for one unit.
-        level: Compression of a .png, 0 to 9.
+        fast: Encode a .png in a quarter of the time; it is a fifth larger.
 
     Raises:
         ModuleNotFoundError: OpenEXR is not installed.
@@ -50,12 +51,15 @@ def encode_output(path: Path, values: np.ndarray, name: str, depth_scale: float 
             write_exr(Path(folder) / "image.exr", values, name)
             return (Path(folder) / "image.exr").read_bytes()
     if name == "depth":
-        steps = np.round(values.astype(np.float64) * depth_scale)
+        steps = np.multiply(values, depth_scale, dtype=np.float64)
+        steps.round(out=steps)
         if steps.max(initial=0) > _MOST:
             most = _MOST / float(values.max())
             raise ValueError(
                 f"depth_scale: expected at most {most:.4g}, so that 16 bits hold the depth, got {depth_scale:g}"
             )
-        Image.fromarray(steps.astype(np.uint16)).save(file, "PNG", compress_level=level)
+        if fast:
+            return encode_png(steps.astype(np.uint16))
+        Image.fromarray(steps.astype(np.uint16)).save(file, "PNG")
         return file.getvalue()
-    return encode_image(path, (values + 1) / 2 if name == "normal" else values, level)
+    return encode_image(path, (values + 1) / 2 if name == "normal" else values, fast)
