@@ -26,6 +26,7 @@ _KILLED = ("ray::part", "ray::_perform", "ray::IDLE")  # not Ray's agents, whose
 _HERE = Path(__file__).parent
 _VIEWS = ["--views", "12", "--size", "512", "--outputs", "rgba.png", "depth.png", "normal.png"]
 _SMALL = ["--views", "4", "--size", "128", "--outputs", "rgba.png", "depth.png"]
+_TINY = ["--views", "2", "--size", "64", "--outputs", "rgba.png", "depth.png"]
 
 
 def command(*arguments: str | Path) -> list[str]:
@@ -71,7 +72,7 @@ def cluster(models: Path, out: Path, count: int = 500) -> None:
     from ray.cluster_utils import Cluster
 
     table = write_list(out / "models.csv", meshes(models), count)
-    options = [*_SMALL, "--cameras", "sphere", "--models-per-shard", "5"]
+    options = [*_TINY, "--cameras", "sphere", "--models-per-shard", "5"]
     start = time.monotonic()
     subprocess.run(command(table, "-o", out / "undisturbed", *options, "-j", "2"), check=True)
     print(f"undisturbed, local: {time.monotonic() - start:.0f} s, {digest(out / 'undisturbed')}", flush=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,7 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer.commands import render as command
-from neural_renderer.io.image_formats.png_strips import save_png_strips
+from neural_renderer.io.image_formats.png import encode_png, save_png_strips
 
 SIZE = (90, 64)
 OUTPUTS = ("rgb", "alpha", "depth", "normal", "position", "face_index", "barycentric")
@@ -96,6 +98,12 @@ def test_png_of_strips(tmp_path, channels):
         with pytest.raises(ValueError, match="strips: expected"):
             save_png_strips(tmp_path / "b.png", wrong, 37, 20)
     assert not (tmp_path / "b.png").exists()
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(pixels)))), pixels)
+
+
+def test_png_of_sixteen_bits():
+    pixels = np.random.default_rng(0).integers(0, 1 << 16, (7, 5), np.uint16)
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(pixels)))), pixels)
 
 
 @pytest.mark.parametrize("options", [[], ["--background", "transparent"], ["--mode", "silhouettes"]])

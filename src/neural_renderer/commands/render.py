@@ -19,7 +19,7 @@ from ..camera import Camera, get_points_from_angles
 from ..camera.files.load import load_cameras
 from ..io import load_image, load_mesh, save_animation, save_image
 from ..io.image_formats.exr import open_exr
-from ..io.image_formats.png_strips import save_png_strips
+from ..io.image_formats.png import save_png_strips
 from ..io.images import as_pixels
 from ..io.values import VALUE_SUFFIXES, save_output
 from ..meshes.batch import join

@@ -11,6 +11,7 @@ from PIL import Image
 
 from .atomic_write import write_file
 from .image_formats.exr import write_exr
+from .image_formats.png import encode_png
 from .images import encode_image
 
 VALUE_SUFFIXES = (".npy", ".exr")
@@ -25,12 +26,12 @@ def save_output(path: Path, values: np.ndarray, name: str, depth_scale: float = 
         write_file(path, encode_output(path, values, name, depth_scale))
 
 
-def encode_output(path: Path, values: np.ndarray, name: str, depth_scale: float = 1000.0, level: int = 6) -> bytes:
+def encode_output(path: Path, values: np.ndarray, name: str, depth_scale: float = 1000.0, fast: bool = False) -> bytes:
     """Encode the output of `render` of a name, [H, W] or [H, W, C], for the file at ``path``.
 
     An .npy and an .exr keep the numbers; an .exr stores whole numbers as float32, exact up to 2²⁴. A .png holds
-    (n + 1) / 2 of normals n, and depth · ``depth_scale`` in 16 bits, rounded, 0 where there is nothing. ``level`` is
-    its compression, 0 to 9. ValueError: A depth is more than 65,535 steps.
+    (n + 1) / 2 of normals n, and depth · ``depth_scale`` in 16 bits, rounded, 0 where there is nothing; ``fast`` takes
+    a quarter of the time for a file that is a fifth larger. ValueError: A depth is more than 65,535 steps.
     """
     suffix, file = path.suffix.lower(), io.BytesIO()
     if suffix == ".npy":
@@ -41,12 +42,15 @@ def encode_output(path: Path, values: np.ndarray, name: str, depth_scale: float 
             write_exr(Path(folder) / "image.exr", values, name)
             return (Path(folder) / "image.exr").read_bytes()
     if name == "depth":
-        steps = np.round(values.astype(np.float64) * depth_scale)
+        steps = np.multiply(values, depth_scale, dtype=np.float64)
+        steps.round(out=steps)
         if steps.max(initial=0) > _MOST:
             most = _MOST / float(values.max())
             raise ValueError(
                 f"depth_scale: expected at most {most:.4g}, so that 16 bits hold the depth, got {depth_scale:g}"
             )
-        Image.fromarray(steps.astype(np.uint16)).save(file, "PNG", compress_level=level)
+        if fast:
+            return encode_png(steps.astype(np.uint16))
+        Image.fromarray(steps.astype(np.uint16)).save(file, "PNG")
         return file.getvalue()
-    return encode_image(path, (values + 1) / 2 if name == "normal" else values, level)
+    return encode_image(path, (values + 1) / 2 if name == "normal" else values, fast)

@@ -26,7 +26,6 @@ from .models import ModelFile, opened
 
 _GREY = 0.82  # colour of meshes without colours
 _AMBIENT, _DIRECTIONAL, _SUN = 0.4, 0.65, (0.35, 0.75, 0.55)  # light "sun", and its direction in the world
-_LEVEL = 1  # compression of .png
 _PICTURES = ("png", "jpg", "webp", "npy", "exr")
 _VALUES = ("npy", "exr")
 FORMATS: dict[str, tuple[str, ...]] = {
@@ -137,7 +136,7 @@ class RenderModel:
                     images[output.partition(".")[0]],
                     output.partition(".")[0],
                     settings.depth_scale,
-                    _LEVEL,
+                    fast=True,
                 )
                 for output in settings.outputs
             }
