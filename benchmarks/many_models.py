@@ -25,7 +25,6 @@ from pathlib import Path
 _KILLED = ("ray::part", "ray::_perform", "ray::IDLE")  # not Ray's agents, whose end is that of their node
 _HERE = Path(__file__).parent
 _VIEWS = ["--views", "12", "--size", "512", "--outputs", "rgba.png", "depth.png", "normal.png"]
-_SMALL = ["--views", "4", "--size", "128", "--outputs", "rgba.png", "depth.png"]
 _TINY = ["--views", "2", "--size", "64", "--outputs", "rgba.png", "depth.png"]
 
 
@@ -183,10 +182,11 @@ def hostile(models: Path, out: Path, count: int = 1000) -> None:
         with (folder / f"large_{n}.obj").open("wb") as file:
             file.truncate(2 << 30)
         with zipfile.ZipFile(folder / f"inner_{n}.zip", "w") as pack:
-            pack.writestr("inner.zip", b"PK\3\4" * 100)
+            pack.write(folder / f"inner_{n - 1}.zip" if n else __file__, "inner.zip")  # up to five in each other
         os.mkfifo(folder / f"pipe_{n}.obj")
         (folder / f"wrong_{n}.glb").write_text(box)
-        (folder / f"lost_{n}.obj").write_text("mtllib no.mtl\nusemtl x\n" + box)
+        (folder / f"lost_{n}.obj").write_text(f"mtllib lost_{n}.mtl\nusemtl x\n" + box)
+        (folder / f"lost_{n}.mtl").write_text("newmtl x\nmap_Kd none.png\n")
         (folder / f"index_{n}.obj").write_text(box.replace("1 2 3", "1 2 9"))
         (folder / f"bytes_{n}.stl").write_bytes(random.Random(n).randbytes(5000))
     grid = 3163  # 3162² squares, of two faces each in the file of 10⁷ faces
@@ -198,12 +198,12 @@ def hostile(models: Path, out: Path, count: int = 1000) -> None:
         (folder / f"faces_{n}.obj").symlink_to("faces_0.obj")
     good = meshes(models)
     rows = [f"{good[n % len(good)].resolve()},good_{n:05d}" for n in range(count - 50)]
-    rows += [f"{path},{path.stem}" for path in sorted(folder.iterdir()) if path.suffix != ".zip"]
+    rows += [f"{path},{path.stem}" for path in sorted(folder.iterdir()) if path.suffix not in (".zip", ".mtl")]
     rows += [f"{path},{path.stem}" for path in sorted(folder.glob("*.zip"))]
     (out / "hostile.csv").write_text("path,name\n" + "\n".join(rows) + "\n")
     start, most, early, late = time.monotonic(), 0, [], []
     limits = ["--time-limit", "60", "--memory-limit", "2"]
-    process = subprocess.Popen(command(out / "hostile.csv", "-o", out / "hostile", *_SMALL, *limits, "-j", "2"))
+    process = subprocess.Popen(command(out / "hostile.csv", "-o", out / "hostile", *_TINY, *limits, "-j", "2"))
     while process.poll() is None:
         sizes = [_resident(worker) for worker in children(process.pid) if "spawn_main" in _name(worker)]
         done = len(list((out / "hostile" / "manifest").glob("*.json")))
