@@ -106,8 +106,9 @@ def cluster(models: Path, out: Path, count: int = 500) -> None:
             else:
                 names = ((process, _name(process)) for process in children(os.getpid()))
                 workers = [process for process, name in names if name.startswith(_KILLED) or "spawn_main" in name]
-                if workers:
-                    os.kill(chance.choice(workers), signal.SIGKILL)
+                victim = chance.choice(workers)
+                print(f"  killed: {_name(victim)[:40]}", flush=True)
+                os.kill(victim, signal.SIGKILL)
         time.sleep(0.05)
     print(f"disturbed, Ray: {time.monotonic() - start:.0f} s, {digest(target)}; events left {events}", flush=True)
     nodes.shutdown()
