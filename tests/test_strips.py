@@ -12,6 +12,7 @@ from PIL import Image
 import neural_renderer as nr
 from neural_renderer.commands import render as command
 from neural_renderer.io.image_formats.png import encode_png, save_png_strips
+from neural_renderer.rendering import render_rows
 
 SIZE = (90, 64)
 OUTPUTS = ("rgb", "alpha", "depth", "normal", "position", "face_index", "barycentric")
@@ -117,3 +118,18 @@ def test_command_streams_large_pictures(tmp_path, monkeypatch, options):
     assert main([*call, str(tmp_path / "strips.png")]) == 0
     whole, strips = (np.asarray(Image.open(tmp_path / name)) for name in ("whole.png", "strips.png"))
     assert np.array_equal(whole, strips)
+
+
+@pytest.mark.parametrize(("eye", "up"), [((0.0, 0.5, -4.0), 0.0), ((0.3, 0.2, -0.4), 0.0), ((0.0, 0.0, -4.0), 7.0)])
+@torch.no_grad()
+def test_rows_with_the_mesh(eye, up):
+    """Seen from afar, from inside, and not at all: the rows are those of the whole image, the others show nothing."""
+    mesh = nr.Mesh.icosphere()
+    camera = nr.Camera.look_at(eye, (0.0, up, 0.0), viewing_angle=30)
+    drawn, rows = render_rows(mesh, camera, SIZE, outputs=OUTPUTS)
+    whole = nr.render(mesh, camera, SIZE, background=0.0, outputs=OUTPUTS)
+    for name in OUTPUTS:
+        assert torch.equal(getattr(drawn, name), getattr(whole, name)[..., rows, :]), name
+    whole.alpha[..., rows, :] = 0
+    assert not whole.alpha.any()
+    assert (rows == slice(0, SIZE[0])) == (eye[2] == -0.4)

@@ -42,7 +42,7 @@ class RenderedViews(IterableDataset[dict[str, Any]]):
     - "model": int64 [N], the number of the model in ``models``.
 
     Args:
-        models: Mesh files, folders, .zip and .tar archives of meshes, or lists of paths, .txt, .csv or .parquet.
+        models: Mesh files, folders, archives of meshes (.zip, .tar, .tar.gz), or lists of paths (.txt, .csv, .parquet).
         size: Side of the images, or (height, width), in pixels.
         views: Views of a model in an item, ≥ 1.
         batch: Models in an item, ≥ 1; N is views · batch, and less in the last item of an epoch.

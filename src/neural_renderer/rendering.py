@@ -119,11 +119,25 @@ def render(
 
 def render_strips(mesh: Any, camera: Camera, size: tuple[int, int], tile: int, **options: Any) -> Iterator[Images]:
     """Render an image like `render`, and yield it in strips of about tile² pixels, from the top; without gradients."""
-    plain = inspect.signature(render).parameters
-    given = [options.get(name, plain[name].default) for name in _OPTIONS]
-    draw, settings, corners = _prepared(mesh, camera, size, *given)
-    background = options.get("background", plain["background"].default)
+    draw, settings, corners = _prepared(mesh, camera, size, *_given(options))
+    background = options.get("background", _DEFAULTS["background"].default)
     yield from strips.drawn_strips(draw, settings, background, len(corners), corners.device, tile)
+
+
+@torch.no_grad()
+def render_rows(mesh: Any, camera: Camera, size: int | tuple[int, int], **options: Any) -> tuple[Images, slice]:
+    """Render those rows of an image, like `render` over black, that show the mesh; return also which they are."""
+    draw, settings, corners = _prepared(mesh, camera, size, *_given(options))
+    rows = strips.rows_with(corners, settings)
+    return draw(settings.strip(rows.start, rows.stop), 0.0), rows
+
+
+def _given(options: dict[str, Any]) -> list[Any]:
+    """Return the options that `_prepared` takes, with the defaults of `render`."""
+    return [options.get(name, _DEFAULTS[name].default) for name in _OPTIONS]
+
+
+_DEFAULTS = inspect.signature(render).parameters
 
 
 def _prepared(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, TypeAlias
@@ -21,6 +22,7 @@ Draw: TypeAlias = Callable[[Settings, Any], Images]
 # through visibility looks at the next two, at faces thinner than a pixel behind them, and at seams at the middles of
 # the faces beside.
 _BESIDE = 16
+_MARGIN = 2  # rows above and below a mesh, for rounding
 
 
 def drawn_strips(
@@ -56,3 +58,14 @@ def drawn_whole(draw: Draw, settings: Settings, background: Any, corners: Tensor
     each = again if torch.is_grad_enabled() else draw
     strips = [vars(images) for images in drawn_strips(each, settings, background, len(corners), corners.device, tile)]
     return Images(**{name: torch.cat([strip[name] for strip in strips], -2) for name in strips[0]})
+
+
+def rows_with(corners: Tensor, settings: Settings) -> slice:
+    """Find rows of images that contain all faces, of corners [B, F, 3, 3]; all rows if a corner is behind the eye."""
+    if corners.numel() == 0 or not corners[..., 2].min() > 0:
+        return slice(0, settings.height)
+    low, high = corners[..., 1].aminmax()
+    first, last = ((1 - y.item()) / 2 * settings.height for y in (high, low))
+    middle = settings.height // 2  # one row remains of a mesh outside of the image
+    start = min(max(math.floor(first) - _MARGIN, 0), middle)
+    return slice(start, max(min(math.ceil(last) + _MARGIN, settings.height), middle + 1))

@@ -12,11 +12,9 @@ from torch import Tensor
 from .camera import Camera
 from .deferred import Fragments, visible_fragments
 from .meshes.batch import mesh_parts
-from .meshes.normals import face_normals
 from .meshes.uv_mesh import UVMesh
-from .raster.faces import checked_faces, world_corners
 from .raster.outputs import SURFACE
-from .shading.pixels.visible_surface import VisibleSurface
+from .shading.pixels.visible_surface import visible_normals
 
 
 def surface_outputs(outputs: Collection[str], mesh: Any, has_camera: bool) -> list[str]:
@@ -48,13 +46,12 @@ def surface_images(
         images["barycentric"] = centres.weights.movedim(3, 1).contiguous()
     inside = visible.for_shading
     values: dict[str, Tensor] = {}
-    if "normal" in names or "position" in names:
-        surface = VisibleSurface.of(inside, mesh, camera)
-        normals = surface.normals if smooth else _flat_normals(inside, mesh) * surface.sides
-        values |= {"normal": normals, "position": surface.points}
+    if "normal" in names:
+        values["normal"] = visible_normals(inside, mesh, camera, smooth)
+    if "position" in names:
+        values["position"] = inside.interpolate(mesh_parts(mesh)[0])
     if "uv" in names:
         values["uv"] = inside.interpolate(mesh.uv if mesh.uv.dim() == 4 else mesh.uv[None])
-    values = {name: value for name, value in values.items() if name in names}
     if values:
         jumps = "uv" in values or ("normal" in values and not smooth)
         together = visible.composite(torch.cat(list(values.values()), -1), seams=jumps)
@@ -62,10 +59,3 @@ def surface_images(
         # Copies: autograd forbids in-place changes of one of several views.
         images |= {name: part.clone() for name, part in zip(values, parts, strict=True)}
     return {name: images[name] for name in names}
-
-
-def _flat_normals(fragments: Fragments, mesh: Any) -> Tensor:
-    """Compute the front normal of the visible face at every pixel, [B, H, W, 3]."""
-    vertices, faces, _ = mesh_parts(mesh)
-    corners = world_corners(vertices, checked_faces(faces), len(fragments.corners), in_range=True)
-    return fragments.interpolate(-face_normals(corners.float())[:, :, None].expand(-1, -1, 3, -1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import tarfile
 import zipfile
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import neural_renderer as nr
+from neural_renderer.many import models
 from neural_renderer.many.models import ModelFile, list_models, opened
 from neural_renderer.meshes.uv_mesh import UVMesh
 
@@ -93,11 +95,26 @@ def test_a_model_in_an_archive_has_its_materials(folder: Path) -> None:
     with opened(car) as path:
         assert UVMesh.load(path).colors[0, 0].tolist() == [1.0, 0.0, 0.0]
     assert not path.exists()
-    with tarfile.open(folder / "pack.tar", "w") as tar:
-        tar.add(folder / "b.obj", "./in/b.obj")
-    [ball] = list_models([folder / "pack.tar"])
-    with opened(ball) as path:
-        assert nr.Mesh.load(path).num_faces == 1
+    for suffix, mode in (("tar", "w"), ("tar.gz", "w:gz"), ("tgz", "w:gz")):
+        with tarfile.open(folder / f"pack.{suffix}", mode) as tar:
+            tar.add(folder / "b.obj", "./in/b.obj")
+        [ball] = list_models([folder / f"pack.{suffix}"])
+        assert ball.name == "in/b"
+        with opened(ball) as path:
+            assert nr.Mesh.load(path).num_faces == 1
+
+
+def test_a_compressed_archive_has_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A megabyte may unpack to a gigabyte; what is beyond the limit is not unpacked."""
+    monkeypatch.setattr(models, "_MOST_UNPACKED", 1 << 20)
+    with tarfile.open(tmp_path / "bomb.tar.gz", "w:gz") as tar:
+        for name, size in (("a.obj", 100), ("zeros.obj", 1 << 24), ("b.obj", 100)):
+            info = tarfile.TarInfo(name)
+            info.size = size
+            tar.addfile(info, io.BytesIO(bytes(size)))
+    [model] = list_models([tmp_path / "bomb.tar.gz"])
+    with pytest.raises(ValueError, match=r"bomb.tar.gz: expected an archive, got .*more than"), opened(model):
+        pass
 
 
 def test_archives_that_lie(tmp_path: Path) -> None:

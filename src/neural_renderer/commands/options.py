@@ -149,9 +149,9 @@ Engine = Annotated[EngineOptions, tyro.conf.arg(name="")]
 class DatasetOptions:
     """Draw views of many models: a data set in shards that WebDataset reads, or in folders.
 
-    MODEL is a mesh file, a folder with meshes, an archive of meshes (.zip, .tar), or a list of paths (.txt, .csv,
-    .parquet with a column path). The folder OUTPUT gets shards/*.tar with the views and cameras, index.parquet with a
-    row for each sample, manifest.json, and failed.jsonl with the models that crashed, hung or could not be read.
+    MODEL is a mesh file, a folder with meshes, an archive of meshes (.zip, .tar, .tar.gz), or a list of paths (.txt,
+    .csv, .parquet with a column path). The folder OUTPUT gets shards/*.tar with the views and cameras, index.parquet
+    with a row for each sample, manifest.json, and failed.jsonl with the models that crashed, hung or could not be read.
 
     Example: neural-renderer dataset models -o views
 

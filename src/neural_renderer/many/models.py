@@ -1,4 +1,4 @@
-"""Lists of models: in folders, in lists of paths, in .zip and .tar archives."""
+"""Lists of models: in folders, in lists of paths, in archives."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from typing import IO, Any
 from ..io.files import existing, import_library, read_text, reason
 
 MESHES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")
-_ARCHIVES = (".zip", ".tar")
+_ARCHIVES = (".zip", ".tar", ".tar.gz", ".tgz")
 _LISTS = (".csv", ".txt", ".parquet")
 _WITH_FILES = (".obj", ".gltf")  # formats that name other files
 _PLAIN = re.compile(r"[^\w/-]+")  # what names of samples do not contain
 _MOST_FILES, _MOST_BYTES = 10_000, 1 << 32  # extracted from an archive for one model
+_MOST_UNPACKED = 1 << 33  # bytes of a compressed .tar, which is unpacked to list it
 
 
 @dataclass(frozen=True, order=True)
@@ -45,9 +46,9 @@ def list_models(inputs: Sequence[Path]) -> list[ModelFile]:
     """List the models of files and folders, sorted by name.
 
     Args:
-        inputs: Mesh files; .zip and .tar archives of them; folders, with those in all folders below; and lists of paths
-            of any of these: .txt with one a line, .csv or .parquet with a column "path" and, if there are, "name" and
-            "member" (of the archive). Paths in a list are relative to its folder. A parquet needs pyarrow.
+        inputs: Mesh files; archives of them, .zip, .tar or .tar.gz; folders, with those in all folders below; and lists
+            of paths of any of these: .txt with one a line, .csv or .parquet with a column "path" and, if there are,
+            "name" and "member" (of the archive). Paths in a list are relative to its folder. A parquet needs pyarrow.
 
     Returns:
         The models. A name is the path in the folder, archive or list without its suffix; several inputs, and archives
@@ -62,7 +63,11 @@ def list_models(inputs: Sequence[Path]) -> list[ModelFile]:
     """
     found: list[tuple[str, str, str]] = []  # name with suffix, path, member
     for path in inputs:
-        before = f"{path.resolve().stem}/" if len(inputs) > 1 and (path.is_dir() or _suffix(path) not in MESHES) else ""
+        before = (
+            f"{_without_suffix(path.resolve().name)}/"
+            if len(inputs) > 1 and (path.is_dir() or _suffix(path) not in MESHES)
+            else ""
+        )
         found += [(before + name, file, member) for name, file, member in _listed(path)]
     if not found:
         places = ", ".join(map(str, inputs))
@@ -80,10 +85,10 @@ def _listed(path: Path) -> Iterator[tuple[str, str, str]]:
         for place, name, file, member in _rows(path):
             target = os.path.join(path.resolve().parent, file)
             if member or _suffix(target) in MESHES:
-                inside = f"{os.path.splitext(file)[0]}/{member}" if member else file
+                inside = f"{_without_suffix(file)}/{member}" if member else file
                 yield name + _suffix(inside) if name else inside, os.path.abspath(target), member
             elif _suffix(target) in _ARCHIVES:
-                yield from _in_archive(target, name or os.path.splitext(file)[0])
+                yield from _in_archive(target, name or _without_suffix(file))
             else:
                 raise ValueError(f"{place}: expected a path that ends in {', '.join(MESHES + _ARCHIVES)}, got {file!r}")
     elif _suffix(path) in _ARCHIVES:
@@ -105,7 +110,7 @@ def _in_folder(folder: Path) -> Iterator[tuple[str, str, str]]:
             if _suffix(file) in MESHES:
                 yield name, os.path.abspath(path), ""
             elif _suffix(file) in _ARCHIVES:
-                yield from _in_archive(path, os.path.splitext(name)[0])
+                yield from _in_archive(path, _without_suffix(name))
 
 
 def _in_archive(path: str, name: str = "") -> Iterator[tuple[str, str, str]]:
@@ -202,7 +207,12 @@ def _plain(name: str) -> str:
 
 
 def _suffix(path: str | Path) -> str:
-    return os.path.splitext(path)[1].lower()
+    name = os.fspath(path).lower()
+    return ".tar.gz" if name.endswith(".tar.gz") else os.path.splitext(name)[1]
+
+
+def _without_suffix(path: str) -> str:
+    return path[: len(path) - len(_suffix(path))]
 
 
 @contextmanager
@@ -226,7 +236,7 @@ def opened(model: ModelFile) -> Iterator[Path]:
 
 
 class _Archive:
-    """Archive, .zip or .tar, as a context; ``sizes`` are those of its regular files by name."""
+    """Archive, as a context; ``sizes`` are those of its regular files by name."""
 
     def __init__(self, path: str) -> None:
         self._path = existing(path)
@@ -237,8 +247,14 @@ class _Archive:
                 self.sizes = {info.filename: info.file_size for info in self._zip.infolist() if not info.is_dir()}
             else:
                 self._zip = None
-                self._tar = self._stack.enter_context(tarfile.open(path, "r:"))  # noqa: SIM115 (`_stack` closes it)
-                self.sizes = {info.name: info.size for info in self._tar if info.isreg()}
+                mode: Any = "r:" if _suffix(path) == ".tar" else "r:gz"
+                self._tar = self._stack.enter_context(tarfile.open(path, mode))  # noqa: SIM115 (`_stack` closes it)
+                self.sizes = {}
+                for info in self._tar:
+                    if mode == "r:gz" and info.offset_data + info.size > _MOST_UNPACKED:  # before it is unpacked
+                        raise ValueError(f"more than {_MOST_UNPACKED >> 30} GiB unpacked")
+                    if info.isreg():
+                        self.sizes[info.name] = info.size
         except Exception as error:  # damaged archives raise errors of many classes
             self._stack.close()
             raise ValueError(f"{path}: expected an archive, got one that cannot be read ({reason(error)})") from None

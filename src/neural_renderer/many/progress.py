@@ -70,9 +70,10 @@ class Watching:
             table.add_row(name, str(done.models), str(done.views), str(done.failures), f"{rate:.2f}")
         return table
 
-    def shares(self) -> str:
-        """Say which share of the processor time each part of the work took."""
-        whole = sum(self.total.seconds.values())
-        return (
-            ", ".join(f"{part} {seconds / whole:.0%}" for part, seconds in self.total.seconds.items()) if whole else ""
-        )
+    def costs(self) -> str:
+        """Say how much processor time a view took, and the share of each part of the work; "" if it is not known."""
+        parts, whole = self.total.seconds, sum(self.total.seconds.values())
+        if not whole or not self.total.views:
+            return ""
+        shares = ", ".join(f"{part} {seconds / whole:.0%}" for part, seconds in parts.items())
+        return f"{1000 * whole / self.total.views:.1f} ms of processor time a view: {shares}"

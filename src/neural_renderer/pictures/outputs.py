@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from ..camera import Camera
-from ..rendering import render
+from ..raster.outputs import Images
+from ..raster.settings import image_size
+from ..rendering import render, render_rows
 
 _MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the picture
 _PLANES = 0.05  # distance of the near and far planes from the mesh, in its extent in depth
@@ -53,8 +56,9 @@ def draw_outputs(
     background.
     """
     images: dict[str, Tensor] = {}
+    height, rows = image_size("size", size)[0], slice(None)
     if "rgba" in names:
-        drawn = render(mesh, camera, size, outputs=("rgb", "alpha"), **{**scene, "background": 0.0})
+        drawn, rows = _shown(mesh, camera, size, outputs=("rgb", "alpha"), **{**scene, "background": 0.0})
         alpha = drawn.alpha[0]
         images["rgba"] = torch.cat((drawn.rgb[0] / alpha.clamp(min=1e-6), alpha[None]))
         images["alpha"] = alpha
@@ -64,12 +68,24 @@ def draw_outputs(
         drawn = render(mesh, camera, size, outputs=smooth, **scene)
         images |= {name: getattr(drawn, name)[0] for name in smooth}
     if plain:
-        geometry = {name: scene[name] for name in ("near", "far", "tile") if name in scene}
-        drawn = render(
-            mesh, camera, size, outputs=(*plain, "alpha"), anti_aliasing=False, shading="smooth", light=None, **geometry
-        )
+        geometry: dict[str, Any] = {name: scene[name] for name in ("near", "far", "tile") if name in scene}
+        options = {**geometry, "anti_aliasing": False, "shading": "smooth", "light": None}
+        drawn, rows = _shown(mesh, camera, size, outputs=(*plain, "alpha"), **options)
         images |= {name: getattr(drawn, name)[0] for name in plain}
         if "depth" in images:
             images["depth"] = images["depth"] * drawn.alpha[0]  # 0 in place of the far plane
-    arrays = {name: images[name].cpu() for name in names}
-    return {name: (image.movedim(0, 2) if image.dim() == 3 else image).numpy() for name, image in arrays.items()}
+    arrays = {}
+    for name in names:
+        image = images[name].cpu()
+        if image.shape[-2] < height:
+            pads = (0, 0, rows.start, height - rows.stop)
+            image = functional.pad(image, pads, value=-1 if name == "face_index" else 0)
+        arrays[name] = (image.movedim(0, 2) if image.dim() == 3 else image).numpy()
+    return arrays
+
+
+def _shown(mesh: Any, camera: Camera, size: int | tuple[int, int], **options: Any) -> tuple[Images, slice]:
+    """Render the rows that show the mesh, and say which they are; all of them in tiles or with layers."""
+    if options.get("tile") is None and options.get("layers") is None:
+        return render_rows(mesh, camera, size, **options)
+    return render(mesh, camera, size, **options), slice(None)

@@ -17,6 +17,7 @@ from .ops.coverage import silhouette
 from .ops.rings import Rings
 from .outputs import Images
 from .settings import Settings
+from .warp.registration import needs_gradient
 
 Faces = TypeVar("Faces", bound="VisibleFaces")
 
@@ -106,7 +107,9 @@ class VisibleFaces(OneLine):
         depth = self._locate()[1] if "depth" in outputs else None
         if depth is not None and through:
             layers["depth"] = depth[:, None]
-        if layers and not alone:
+        if layers and not alone and not needs_gradient(self.corners):
+            layers = {name: self.image(layer) for name, layer in layers.items()}
+        elif layers and not alone:
             image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
             image = self.image(image, seams=edge_hashes is not None, edge_hashes=edge_hashes)
             layers = _split(image, layers)

@@ -39,5 +39,5 @@ def say_rates(watching: Watching) -> None:
     """Print what each worker did, and where the time went."""
     if watching.total.models:
         Console().print(watching.table())
-        if shares := watching.shares():
-            say(f"processor time: {shares}")
+        if costs := watching.costs():
+            say(costs)

@@ -28,7 +28,7 @@ def empty(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch
     if device.type != "cpu" or size < LEAST:
         return torch.empty(shape, dtype=dtype, device=device)
     memory = _take(size)
-    values = memory.view(_NUMPY[dtype]).reshape(tuple(shape))
+    values = memory[:size].view(_NUMPY[dtype]).reshape(tuple(shape))
     # torch holds `values` as long as a tensor, a view of it or a graph needs them.
     weakref.finalize(values, _keep, memory).atexit = False
     return torch.from_numpy(values)
@@ -46,9 +46,9 @@ def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch
 
 
 def _take(size: int) -> np.ndarray:
-    """Return kept memory of exactly this size, else new memory."""
+    """Return kept memory of at least this size and less than twice it, else new memory."""
     for memory in reversed(list(_free.values())):  # the last one used may still lie in the processor's cache
-        if memory.size == size and _free.pop(id(memory), None) is not None:
+        if size <= memory.size < 2 * size and _free.pop(id(memory), None) is not None:
             return memory
     return np.empty(size, np.uint8)
 

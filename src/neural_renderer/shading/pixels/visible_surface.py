@@ -13,7 +13,7 @@ from ...camera import Camera
 from ...constants import on_device
 from ...deferred import Fragments
 from ...meshes.batch import mesh_parts
-from ...meshes.normals import vertex_normals
+from ...meshes.normals import face_normals, vertex_normals
 from ...one_line import OneLine
 from ...raster.faces import checked_faces, world_corners
 from .planes import planar, unit
@@ -74,21 +74,19 @@ class VisibleSurface(OneLine):
         """
         vertices, faces, _ = mesh_parts(mesh)
         vertices, faces = validate.vertices(vertices).float(), checked_faces(faces)
-        normals = getattr(mesh, "normals", None)
+        normals = _corner_normals(mesh, faces)
         if normals is None:
             smooth = vertex_normals(vertices, faces)
             points = vertices if vertices.dim() == 3 else vertices[None]
             both = torch.cat(torch.broadcast_tensors(points, smooth), -1)
             points, pointing = map(planar, fragments.interpolate(both, fragments.triangles).split(3, -1))
         else:
-            points = planar(fragments.interpolate(vertices))
-            normals = normals if normals.dim() == 4 else normals[None]
-            normals = validate.floating("normals", normals, ("B", faces.shape[-2], 3, 3))
-            pointing = planar(fragments.interpolate(normals))
+            points, pointing = planar(fragments.interpolate(vertices)), planar(fragments.interpolate(normals))
         eye = _eye(camera, points)
         views = unit(eye - points) if camera.perspective else eye
-        corners = world_corners(vertices, faces, len(fragments.corners), in_range=True).detach()
-        side = at_pixels(_sides(corners, eye.detach(), camera.perspective), fragments.face_index)
+        side = at_pixels(
+            _sides(world_corners(vertices, faces, len(fragments.corners), True), camera), fragments.face_index
+        )
         return cls(points, unit(pointing) * side, views, side)
 
     def with_normals(self, normals: Tensor) -> VisibleSurface:
@@ -111,6 +109,28 @@ class VisibleSurface(OneLine):
         return replace(self, normals=unit(planar(normals)))
 
 
+def visible_normals(fragments: Fragments, mesh: Any, camera: Camera, smooth: bool) -> Tensor:
+    """Find the unit normals of the visible sides alone, [B, H, W, 3]: smooth ones as `VisibleSurface`, or of faces."""
+    vertices, faces, _ = mesh_parts(mesh)
+    vertices, faces = validate.vertices(vertices).float(), checked_faces(faces)
+    corners = world_corners(vertices, faces, len(fragments.corners), in_range=True)
+    sides = _sides(corners, camera)[:, :, None, None]
+    if not smooth:
+        return fragments.interpolate((-face_normals(corners)[:, :, None] * sides).expand(-1, -1, 3, -1))
+    normals = _corner_normals(mesh, faces)
+    if normals is None:
+        normals = world_corners(vertex_normals(vertices, faces), faces, len(sides), in_range=True)
+    return unit(planar(fragments.interpolate(normals * sides)))
+
+
+def _corner_normals(mesh: Any, faces: Tensor) -> Tensor | None:
+    """Return a mesh's own normals as [1 or B, F, 3, 3], or None."""
+    normals = getattr(mesh, "normals", None)
+    if normals is None:
+        return None
+    return validate.floating("normals", normals if normals.dim() == 4 else normals[None], ("B", faces.shape[-2], 3, 3))
+
+
 def at_pixels(values: Tensor, face_index: Tensor) -> Tensor:
     """Look up values [B, F] of the visible faces [B, H, W]: [B, H, W, 1], 0 where no face is visible."""
     batch, count = values.shape
@@ -129,9 +149,10 @@ def _eye(camera: Camera, like: Tensor) -> Tensor:
     return eye[:, None, None]
 
 
-def _sides(corners: Tensor, eye: Tensor, perspective: bool) -> Tensor:
-    """Return +1 where the eye sees a face's front, the side of (v1 − v0) × (v2 − v0), else −1; [B, F]."""
-    v0, v1, v2 = corners.unbind(2)
+def _sides(corners: Tensor, camera: Camera) -> Tensor:
+    """Return +1 where the eye sees a face's front, the side of (v1 − v0) × (v2 − v0), else −1; [B, F], no gradient."""
+    v0, v1, v2 = corners.detach().unbind(2)
     normals = torch.linalg.cross(v1 - v0, v2 - v0, dim=-1)
-    towards = eye[:, 0] - v0 if perspective else eye[:, 0]
+    eye = _eye(camera, corners).detach()[:, 0]
+    towards = eye - v0 if camera.perspective else eye
     return torch.where((normals * towards).sum(-1) < 0, -1.0, 1.0)

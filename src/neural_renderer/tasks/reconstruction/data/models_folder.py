@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ....io.files import existing, read_text, short
+from ....many.models import MESHES
 from .framing import SPLITS
 
-_SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")  # the first one that exists is used
 _NESTED = ("models/model_normalized.obj", "model_normalized.obj", "models/model.obj", "model.obj")
 _COLUMNS = {
     "category": ("category", "class", "synsetid", "synset"),
@@ -57,7 +57,7 @@ def find_models(folder: Path) -> tuple[list[Model], dict[str, str]]:
     for category in sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
         entries = sorted(path for path in category.iterdir() if not path.name.startswith("."))
         files = [path for path in entries if path.is_file() and is_mesh(path)]
-        for path in sorted(files, key=lambda path: _SUFFIXES.index(path.suffix.lower())):
+        for path in sorted(files, key=lambda path: MESHES.index(path.suffix.lower())):  # the first format is used
             models.setdefault((category.name, path.stem), Model(category.name, path.stem, path))
         for entry in (path for path in entries if path.is_dir()):
             found_files = _mesh_files(entry)
@@ -76,7 +76,7 @@ def find_models(folder: Path) -> tuple[list[Model], dict[str, str]]:
 
 def is_mesh(path: Path) -> bool:
     """Tell by its suffix whether a file is a mesh."""
-    return path.suffix.lower() in _SUFFIXES
+    return path.suffix.lower() in MESHES
 
 
 def _mesh_files(folder: Path) -> list[Path]:
@@ -86,7 +86,7 @@ def _mesh_files(folder: Path) -> list[Path]:
             return [folder / name]
     for place in (folder, folder / "models"):
         files = sorted(path for path in place.glob("*") if path.is_file())
-        for suffix in _SUFFIXES:
+        for suffix in MESHES:
             found = [path for path in files if path.suffix.lower() == suffix]
             if found:
                 return found

@@ -27,6 +27,7 @@ STOPPED = 0
 """Appended to the list of interruptions when the observer stops a training; Ctrl-C appends another number."""
 _MOST = 4  # predictions shown
 _VIEW = 2  # number of the view shown, of the 24 of an object
+_AVERAGED = ("loss", "iou")  # over the processes' shares of a batch
 _LOG_EVERY = 10  # steps between two rows of the log
 
 
@@ -43,11 +44,14 @@ class Checkpoints(lightning.Callback):
         self.best = -1.0
 
     def on_train_batch_end(self, trainer: lightning.Trainer, module: Any, *_: Any) -> None:
-        """Stop all processes if the training is done or interrupted in one of them."""
+        """Average the losses of all processes; stop all if the training is done or interrupted in one of them."""
         state = torch.tensor([module.progress, float(bool(self._interrupted))], dtype=torch.float64)
         if trainer.world_size > 1:  # clocks differ, and Ctrl-C may reach one process only
             state = state.to(module.device)
             torch.distributed.all_reduce(state, torch.distributed.ReduceOp.MAX)
+            means = state.new_tensor([module.latest[name] for name in _AVERAGED]) / trainer.world_size
+            torch.distributed.all_reduce(means)
+            module.latest |= zip(_AVERAGED, means.tolist(), strict=True)
         module.progress = float(state[0])
         if module.done or state[1]:
             trainer.should_stop = True
