@@ -92,7 +92,8 @@ class Fragments(VisibleFaces):
         """
         dims, dtype = getattr(attributes, "ndim", 2), checked_dtype(dtype)
         batch, count = self.corners.shape[:2]
-        if dims == 4 or (dims == 3 and triangles is None and self._has_corners(attributes)):
+        is_like_corners = dims == 3 and attributes.shape[:2] == (count, 3) and count not in (1, batch)
+        if dims == 4 or (is_like_corners and triangles is None):
             return self._interpolate_corners(attributes, triangles, dtype)
         validate.floating("attributes", attributes, ("V", "C") if dims == 2 else ("B", "V", "C"))
         if triangles is None and self.num_vertices not in (None, attributes.shape[-2]):
@@ -116,8 +117,7 @@ class Fragments(VisibleFaces):
         if dtype == torch.float64:
             image = torch.arange(len(several), device=several.device)[:, None, None]
             return exact_interpolate(self, several[image, triangles])  # padded faces, of −1, are never visible
-        own = gather_corners(several.float(), triangles.int())
-        return self.at_pixels(own)
+        return self.at_pixels(gather_corners(several.float(), triangles.int()))
 
     def visible_faces(self) -> Tensor:
         """Find the faces that each image shows in at least one pixel.
@@ -151,11 +151,6 @@ class Fragments(VisibleFaces):
         result = shown.new_zeros(len(shown), count + 1).int()
         result.scatter_add_(1, (triangles % (count + 1)).flatten(1), shown.repeat_interleave(3, 1).int())
         return result[:, :count] > 0
-
-    def _has_corners(self, attributes: Tensor) -> bool:
-        """Tell whether attributes of three dimensions are [F, 3, C]."""
-        batch, count = self.corners.shape[:2]
-        return attributes.shape[:2] == (count, 3) and count not in (1, batch)
 
     def _interpolate_corners(self, attributes: Tensor, triangles: Tensor | None, dtype: torch.dtype) -> Tensor:
         """Interpolate attributes [F, 3, C] or [1 or B, F, 3, C]."""

@@ -101,21 +101,14 @@ def run_edit(
     chosen = preset.fill(options)
     if chosen["init"] == "mesh" and not colored:
         chosen["init"] = "plain"
+    settings = {name: getattr(options, name) for name in ("batch", "size", "texture_size", "gradient", "seed")}
+    settings |= {name: chosen[name] for name in ("steps", "vertex_rate", "texture_rate", "settle", "seamless")}
     edit = MeshEdit(
         mesh.resized(options.uv) if isinstance(mesh, UVMesh) and options.uv else mesh,
         objective,
         RandomViews(chosen["elevation"], chosen["distance"], light=chosen["light"]),
-        steps=chosen["steps"],
-        batch=options.batch,
-        size=options.size,
-        vertex_rate=chosen["vertex_rate"],
-        texture_rate=chosen["texture_rate"],
-        settle=chosen["settle"],
         start=chosen["init"],
-        texture_size=options.texture_size,
-        seamless=chosen["seamless"],
-        gradient=options.gradient,
-        seed=options.seed,
+        **settings,
     )
     settings = asdict(options) | chosen | asdict(weights)
     del settings["watch"]

@@ -486,8 +486,7 @@ class Mesh(nn.Module):
         Copies and pickles of the mesh keep the factors; its `state_dict` does not.
 
         Args:
-            lr_vertices: Factor for the vertices; 0 keeps them.
-            lr_textures: Factor for the textures; 0 keeps them.
+            lr_vertices, lr_textures: The factors; 0 keeps the vertices or the textures.
 
         Example:
             >>> mesh = nr.Mesh.icosphere(2).trainable()

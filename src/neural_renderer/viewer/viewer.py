@@ -100,7 +100,7 @@ class Viewer:
         self._lock = threading.RLock()
         self._is_closed = False
         self._worker = Worker(rate)
-        self._newest = Newest(rate, self._put, self._is_watched, self._copy_soon)
+        self._newest = Newest(rate, self._put, self._is_watched, self._postpone)
         self._page: Page | None = None
         self.url = None
         if browser:
@@ -449,7 +449,7 @@ class Viewer:
         """Tell whether a browser shows the meshes, or a record keeps them."""
         return self._recorder is not None or self.clients > 0
 
-    def _copy_soon(self) -> None:
+    def _postpone(self) -> None:
         """Copy meshes that came too early, in the worker's thread."""
         self._worker.post("early", self._newest.catch_up)
 

@@ -66,8 +66,7 @@ class MeshEdit(Resumable):
         steps: Number of steps, ≥ 1.
         batch: Images per step, ≥ 1.
         size: Side of the images in pixels, ≥ 32.
-        vertex_rate: Adam's α for vertices, ≥ 0; 0 keeps the shape.
-        texture_rate: Adam's α for colours, ≥ 0; 0 keeps the texture.
+        vertex_rate, texture_rate: Adam's α for vertices and for colours, ≥ 0; 0 keeps the shape or the texture.
         settle: Fraction of the steps, in [0, 1], in which both rates decay linearly to 0 at the end; 0 for no decay.
         start: Initial colours: "mesh", its own; "plain", the plain colour of the objective with a little noise, for a
             mesh without colours; "random", grey with a little noise.
@@ -171,6 +170,7 @@ class MeshEdit(Resumable):
         """Whether all steps are taken."""
         return self.step >= self.steps
 
+    @torch.no_grad()
     def mesh(self, fill: bool = True) -> Mesh | UVMesh:
         """Make the current mesh.
 
@@ -184,16 +184,12 @@ class MeshEdit(Resumable):
             TypeError: ``fill`` is not a bool.
         """
         fill = validate.flag("fill", fill)
-        vertices = self._vertices.detach()[self._merged] * self._scale + self._center
-        if self._unpainted:
-            mesh = self._paint.unpainted(vertices)
-            return mesh if isinstance(mesh, UVMesh) else Mesh(*mesh)
-        if not fill:
-            with torch.no_grad():
-                rough = self._paint.apply(vertices, torch.sigmoid(self._colors))
-            return rough if isinstance(rough, UVMesh) else Mesh(rough[0], rough[1], rough[2])
-        known = self._visible_steps > _RARELY * self.step
-        return self._paint.finish(vertices, torch.sigmoid(self._colors.detach()), known)
+        vertices = self._vertices[self._merged] * self._scale + self._center
+        colors = torch.sigmoid(self._colors)
+        if fill and not self._unpainted:
+            return self._paint.finish(vertices, colors, self._visible_steps > _RARELY * self.step)
+        rough = self._paint.unpainted(vertices) if self._unpainted else self._paint.apply(vertices, colors)
+        return rough if isinstance(rough, UVMesh) else Mesh(rough[0], rough[1], rough[2])
 
     def displacement(self) -> dict[str, float]:
         """Measure the displacement of vertices, relative to the mesh's longest side.
