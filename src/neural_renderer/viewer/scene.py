@@ -69,22 +69,19 @@ class Scene:
             self._stale.update(names or self.meshes)
         self._worker.post("meshes", self._update)
 
-    def remove(self, names: Iterable[str]) -> None:
-        """Take meshes away soon. Any thread may call it."""
-        gone = list(names)
+    def remove(self, name: str) -> None:
+        """Take a mesh away soon. Any thread may call it."""
 
         def job() -> None:
-            for name in gone:
-                shown = self.meshes.pop(name, None)
-                if shown is not None and shown.frame is not None:
-                    shown.frame.remove()
+            shown = self.meshes.pop(name, None)
+            if shown is not None and shown.frame is not None:
+                shown.frame.remove()
             self._arrange()
             self.on_change()
 
         with self._lock:
-            for name in gone:
-                self._coming.pop(name, None)
-        self._worker.post(f"remove {' '.join(gone)}", job)
+            self._coming.pop(name, None)
+        self._worker.post(f"remove {name}", job)
 
     def center(self) -> np.ndarray:
         """Return the centre [3] of all visible meshes."""

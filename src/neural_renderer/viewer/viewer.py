@@ -162,7 +162,7 @@ class Viewer:
         """
         self._newest.remove(name)
         if self._page is not None:
-            self._page.scene.remove([name])
+            self._page.scene.remove(name)
 
     def show_cameras(self, camera: Camera, photos: Any = None, masks: Any = None, *, name: str = "cameras") -> None:
         """Show cameras as frusta, with their photographs; a click on one takes the browser there.
