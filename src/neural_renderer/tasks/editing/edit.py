@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -22,6 +22,7 @@ from ..adjustable import Resumable
 from ..observer import Knob, turn_weight, weight_knobs
 from ..seeds import generator
 from .deformation import Deformation
+from .objective import Objective
 from .paint import FacePaint, ImagePaint, Paint
 from .random_views import RandomViews
 
@@ -31,25 +32,6 @@ _BACKGROUNDS = {"the objective's": None, "black": 0.0, "grey": 0.5, "white": 1.0
 _RARELY = 0.05  # texels visible in a smaller share of the steps are filled from adjacent ones
 _NOISE = 0.05  # standard deviation of the noise on plain initial colours, before the sigmoid
 _HELD_OUT, _HELD_OUT_AZIMUTH = 8, 11.0  # number of the views of `MeshEdit.measure`, and azimuth of the first in degrees
-
-
-class Objective(Protocol):
-    """Loss on the images of an edited mesh: `Style` or `Dream`."""
-
-    name: str  # of the main loss
-    plain: Tensor  # [3], initial colour of a mesh without colours
-
-    def background(self, count: int, generator: torch.Generator, /) -> Tensor:
-        """Choose the background colours of ``count`` images, [count, 3]."""
-        ...
-
-    def losses(self, images: Tensor, masks: Tensor, shape: Deformation, /) -> dict[str, Tensor]:
-        """Compute weighted losses of images [B, 3, H, W] with silhouettes [B, H, W]; their sum is minimised."""
-        ...
-
-    def measure(self, images: Tensor, masks: Tensor, /) -> Tensor:
-        """Compute the main measure of each image, [B]."""
-        ...
 
 
 class MeshEdit(Resumable):

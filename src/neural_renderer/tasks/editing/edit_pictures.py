@@ -17,18 +17,17 @@ from ...pictures.photograph import photograph, turntable
 from ...pictures.sheet import sheet
 from .edit import MeshEdit
 
-_SIZE = 320  # side of the pictures in pixels
 _FRONT = 150.0  # azimuth of the first picture, in degrees
 _PREVIEW = (_FRONT, 270.0, 30.0)  # azimuths of a preview
 _ELEVATION, _VIEWING_ANGLE = 20.0, 19.0  # degrees
 _MARGIN = 1.03  # factor on the least distance at which the whole mesh is in the picture
 
 
-def six_views(before: Mesh | UVMesh, after: Mesh | UVMesh) -> Tensor:
-    """Draw a mesh before and after an edit from six sides, in two rows: [H, W, 3] uint8."""
+def six_views(before: Mesh | UVMesh, after: Mesh | UVMesh, size: int = 320) -> Tensor:
+    """Draw a mesh before and after an edit from six sides, in two rows: [2 · size, 6 · size, 3] uint8."""
     pair = [normalized_like(mesh, before) for mesh in (before, after)]
     angles = [_FRONT + 60 * index for index in range(6)]
-    return sheet([[picture.cpu() for picture in photographs(mesh, angles, _SIZE)] for mesh in pair])
+    return sheet([[picture.cpu() for picture in photographs(mesh, angles, size)] for mesh in pair])
 
 
 def preview(edit: MeshEdit, size: int = 256) -> Tensor:
@@ -37,10 +36,10 @@ def preview(edit: MeshEdit, size: int = 256) -> Tensor:
     return sheet([[picture.cpu() for picture in photographs(normalized_like(mesh, mesh), _PREVIEW, size)]])
 
 
-def turn(mesh: Mesh | UVMesh, frames: int) -> list[Tensor]:
-    """Draw one turn of a mesh, pictures [3, H, W] in [0, 1]."""
+def turn(mesh: Mesh | UVMesh, frames: int = 36, size: int = 320) -> list[Tensor]:
+    """Draw one turn of a mesh, pictures [3, size, size] in [0, 1]."""
     mesh = normalized_like(mesh, mesh)
-    return list(turntable(mesh, frames, _FRONT, size=_SIZE, **_camera_around(mesh)))
+    return list(turntable(mesh, frames, _FRONT, size=size, **_camera_around(mesh)))
 
 
 @torch.no_grad()
