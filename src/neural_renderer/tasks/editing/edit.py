@@ -229,15 +229,6 @@ class MeshEdit(Resumable):
         return [*rates, *weights, Knob("background", self._background, choices=tuple(_BACKGROUNDS))]
 
     def turn(self, name: str, value: float | str) -> None:
-        """Change a setting. `state_dict` does not contain it.
-
-        Args:
-            name: Its name, as in `knobs`.
-            value: Its new value.
-
-        Raises:
-            TypeError, ValueError: There is no such setting, or the value does not fit.
-        """
         if name == "background":
             if value not in _BACKGROUNDS:
                 raise ValueError(f"background: expected one of {', '.join(_BACKGROUNDS)}, got {value!r}")
