@@ -51,7 +51,9 @@ class Fragments(VisibleFaces):
 
     Example:
         >>> fragments = nr.fragments(mesh, camera, 64)
-        >>> height = fragments.interpolate(mesh.vertices)[..., 1:2]
+        >>> height = fragments.interpolate(mesh.vertices)[..., 1:2]  # at twice the size
+        >>> height.shape
+        torch.Size([1, 128, 128, 1])
         >>> fragments.composite(height, background=0.0).shape
         torch.Size([1, 1, 64, 64])
         >>> seen = mesh.submesh(fragments.visible_faces().any(0))  # the half that the camera sees
@@ -84,11 +86,6 @@ class Fragments(VisibleFaces):
 
         Raises:
             TypeError, ValueError: A tensor does not fit, an index is out of range, or an attribute is not finite.
-
-        Example:
-            >>> fragments = nr.fragments(mesh, camera, 64)
-            >>> fragments.interpolate(torch.rand(len(mesh.vertices), 8)).shape  # 8 channels, at twice the size
-            torch.Size([1, 128, 128, 8])
         """
         dims, dtype = getattr(attributes, "ndim", 2), checked_dtype(dtype)
         batch, count = self.corners.shape[:2]
@@ -184,12 +181,6 @@ class Fragments(VisibleFaces):
 
         Raises:
             TypeError, ValueError: A tensor does not fit, or a colour is not finite.
-
-        Example:
-            >>> fragments = nr.fragments(mesh, camera, 64)
-            >>> red = torch.tensor([1.0, 0.0, 0.0]).expand(*fragments.face_index.shape, 3)
-            >>> fragments.composite(red, background=(0.0, 0.0, 1.0)).shape
-            torch.Size([1, 3, 64, 64])
         """
         batch, rows, columns = self.face_index.shape
         validate.floating("colors", colors, (batch, rows, columns, "C"))

@@ -72,6 +72,12 @@ class Mesh(nn.Module):
         >>> cube.normalize().save("cube.ply")
         >>> nr.Mesh.load("cube.ply").to_trimesh()
         <trimesh.Trimesh(vertices.shape=(8, 3), faces.shape=(12, 3))>
+        >>> sphere = nr.Mesh.icosphere(2).trainable()
+        >>> sphere.set_lr(0.1, 1.0)
+        >>> optimizer = nr.Adam(sphere.parameters(), lr=0.01)  # 0.001 for the vertices
+        >>> vertices, faces, textures = sphere.get_batch(5)
+        >>> vertices.shape
+        torch.Size([5, 162, 3])
     """
 
     vertices: Tensor
@@ -241,10 +247,6 @@ class Mesh(nn.Module):
 
         Raises:
             TypeError, ValueError: A number is out of range.
-
-        Example:
-            >>> nr.Mesh.icosphere(2)
-            Mesh(162 vertices, 320 faces, textures of 4³, cpu)
         """
         vertices, faces = primitives.icosphere(level, radius)
         return cls(vertices, faces, white_cubes(faces, texture_size))
@@ -440,12 +442,6 @@ class Mesh(nn.Module):
 
         Raises:
             ValueError: A name is not one of these.
-
-        Example:
-            >>> mesh = nr.Mesh.icosphere(2).trainable()
-            >>> optimizer = torch.optim.Adam(mesh.parameters(), lr=0.01)
-            >>> nr.render(mesh, camera, 32).rgb.mean().backward()
-            >>> optimizer.step()
         """
         result = self._like(self.vertices, self.faces, getattr(self, self._colored))
         for name in names or ("vertices", self._colored):
@@ -469,11 +465,6 @@ class Mesh(nn.Module):
 
         Raises:
             TypeError, ValueError: ``batch_size`` is not a whole number ≥ 0.
-
-        Example:
-            >>> vertices, faces, textures = nr.Mesh.icosphere(2).get_batch(5)
-            >>> vertices.shape
-            torch.Size([5, 162, 3])
         """
         batch_size = validate.whole("batch_size", batch_size, 0)
         parts = self.vertices, self.faces, torch.sigmoid(self.cubes())
@@ -487,11 +478,6 @@ class Mesh(nn.Module):
 
         Args:
             lr_vertices, lr_textures: The factors; 0 keeps the vertices or the textures.
-
-        Example:
-            >>> mesh = nr.Mesh.icosphere(2).trainable()
-            >>> mesh.set_lr(0.1, 1.0)
-            >>> optimizer = nr.Adam(mesh.parameters(), lr=0.01)  # 0.001 for the vertices
         """
         self.vertices.lr = lr_vertices  # type: ignore[attr-defined]
         getattr(self, self._colored).lr = lr_textures
