@@ -28,7 +28,7 @@ _VIEW_SIZE = 256  # longer side of a photograph in pixels
 class Results:
     """Contents of a file or folder, for the viewer."""
 
-    meshes: dict[str, Any] = field(default_factory=dict)  # by name, for `Viewer.show`
+    meshes: dict[str, Any] = field(default_factory=dict)  # meshes for `Viewer.show`, by name
     pictures: dict[str, Path] = field(default_factory=dict)  # image files by name
     views: Views | None = None  # cameras with photographs
     record: Record | None = None

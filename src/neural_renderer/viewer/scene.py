@@ -39,7 +39,7 @@ class Scene:
         self.look, self.wireframe, self.normals = Look(), False, False
         self.side_by_side = True  # meshes stand in a row; otherwise each at its own coordinates
         self.equal_size = False  # all meshes are shown as large as the first
-        self.meshes: dict[str, Shown] = {}  # by name; only the worker's thread changes them
+        self.meshes: dict[str, Shown] = {}  # only the worker's thread changes these
         self.first_view = FirstView(server)
         self.on_change: Callable[[], None] = lambda: None
         """Called in the worker's thread after meshes have changed or moved."""

@@ -48,7 +48,7 @@ class Map:
     image: str  # file name
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
-    clamp: bool = False  # beyond [0, 1]; otherwise it repeats
+    clamp: bool = False  # the border continues beyond [0, 1]; otherwise the image repeats
     bump: float = 1.0  # factor of heights, or of the slopes of normals
 
 
@@ -56,7 +56,7 @@ class Map:
 class Material:
     """Material of an MTL file."""
 
-    folder: Path  # of the file
+    folder: Path  # place of the file
     colors: dict[str, np.ndarray] = field(default_factory=dict)  # Kd, Ks and Ke, [3] float64 in [0, 1]; Ke may exceed 1
     numbers: dict[str, float] = field(default_factory=dict)  # Ns, d (or 1 − Tr), Pm and Pr
     maps: dict[str, Map] = field(default_factory=dict)

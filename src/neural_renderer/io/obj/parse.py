@@ -26,7 +26,7 @@ class ObjFile:
     uv: np.ndarray  # [F, 3, 2] float64; NaN for a corner without texture coordinates
     normals: np.ndarray | None  # [F, 3, 3] float64, unit normals of the corners; 0 for a corner without one
     material: np.ndarray  # [F] int, index into ``names``, or −1
-    names: list[str]  # of materials
+    names: list[str]  # names of materials
     libraries: list[str]  # text after each ``mtllib``
 
 

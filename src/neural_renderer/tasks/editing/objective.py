@@ -13,7 +13,7 @@ from .deformation import Deformation
 class Objective(Protocol):
     """Loss on the images of an edited mesh: `Style` or `Dream`."""
 
-    name: str  # of the main loss
+    name: str  # name of the main loss
     plain: Tensor  # [3], initial colour of a mesh without colours
 
     def background(self, count: int, generator: torch.Generator, /) -> Tensor:
