@@ -109,25 +109,21 @@ class Mesh(nn.Module):
         faces = validate.indices("faces", faces, ["F", 3])
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
-        if sum(part is not None for part in (textures, vertex_colors, face_colors)) > 1:
-            raise ValueError("textures: expected one of textures, vertex_colors and face_colors, got several")
         self._texture_size = validate.whole("texture_size", texture_size, 1)
-        if textures is None and vertex_colors is None and face_colors is None:
-            textures = plain(faces, texture_size)
-        colors: dict[str, Tensor] = {}
-        if textures is not None:
-            colors["textures"] = validate.cubes("textures", as_tensor(textures), len(faces))
-        if vertex_colors is not None:
-            colors["vertex_colors"] = validate.floating("vertex_colors", as_tensor(vertex_colors), (len(vertices), 3))
-        if face_colors is not None:
-            colors["face_colors"] = validate.floating("face_colors", as_tensor(face_colors), (len(faces), 3))
-        validate.same_device(vertices=vertices, faces=faces, **colors)
+        colors = {"textures": textures, "vertex_colors": vertex_colors, "face_colors": face_colors}
+        colors = {name: as_tensor(part) for name, part in colors.items() if part is not None}
+        if len(colors) > 1:
+            raise ValueError("textures: expected one of textures, vertex_colors and face_colors, got several")
+        [(colored, own)] = colors.items() or [("textures", plain(faces, texture_size))]
+        if colored == "textures":
+            validate.cubes(colored, own, len(faces))
+        else:
+            validate.floating(colored, own, (len(vertices if colored == "vertex_colors" else faces), 3))
+        validate.same_device(vertices=vertices, faces=faces, **{colored: own})
         validate.finite("vertices", vertices)
-        for name, part in colors.items():
-            validate.finite(name, part)
+        validate.finite(colored, own)
         validate.in_range("faces", faces, len(vertices))
-        parts = {"vertices": vertices.float(), "faces": faces.int()}
-        parts |= {name: part.float().contiguous() for name, part in colors.items()}
+        parts = {"vertices": vertices.float(), "faces": faces.int(), colored: own.float().contiguous()}
         for name in ("vertices", "faces", *_COLORS):
             self.register_buffer(name, parts.get(name), persistent=False)
         for name, part in parts.items():
