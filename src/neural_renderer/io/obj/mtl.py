@@ -154,12 +154,10 @@ def material_arguments(
         if pixels is not None:
             result[argument] = _texture(convert(pixels), maps[used], base)
 
-    add("specular_texture", "specular", _rgb)
-    if "specular_texture" in result and "specular" not in colors:
-        result["specular"] = (1.0, 1.0, 1.0)
-    add("emissive_texture", "emissive", _rgb)
-    if "emissive_texture" in result and "emissive" not in colors:
-        result["emissive"] = (1.0, 1.0, 1.0)
+    for color in ("specular", "emissive"):
+        add(f"{color}_texture", color, _rgb)
+        if f"{color}_texture" in result and color not in colors:
+            result[color] = (1.0, 1.0, 1.0)
     add("opacity_texture", "opacity", _alpha)
     if opacity < 1 or "opacity_texture" in result:
         result["alpha_mode"] = "BLEND"

@@ -196,17 +196,8 @@ class _Parser:
             if np.nanmax(colors, initial=0) > 1:  # some programs write 0 to 255
                 colors /= 255
             colors = colors.clip(0, 1)
-        return ObjFile(
-            path=self.path,
-            vertices=vertices,
-            colors=colors,
-            faces=corners[triangles],
-            uv=uv,
-            normals=normals,
-            material=np.array(self.material)[polygon],
-            names=list(self.names),
-            libraries=self.libraries,
-        )
+        faces, material = corners[triangles], np.array(self.material)[polygon]
+        return ObjFile(self.path, vertices, colors, faces, uv, normals, material, list(self.names), self.libraries)
 
     def _check(self, corners: np.ndarray, known: int, what: str) -> None:
         """Raise ValueError if an index is not below ``known``."""
