@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -68,11 +69,12 @@ RASTER = [
 RECONSTRUCTION = ["data", "networks", "evaluation", "training"]
 
 
-def imports(path: Path) -> Iterator[tuple[str, ...]]:
+@functools.cache
+def imports(path: Path) -> set[tuple[str, ...]]:
     """Collect the paths of the modules that a file imports, those for type checkers, too."""
     # Imports by string are not seen. One of them runs upwards: `compat/old_modules.py` loads members of old modules at
     # their first use, from `interface`.
-    package = path.relative_to(SOURCE).parent.parts
+    package, found = path.relative_to(SOURCE).parent.parts, set()
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.level:
@@ -82,12 +84,13 @@ def imports(path: Path) -> Iterator[tuple[str, ...]]:
             for name in node.names:
                 inner = SOURCE.joinpath(*base, name.name)
                 is_module = inner.is_dir() or inner.with_suffix(".py").is_file()
-                yield (*base, name.name) if is_module else base
+                found.add((*base, name.name) if is_module else base)
         elif isinstance(node, (ast.Import, ast.ImportFrom)):
             names = [name.name for name in node.names] if isinstance(node, ast.Import) else [node.module or ""]
             assert not any(name.partition(".")[0] == "neural_renderer" for name in names), (
                 f"{path}: expected relative imports in the package"
             )
+    return found
 
 
 def room(parts: tuple[str, ...], prefix: tuple[str, ...]) -> str | None:

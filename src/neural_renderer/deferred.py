@@ -51,7 +51,9 @@ class Fragments(VisibleFaces):
 
     Example:
         >>> fragments = nr.fragments(mesh, camera, 64)
-        >>> height = fragments.interpolate(mesh.vertices)[..., 1:2]
+        >>> height = fragments.interpolate(mesh.vertices)[..., 1:2]  # at twice the size
+        >>> height.shape
+        torch.Size([1, 128, 128, 1])
         >>> fragments.composite(height, background=0.0).shape
         torch.Size([1, 1, 64, 64])
         >>> seen = mesh.submesh(fragments.visible_faces().any(0))  # the half that the camera sees
@@ -84,15 +86,11 @@ class Fragments(VisibleFaces):
 
         Raises:
             TypeError, ValueError: A tensor does not fit, an index is out of range, or an attribute is not finite.
-
-        Example:
-            >>> fragments = nr.fragments(mesh, camera, 64)
-            >>> fragments.interpolate(torch.rand(len(mesh.vertices), 8)).shape  # 8 channels, at twice the size
-            torch.Size([1, 128, 128, 8])
         """
         dims, dtype = getattr(attributes, "ndim", 2), checked_dtype(dtype)
         batch, count = self.corners.shape[:2]
-        if dims == 4 or (dims == 3 and triangles is None and self._has_corners(attributes)):
+        is_like_corners = dims == 3 and attributes.shape[:2] == (count, 3) and count not in (1, batch)
+        if dims == 4 or (is_like_corners and triangles is None):
             return self._interpolate_corners(attributes, triangles, dtype)
         validate.floating("attributes", attributes, ("V", "C") if dims == 2 else ("B", "V", "C"))
         if triangles is None and self.num_vertices not in (None, attributes.shape[-2]):
@@ -116,8 +114,7 @@ class Fragments(VisibleFaces):
         if dtype == torch.float64:
             image = torch.arange(len(several), device=several.device)[:, None, None]
             return exact_interpolate(self, several[image, triangles])  # padded faces, of −1, are never visible
-        own = gather_corners(several.float(), triangles.int())
-        return self.at_pixels(own)
+        return self.at_pixels(gather_corners(several.float(), triangles.int()))
 
     def visible_faces(self) -> Tensor:
         """Find the faces that each image shows in at least one pixel.
@@ -152,11 +149,6 @@ class Fragments(VisibleFaces):
         result.scatter_add_(1, (triangles % (count + 1)).flatten(1), shown.repeat_interleave(3, 1).int())
         return result[:, :count] > 0
 
-    def _has_corners(self, attributes: Tensor) -> bool:
-        """Tell whether attributes of three dimensions are [F, 3, C]."""
-        batch, count = self.corners.shape[:2]
-        return attributes.shape[:2] == (count, 3) and count not in (1, batch)
-
     def _interpolate_corners(self, attributes: Tensor, triangles: Tensor | None, dtype: torch.dtype) -> Tensor:
         """Interpolate attributes [F, 3, C] or [1 or B, F, 3, C]."""
         batch, count = self.corners.shape[:2]
@@ -189,12 +181,6 @@ class Fragments(VisibleFaces):
 
         Raises:
             TypeError, ValueError: A tensor does not fit, or a colour is not finite.
-
-        Example:
-            >>> fragments = nr.fragments(mesh, camera, 64)
-            >>> red = torch.tensor([1.0, 0.0, 0.0]).expand(*fragments.face_index.shape, 3)
-            >>> fragments.composite(red, background=(0.0, 0.0, 1.0)).shape
-            torch.Size([1, 3, 64, 64])
         """
         batch, rows, columns = self.face_index.shape
         validate.floating("colors", colors, (batch, rows, columns, "C"))

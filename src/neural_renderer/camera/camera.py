@@ -194,8 +194,7 @@ class Camera:
             B cameras; one if no argument has a batch.
 
         Raises:
-            TypeError, ValueError: A type, shape or batch size does not fit; while values are checked, also R is not a
-                rotation.
+            TypeError, ValueError: A type, shape or batch size does not fit, or R is no rotation (see `check_values`).
 
         Example:
             >>> camera = nr.Camera.weak_perspective(0.8, torch.eye(3), (0.1, 0.0))
@@ -239,8 +238,8 @@ class Camera:
             B cameras; one if no argument has a batch.
 
         Raises:
-            TypeError, ValueError: A type or shape does not fit, or ``orig_size`` is missing or not positive; while
-                values are checked, also a number that is not finite, a wrong third row of K, or R is not a rotation.
+            TypeError, ValueError: A type or shape does not fit, ``orig_size`` is missing or not positive, or K or R has
+                numbers that do not fit (see `check_values`).
 
         Example:
             >>> K = [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
@@ -357,8 +356,7 @@ class Camera:
             B cameras, with K for an image of 2 × 2 pixels.
 
         Raises:
-            TypeError, ValueError: A type or shape does not fit; while values are checked, also a matrix without
-                perspective, or one that projects to a line.
+            TypeError, ValueError: A type or shape does not fit, or a matrix has no perspective (see `check_values`).
 
         Example:
             >>> f, near, far = 2.0, 0.1, 10.0
@@ -535,8 +533,7 @@ class Camera:
             is the depth along the viewing direction in world units, negative behind the camera.
 
         Raises:
-            TypeError, ValueError: A type, shape or batch size does not fit, or ``aspect`` is not positive; while values
-                are checked, also a vertex that is not finite.
+            TypeError, ValueError: A type, shape, batch size or number does not fit (see `check_values`).
 
         Example:
             >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45)
@@ -570,8 +567,7 @@ class Camera:
             the first pixel at (0.5, 0.5); and the depth [B, V] in world units, negative behind the camera.
 
         Raises:
-            TypeError, ValueError: A type, shape or batch size does not fit, or the size is missing or not positive;
-                while values are checked, also a point that is not finite.
+            TypeError, ValueError: A type, shape, batch size or number does not fit, or the size is missing.
 
         Example:
             >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45)
@@ -599,8 +595,7 @@ class Camera:
             Newton's method; pixels that it does not reach have no meaning.
 
         Raises:
-            TypeError, ValueError: A type, shape or batch size does not fit, or the size is missing or not positive;
-                while values are checked, also a number that is not finite.
+            TypeError, ValueError: As `project`.
 
         Example:
             >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45)

@@ -34,8 +34,7 @@ def perspective(vertices: Tensor, angle: Scalar = 30.0) -> Tensor:
         Values and gradients are finite, also at z = 0. Differentiable in both arguments.
 
     Raises:
-        TypeError, ValueError: A type or shape does not fit, or the angle is outside (0, 90); while values are checked,
-            also a number that is not finite. A tensor's angle is only read while values are checked.
+        TypeError, ValueError: A type or shape does not fit, or the angle is outside (0, 90) (see `check_values`).
 
     Example:
         >>> nr.perspective(torch.tensor([[1.0, 2.0, 4.0]]), angle=45)
@@ -60,14 +59,13 @@ def orthographic(vertices: Tensor, scale: Scalar = 1.0) -> Tensor:
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating, camera coordinates.
-        scale: Screen units per world unit: a number, or a tensor [] or [B]. The image is 2 screen units high.
+        scale: As in `Camera.look_at`.
 
     Returns:
-        Screen coordinates of the shape of ``vertices`` (with the batch of ``scale``, if it has one); z is unchanged.
-        Differentiable in both arguments.
+        As `perspective`.
 
     Raises:
-        TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not finite.
+        TypeError, ValueError: A type, shape or number does not fit (see `check_values`).
 
     Example:
         >>> nr.orthographic(torch.tensor([[1.0, 2.0, 4.0]]), scale=0.5)
@@ -114,8 +112,7 @@ def projection(
         dist_coeffs.
 
     Raises:
-        TypeError, ValueError: A type or shape does not fit, or a size is not positive; while values are checked, also a
-            number that is not finite.
+        TypeError, ValueError: A type, shape or number does not fit (see `check_values`).
 
     Example:
         >>> K = [[500.0, 0.0, 512.0], [0.0, 500.0, 512.0], [0.0, 0.0, 1.0]]

@@ -25,17 +25,15 @@ def look_at(vertices: Tensor, eye: Array, at: Array | None = None, up: Array | N
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
-        eye: Position of the camera, [3] or [B, 3] in world units: list, tuple, array or tensor.
-        at: Point at the image's centre, likewise; None means the origin.
-        up: Direction that is up in the picture, likewise, of any length; None means +y.
+        eye, at, up: As in `Camera.look_at`; None means the origin and +y.
 
     Returns:
         Camera coordinates [B, V, 3], or [V, 3] if no argument has a batch. One mesh and B eyes give a batch of B. z is
         the distance along the viewing direction in world units. Differentiable in all arguments.
 
     Raises:
-        TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not finite,
-            ``eye`` equal to ``at``, or ``up`` parallel to the viewing direction.
+        TypeError, ValueError: A type or shape does not fit, ``eye`` equals ``at``, or ``up`` is parallel to the viewing
+            direction (see `check_values`).
 
     Example:
         >>> nr.look_at(torch.zeros(1, 3), eye=(0.0, 0.0, -2.5))

@@ -16,8 +16,8 @@ from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..pictures.curve import curve
 from ..tasks.editing import DreamWeights, MeshEdit, RandomViews, StyleWeights
-from ..tasks.editing.edit import Objective
 from ..tasks.editing.edit_pictures import preview, six_views, turn
+from ..tasks.editing.objective import Objective
 from ..tasks.editing.paint import check_cubes, check_images
 from ..version import __version__
 from .common import REPORT, check_counts, check_earlier, check_outputs, choose_device, say, say_finished
@@ -101,21 +101,14 @@ def run_edit(
     chosen = preset.fill(options)
     if chosen["init"] == "mesh" and not colored:
         chosen["init"] = "plain"
+    own = {name: getattr(options, name) for name in ("batch", "size", "texture_size", "gradient", "seed")}
+    own |= {name: chosen[name] for name in ("steps", "vertex_rate", "texture_rate", "settle", "seamless")}
     edit = MeshEdit(
         mesh.resized(options.uv) if isinstance(mesh, UVMesh) and options.uv else mesh,
         objective,
         RandomViews(chosen["elevation"], chosen["distance"], light=chosen["light"]),
-        steps=chosen["steps"],
-        batch=options.batch,
-        size=options.size,
-        vertex_rate=chosen["vertex_rate"],
-        texture_rate=chosen["texture_rate"],
-        settle=chosen["settle"],
         start=chosen["init"],
-        texture_size=options.texture_size,
-        seamless=chosen["seamless"],
-        gradient=options.gradient,
-        seed=options.seed,
+        **own,
     )
     settings = asdict(options) | chosen | asdict(weights)
     del settings["watch"]

@@ -65,9 +65,9 @@ class TaskRunner:
         self._checkpoint, self._device = folder / CHECKPOINT, device
         self._observer, self._mesh = observer, mesh
         self.history: list[dict[str, Any]] = []  # numbers of each step (the result of ``advance``), with its "phase"
-        self.changes: list[dict[str, Any]] = []  # by the observer: "phase", "step" and the new value by name
-        self.seconds = 0.0  # of all steps, including those before an interruption
-        self.stopped = False  # by the observer
+        self.changes: list[dict[str, Any]] = []  # changes by the observer: "phase", "step" and the new value by name
+        self.seconds = 0.0  # time of all steps, including those before an interruption
+        self.stopped = False  # the observer has ended the task
 
     def run(self, resume: bool) -> bool:
         """Take all remaining steps, from the checkpoint if ``resume``; return False if Ctrl-C or the observer ended it.

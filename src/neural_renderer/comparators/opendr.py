@@ -3,24 +3,19 @@
 Source: Loper and Black, "OpenDR: An approximate differentiable renderer", ECCV 2014, the section on derivatives by
 image-space differences. Each pixel's colour is thought to be carried along by the face that it shows:
 
-    dI = -(dI/dx) * (motion of the face along x) - (dI/dy) * (motion along y).
+    dI = -(dI/dx) * (motion of the face along x) - (dI/dy) * (motion along y),
 
-The motion is the barycentric mean of the motions of the face's corners. The slope dI/dx comes from differences to the
-two neighbouring pixels. Its filter depends on what they show:
+with the barycentric mean of the motions of the face's corners. The slope dI/dx comes from the two neighbouring pixels:
 
-- Both show the same surface: (-1, 0, 1) / 2.
+- Both show the same surface, or both something farther: (-1, 0, 1) / 2. Both show something nearer: 0.
 - One shows a farther surface or the background: the difference to this one, since this boundary moves with the face.
 - One shows a nearer surface: the difference to the other one, since this boundary does not move with the face.
-- Both show something farther: (-1, 0, 1) / 2. Both show something nearer: 0.
 
 Two faces count as one surface if the step in depth between the pixels is at most the sum of the steps within both
 faces. The paper draws the silhouette edges of the mesh instead; the filters are the same.
 
-What follows from it: the background has no gradient, so a loss on pixels outside an object is not seen. The gradient
-reaches one pixel far. Textures, light and seams need no rule of their own, because the image holds them. Faces with a
-corner behind the camera get nothing.
-
-The code is plain torch, for the CPU and CUDA; it is a comparator, not tuned for speed.
+So the background has no gradient, and the gradient reaches one pixel far. Faces with a corner behind the camera get
+nothing. The code is plain torch, not tuned for speed.
 """
 
 # torch reads the annotations at run time, so no `from __future__ import annotations` here.

@@ -11,9 +11,8 @@ loss L(x + s e) is differentiated through the probability of the noise:
 The baseline b of a sample, the mean loss of the other samples, reduces noise and leaves the estimate unbiased.
 Antithetic samples, pairs e and -e, cancel the even part of the loss, which has no slope.
 
-The estimator is a function of a loss, not an operation on an image like the others: one estimate needs the losses of
-several images. Its mean is the gradient of the loss blurred by the spread s, which has a long range if s is large. Its
-noise grows with the square root of the number of parameters and falls with that of samples.
+Its mean is the gradient of the loss blurred by the spread s, which has a long range if s is large. Its noise grows with
+the square root of the number of parameters and falls with that of samples.
 """
 
 from __future__ import annotations

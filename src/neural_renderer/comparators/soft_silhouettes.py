@@ -8,12 +8,11 @@ equations 1 and 2. Each face covers a pixel with the probability
 where d is the distance from the pixel's centre to the outline of the face; + inside of it. The silhouette is the
 probability that any face covers the pixel, as if they were independent: 1 - product(1 - D).
 
-What follows from it: outlines are blurred over some √sigma, and the image is smooth in the corners, so it has all
-derivatives. It is another image than the exact one: half covered along outlines, more where faces overlap or where
-edges meet inside a surface, and wider for small faces, since each adds its own blur.
+So outlines are blurred over some √sigma, and the image has all derivatives. It is another image than the exact one:
+half covered along outlines, more where faces overlap or where edges meet inside a surface, and wider for small faces.
 
-The code is plain torch, for the CPU and CUDA. Pairs of a face and a pixel are listed where D exceeds 10⁻⁴, by the box
-around each face; so memory grows with the sum of their areas.
+The code is plain torch. Pairs of a face and a pixel are listed where D exceeds 10⁻⁴, by the box around each face; so
+memory grows with the sum of their areas.
 """
 
 from __future__ import annotations

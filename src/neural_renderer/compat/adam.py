@@ -37,7 +37,8 @@ class Adam(torch.optim.Optimizer):
 
     Example:
         >>> mesh = nr.Mesh.icosphere(2).trainable()
-        >>> optimizer = nr.Adam(mesh.parameters(), lr=0.01)
+        >>> optimizer = nr.Adam([mesh.vertices], lr=0.01)
+        >>> optimizer.add_param_group({"params": [mesh.textures], "lr": 0.1})
         >>> nr.render(mesh, camera, 64).alpha.mean().backward()
         >>> optimizer.step()
     """
@@ -66,11 +67,6 @@ class Adam(torch.optim.Optimizer):
 
         Raises:
             TypeError, ValueError: A number is out of range.
-
-        Example:
-            >>> mesh = nr.Mesh.icosphere(2)
-            >>> optimizer = nr.Adam([mesh.vertices], lr=0.01)
-            >>> optimizer.add_param_group({"params": [mesh.textures], "lr": 0.1})
         """
         options = {**self.defaults, **param_group}
         if validate.number("lr", options["lr"]) < 0:

@@ -34,9 +34,11 @@ class _OnCPU(TorchFunctionMode):
             return _copied(args[0])
         if func is Tensor.pin_memory:
             return args[0]
-        if func is torch.device or not _names_cuda(args, kwargs):
+        if func is torch.device or not any(map(_is_cuda, (*args, *kwargs.values()))):
             result = func(*args, **kwargs)
-            return _copied(result) if func is Tensor.to and result is args[0] and _moves(args, kwargs) else result
+            stays = func is Tensor.to and result is args[0]
+            named = any(isinstance(value, (str, torch.device)) for value in (*args[1:], *kwargs.values()))
+            return _copied(result) if stays and named else result  # a call that names a device moves a tensor
         result = func(*map(_here, args), **{name: _here(value) for name, value in kwargs.items()})
         shares = func in _MAKES_VIEWS or (func is Tensor.to and result is args[0])
         return _copied(result) if shares else result
@@ -51,15 +53,6 @@ def _is_cuda(value: Any) -> bool:
     if isinstance(value, torch.device):
         return value.type == "cuda"
     return isinstance(value, str) and (value == "cuda" or value.startswith(("cuda:", "torch.cuda.")))
-
-
-def _names_cuda(args: Any, kwargs: Any) -> bool:
-    return any(map(_is_cuda, args)) or any(map(_is_cuda, kwargs.values()))
-
-
-def _moves(args: Any, kwargs: Any) -> bool:
-    """Tell whether a call of `Tensor.to` names a device."""
-    return any(isinstance(value, (str, torch.device)) for value in (*args[1:], *kwargs.values()))
 
 
 def _here(value: Any) -> Any:

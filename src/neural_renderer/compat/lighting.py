@@ -45,10 +45,8 @@ def lighting(
     Args:
         faces: [B, F, 3 corners, 3] floating, corners of faces in world space.
         textures: [B, F, T, T, T, 3] floating, T ≥ 1.
-        intensity_ambient: Number, or tensor [] or [B].
-        intensity_directional: Number, or tensor [] or [B].
-        color_ambient: RGB, [3] or [B, 3]: list, tuple, array or tensor.
-        color_directional: RGB, likewise.
+        intensity_ambient, intensity_directional: Number, or tensor [] or [B].
+        color_ambient, color_directional: RGB, [3] or [B, 3]: list, tuple, array or tensor.
         direction: Vector towards the light, likewise. It is not normalised: its length scales the light.
 
     Returns:

@@ -24,8 +24,7 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
     """Compute cross products. New code uses `torch.linalg.cross`.
 
     Args:
-        a: [N, 3] floating.
-        b: [N, 3] floating.
+        a, b: [N, 3] floating.
 
     Returns:
         [N, 3], differentiable.

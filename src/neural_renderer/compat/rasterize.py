@@ -20,6 +20,7 @@ DEFAULT_NEAR = 0.1
 DEFAULT_FAR = 100
 DEFAULT_EPS = 1e-4
 DEFAULT_BACKGROUND_COLOR = (0, 0, 0)
+_SETTINGS = ("image_size", "near", "far", "eps", "background_color", "gradient", *(f"return_{n}" for n in OUTPUTS))
 
 
 def rasterize_rgbad(
@@ -43,13 +44,10 @@ def rasterize_rgbad(
         textures: [B, F, T, T, T, 3] floating, for colour; otherwise None.
         image_size: Side, or (height, width), in pixels.
         anti_aliasing: Draw at twice the size and average.
-        near: Smallest visible depth, > 0.
-        far: Largest visible depth.
+        near, far: Smallest, > 0, and largest visible depth.
         eps: See `rasterize_images`.
         background_color: Number, [3], [B, 3] or an image.
-        return_rgb: Whether to draw colour.
-        return_alpha: Whether to draw alpha.
-        return_depth: Whether to draw depth.
+        return_rgb, return_alpha, return_depth: Whether to draw colour, alpha and depth.
         gradient: Gradient estimator, "nmr" or "edge".
 
     Returns:
@@ -226,20 +224,8 @@ class Rasterize(nn.Module):
         Raises:
             TypeError, ValueError: As `rasterize_images`.
         """
-        images: dict[str, Tensor | None] = rasterize_rgbad(
-            faces,
-            textures,
-            self.image_size,
-            False,
-            self.near,
-            self.far,
-            self.eps,
-            self.background_color,
-            self.return_rgb,
-            self.return_alpha,
-            self.return_depth,
-            self.gradient,
-        )
+        settings: dict[str, Any] = {name: getattr(self, name) for name in _SETTINGS}
+        images = rasterize_rgbad(faces, textures, anti_aliasing=False, **settings)
         rgb, alpha, depth = images["rgb"], images["alpha"], images["depth"]
         return (
             None if rgb is None else rgb.flip(2).permute(0, 2, 3, 1).contiguous(),

@@ -63,8 +63,7 @@ class Renderer(nn.Module):
         viewing_angle: Half the field of view in degrees, in (0, 90): number, or tensor [] or [B]. The initial eye is on
             the −z axis, where a square of side 2 at z = −1 fills the image.
         camera_direction: Viewing direction in the mode "look", [3] or [B, 3].
-        near: Smallest visible depth.
-        far: Largest visible depth.
+        near, far: Smallest and largest visible depth.
         light_intensity_ambient, light_intensity_directional: See ``ambient`` and ``directional`` of `Light`.
         light_color_ambient, light_color_directional: See ``ambient_color`` and ``directional_color`` of `Light`.
         light_direction: See ``direction`` of `Light`.
@@ -303,13 +302,7 @@ class Renderer(nn.Module):
         corners = vertices_to_faces(validate.in_float32("vertices on the screen", screen), faces)
         light = None
         if "rgb" in outputs:
-            lamp = Light(
-                self.light_intensity_ambient,
-                self.light_intensity_directional,
-                self.light_color_ambient,
-                self.light_color_directional,
-                self.light_direction,
-            )
+            lamp = Light(**{name: getattr(self, own) for name, own in _LIGHT.items()})
             # Light is computed in world space, on the side that the first packages lit (see the class).
             with validate.called(**_LIGHT):
                 light = light_factors([lamp], vertices, faces, len(corners), mirrored=True)

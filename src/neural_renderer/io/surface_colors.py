@@ -40,13 +40,13 @@ class SurfaceColors:
     image: np.ndarray  # [F] int, index into ``images``; −1 for a face without an image
     uv: np.ndarray  # [F, 3, 2] float64, of the corners: u to the right, v up, the image over [0, 1]²
     images: list[np.ndarray] = field(default_factory=list)  # [H, W, 3] float32 each, row 0 at the top
-    wraps: list[Any] = field(default_factory=list)  # of each image, as in `bake_image`
+    wraps: list[Any] = field(default_factory=list)  # wrapping of each image, as in `bake_image`
     materials: list[dict[str, Any]] = field(default_factory=list)  # empty if they were not read
     material: np.ndarray | None = None  # [F] int, index into ``materials``; −1 for none
     normals: np.ndarray | None = None  # [F, 3, 3], of the corners
     tangents: np.ndarray | None = None  # [F, 3, 4], with the sign of the bitangent; 0 for faces without any
     uv1: np.ndarray | None = None  # [F, 3, 2], second texture coordinates; 0 for faces without any
-    has_colors: bool = True  # whether the file has colours
+    has_colors: bool = True  # the file has colours
     _numbers: dict[tuple[int, Any], int] = field(default_factory=dict, repr=False)
     _opaque: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 

@@ -72,6 +72,12 @@ class Mesh(nn.Module):
         >>> cube.normalize().save("cube.ply")
         >>> nr.Mesh.load("cube.ply").to_trimesh()
         <trimesh.Trimesh(vertices.shape=(8, 3), faces.shape=(12, 3))>
+        >>> sphere = nr.Mesh.icosphere(2).trainable()
+        >>> sphere.set_lr(0.1, 1.0)
+        >>> optimizer = nr.Adam(sphere.parameters(), lr=0.01)  # 0.001 for the vertices
+        >>> vertices, faces, textures = sphere.get_batch(5)
+        >>> vertices.shape
+        torch.Size([5, 162, 3])
     """
 
     vertices: Tensor
@@ -103,25 +109,21 @@ class Mesh(nn.Module):
         faces = validate.indices("faces", faces, ["F", 3])
         if not len(faces):
             raise ValueError("faces: expected at least one, got none")
-        if sum(part is not None for part in (textures, vertex_colors, face_colors)) > 1:
-            raise ValueError("textures: expected one of textures, vertex_colors and face_colors, got several")
         self._texture_size = validate.whole("texture_size", texture_size, 1)
-        if textures is None and vertex_colors is None and face_colors is None:
-            textures = plain(faces, texture_size)
-        colors: dict[str, Tensor] = {}
-        if textures is not None:
-            colors["textures"] = validate.cubes("textures", as_tensor(textures), len(faces))
-        if vertex_colors is not None:
-            colors["vertex_colors"] = validate.floating("vertex_colors", as_tensor(vertex_colors), (len(vertices), 3))
-        if face_colors is not None:
-            colors["face_colors"] = validate.floating("face_colors", as_tensor(face_colors), (len(faces), 3))
-        validate.same_device(vertices=vertices, faces=faces, **colors)
+        colors = {"textures": textures, "vertex_colors": vertex_colors, "face_colors": face_colors}
+        colors = {name: as_tensor(part) for name, part in colors.items() if part is not None}
+        if len(colors) > 1:
+            raise ValueError("textures: expected one of textures, vertex_colors and face_colors, got several")
+        [(colored, own)] = colors.items() or [("textures", plain(faces, texture_size))]
+        if colored == "textures":
+            validate.cubes(colored, own, len(faces))
+        else:
+            validate.floating(colored, own, (len(vertices if colored == "vertex_colors" else faces), 3))
+        validate.same_device(vertices=vertices, faces=faces, **{colored: own})
         validate.finite("vertices", vertices)
-        for name, part in colors.items():
-            validate.finite(name, part)
+        validate.finite(colored, own)
         validate.in_range("faces", faces, len(vertices))
-        parts = {"vertices": vertices.float(), "faces": faces.int()}
-        parts |= {name: part.float().contiguous() for name, part in colors.items()}
+        parts = {"vertices": vertices.float(), "faces": faces.int(), colored: own.float().contiguous()}
         for name in ("vertices", "faces", *_COLORS):
             self.register_buffer(name, parts.get(name), persistent=False)
         for name, part in parts.items():
@@ -241,10 +243,6 @@ class Mesh(nn.Module):
 
         Raises:
             TypeError, ValueError: A number is out of range.
-
-        Example:
-            >>> nr.Mesh.icosphere(2)
-            Mesh(162 vertices, 320 faces, textures of 4³, cpu)
         """
         vertices, faces = primitives.icosphere(level, radius)
         return cls(vertices, faces, white_cubes(faces, texture_size))
@@ -440,12 +438,6 @@ class Mesh(nn.Module):
 
         Raises:
             ValueError: A name is not one of these.
-
-        Example:
-            >>> mesh = nr.Mesh.icosphere(2).trainable()
-            >>> optimizer = torch.optim.Adam(mesh.parameters(), lr=0.01)
-            >>> nr.render(mesh, camera, 32).rgb.mean().backward()
-            >>> optimizer.step()
         """
         result = self._like(self.vertices, self.faces, getattr(self, self._colored))
         for name in names or ("vertices", self._colored):
@@ -469,11 +461,6 @@ class Mesh(nn.Module):
 
         Raises:
             TypeError, ValueError: ``batch_size`` is not a whole number ≥ 0.
-
-        Example:
-            >>> vertices, faces, textures = nr.Mesh.icosphere(2).get_batch(5)
-            >>> vertices.shape
-            torch.Size([5, 162, 3])
         """
         batch_size = validate.whole("batch_size", batch_size, 0)
         parts = self.vertices, self.faces, torch.sigmoid(self.cubes())
@@ -486,13 +473,7 @@ class Mesh(nn.Module):
         Copies and pickles of the mesh keep the factors; its `state_dict` does not.
 
         Args:
-            lr_vertices: Factor for the vertices; 0 keeps them.
-            lr_textures: Factor for the textures; 0 keeps them.
-
-        Example:
-            >>> mesh = nr.Mesh.icosphere(2).trainable()
-            >>> mesh.set_lr(0.1, 1.0)
-            >>> optimizer = nr.Adam(mesh.parameters(), lr=0.01)  # 0.001 for the vertices
+            lr_vertices, lr_textures: The factors; 0 keeps the vertices or the textures.
         """
         self.vertices.lr = lr_vertices  # type: ignore[attr-defined]
         getattr(self, self._colored).lr = lr_textures

@@ -82,10 +82,8 @@ def torus(radius: float = 0.7, tube: float = 0.3, segments: int = 48, sides: int
     """Make a torus around the y axis.
 
     Args:
-        radius: Distance from the axis to the centre of the tube, > 0.
-        tube: Radius of the tube, > 0.
-        segments: Number of segments around the axis, ≥ 3.
-        sides: Number of segments around the tube, ≥ 3.
+        radius, tube: Distance from the axis to the centre of the tube, and the tube's radius, > 0.
+        segments, sides: Number of segments around the axis and around the tube, ≥ 3.
 
     Returns:
         Vertices [segments · sides, 3] float32 and faces [2 · segments · sides, 3] int32.

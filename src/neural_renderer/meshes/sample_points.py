@@ -52,12 +52,6 @@ class SurfacePoints(OneLine):
 
         Raises:
             TypeError, ValueError: A type or shape does not fit, or an index is out of range.
-
-        Example:
-            >>> mesh = nr.Mesh.icosphere(2)
-            >>> points = nr.sample_points(mesh, 100)
-            >>> torch.allclose(points.interpolate(mesh.vertices), points.points)
-            True
         """
         if getattr(attributes, "ndim", 2) == 3:
             own = validate.floating("attributes", attributes, (len(self.faces), 3, "C"))[self.face_index]

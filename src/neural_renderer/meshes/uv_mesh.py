@@ -469,9 +469,11 @@ class UVMesh:
 
     def _check(self, always: bool = False) -> None:
         """Raise TypeError or ValueError unless all attributes fit together; ``always`` as in `validate.finite`."""
-        own = self._owners()
-        for name, value, shape in (("uv", self.uv, (*own, 3, 2)), ("colors", self.colors, (*own, 3, 3))):
-            validate.finite(name, validate.floating(name, value, shape).float(), always)
+        own = tuple(self.uv.shape[:2]) if getattr(self.uv, "ndim", 3) == 4 else (self.num_faces,)  # (B, F) in a batch
+        for name, width in (("uv", 2), ("colors", 3), ("normals", 3), ("tangents", 4), ("uv1", 2)):
+            value = getattr(self, name)
+            if value is not None or name in ("uv", "colors"):
+                validate.finite(name, validate.floating(name, value, (*own, 3, width)).float(), always)
         validate.indices("image_index", self.image_index, own)
         for name, several in (("images", self.images), ("wraps", self.wraps)):
             if not isinstance(several, (tuple, list)):
@@ -484,16 +486,7 @@ class UVMesh:
             raise ValueError(f"wraps: expected {len(self.images)} like images, got {len(self.wraps)}")
         for wrap in self.wraps:
             checked_wrap(wrap)
-        self._check_materials(always)
         _check_index("image_index", self.image_index, "images", len(self.images), always)
-
-    def _check_materials(self, always: bool) -> None:
-        """Check the optional attributes, as `_check`."""
-        own = self._owners()
-        for name, width in (("normals", 3), ("tangents", 4), ("uv1", 2)):
-            value = getattr(self, name)
-            if value is not None:
-                validate.finite(name, validate.floating(name, value, (*own, 3, width)).float(), always)
         for material in self.materials:
             if not isinstance(material, Material):
                 raise TypeError(f"materials: expected a Material each, got {type(material).__name__}")
@@ -502,10 +495,6 @@ class UVMesh:
             _check_index("material_index", self.material_index, "materials", len(self.materials), always)
         elif len(self.materials) > 1:
             raise ValueError(f"material_index: expected {list(own)} for {len(self.materials)} materials, got None")
-
-    def _owners(self) -> tuple[int, ...]:
-        """Return the leading dimensions of the attributes of faces: (F,), or (B, F) in a batch."""
-        return tuple(self.uv.shape[:2]) if getattr(self.uv, "ndim", 3) == 4 else (self.num_faces,)
 
 
 def _one_image(vertices: Any, faces: Any, uv: Any, image: Any, wrap: Wrap) -> tuple[Any, ...]:

@@ -26,7 +26,7 @@ class RasterizeCudaContext:
     output_db = True
 
     def __init__(self, device: Any = None) -> None:
-        self.peels = False  # whether a `DepthPeeler` uses it
+        self.peels = False  # a `DepthPeeler` uses it
 
 
 class RasterizeGLContext(RasterizeCudaContext):

@@ -12,25 +12,18 @@ from PIL import Image, ImageDraw, ImageFont
 
 _INKS = (196, 78, 62), (52, 110, 180)  # colours of the left and of the right curve
 _LINES, _TEXT = (200, 200, 200), (120, 120, 120)
-_FONT_SIZE = 14
+_HEIGHT, _WIDTH, _FONT_SIZE = 420, 720, 14  # pixels
 
 
-def curve(
-    history: Sequence[dict[str, Any]],
-    left: str,
-    right: str,
-    logarithmic: bool = True,
-    size: tuple[int, int] = (420, 720),
-) -> np.ndarray:
+def curve(history: Sequence[dict[str, Any]], left: str, right: str, logarithmic: bool = True) -> np.ndarray:
     """Plot two numbers over the steps of a run: [H, W, 3] uint8. Vertical lines separate phases.
 
     A row of the history has the "phase" of a step and numbers by name, some of which may be missing. ``logarithmic`` is
     about the left axis.
     """
-    height, width = size
-    image = Image.new("RGB", (width, height), "white")
+    image = Image.new("RGB", (_WIDTH, _HEIGHT), "white")
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(_FONT_SIZE)
-    low_x, high_x, top, bottom = 60, width - 60, 30, height - 40
+    low_x, high_x, top, bottom = 60, _WIDTH - 60, 30, _HEIGHT - 40
     draw.rectangle((low_x, top, high_x, bottom), outline=_LINES)
     across = (high_x - low_x) / max(len(history) - 1, 1)
     for index in range(1, len(history)):

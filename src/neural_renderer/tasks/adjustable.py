@@ -11,6 +11,18 @@ from .observer import LEAST_RATE, Knob, turn_weight, weight_knobs
 class Resumable:
     """A task of many steps. Its methods are documented here, once for all subclasses."""
 
+    def turn(self, name: str, value: float | str) -> None:
+        """Change a setting. `state_dict` does not contain it.
+
+        Args:
+            name: Its name, as in `knobs`.
+            value: Its new value.
+
+        Raises:
+            TypeError, ValueError: There is no such setting, or the value does not fit.
+        """
+        raise NotImplementedError
+
     def state_dict(self) -> dict[str, Any]:
         """Collect everything that changes from step to step.
 
@@ -56,15 +68,6 @@ class Adjustable(Resumable):
         return [Knob("rate", self._rate, LEAST_RATE), *weight_knobs(self._weights)]
 
     def turn(self, name: str, value: float | str) -> None:
-        """Change a setting. `state_dict` does not contain it.
-
-        Args:
-            name: Its name, as in `knobs`.
-            value: Its new value.
-
-        Raises:
-            TypeError, ValueError: There is no such setting, or the value does not fit.
-        """
         if name == "rate":
             self._rate = validate.positive(name, value)
         else:

@@ -61,23 +61,32 @@ class Observer(Protocol):
     def observe(
         self, phase: str, step: int, steps: int, numbers: Mapping[str, float], mesh: Callable[[], Any], /
     ) -> None:
-        """See a step.
+        """See a step of a task.
 
         Args:
-            phase: Name of the phase.
-            step: Number of steps taken in the phase.
-            steps: Number of steps of the phase.
+            phase, step, steps: Name of the phase, number of steps taken in it, and number of its steps.
             numbers: Losses and measures of the step.
             mesh: Makes the current mesh, or several by name. Called in this thread, at some of the steps only.
+
+        Raises:
+            RuntimeError: The observer is closed.
         """
         ...
 
     def offer(self, knobs: Sequence[Knob], /) -> None:
-        """Learn which settings may change."""
+        """Learn which settings may change.
+
+        Args:
+            knobs: The settings.
+        """
         ...
 
     def changes(self) -> dict[str, float | str]:
-        """Return the settings that were changed since the last call."""
+        """Return changes of settings since the last call.
+
+        Returns:
+            Values by name.
+        """
         ...
 
 

@@ -75,15 +75,8 @@ def photographs(camera: Any, photos: Any, masks: Any) -> list[Photograph]:
         masks = validate.floating("masks", masks, (count, "H", "W")).detach().float().cpu()
         if photos is not None and masks.shape[1:] != photos.shape[2:]:
             raise ValueError(f"masks: expected the size of the photos, got {validate.shape_of(masks)}")
-    camera = camera.to("cpu")
-    return [
-        Photograph(
-            camera[number],
-            None if masks is None else masks[number : number + 1],
-            None if photos is None else photos[number : number + 1],
-        )
-        for number in range(count)
-    ]
+    parts: Any = ([None] * count if part is None else part.split(1) for part in (masks, photos))
+    return [Photograph(*one) for one in zip(camera.to("cpu"), *parts, strict=True)]
 
 
 class Frusta:

@@ -28,7 +28,7 @@ _VIEW_SIZE = 256  # longer side of a photograph in pixels
 class Results:
     """Contents of a file or folder, for the viewer."""
 
-    meshes: dict[str, Any] = field(default_factory=dict)  # by name, for `Viewer.show`
+    meshes: dict[str, Any] = field(default_factory=dict)  # meshes for `Viewer.show`, by name
     pictures: dict[str, Path] = field(default_factory=dict)  # image files by name
     views: Views | None = None  # cameras with photographs
     record: Record | None = None
@@ -77,7 +77,8 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
     for path in found[:_MOST_MESHES]:
         is_result = bool(report) and path.stem == "mesh"
         _try_mesh(results, "result" if is_result else path.stem, path, allow_outside)
-    pictures = [path for path in files if path.suffix.lower() in _PICTURES and not _is_texture(path, found)]
+    textures = tuple(f"{path.stem}_texture_" for path in found)  # spot_texture.png, or spot_texture_1.png and so on
+    pictures = [path for path in files if path.suffix.lower() in _PICTURES and not f"{path.stem}_".startswith(textures)]
     pictures += [path for inner in _INNER for path in sorted((folder / inner).glob("*.png"))]
     for name in ("painting", "image"):
         if inputs.get(name) and Path(inputs[name]).is_file():
@@ -134,11 +135,6 @@ def _photo_options(inputs: dict[str, Any]) -> dict[str, Any]:
     """Return the options with which a fit read its photographs."""
     background = inputs.get("background")
     return {"photos": inputs.get("photos", True), "background": None if background is None else tuple(background)}
-
-
-def _is_texture(path: Path, meshes: list[Path]) -> bool:
-    """Tell whether a picture is the texture that was written with a mesh."""
-    return any(path.stem == f"{mesh.stem}_texture" or path.stem.startswith(f"{mesh.stem}_texture_") for mesh in meshes)
 
 
 def _read_report(path: Path, results: Results) -> dict[str, Any]:

@@ -39,7 +39,7 @@ class Scene:
         self.look, self.wireframe, self.normals = Look(), False, False
         self.side_by_side = True  # meshes stand in a row; otherwise each at its own coordinates
         self.equal_size = False  # all meshes are shown as large as the first
-        self.meshes: dict[str, Shown] = {}  # by name; only the worker's thread changes them
+        self.meshes: dict[str, Shown] = {}  # only the worker's thread changes these
         self.first_view = FirstView(server)
         self.on_change: Callable[[], None] = lambda: None
         """Called in the worker's thread after meshes have changed or moved."""
@@ -69,22 +69,19 @@ class Scene:
             self._stale.update(names or self.meshes)
         self._worker.post("meshes", self._update)
 
-    def remove(self, names: Iterable[str]) -> None:
-        """Take meshes away soon. Any thread may call it."""
-        gone = list(names)
+    def remove(self, name: str) -> None:
+        """Take a mesh away soon. Any thread may call it."""
 
         def job() -> None:
-            for name in gone:
-                shown = self.meshes.pop(name, None)
-                if shown is not None and shown.frame is not None:
-                    shown.frame.remove()
+            shown = self.meshes.pop(name, None)
+            if shown is not None and shown.frame is not None:
+                shown.frame.remove()
             self._arrange()
             self.on_change()
 
         with self._lock:
-            for name in gone:
-                self._coming.pop(name, None)
-        self._worker.post(f"remove {' '.join(gone)}", job)
+            self._coming.pop(name, None)
+        self._worker.post(f"remove {name}", job)
 
     def center(self) -> np.ndarray:
         """Return the centre [3] of all visible meshes."""

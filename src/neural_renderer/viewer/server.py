@@ -146,16 +146,16 @@ def is_own_page(origin: str | None, host: str, is_local: bool) -> bool:
         name = asked.hostname or ""
     except ValueError:
         return False
-    return asking.netloc == asked.netloc != "" and (not is_local or _is_address(name) or name == "localhost")
+    is_own_name = name == "localhost" or _address(name) is not None
+    return asking.netloc == asked.netloc != "" and (not is_local or is_own_name)
 
 
-def _is_address(name: str) -> bool:
-    """Tell whether a host is named by its address."""
+def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """Return the address by which a host is named; None for another name."""
     try:
-        ipaddress.ip_address(name)
+        return ipaddress.ip_address(host)
     except ValueError:
-        return False
-    return True
+        return None
 
 
 def _free_port(host: str, port: int) -> int:
@@ -181,7 +181,5 @@ def _free_port(host: str, port: int) -> int:
 
 def _is_loopback(host: str) -> bool:
     """Tell whether only this machine reaches a host."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+    address = _address(host)
+    return host == "localhost" if address is None else address.is_loopback

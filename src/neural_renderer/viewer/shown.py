@@ -26,10 +26,10 @@ _MOST_NORMALS = 4000  # most normals drawn
 class Shown:
     """A mesh and its nodes."""
 
-    original: Snapshot  # without faces that cannot be drawn
+    original: Snapshot  # the mesh without faces that cannot be drawn
     path: str  # name of the nodes
     snapshot: Snapshot = field(init=False)  # the mesh in its shown size
-    scale: float = 1.0  # of ``snapshot`` relative to ``original``
+    scale: float = 1.0  # size of ``snapshot`` relative to ``original``
     left_out: int = 0  # number of faces that cannot be drawn
     visible: bool = True
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))  # origin of the mesh in the scene

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from .. import validate
 from ..camera import Camera
 from ..io.files import existing
-from ..tasks.observer import Knob, goes_on
+from ..tasks.observer import Knob, Observer, goes_on
 from .drawing.snapshot import Snapshot
 from .frusta import photographs
 from .newest import Newest
@@ -32,7 +32,7 @@ _FLUSH = 20.0  # seconds that the end waits for the newest mesh
 _POLL = 0.1  # seconds
 
 
-class Viewer:
+class Viewer(Observer):
     """Shows meshes in the browser while a program changes them. `view` makes one.
 
     The program never waits for a browser. A mesh is copied at some of the calls only, so that copies take at most 1 %
@@ -100,7 +100,7 @@ class Viewer:
         self._lock = threading.RLock()
         self._is_closed = False
         self._worker = Worker(rate)
-        self._newest = Newest(rate, self._put, self._is_watched, self._copy_soon)
+        self._newest = Newest(rate, self._put, self._is_watched, self._postpone)
         self._page: Page | None = None
         self.url = None
         if browser:
@@ -162,7 +162,7 @@ class Viewer:
         """
         self._newest.remove(name)
         if self._page is not None:
-            self._page.scene.remove([name])
+            self._page.scene.remove(name)
 
     def show_cameras(self, camera: Camera, photos: Any = None, masks: Any = None, *, name: str = "cameras") -> None:
         """Show cameras as frusta, with their photographs; a click on one takes the browser there.
@@ -302,19 +302,9 @@ class Viewer:
             self._newest.catch_up()
         return goes_on(self)
 
-    # What tasks call; see ``tasks.observer.Observer``.
+    # What tasks call; `Observer` documents these.
 
     def observe(self, phase: str, step: int, steps: int, numbers: Mapping[str, float], mesh: Callable[[], Any]) -> None:
-        """See a step of a task; see ``tasks.observer.Observer``.
-
-        Args:
-            phase, step, steps: Name of the phase, number of steps taken in it, and number of its steps.
-            numbers: Losses and measures of the step.
-            mesh: Makes the current mesh, or several by name.
-
-        Raises:
-            RuntimeError: The viewer is closed.
-        """
         self._check_open()
         self._use_run()
         text = f"{phase} {step} of {steps}" if steps else f"{phase} {step}"
@@ -328,20 +318,10 @@ class Viewer:
         self._newest.observe((step, phase), meshes, always=0 < steps <= step)
 
     def offer(self, knobs: Sequence[Knob]) -> None:
-        """Offer settings that may change; see ``tasks.observer.Observer``.
-
-        Args:
-            knobs: The settings.
-        """
         self._run.offer(knobs)
         self._update_run()
 
     def changes(self) -> dict[str, float | str]:
-        """Return changes of settings since the last call; see ``tasks.observer.Observer``.
-
-        Returns:
-            Values by name.
-        """
         return self._run.changes()
 
     def finish(self, text: str = "done") -> None:
@@ -449,7 +429,7 @@ class Viewer:
         """Tell whether a browser shows the meshes, or a record keeps them."""
         return self._recorder is not None or self.clients > 0
 
-    def _copy_soon(self) -> None:
+    def _postpone(self) -> None:
         """Copy meshes that came too early, in the worker's thread."""
         self._worker.post("early", self._newest.catch_up)
 

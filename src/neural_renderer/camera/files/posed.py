@@ -18,7 +18,7 @@ class PosedImage:
     """An entry of a camera file. A world point X is at rotation · X + translation: x right, y down, z forward."""
 
     where: str  # place in the file, for messages
-    name: str  # of the image, as in the file
+    name: str  # the image, as the file calls it
     rotation: Tensor  # [3, 3] float64
     translation: Tensor  # [3] float64
     lens: Lens
@@ -31,9 +31,9 @@ class CameraFile:
 
     path: Path
     images: Sequence[PosedImage]
-    folders: tuple[Path, ...]  # that may contain the images, in the order of search
+    folders: tuple[Path, ...]  # places of the images, in the order of search
     points: Tensor | None = None  # [P, 3] float64, of the scene in the world
-    convention: str = "world-to-camera, in OpenCV's axes"  # of the matrices in the file, for messages
+    convention: str = "world-to-camera, in OpenCV's axes"  # axes of the matrices in the file, for messages
 
     def poses(self) -> tuple[Tensor, Tensor]:
         """Return rotations [N, 3, 3] and translations [N, 3] of all images, float32."""

@@ -48,7 +48,7 @@ class Map:
     image: str  # file name
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
-    clamp: bool = False  # beyond [0, 1]; otherwise it repeats
+    clamp: bool = False  # the border continues beyond [0, 1]; otherwise the image repeats
     bump: float = 1.0  # factor of heights, or of the slopes of normals
 
 
@@ -56,7 +56,7 @@ class Map:
 class Material:
     """Material of an MTL file."""
 
-    folder: Path  # of the file
+    folder: Path  # place of the file
     colors: dict[str, np.ndarray] = field(default_factory=dict)  # Kd, Ks and Ke, [3] float64 in [0, 1]; Ke may exceed 1
     numbers: dict[str, float] = field(default_factory=dict)  # Ns, d (or 1 − Tr), Pm and Pr
     maps: dict[str, Map] = field(default_factory=dict)
@@ -154,12 +154,10 @@ def material_arguments(
         if pixels is not None:
             result[argument] = _texture(convert(pixels), maps[used], base)
 
-    add("specular_texture", "specular", _rgb)
-    if "specular_texture" in result and "specular" not in colors:
-        result["specular"] = (1.0, 1.0, 1.0)
-    add("emissive_texture", "emissive", _rgb)
-    if "emissive_texture" in result and "emissive" not in colors:
-        result["emissive"] = (1.0, 1.0, 1.0)
+    for color in ("specular", "emissive"):
+        add(f"{color}_texture", color, _rgb)
+        if f"{color}_texture" in result and color not in colors:
+            result[color] = (1.0, 1.0, 1.0)
     add("opacity_texture", "opacity", _alpha)
     if opacity < 1 or "opacity_texture" in result:
         result["alpha_mode"] = "BLEND"

@@ -26,7 +26,7 @@ class ObjFile:
     uv: np.ndarray  # [F, 3, 2] float64; NaN for a corner without texture coordinates
     normals: np.ndarray | None  # [F, 3, 3] float64, unit normals of the corners; 0 for a corner without one
     material: np.ndarray  # [F] int, index into ``names``, or −1
-    names: list[str]  # of materials
+    names: list[str]  # names of materials
     libraries: list[str]  # text after each ``mtllib``
 
 
@@ -196,17 +196,8 @@ class _Parser:
             if np.nanmax(colors, initial=0) > 1:  # some programs write 0 to 255
                 colors /= 255
             colors = colors.clip(0, 1)
-        return ObjFile(
-            path=self.path,
-            vertices=vertices,
-            colors=colors,
-            faces=corners[triangles],
-            uv=uv,
-            normals=normals,
-            material=np.array(self.material)[polygon],
-            names=list(self.names),
-            libraries=self.libraries,
-        )
+        faces, material = corners[triangles], np.array(self.material)[polygon]
+        return ObjFile(self.path, vertices, colors, faces, uv, normals, material, list(self.names), self.libraries)
 
     def _check(self, corners: np.ndarray, known: int, what: str) -> None:
         """Raise ValueError if an index is not below ``known``."""

@@ -39,12 +39,11 @@ def load_obj(
     Args:
         filename_obj: Path of the file.
         normalization: Move the bounding box to the origin and scale its longest side to [−1, 1].
-        texture_size: T, texels along a cube's edge, ≥ 1. With 1 each face has the colour of its centre.
+        texture_size, allow_outside: As in `load_mesh`.
         load_texture: Return textures, too.
         texture_wrapping: Wrapping of texture coordinates outside [0, 1]: ``"REPEAT"``, ``"MIRRORED_REPEAT"``,
             ``"CLAMP_TO_EDGE"`` or ``"CLAMP_TO_BORDER"`` (black).
         use_bilinear: Interpolate between pixels of an image; otherwise take the nearest one.
-        allow_outside: Read materials and images outside the file's folder, too. Use it for trusted files only.
 
     Returns:
         Vertices [V, 3] float32 and faces [F, 3] int32; with ``load_texture`` also textures [F, T, T, T, 3] float32 in
@@ -53,11 +52,8 @@ def load_obj(
         of its vertices (``v x y z r g b``), else grey 0.5.
 
     Raises:
-        FileNotFoundError: The file does not exist.
-        ValueError: A statement is invalid, a vertex is not finite in float32, an index is out of range, or there are no
-            faces (the message names file and line); all vertices coincide, with ``normalization``; the textures exceed
-            8 GiB; an image is damaged or too large (see `load_image`); or the file names files outside its folder by
-            ``..`` without ``allow_outside``.
+        FileNotFoundError, ValueError: As `load_mesh`, with the line of a wrong statement; or, with ``normalization``,
+            all vertices coincide.
 
     Warns:
         UserWarning: A material file, an image or a material is missing, or the file has no colours.

@@ -35,9 +35,9 @@ class Part(NamedTuple):
     places: np.ndarray  # [P, 2] float64, texture coordinates, v up
     corners: np.ndarray  # [n, 3] int64, indices into ``places`` of the faces' corners
     picture: np.ndarray | None  # [H, W, 3] uint8, row 0 at the top
-    clamp: bool = False  # beyond [0, 1]; otherwise the picture repeats
+    clamp: bool = False  # the border continues beyond [0, 1]; otherwise the picture repeats
     material: dict[str, Any] = {}  # noqa: RUF012 (never changed)
-    color: tuple[float, float, float] = (1.0, 1.0, 1.0)  # of the faces if there is no picture, sRGB
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)  # sRGB of the faces if there is no picture
     normals: np.ndarray | None = None  # [n, 3, 3]
 
 

@@ -11,6 +11,7 @@ from ... import losses, validate
 from ...features import FeatureNetwork
 from ..settings import DREAM_LAYER
 from .deformation import Deformation
+from .objective import Objective
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,11 @@ PUBLISHED_DREAM = DreamWeights(bend=0.0, variation=0.0, edges=1e-4)
 """Weights of the published code, for losses that are sums (``relative=False``)."""
 
 
-class Dream:
+class Dream(Objective):
     """Objective of DeepDream: large activations of a layer, with regularisers for shape and colours.
+
+    The losses are "dream", "bend", "variation" and "edges"; `measure` returns the mean squared activation of the layer.
+    The background is a random grey, the same for all images.
 
     With ``relative``, the dream loss is minus the logarithm of the mean squared activation. Its gradient does not
     depend on the scale of the network, so that one set of weights suits all networks and layers. Without it, the
@@ -97,29 +101,9 @@ class Dream:
             raise ValueError(f"channel: expected one of the {channels} of {layer}, 0 to {channels - 1}, got {channel}")
 
     def background(self, count: int, generator: torch.Generator) -> Tensor:
-        """Choose the background behind the object: a random grey, the same for all images.
-
-        Args:
-            count: Number of images.
-            generator: Random numbers, on the CPU.
-
-        Returns:
-            [count, 3].
-        """
         return torch.rand(1, 1, generator=generator).expand(count, 3)
 
     def losses(self, images: Tensor, masks: Tensor, shape: Deformation) -> dict[str, Tensor]:
-        """Compute the losses.
-
-        Args:
-            images, masks, shape: As in `Style.losses`.
-
-        Returns:
-            Weighted losses "dream", "bend", "variation" and "edges", scalars; their sum is to be minimised.
-
-        Raises:
-            TypeError, ValueError: The images do not fit or are too small for the layer.
-        """
         norm, inside = self._norms(images).mean(), (masks == 1).to(images.dtype)
         variation, edges = losses.total_variation(images, inside), shape.edge_variance
         if self._relative:
@@ -137,18 +121,6 @@ class Dream:
 
     @torch.no_grad()
     def measure(self, images: Tensor, masks: Tensor) -> Tensor:
-        """Compute the mean squared activation of the layer for each image.
-
-        Args:
-            images: [B, 3, H, W] in [0, 1].
-            masks: Ignored.
-
-        Returns:
-            [B], without a gradient.
-
-        Raises:
-            TypeError, ValueError: As `losses`.
-        """
         return self._norms(images)
 
     def _norms(self, images: Tensor) -> Tensor:

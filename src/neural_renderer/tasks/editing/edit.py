@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -22,6 +22,7 @@ from ..adjustable import Resumable
 from ..observer import Knob, turn_weight, weight_knobs
 from ..seeds import generator
 from .deformation import Deformation
+from .objective import Objective
 from .paint import FacePaint, ImagePaint, Paint
 from .random_views import RandomViews
 
@@ -31,25 +32,6 @@ _BACKGROUNDS = {"the objective's": None, "black": 0.0, "grey": 0.5, "white": 1.0
 _RARELY = 0.05  # texels visible in a smaller share of the steps are filled from adjacent ones
 _NOISE = 0.05  # standard deviation of the noise on plain initial colours, before the sigmoid
 _HELD_OUT, _HELD_OUT_AZIMUTH = 8, 11.0  # number of the views of `MeshEdit.measure`, and azimuth of the first in degrees
-
-
-class Objective(Protocol):
-    """Loss on the images of an edited mesh: `Style` or `Dream`."""
-
-    name: str  # of the main loss
-    plain: Tensor  # [3], initial colour of a mesh without colours
-
-    def background(self, count: int, generator: torch.Generator, /) -> Tensor:
-        """Choose the background colours of ``count`` images, [count, 3]."""
-        ...
-
-    def losses(self, images: Tensor, masks: Tensor, shape: Deformation, /) -> dict[str, Tensor]:
-        """Compute weighted losses of images [B, 3, H, W] with silhouettes [B, H, W]; their sum is minimised."""
-        ...
-
-    def measure(self, images: Tensor, masks: Tensor, /) -> Tensor:
-        """Compute the main measure of each image, [B]."""
-        ...
 
 
 class MeshEdit(Resumable):
@@ -66,8 +48,7 @@ class MeshEdit(Resumable):
         steps: Number of steps, ≥ 1.
         batch: Images per step, ≥ 1.
         size: Side of the images in pixels, ≥ 32.
-        vertex_rate: Adam's α for vertices, ≥ 0; 0 keeps the shape.
-        texture_rate: Adam's α for colours, ≥ 0; 0 keeps the texture.
+        vertex_rate, texture_rate: Adam's α for vertices and for colours, ≥ 0; 0 keeps the shape or the texture.
         settle: Fraction of the steps, in [0, 1], in which both rates decay linearly to 0 at the end; 0 for no decay.
         start: Initial colours: "mesh", its own; "plain", the plain colour of the objective with a little noise, for a
             mesh without colours; "random", grey with a little noise.
@@ -171,6 +152,7 @@ class MeshEdit(Resumable):
         """Whether all steps are taken."""
         return self.step >= self.steps
 
+    @torch.no_grad()
     def mesh(self, fill: bool = True) -> Mesh | UVMesh:
         """Make the current mesh.
 
@@ -184,16 +166,12 @@ class MeshEdit(Resumable):
             TypeError: ``fill`` is not a bool.
         """
         fill = validate.flag("fill", fill)
-        vertices = self._vertices.detach()[self._merged] * self._scale + self._center
-        if self._unpainted:
-            mesh = self._paint.unpainted(vertices)
-            return mesh if isinstance(mesh, UVMesh) else Mesh(*mesh)
-        if not fill:
-            with torch.no_grad():
-                rough = self._paint.apply(vertices, torch.sigmoid(self._colors))
-            return rough if isinstance(rough, UVMesh) else Mesh(rough[0], rough[1], rough[2])
-        known = self._visible_steps > _RARELY * self.step
-        return self._paint.finish(vertices, torch.sigmoid(self._colors.detach()), known)
+        vertices = self._vertices[self._merged] * self._scale + self._center
+        colors = torch.sigmoid(self._colors)
+        if fill and not self._unpainted:
+            return self._paint.finish(vertices, colors, self._visible_steps > _RARELY * self.step)
+        rough = self._paint.unpainted(vertices) if self._unpainted else self._paint.apply(vertices, colors)
+        return rough if isinstance(rough, UVMesh) else Mesh(rough[0], rough[1], rough[2])
 
     def displacement(self) -> dict[str, float]:
         """Measure the displacement of vertices, relative to the mesh's longest side.
@@ -251,15 +229,6 @@ class MeshEdit(Resumable):
         return [*rates, *weights, Knob("background", self._background, choices=tuple(_BACKGROUNDS))]
 
     def turn(self, name: str, value: float | str) -> None:
-        """Change a setting. `state_dict` does not contain it.
-
-        Args:
-            name: Its name, as in `knobs`.
-            value: Its new value.
-
-        Raises:
-            TypeError, ValueError: There is no such setting, or the value does not fit.
-        """
         if name == "background":
             if value not in _BACKGROUNDS:
                 raise ValueError(f"background: expected one of {', '.join(_BACKGROUNDS)}, got {value!r}")

@@ -14,6 +14,7 @@ from ... import losses, validate
 from ...features import FeatureNetwork
 from ..settings import STYLE_LAYERS
 from .deformation import Deformation
+from .objective import Objective
 
 _LARGEST = 2048  # side of a square painting in pixels; a network needs some gigabytes for it
 _MARGIN, _STRIDE = 16, 8  # pixels around objects in the window that the network sees, and step of its borders
@@ -54,8 +55,11 @@ PUBLISHED_STYLE = StyleWeights(content=2e9, bend=0.0, variation=1e7, palette=0.0
 """Weights of the published code, for losses that are sums (``relative=False``)."""
 
 
-class Style:
+class Style(Objective):
     """Objective of style transfer: the style loss, with regularisers for shape and colours.
+
+    The losses are "style", whose value for each image `measure` returns, "content", "bend", "variation" and "palette".
+    The background is the painting's mean colour.
 
     The style at a layer with features f_p [C] at pixels p is the masked Gram matrix
     ``G = Σ m_p f_p f_pᵀ / (C Σ m_p)``. The mask m is the object's silhouette, downsampled to the layer, so that the
@@ -126,30 +130,9 @@ class Style:
         self.plain = self._palette.mean
 
     def background(self, count: int, _: torch.Generator) -> Tensor:
-        """Choose the background behind the object: the painting's mean colour.
-
-        Args:
-            count: Number of images.
-
-        Returns:
-            [count, 3].
-        """
         return self.plain.expand(count, 3)
 
     def losses(self, images: Tensor, masks: Tensor, shape: Deformation) -> dict[str, Tensor]:
-        """Compute the losses.
-
-        Args:
-            images: [B, 3, H, W] in [0, 1].
-            masks: [B, H, W] in [0, 1], silhouettes of the object.
-            shape: Deformation of the mesh.
-
-        Returns:
-            Weighted losses "style", "content", "bend", "variation", "palette", scalars; their sum is to be minimised.
-
-        Raises:
-            TypeError, ValueError: The images do not fit or are too small for a layer.
-        """
         inside = (masks == 1).to(images.dtype)
         variation, content = losses.total_variation(images, inside), shape.movement.square().sum()
         palette = (self._palette.excess(images.movedim(1, -1)) * inside).sum()
@@ -166,17 +149,6 @@ class Style:
 
     @torch.no_grad()
     def measure(self, images: Tensor, masks: Tensor) -> Tensor:
-        """Compute the style loss of each image.
-
-        Args:
-            images, masks: As in `losses`.
-
-        Returns:
-            [B], without a gradient.
-
-        Raises:
-            TypeError, ValueError: As `losses`.
-        """
         return self._distances(images, masks)
 
     def _distances(self, images: Tensor, masks: Tensor) -> Tensor:

@@ -29,7 +29,7 @@ class Drawable:
     colors: np.ndarray | None = None  # [N, 3] uint8 sRGB
     uv: np.ndarray | None = None  # [N, 2] float32, v down
     image: bytes | None = None  # a PNG or JPEG file
-    wrap: str | tuple[str, str] = "repeat"  # beyond the border of the image, or a pair, for u and v
+    wrap: str | tuple[str, str] = "repeat"  # wrapping beyond the border of the image, or a pair, for u and v
     lit: bool = True  # otherwise colours are shown unchanged
 
     @property
@@ -112,7 +112,7 @@ class _Body:
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []  # each padded to a multiple of four
-        self.size = 0  # of all parts
+        self.size = 0  # bytes in all
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
 

@@ -59,11 +59,10 @@ def draw(
     size: tuple[int, int],
     *,
     lit: bool,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     vertices: Tensor | None = None,
     gradient: str = "edge",
 ) -> Images:
-    """Render a mesh as colour, alpha and depth by one camera in its coordinates.
+    """Render a mesh as colour, alpha and depth by one camera in its coordinates, on black.
 
     ``lit``: a lamp over the viewer's shoulder lights it. ``vertices`` are others [V, 3], such as those that require a
     gradient.
@@ -74,7 +73,7 @@ def draw(
         camera,
         size,
         light=CameraLight() if lit else None,
-        background=background,
+        background=0.0,
         near=reach * _NEAREST,
         far=reach * _FARTHEST,
         gradient=gradient,

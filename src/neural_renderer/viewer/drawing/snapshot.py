@@ -17,6 +17,7 @@ from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
 
 _Value = TypeVar("_Value")
+_MOST_KEPT = 16  # results of a `Memo`
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +163,8 @@ class Memo(Generic[_Value]):
     its memory. ``holds`` can find these: it tells whether a result still belongs to a tensor without a counted change.
     """
 
-    def __init__(self, most: int = 16, holds: Callable[[Tensor, _Value], bool] | None = None) -> None:
-        self._most, self._holds = most, holds
+    def __init__(self, holds: Callable[[Tensor, _Value], bool] | None = None) -> None:
+        self._holds = holds
         self._found: dict[int, tuple[weakref.ref[Tensor], int, _Value]] = {}
         self._lock = threading.Lock()
 
@@ -180,7 +181,7 @@ class Memo(Generic[_Value]):
         value = make(tensor)
         with self._lock:
             self._found.pop(key, None)
-            while len(self._found) >= self._most:
+            while len(self._found) >= _MOST_KEPT:
                 del self._found[next(iter(self._found))]
             self._found[key] = weakref.ref(tensor), version, value
         return value

@@ -33,11 +33,9 @@ _JPEGS: Memo[bytes] = Memo()
 class Look:
     """Settings of the display of meshes."""
 
-    surface: Surface = (
-        "colours"  # of the mesh, or "clay", "normals" in world space, or a colour for each of the "faces"
-    )
-    lit: bool = True  # but "normals", which are never lit
-    smooth: bool = True  # whether the light is interpolated over faces that share vertices
+    surface: Surface = "colours"  # "normals" are in world space, "faces" have a colour each
+    lit: bool = True  # "normals" never are
+    smooth: bool = True  # light is interpolated over faces that share vertices
 
 
 _UNLIT = Look(lit=False)
