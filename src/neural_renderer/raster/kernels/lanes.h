@@ -51,7 +51,9 @@ NR_FUNC int lowest_bit(unsigned number) {
 
 // Number n of a vector, or the only one.
 NR_FUNC float lane(float value, int) { return value; }
+NR_FUNC int lane(int value, int) { return value; }
 NR_FUNC int64 lane(int64 value, int) { return value; }
+NR_FUNC bool lane(bool value, int) { return value; }
 NR_FUNC void set_lane(float& value, int, float to) { value = to; }
 
 NR_FUNC float to_floats(int value) { return (float)value; }
@@ -233,5 +235,11 @@ inline void store(vec3* to, floats8 a, floats8 b, floats8 c) {
     store(to->c, u), store(to->c + 8, v), store(to->c + 16, w);
 }
 #endif  // NR_LANES
+
+// The same for a vector that lies in memory: compilers else write it there for each number that is read.
+template <class V>
+NR_FUNC decltype(lane(V{}, 0)) lane_in_memory(const V& values, int n) {
+    return ((const decltype(lane(V{}, 0))*)&values)[n];
+}
 
 }  // namespace nr

@@ -70,17 +70,11 @@ struct BlocksOfSample {
     NR_FUNC TexelBlock operator[](int level) const {
         const TexelBlocks<F>& all = blocks[level];
         TexelBlock own;
-        for (int k = 0; k < 4; ++k) own.texel[k] = number(all.texel + k);
-        for (int k = 0; k < 2; ++k) own.x[k] = number(all.x + k), own.y[k] = number(all.y + k);
-        own.slope = {number(all.slope), number(all.slope + 1)};
-        own.share = number(&all.share);
+        for (int k = 0; k < 4; ++k) own.texel[k] = lane_in_memory(all.texel[k], n);
+        for (int k = 0; k < 2; ++k) own.x[k] = lane_in_memory(all.x[k], n), own.y[k] = lane_in_memory(all.y[k], n);
+        for (int k = 0; k < 2; ++k) own.slope[k] = lane_in_memory(all.slope[k], n);
+        own.share = lane_in_memory(all.share, n);
         return own;
-    }
-    // A number of a vector in memory, without the others.
-    NR_FUNC float number(const F* from) const { return ((const float*)from)[n]; }
-    template <class T>
-    NR_FUNC int64 number(const T* from) const {
-        return ((const decltype(lane(*from, 0))*)from)[n];
     }
 };
 
