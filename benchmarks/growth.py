@@ -24,6 +24,7 @@ ROWS = (
     + [("pixels", 6, side, 1) for side in (100, 316, 1000, 3162, 10000)]
     + [("images", 4, 128, count) for count in (1, 4, 16, 64, 256)]
 )
+MOST_LEVELS = 8  # of an icosphere
 STRIPS_FROM = 3000  # side from which images are drawn in strips, without gradients
 
 
@@ -57,7 +58,9 @@ def measured(level: int, side: int, count: int) -> list[float]:
 
     torch.set_num_threads(1)
     generator = torch.Generator().manual_seed(0)
-    sphere, faces = nr.icosphere(level)
+    start = min(level, MOST_LEVELS)
+    mesh = nr.Mesh(*nr.icosphere(start)).subdivide(level - start)
+    sphere, faces = mesh.vertices, mesh.faces
     vertices = 0.7 * sphere * (1 + 0.1 * torch.rand(len(sphere), 1, generator=generator))
     colors = torch.rand(len(sphere), 3, generator=generator)
     eyes = nr.get_points_from_angles(2.732, 20.0, torch.arange(count) * (360.0 / count))

@@ -39,6 +39,7 @@ template <class F>
 struct TexelBlocks {
     typedef typename Lanes<F>::Ints Ints;
     typedef typename Lanes<F>::Places Places;
+    typedef decltype(lane(Places{}, 0)) Place;
     Places texel[4];
     F x[2], y[2], slope[2], share;
 
@@ -48,7 +49,7 @@ struct TexelBlocks {
         const TexelPair<F> down(1.0f - uv[1], halved(maps.height, level), maps.repeat_v ? WRAP : CLAMP);
         Places first = {};
         for (int k = 0; any(level > k); ++k) {
-            const Places before = Places{} + (int64)larger(maps.width >> k, 1) * larger(maps.height >> k, 1);
+            const Places before = Places{} + (Place)larger(maps.width >> k, 1) * larger(maps.height >> k, 1);
             first += select(level > k, before, Places{});
         }
         for (int n = 0; n < 4; ++n) texel[n] = first + (Places{} + down.texel[n >> 1]) * width + across.texel[n & 1];
