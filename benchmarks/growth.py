@@ -58,9 +58,10 @@ def measured(level: int, side: int, count: int) -> list[float]:
 
     torch.set_num_threads(1)
     generator = torch.Generator().manual_seed(0)
-    start = min(level, MOST_LEVELS)
-    mesh = nr.Mesh(*nr.icosphere(start)).subdivide(level - start)
-    sphere, faces = mesh.vertices, mesh.faces
+    sphere, faces = nr.icosphere(min(level, MOST_LEVELS))
+    if level > MOST_LEVELS:
+        mesh = nr.Mesh(sphere, faces).subdivide(level - MOST_LEVELS)
+        sphere, faces = mesh.vertices, mesh.faces
     vertices = 0.7 * sphere * (1 + 0.1 * torch.rand(len(sphere), 1, generator=generator))
     colors = torch.rand(len(sphere), 3, generator=generator)
     eyes = nr.get_points_from_angles(2.732, 20.0, torch.arange(count) * (360.0 / count))
