@@ -110,11 +110,12 @@ def _fitting_textures(textures: Any, batch: int, count: int, device: torch.devic
 def _finite_once(textures: Tensor) -> None:
     """Raise ValueError if a texel is not finite; large textures are read again only if torch counts a change."""
     base = textures if textures._base is None else textures._base  # an indexed tensor is a new one in every call
-    if textures.numel() < _MANY or not is_plain((base,)) or base.is_inference():
-        return validate.finite("textures", textures)
-    state = (base._version, textures.data_ptr(), textures.shape, textures.stride())
-    if validate.values_are_checked(textures) and _finite.get(base) != state:
-        validate.finite("textures", textures)
+    known = textures.numel() >= _MANY and is_plain((base,)) and not base.is_inference()
+    state = (base._version, textures.data_ptr(), textures.shape, textures.stride()) if known else None
+    if known and _finite.get(base) == state:
+        return
+    validate.finite("textures", textures)
+    if known and validate.values_are_checked(textures):
         _finite[base] = state
 
 

@@ -289,8 +289,9 @@ class Edges:
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
     image, faces, face_index, *rest = inputs
-    ctx.options, (edge_hashes, rings, ctx.halved, ctx.alone), ctx.strip, cubes = rest[:3], rest[3:7], rest[7:9], rest[9:]
-    ctx.save_for_backward(image, faces, face_index, edge_hashes, rings, *cubes)  # callers may change the output
+    ctx.options, ctx.strip = rest[:3], rest[7:9]
+    edge_hashes, rings, ctx.halved, ctx.alone = rest[3:7]
+    ctx.save_for_backward(image, faces, face_index, edge_hashes, rings, *rest[9:])  # callers may change the output
 
 
 def _backward(ctx: Any, grad: Tensor) -> Any:

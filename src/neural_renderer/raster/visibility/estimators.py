@@ -185,7 +185,8 @@ class Derivative(Estimator):
         edge_hashes: Callable[[], Tensor] | None = None,
     ) -> Tensor:
         """See `Estimator.attach`."""
-        hashes, cubes = None, ()
+        hashes: Tensor | None = None
+        cubes: tuple[Tensor | None, ...] = ()
         if isinstance(edge_hashes, CubeEdges) and not in_any_order(drawn.corners.device):
             # The one task of a face compares the few edges that it needs.
             cubes = (edge_hashes.textures, edge_hashes.light, edge_hashes.firsts)
