@@ -2,12 +2,13 @@
 
 Prints two tables with the name of the hardware; ``--json`` writes the numbers to a file. The first table shows times of
 the public function without anti-aliasing, with "nmr": medians over ``--repeats`` runs after a warm-up. The cases take
-turns. The second table has the ratios of `benchmarks.ratios`, as Markdown.
+turns. The second table has the ratios of `benchmarks.ratios` and `benchmarks.colors`, as Markdown.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import platform
@@ -25,6 +26,7 @@ from rich.table import Table
 
 import neural_renderer as nr
 
+from . import colors
 from .ratios import all_ratios
 from .scenes import noisy_icospheres
 
@@ -58,7 +60,8 @@ def main() -> None:
     if options.device == "cpu":
         print(f"\n{report['hardware']['name']}, {report['hardware']['cores']} cores\n")
         print("| what | measured | asked for |\n|---|---:|---:|")
-        for row in all_ratios(max(2, options.repeats // 2), options.large):
+        rounds = max(2, options.repeats // 2)
+        for row in itertools.chain(all_ratios(rounds, options.large), colors.rows(rounds)):
             print("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |", flush=True)
             report["ratios"].append(row)
     text = json.dumps(report, indent=2)

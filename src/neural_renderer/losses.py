@@ -18,6 +18,7 @@ from torch import Tensor
 from . import validate
 from .meshes.normals import face_normals
 from .meshes.topology import Topology
+from .raster.warp.registration import is_eager
 
 _Loss = TypeVar("_Loss", bound=Callable[..., Tensor])
 
@@ -93,10 +94,23 @@ def _difference(a: Tensor, b: Tensor) -> Tensor:
 
 def _smooth_difference(a: Tensor, b: Tensor) -> Tensor:
     """Compute (a − b)² / (a + b − 2ab): |a − b| if one is 0 or 1, otherwise less, and smooth."""
+    if not is_eager((a, b)) or torch._C._are_functorch_transforms_active():
+        apart = _difference(a, b)
+        return torch.where(_is_whole(a) & _is_whole(b), apart, _smooth_quotient(a, b))
+    # Few pixels are covered in part, and only those need more than one product.
+    apart = a * (1 - 2 * b) + b
+    rows = torch.nonzero(~(_is_whole(a) & _is_whole(b)).flatten()).flatten()
+    inside = _smooth_quotient(a.flatten()[rows], b.flatten()[rows])
+    return apart.flatten().index_put((rows,), inside).view(a.shape)
+
+
+def _is_whole(a: Tensor) -> Tensor:
+    return a * a == a
+
+
+def _smooth_quotient(a: Tensor, b: Tensor) -> Tensor:
     apart = _difference(a, b)
-    # If both are 0, or both 1, apart is |a − b|, with the derivative towards the only side.
-    quotient = (a - b) * ((a - b) / torch.where(apart == 0, 1.0, apart))
-    return torch.where((a == b) & (a * b == a), apart, quotient)
+    return (a - b) * ((a - b) / torch.where(apart == 0, 1.0, apart))
 
 
 def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None, *, reduction: str = "mean") -> Tensor:

@@ -17,6 +17,7 @@ from ..raster.warp.registration import is_eager
 from .camera import Camera
 from .lens import viewing_angle
 from .parameters import batch_of, batch_size, scalar
+from .view import rotate
 
 
 def scene_camera(vertices: Any, camera: Any) -> tuple[Any, Camera]:
@@ -60,6 +61,8 @@ def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) 
     are first derivatives only. A position that overflows float32 is a ValueError.
     """
     simple = _pinhole(camera, vertices)
+    if camera.K is not None and camera.orig_size is not None:
+        aspect = 1.0  # K holds it
     if simple is None:
         screen = validate.in_float32("vertices on the screen", _by_camera(camera, vertices, aspect))
         faces = checked_faces(faces)
@@ -72,17 +75,38 @@ def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) 
 
 def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
     """Return the points, rotation, origin and width for the operator `project_corners`; None for other cameras."""
-    is_simple = type(camera) is Camera and camera.K is None and not camera.is_fisheye
-    is_simple = is_simple and is_eager((vertices, camera.rotation))
+    is_simple = type(camera) is Camera and camera.dist_coeffs is None and not camera.is_fisheye
+    is_simple = is_simple and is_eager(causes(vertices, camera))
     if not is_simple or getattr(vertices, "dtype", None) != torch.float32:
         return None
     validate.vertices(vertices)
-    rotation, origin = on_device(camera.rotation, vertices), on_device(camera.origin, vertices)
+    if camera.K is None or camera.orig_size is None:
+        rotation, origin = on_device(camera.rotation, vertices), on_device(camera.origin, vertices)
+    else:
+        rotation, origin = _with_lens(camera, camera.K, camera.orig_size, vertices)
     views, meshes = rotation.shape[0], batch_of(vertices, 2)
     if meshes != 1:
         batch_size(vertices=meshes, camera=views)
     width = _width(camera, vertices.device, max(views, meshes))
     return vertices if vertices.dim() == 3 else vertices[None], rotation, origin, width
+
+
+def _with_lens(camera: Camera, intrinsics: Tensor, size: tuple[float, float], like: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the axes and the position of the pinhole of width 1 that shows what a camera with K [1 or B, 3, 3] shows.
+
+    The axes, [1 or B, 3, 3], include the scale and the shift of K: they are neither perpendicular nor of length 1.
+    """
+    parts = intrinsics, camera.rotation, camera.origin, camera.translation
+    lens, turn, place, move = (on_device(part, like).double() for part in parts)
+    height, width = size
+    last = torch.eye(3, dtype=lens.dtype, device=like.device)[2]
+    across = torch.stack((2 * lens[..., 0, :] / width - last, last - 2 * lens[..., 1, :] / height, lens[..., 2, :]), -2)
+    x, y, z = turn.unbind(-2)
+    # The inverse of a rotation that may be rounded.
+    cross = torch.linalg.cross
+    moved = torch.stack((cross(y, z), cross(z, x), cross(x, y)), -1) / (x * cross(y, z)).sum(-1)[..., None, None]
+    place = place - rotate(moved, move[..., None, :])[..., 0, :]
+    return rotate(turn.mT, across).float(), place.float()
 
 
 def _by_camera(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
@@ -98,6 +122,8 @@ def _by_camera(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
 def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
     """Return the tangent of half the field of view, or the scale of an orthographic camera, [1 or B] float32."""
     is_angle = camera.viewing_angle is not None
+    if camera.K is not None and camera.orig_size is not None:  # K holds the width
+        return _constant(1.0, False, device)
     if is_angle:
         name, width = "angle", viewing_angle("angle", camera.viewing_angle, torch.float32, device)
     else:

@@ -26,6 +26,7 @@ from .ops.pinhole import pinhole
 from .ops.project_corners import project_corners
 from .settings import Settings
 from .warp.launch import load_ahead
+from .warp.layout import in_any_order
 from .warp.registration import is_plain, needs_gradient
 
 Functions = tuple[Callable[..., Any], ...]
@@ -59,7 +60,7 @@ def load_kernels(
         return
     moving = needs_gradient(*positions)
     # The modules that take longest to compile come first.
-    cubes = "rgb" in outputs and colors == CUBES
+    cubes = "rgb" in outputs and colors == CUBES and in_any_order(positions[0].device)
     needed: Functions = settings.gradient.operators(set(outputs) == {"alpha"}, cubes) if moving else ()
     needed += (*scene, *colors) if "rgb" in outputs else scene[: len(PROJECTION)]
     if "depth" in outputs:

@@ -8,12 +8,17 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
 
 from .. import validate
 from .background import background_image
-from .colors.edge_hashes import texture_edge_hashes
+from .colors.edge_hashes import CubeEdges
 from .colors.texture_cubes import sample_textures
 from .visible import VisibleFaces
+from .warp.registration import is_plain
+
+_MANY = 1 << 16  # numbers that take longer to read than to look up
+_finite = WeakTensorKeyDictionary()  # of large textures: their state when all numbers were finite
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +60,7 @@ def cube_colors(
     rgb = sample_textures(cubes, factors, behind, inside, *options)
     if of_vertices and light is None and visible.rings is not None and visible.rings.alone == 0:
         return rgb, None
-    return rgb, lambda: texture_edge_hashes(cubes, factors, firsts)
+    return rgb, CubeEdges(cubes.detach(), factors.detach(), firsts)
 
 
 def checked_colors(
@@ -98,8 +103,20 @@ def _fitting_textures(textures: Any, batch: int, count: int, device: torch.devic
         raise ValueError(
             f"textures: expected [{batch} or 1, {count}, T, T, T, 3] like faces, got {validate.shape_of(textures)}"
         )
-    validate.finite("textures", textures)
+    _finite_once(textures)
     return textures
+
+
+def _finite_once(textures: Tensor) -> None:
+    """Raise ValueError if a texel is not finite; large textures are read again only if torch counts a change."""
+    base = textures if textures._base is None else textures._base  # an indexed tensor is a new one in every call
+    known = textures.numel() >= _MANY and is_plain((base,)) and not base.is_inference()
+    state = (base._version, textures.data_ptr(), textures.shape, textures.stride()) if known else None
+    if known and _finite.get(base) == state:
+        return
+    validate.finite("textures", textures)
+    if known and validate.values_are_checked(textures):
+        _finite[base] = state
 
 
 def _checked_light(light: Tensor | None, batch: int, count: int, device: torch.device) -> Tensor:

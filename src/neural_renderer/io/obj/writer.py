@@ -21,7 +21,7 @@ from ..atomic_write import replacing
 from ..files import mesh_to_write
 from .mtl import statements
 
-PNG_LEVEL = 4
+PNG_LEVEL = 2
 """Compression of images beside meshes: they have noise, and 6, Pillow's default, takes twice the time for 8% less."""
 
 

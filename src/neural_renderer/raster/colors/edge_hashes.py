@@ -8,18 +8,23 @@ never matches.
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
 
 from ..warp.launch import launch
-from ..warp.layout import images_of
+from ..warp.layout import images_of, readable
 from ..warp.native import Kernels
-from ..warp.registration import fake, operator
+from ..warp.registration import fake, is_plain, operator
 from .texture_cubes import lit_cubes
 
 _KERNELS = Kernels(__name__, "edge_hashes.h")
 _Scene, _HashEdges = _KERNELS.struct("Scene"), _KERNELS.struct("HashEdges")
 _hash_edges = _KERNELS.kernel("hash_edges", _HashEdges)
+
+_kept = WeakTensorKeyDictionary()  # of images of faces: copies of uv and of them, and the hashes of both
 
 # The numbers of `edge_hashes.h`.
 _ODD = 0x9E3779B97F4A7C15 - 2**64  # the golden ratio in 64 bits, whose powers have well-mixed bits
@@ -46,6 +51,19 @@ def _(textures: Tensor, light: Tensor, firsts: Tensor | None) -> Tensor:
     return textures.new_empty((_images(textures, light, firsts), light.shape[2], 3, 2), dtype=torch.int64)
 
 
+@dataclass(frozen=True, eq=False)
+class CubeEdges:
+    """The function that returns `texture_edge_hashes`, and its arguments, for who compares colours without hashes."""
+
+    textures: Tensor
+    light: Tensor
+    firsts: Tensor | None
+
+    def __call__(self) -> Tensor:
+        """Hash the colours along edges."""
+        return texture_edge_hashes(self.textures, self.light, self.firsts)
+
+
 def _images(textures: Tensor, light: Tensor, firsts: Tensor | None) -> int:
     return images_of(textures, light) if firsts is None else len(firsts) - 1
 
@@ -59,12 +77,28 @@ def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> 
     Returns:
         [1 or B, F, 3, 2] int64, as from `texture_edge_hashes`.
     """
+    hashes = _kept_hashes(uv.detach(), image_index) if readable(uv.device) else _image_hashes(uv.detach(), image_index)
+    return hashes if light is None else _never_zero(hashes + _light_hash(light))
+
+
+def _kept_hashes(uv: Tensor, image_index: Tensor) -> Tensor:
+    """Return `_image_hashes`, kept as long as the images of faces, and compared with what was hashed."""
+    if not is_plain((uv, image_index)):
+        return _image_hashes(uv, image_index)
+    known = _kept.get(image_index)
+    if known is None or not (torch.equal(known[0], uv) and torch.equal(known[1], image_index)):
+        with torch.inference_mode(False):
+            copies = uv.clone(), image_index.clone()
+            known = _kept[image_index] = (*copies, _image_hashes(*copies))
+    return known[2]
+
+
+def _image_hashes(uv: Tensor, image_index: Tensor) -> Tensor:
     uv, image = (uv, image_index) if uv.dim() == 4 else (uv[None], image_index[None])
-    corners = _hash(torch.cat((_bits(uv.detach()).long(), image.long()[..., None, None].expand(-1, -1, 3, 1)), 3))
+    corners = _hash(torch.cat((_bits(uv).long(), image.long()[..., None, None].expand(-1, -1, 3, 1)), 3))
     hashes = _along(corners)
     own = _hash(torch.arange(uv.shape[1], device=uv.device)[:, None] + 1)[:, None, None]
-    hashes = _mixed(torch.where(image[..., None, None] < 0, own, hashes))
-    return _never_zero(hashes if light is None else hashes + _light_hash(light))
+    return _never_zero(_mixed(torch.where(image[..., None, None] < 0, own, hashes)))
 
 
 def attribute_edge_hashes(values: Tensor) -> Tensor:

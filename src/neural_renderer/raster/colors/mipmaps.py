@@ -159,7 +159,7 @@ def sample_mipmaps_backward(
     """
     batch, rows, columns = face_index.shape
     to_texels = zeros(texels.shape if texels_too else (0, 0, 0), texels.device)
-    to_uv = zeros(uv.shape, uv.device)
+    to_uv = empty(uv.shape, uv.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
     if texels_too and not in_any_order(texels.device):
         each = batch * rows // max(len(texels), 1)

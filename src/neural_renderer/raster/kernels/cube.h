@@ -54,31 +54,46 @@ struct CubeCoordinates {
     }
 };
 
+// The texels around points in a cube: the first of two along each axis, and the shares of the second ones.
+template <class F>
+struct CubePoints {
+    typedef typename Lanes<F>::Ints Ints;
+    Ints first;  // the first texel along all axes
+    F up[3];
+    typename Lanes<F>::Mask free[3];
+
+    NR_FUNC CubePoints(const CubeCoordinates<F>& inside, int size) : first{} {
+        for (int k = 0; k < 3; ++k) {
+            const Ints down = to_ints(inside.at[k]);  // the last texel has no other one after it
+            const Ints low = size == 1 ? down : select(down < size - 1, down, Ints{} + (size - 2));
+            first = first * size + low, up[k] = inside.at[k] - to_floats(low), free[k] = inside.free[k];
+        }
+    }
+};
+
 // The point of one pixel, in a cube of any size, or between corners (size 0). A cube of one texel has nothing to blend.
 struct Cube {
-    int size, low[3];  // the first of the two texels along each axis
-    float up[3];       // the share of the second one, or of a corner
+    int size, first;  // see `CubePoints`
+    float up[3];      // shares of the second texels, or of corners
     bool free[3];
 
-    NR_FUNC Cube(const float* weights, int texels, float eps) : size(texels) {
-        const CubeCoordinates<float> inside(weights, size, eps);
+    NR_FUNC Cube(const float* weights, int texels, float eps) : size(texels), first(0) {
+        if (size > 0) set(CubePoints<float>({weights, size, eps}, size), 0);
+        for (int k = 0; k < 3 && size == 0; ++k) up[k] = weights[k], free[k] = true;
+    }
+    // The point of one of several pixels.
+    template <class F>
+    NR_FUNC Cube(const CubePoints<F>& points, int pixel, int texels) : size(texels) {
+        set(points, pixel);
+    }
+    template <class F>
+    NR_FUNC void set(const CubePoints<F>& points, int n) {
+        first = lane_in_memory(points.first, n);
         for (int k = 0; k < 3; ++k)
-            if (size == 0) up[k] = weights[k];
-            else set(k, inside.at[k], inside.free[k]);
-    }
-#if NR_LANES
-    // The point of one of eight pixels.
-    Cube(const CubeCoordinates<floats8>& inside, int pixel, int texels) : size(texels) {
-        for (int k = 0; k < 3; ++k) set(k, inside.at[k][pixel], inside.free[k][pixel] != 0);
-    }
-#endif
-    NR_FUNC void set(int axis, float at, bool is_free) {
-        const int down = (int)at;  // the last texel has no other one after it
-        low[axis] = down < size - 1 || size == 1 ? down : size - 2;
-        free[axis] = is_free, up[axis] = at - (float)low[axis];
+            up[k] = lane_in_memory(points.up[k], n), free[k] = lane_in_memory(points.free[k], n) != 0;
     }
     NR_FUNC float part(int axis, int above) const { return above ? up[axis] : 1.0f - up[axis]; }
-    NR_FUNC int texel(int i, int j, int k) const { return ((low[0] + i) * size + low[1] + j) * size + low[2] + k; }
+    NR_FUNC int texel(int i, int j, int k) const { return first + (i * size + j) * size + k; }
     NR_FUNC vec3 blend(const vec3* texels) const {
         if (size == 1) return texels[0];
         if (size == 0) {

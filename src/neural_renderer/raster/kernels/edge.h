@@ -6,6 +6,7 @@
 #pragma once
 
 #include "crossings.h"
+#include "edge_hashes.h"
 #include "neighbors.h"
 
 namespace nr {
@@ -39,7 +40,8 @@ struct Edges {
     const int* visible;   // mask of visible faces, [images, count + 1]
     int seams;            // whether colours may jump between adjacent faces
     EdgeHashes edge_hashes;
-    Queue queue;  // faces that may have an edge to move; on CUDA
+    LitCubes textures;  // or what would be hashed; its texels are null otherwise
+    Queue queue;        // faces that may have an edge to move; on CUDA
 
     NR_FUNC const int* adjacent(int image, int f) const {
         return neighbors.adjacent + ((int64)image * scene.count + f) * 3;
@@ -223,11 +225,14 @@ NR_FUNC void gain_of_seam(const Lines& lines, const BoundaryEdge& edge, const Cr
 // Whether the colours along edge k of face f are those of the same edge of the adjacent face g. A hash of 0 matches
 // nothing.
 NR_FUNC bool colors_continue(const Edges& call, int image, int f, int k, int g) {
-    const int64 own = call.edge_hashes.of(image, f, k, 0);
-    if (own == 0) return false;
+    const bool hashed = !call.textures.texels;
+    const int64 own = hashed ? call.edge_hashes.of(image, f, k, 0) : 0;
+    if (hashed && own == 0) return false;
     const vec3 *v = call.scene.corners(image, f), *u = call.scene.corners(image, g);
     for (int m = 0; m < 3; ++m)
-        if (same(u[(m + 1) % 3], v[k]) && same(u[m], v[(k + 1) % 3])) return call.edge_hashes.of(image, g, m, 1) == own;
+        if (same(u[(m + 1) % 3], v[k]) && same(u[m], v[(k + 1) % 3]))
+            return hashed ? call.edge_hashes.of(image, g, m, 1) == own
+                          : same_colors(call.scene, call.textures, image, f, k, g, m);
     return false;
 }
 

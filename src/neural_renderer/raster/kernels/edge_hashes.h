@@ -31,37 +31,57 @@ NR_FUNC uint64 add_color(uint64 hash, const vec3& color) {
     return hash;
 }
 
-// The edges of one face of one image: the texels, or corners, that are blended on them, under the light on both sides.
-NR_FUNC void hash_edges(const HashEdges& call, int task) {
-    const LitCubes& textures = call.textures;
-    const int b = task / call.scene.count, f = task % call.scene.count, size = textures.size;
-    int64* to = call.hashes + (int64)task * 6;
-    if (!textures.has(b, f)) {
-        for (int n = 0; n < 6; ++n) to[n] = 0;
-        return;
-    }
-    const vec3* cube = textures.cube(call.scene, b, f);
-    const vec3 &front = textures.light_on(call.scene, b, f, 0), &back = textures.light_on(call.scene, b, f, 1);
-    const uint64 light = mixed(add_color(add_color(0, front), back));
-    // Steps from texel to texel along the axis of the edge's first corner, and of its second.
-    const int64 square = (int64)size * size, along[3] = {square, size, 1}, beside[3] = {size, 1, square};
-    for (int k = 0; k < 3; ++k) {
-        uint64 hashes[2] = {0, 0};
+// The hash of the light on both sides of a face.
+NR_FUNC uint64 hash_light(const Scene& scene, const LitCubes& textures, int image, int f) {
+    const vec3 &front = textures.light_on(scene, image, f, 0), &back = textures.light_on(scene, image, f, 1);
+    return mixed(add_color(add_color(0, front), back));
+}
+
+// The hashes of edge k of a face, in this direction and in the other: of the texels, or corners, that are blended on
+// it.
+struct EdgeHash {
+    uint64 there = 0, back = 0;
+
+    NR_FUNC EdgeHash(const Scene& scene, const LitCubes& textures, int image, int f, int k) {
+        const vec3* cube = textures.cube(scene, image, f);
+        const int size = textures.size;
         if (size == 0) {
             const uint64 first = mixed(add_color(0, cube[k])), second = mixed(add_color(0, cube[(k + 1) % 3]));
-            hashes[0] = mixed(first + THERE) + mixed(second + BACK);
-            hashes[1] = mixed(first + BACK) + mixed(second + THERE);
+            there = mixed(first + THERE) + mixed(second + BACK);
+            back = mixed(first + BACK) + mixed(second + THERE);
         }
+        // Steps from texel to texel along the axis of the edge's first corner, and of its second.
+        const int64 square = (int64)size * size;
+        const int64 along = k == 0 ? square : k == 1 ? size : 1, beside = k == 0 ? size : k == 1 ? 1 : square;
         for (int i = 0; i < size; ++i)
             for (int j = larger(size - 2 - i, 0); j <= smaller(size - i, size - 1); ++j) {
-                const uint64 color = mixed(add_color(0, cube[i * along[k] + j * beside[k]]));
-                hashes[0] += mixed(color + (uint64)i * THERE + (uint64)j * BACK);
-                hashes[1] += mixed(color + (uint64)j * THERE + (uint64)i * BACK);
+                const uint64 color = mixed(add_color(0, cube[i * along + j * beside]));
+                there += mixed(color + (uint64)i * THERE + (uint64)j * BACK);
+                back += mixed(color + (uint64)j * THERE + (uint64)i * BACK);
             }
-        for (int n = 0; n < 2; ++n, ++to) {
-            *to = (int64)(hashes[n] + light);
-            if (*to == 0) *to = 1;  // 0 matches nothing
-        }
+    }
+};
+
+// Whether the colours along edge k of face f are those of edge m of face g, in the other direction, under light.
+NR_FUNC bool same_colors(const Scene& scene, const LitCubes& textures, int image, int f, int k, int g, int m) {
+    if (!textures.has(image, f) || !textures.has(image, g)) return false;
+    return hash_light(scene, textures, image, f) == hash_light(scene, textures, image, g)
+        && EdgeHash(scene, textures, image, f, k).there == EdgeHash(scene, textures, image, g, m).back;
+}
+
+// The edges of one face of one image, under light.
+NR_FUNC void hash_edges(const HashEdges& call, int task) {
+    const int b = task / call.scene.count, f = task % call.scene.count;
+    int64* to = call.hashes + (int64)task * 6;
+    const bool known = call.textures.has(b, f);
+    const uint64 light = known ? hash_light(call.scene, call.textures, b, f) : 0;
+    for (int k = 0; k < 3; ++k, to += 2) {
+        to[0] = to[1] = 0;
+        if (!known) continue;
+        const EdgeHash own(call.scene, call.textures, b, f, k);
+        to[0] = (int64)(own.there + light), to[1] = (int64)(own.back + light);
+        for (int n = 0; n < 2; ++n)
+            if (to[n] == 0) to[n] = 1;  // 0 matches nothing
     }
 }
 

@@ -14,7 +14,10 @@ namespace nr {
 // Whether neighbouring threads take what the lanes of a vector take elsewhere.
 constexpr bool THREADS_ARE_LANES = !NR_LANES;
 
-NR_FUNC float select(bool mask, float yes, float no) { return mask ? yes : no; }
+template <class T>
+NR_FUNC T select(bool mask, T yes, T no) {
+    return mask ? yes : no;
+}
 
 // The same number in all lanes.
 template <class F, class T>
@@ -22,7 +25,8 @@ NR_FUNC F all(T value) {
     return F{} + value;
 }
 
-// The types that belong to F: Mask, of comparisons, and Ints, of whole numbers; WIDTH counts its lanes.
+// The types that belong to F: Mask, of comparisons, Ints, of whole numbers, and Places, of places in memory, which a
+// vector has only of small arrays; WIDTH counts its lanes.
 template <class F>
 struct Lanes;
 
@@ -30,6 +34,7 @@ template <>
 struct Lanes<float> {
     typedef bool Mask;
     typedef int Ints;
+    typedef int64 Places;
     static constexpr int WIDTH = 1;
 };
 
@@ -46,11 +51,17 @@ NR_FUNC int lowest_bit(unsigned number) {
 
 // Number n of a vector, or the only one.
 NR_FUNC float lane(float value, int) { return value; }
+NR_FUNC int lane(int value, int) { return value; }
+NR_FUNC int64 lane(int64 value, int) { return value; }
+NR_FUNC bool lane(bool value, int) { return value; }
 NR_FUNC void set_lane(float& value, int, float to) { value = to; }
 
 NR_FUNC float to_floats(int value) { return (float)value; }
+NR_FUNC int to_ints(float value) { return (int)value; }
+NR_FUNC float floor_of(float value) { return floorf(value); }
 NR_FUNC bool any(bool mask) { return mask; }
 NR_FUNC float sum(float value) { return value; }
+NR_FUNC void load(const vec2* from, float* to) { to[0] = from[0][0], to[1] = from[0][1]; }
 #if !NR_LANES
 typedef float floats_at_once;  // as many numbers as a loop over memory takes at once
 #endif
@@ -117,6 +128,7 @@ template <>
 struct Lanes<floats8> {
     typedef ints8 Mask;
     typedef ints8 Ints;
+    typedef ints8 Places;
     static constexpr int WIDTH = 8;
 };
 template <>
@@ -130,9 +142,19 @@ inline floats8 select(ints8 mask, floats8 yes, floats8 no) { return mask ? yes :
 inline floats16 select(ints16 mask, floats16 yes, floats16 no) { return mask ? yes : no; }
 inline ints8 select(ints8 mask, ints8 yes, ints8 no) { return mask ? yes : no; }
 inline float lane(floats8 values, int n) { return values[n]; }
+inline int lane(ints8 values, int n) { return values[n]; }
 inline void set_lane(floats8& values, int n, float to) { values[n] = to; }
 inline floats8 to_floats(ints8 values) { return __builtin_convertvector(values, floats8); }
 inline floats16 to_floats(ints16 values) { return __builtin_convertvector(values, floats16); }
+inline ints8 to_ints(floats8 values) { return __builtin_convertvector(values, ints8); }
+inline floats8 floor_of(floats8 values) {
+#if defined(__clang__)
+    return __builtin_elementwise_floor(values);
+#else
+    for (int n = 0; n < 8; ++n) values[n] = floorf(values[n]);
+    return values;
+#endif
+}
 
 template <class Ints>
 inline bool any_lane(Ints mask) {
@@ -185,6 +207,13 @@ inline floats4 as_vector(const vec3& value) {
 }
 inline vec3 as_vec3(floats4 value) { return {value[0], value[1], value[2]}; }
 
+// Two numbers of each of eight pixels that lie side by side.
+inline void load(const vec2* from, floats8* to) {
+    const floats8 u = load<floats8>(from->c), v = load<floats8>(from->c + 8);
+    to[0] = __builtin_shufflevector(u, v, 0, 2, 4, 6, 8, 10, 12, 14);
+    to[1] = __builtin_shufflevector(u, v, 1, 3, 5, 7, 9, 11, 13, 15);
+}
+
 // Three channels of eight pixels that lie side by side, as in an array of vec3.
 inline void load(const vec3* from, floats8* to) {
     const float* at = from->c;
@@ -206,5 +235,11 @@ inline void store(vec3* to, floats8 a, floats8 b, floats8 c) {
     store(to->c, u), store(to->c + 8, v), store(to->c + 16, w);
 }
 #endif  // NR_LANES
+
+// The same for a vector that lies in memory: compilers else write it there for each number that is read.
+template <class V>
+NR_FUNC decltype(lane(V{}, 0)) lane_in_memory(const V& values, int n) {
+    return ((const decltype(lane(V{}, 0))*)&values)[n];
+}
 
 }  // namespace nr

@@ -28,67 +28,136 @@ struct Samples {
 
 // The four texels of a level around a point.
 struct TexelBlock {
-    int64 first;  // place of the level's first texel
-    int64 width;  // texels of a row of the level
-    TexelPair x, y;
-    float share;  // share of the level in the sample
-
-    NR_FUNC int64 texel(int down, int right) const { return first + y.texel[down] * width + x.texel[right]; }
+    int64 texel[4];    // places: the row above, then the one below
+    float x[2], y[2];  // shares of the columns and of the rows
+    vec2 slope;        // of the position by the coordinate, in texels
+    float share;       // of the level in the sample
 };
 
-NR_FUNC TexelBlock block_of_level(const Mipmaps& maps, vec2 uv, int level, float share) {
-    int width = maps.width, height = maps.height;
-    int64 before = 0;
-    for (int k = 0; k < level; ++k) {
-        before += (int64)width * height;
-        width = width > 1 ? width >> 1 : 1, height = height > 1 ? height >> 1 : 1;
+// The blocks of several points, each in its own level.
+template <class F>
+struct TexelBlocks {
+    typedef typename Lanes<F>::Ints Ints;
+    typedef typename Lanes<F>::Places Places;
+    typedef decltype(lane(Places{}, 0)) Place;
+    Places texel[4];
+    F x[2], y[2], slope[2], share;
+
+    NR_FUNC void set(const Mipmaps& maps, const F* uv, Ints level, F part) {
+        const Ints width = halved(maps.width, level);
+        const TexelPair<F> across(uv[0], width, maps.repeat_u ? WRAP : CLAMP);
+        const TexelPair<F> down(1.0f - uv[1], halved(maps.height, level), maps.repeat_v ? WRAP : CLAMP);
+        Places first = {};
+        for (int k = 0; any(level > k); ++k) {
+            const Places before = Places{} + (Place)larger(maps.width >> k, 1) * larger(maps.height >> k, 1);
+            first += select(level > k, before, Places{});
+        }
+        for (int n = 0; n < 4; ++n) texel[n] = first + (Places{} + down.texel[n >> 1]) * width + across.texel[n & 1];
+        for (int k = 0; k < 2; ++k) x[k] = across.part[k], y[k] = down.part[k];
+        slope[0] = across.slope, slope[1] = down.slope, share = part;
     }
-    const TexelPair x(uv[0], width, maps.repeat_u ? WRAP : CLAMP);
-    const TexelPair y(1.0f - uv[1], height, maps.repeat_v ? WRAP : CLAMP);
-    return {before, width, x, y, share};
-}
+    NR_FUNC Ints halved(int side, Ints times) const {
+        const Ints half = (Ints{} + side) >> times;
+        return select(half > 0, half, Ints{} + 1);
+    }
+};
+
+// The blocks that a sample has shares of, two at most; none where no face is visible.
+template <class F>
+struct BlocksOfSample {
+    const TexelBlocks<F>* blocks;
+    int n, levels;
+
+    NR_FUNC TexelBlock operator[](int level) const {
+        const TexelBlocks<F>& all = blocks[level];
+        TexelBlock own;
+        for (int k = 0; k < 4; ++k) own.texel[k] = lane_in_memory(all.texel[k], n);
+        for (int k = 0; k < 2; ++k) own.x[k] = lane_in_memory(all.x[k], n), own.y[k] = lane_in_memory(all.y[k], n);
+        for (int k = 0; k < 2; ++k) own.slope[k] = lane_in_memory(all.slope[k], n);
+        own.share = lane_in_memory(all.share, n);
+        return own;
+    }
+};
 
 // The change of uv to the next pixel, or from the previous one; 0 if neither shows the same face.
-NR_FUNC vec2 change_of_uv(const vec2* uv, const int* shown, bool next, bool previous, int64 step) {
-    if (next && shown[step] == shown[0]) return {uv[step][0] - uv[0][0], uv[step][1] - uv[0][1]};
-    if (previous && shown[-step] == shown[0]) return {uv[0][0] - uv[-step][0], uv[0][1] - uv[-step][1]};
-    return {0.0f, 0.0f};
-}
-
-// log2 of the texels along the longer side of pixel i of row j from the top, clamped to the levels.
-NR_FUNC float level_at(const Mipmaps& maps, const Samples& samples, int64 pixel, int i, int j) {
-    if (maps.levels == 1) return 0.0f;
-    const vec2* uv = samples.uv + pixel;
-    const int* shown = samples.face_index + pixel;
-    const vec2 x = change_of_uv(uv, shown, i + 1 < samples.width, i > 0, 1);
-    const vec2 y = change_of_uv(uv, shown, j + 1 < samples.height, j > 0, samples.width);
-    const float w = (float)maps.width, h = (float)maps.height;
-    const float across = x[0] * x[0] * w * w + x[1] * x[1] * h * h;
-    const float down = y[0] * y[0] * w * w + y[1] * y[1] * h * h;
-    const float longest = across > down ? across : down;
-    if (!(longest > 1.0f)) return 0.0f;
-    const float chosen = 0.5f * log2f(longest), last = (float)(maps.levels - 1);
-    return chosen < last ? chosen : last;
-}
-
-// Call visit(block) for each level, at most two, that the sample at a pixel has a share of.
-template <class Visit>
-NR_FUNC void for_each_level(const Mipmaps& maps, const Samples& samples, int64 pixel, int i, int j, Visit visit) {
-    const float chosen = level_at(maps, samples, pixel, i, j);
-    const int low = (int)chosen;
-    for (int n = low; n < low + 2 && n < maps.levels; ++n) {
-        const float share = n == low ? 1.0f - (chosen - (float)low) : chosen - (float)low;
-        if (share > 0.0f) visit(block_of_level(maps, samples.uv[pixel], n, share));
+template <class F>
+NR_FUNC void change_of_uv(const vec2* uv, const int* shown, bool next, bool previous, int64 step, F* change) {
+    typedef typename Lanes<F>::Ints Ints;
+    const Ints face = load<Ints>(shown);
+    F here[2], other[2];
+    load(uv, here);
+    change[0] = change[1] = all<F>(0.0f);
+    if (previous) {
+        load(uv - step, other);
+        const auto same = load<Ints>(shown - step) == face;
+        for (int k = 0; k < 2; ++k) change[k] = select(same, here[k] - other[k], change[k]);
+    }
+    if (next) {
+        load(uv + step, other);
+        const auto same = load<Ints>(shown + step) == face;
+        for (int k = 0; k < 2; ++k) change[k] = select(same, other[k] - here[k], change[k]);
     }
 }
 
-// Call visit(image, pixel, i, j) for the pixels of a task; rows j count from the top.
+// log2 of the texels along the longer side of a pixel, clamped to the levels; of pixels from i on in row j from the
+// top.
+template <class F>
+NR_FUNC F level_at(const Mipmaps& maps, const Samples& samples, int64 pixel, int i, int j) {
+    F chosen = all<F>(0.0f);
+    if (maps.levels == 1) return chosen;
+    const vec2* uv = samples.uv + pixel;
+    const int* shown = samples.face_index + pixel;
+    F x[2], y[2];
+    change_of_uv(uv, shown, i + Lanes<F>::WIDTH < samples.width, i > 0, 1, x);
+    change_of_uv(uv, shown, j + 1 < samples.height, j > 0, samples.width, y);
+    const float w = (float)maps.width, h = (float)maps.height, last = (float)(maps.levels - 1);
+    const F across = x[0] * x[0] * w * w + x[1] * x[1] * h * h;
+    const F down = y[0] * y[0] * w * w + y[1] * y[1] * h * h;
+    const F longest = select(across > down, across, down);
+    for (int n = 0; n < Lanes<F>::WIDTH; ++n)
+        if (lane(longest, n) > 1.0f) set_lane(chosen, n, 0.5f * log2f(lane(longest, n)));
+    return select(chosen < last, chosen, all<F>(last));
+}
+
+// Call visit(pixel, sample) with the `BlocksOfSample` of pixels side by side.
+template <class F, class Visit>
+NR_FUNC void sample_levels(const Mipmaps& maps, const Samples& samples, int64 pixel, int i, int j, Visit visit) {
+    typedef typename Lanes<F>::Ints Ints;
+    TexelBlocks<F> blocks[2];
+    const int* shown = samples.face_index + pixel;
+    F share = all<F>(0.0f);
+    if (any(load<Ints>(shown) >= 0)) {
+        F uv[2];
+        load(samples.uv + pixel, uv);
+        const F chosen = level_at<F>(maps, samples, pixel, i, j);
+        const Ints low = to_ints(chosen);
+        share = chosen - to_floats(low);
+        blocks[0].set(maps, uv, low, 1.0f - share);
+        if (any(share > 0.0f)) blocks[1].set(maps, uv, low + 1, share);
+    }
+    for (int n = 0; n < Lanes<F>::WIDTH; ++n) {
+        const int levels = shown[n] < 0 ? 0 : lane(share, n) > 0.0f ? 2 : 1;
+        visit(pixel + n, BlocksOfSample<F>{blocks, n, levels});
+    }
+}
+
+// Call visit(image, pixel, sample) for the pixels of a task.
 template <class Visit>
-NR_FUNC void for_each_sample(const Samples& samples, int task, Visit visit) {
+NR_FUNC void for_each_sample(const Mipmaps& maps, const Samples& samples, int task, Visit visit) {
     const int height = samples.height, width = samples.width;
     const Pixels pixels = pixels_of_task(task, samples.each, samples.images * height, width);
-    for (int row = pixels.first; row < pixels.last; ++row)
-        for (int i = pixels.left; i < pixels.right; ++i) visit(row / height, (int64)row * width + i, i, row % height);
+    for (int row = pixels.first; row < pixels.last; ++row) {
+        const auto one = [&](int64 pixel, const auto& sample) { visit(row / height, pixel, sample); };
+        const int64 first = (int64)row * width;
+        for (int i = pixels.left; i < pixels.right; ++i) {
+#if NR_LANES
+            // Both neighbours of all eight lie in the row, and numbers of texels fit.
+            for (; i > 0 && i + 8 < width && maps.total < (1LL << 31); i += 8)
+                sample_levels<floats8>(maps, samples, first + i, i, row % height, one);
+#endif
+            sample_levels<float>(maps, samples, first + i, i, row % height, one);
+        }
+    }
 }
 
 struct SampleMipmaps {
@@ -99,67 +168,67 @@ struct SampleMipmaps {
 
 // Add a level's colours; ``channels`` apart from the call's, so that it may be known to the compiler.
 NR_FUNC void blend_block(const TexelBlock& block, const float* image, int channels, float* __restrict__ color) {
-    const float *x = block.x.part, *y = block.y.part;
-    const float* __restrict__ above[2] = {image + block.texel(0, 0) * channels, image + block.texel(0, 1) * channels};
-    const float* __restrict__ below[2] = {image + block.texel(1, 0) * channels, image + block.texel(1, 1) * channels};
-    const float up = block.share * y[0], down = block.share * y[1];
+    const float up = block.share * block.y[0], down = block.share * block.y[1];
+    const float* texel[4];
+    for (int n = 0; n < 4; ++n) texel[n] = image + block.texel[n] * channels;
     for (int c = 0; c < channels; ++c)
-        color[c] += up * (x[0] * above[0][c] + x[1] * above[1][c]) + down * (x[0] * below[0][c] + x[1] * below[1][c]);
+        color[c] += up * (block.x[0] * texel[0][c] + block.x[1] * texel[1][c])
+            + down * (block.x[0] * texel[2][c] + block.x[1] * texel[3][c]);
 }
 
 #if NR_LANES
-// The four texels of a block, of three channels each, as vectors: two of the row above and two of the one below.
+// The four texels of a block, of three channels each, as vectors.
 struct FourTexels {
     floats4 above[2], below[2];
 
     FourTexels(const TexelBlock& block, const vec3* image) {
         for (int k = 0; k < 2; ++k)
-            above[k] = as_vector(image[block.texel(0, k)]), below[k] = as_vector(image[block.texel(1, k)]);
+            above[k] = as_vector(image[block.texel[k]]), below[k] = as_vector(image[block.texel[2 + k]]);
     }
 };
 #endif
 
-// The colour of a pixel that shows a face, of three channels, the usual number.
-NR_FUNC vec3 sample_rgb(const SampleMipmaps& call, const float* image, int64 pixel, int i, int j) {
-    vec3 color = {};
-    for_each_level(call.maps, call.samples, pixel, i, j, [&](const TexelBlock& block) {
+// The colour of a pixel, of three channels, the usual number.
+template <class F>
+NR_FUNC vec3 sample_rgb(const float* image, const BlocksOfSample<F>& sample) {
 #if NR_LANES
+    floats4 color = {};
+    for (int k = 0; k < sample.levels; ++k) {
+        const TexelBlock block = sample[k];
         const FourTexels texels(block, (const vec3*)image);
-        const float *x = block.x.part, *y = block.y.part, up = block.share * y[0], down = block.share * y[1];
-        color += as_vec3(
-            up * (x[0] * texels.above[0] + x[1] * texels.above[1])
-            + down * (x[0] * texels.below[0] + x[1] * texels.below[1]));
+        const float *x = block.x, up = block.share * block.y[0], down = block.share * block.y[1];
+        color += up * (x[0] * texels.above[0] + x[1] * texels.above[1])
+            + down * (x[0] * texels.below[0] + x[1] * texels.below[1]);
+    }
+    return as_vec3(color);
 #else
-        blend_block(block, image, 3, color.c);
-#endif
-    });
+    vec3 color = {};
+    for (int k = 0; k < sample.levels; ++k) blend_block(sample[k], image, 3, color.c);
     return color;
+#endif
 }
 
 // The pixels of a task.
 NR_FUNC void sample_mipmaps(const SampleMipmaps& call, int task) {
     const int channels = call.maps.channels;
-    for_each_sample(call.samples, task, [&](int b, int64 pixel, int i, int j) {
-        float* color = call.result + pixel * channels;
-        for (int c = 0; c < channels; ++c) color[c] = 0.0f;
-        if (call.samples.face_index[pixel] < 0) return;
+    for_each_sample(call.maps, call.samples, task, [&](int b, int64 pixel, const auto& sample) {
         const float* image = call.maps.texels + call.maps.start(b);
+        float* color = call.result + pixel * channels;
         if (channels == 3) {
-            *(vec3*)color = sample_rgb(call, image, pixel, i, j);
+            *(vec3*)color = sample_rgb(image, sample);
             return;
         }
-        for_each_level(call.maps, call.samples, pixel, i, j, [&](const TexelBlock& block) {
-            blend_block(block, image, channels, color);
-        });
+        for (int c = 0; c < channels; ++c) color[c] = 0.0f;
+        for (int k = 0; k < sample.levels; ++k) blend_block(sample[k], image, channels, color);
     });
 }
 
 // The slope of a value along rows of texels, which run down, and along columns, by the values of a block's texels.
 NR_FUNC vec2 slope_of_block(const TexelBlock& block, const float* values) {
-    const float *x = block.x.part, *y = block.y.part;
+    const float *x = block.x, *y = block.y;
     return {
-        (y[0] * (values[1] - values[0]) + y[1] * (values[3] - values[2])) * block.x.slope,
-        (x[0] * (values[2] - values[0]) + x[1] * (values[3] - values[1])) * block.y.slope};
+        (y[0] * (values[1] - values[0]) + y[1] * (values[3] - values[2])) * block.slope[0],
+        (x[0] * (values[2] - values[0]) + x[1] * (values[3] - values[1])) * block.slope[1]};
 }
 
 struct SampleMipmapsBackward {
@@ -168,62 +237,61 @@ struct SampleMipmapsBackward {
     const float* grad;  // [images, height, width, channels]
     int texels_too;     // whether the gradient to texels is asked for
     float* to_texels;   // [owners, total, channels], 0 before
-    vec2* to_uv;        // [images, height, width], 0 before
+    vec2* to_uv;        // [images, height, width]
 };
 
 // Send a level's gradients to its texels, unless ``to`` is null, and to the place in it. On the CPU
 // one task writes an image's texels.
 NR_FUNC void blend_block_backward(
     const TexelBlock& block, const float* image, int channels, const float* pull, float* to, vec2& to_uv) {
-    const float *x = block.x.part, *y = block.y.part;
-    const int64 above[2] = {block.texel(0, 0) * channels, block.texel(0, 1) * channels};
-    const int64 below[2] = {block.texel(1, 0) * channels, block.texel(1, 1) * channels};
     float gain[4] = {0.0f, 0.0f, 0.0f, 0.0f};  // gradient with respect to each texel's weight
     for (int c = 0; c < channels; ++c) {
         const float g = block.share * pull[c];
-        gain[0] += g * image[above[0] + c], gain[1] += g * image[above[1] + c];
-        gain[2] += g * image[below[0] + c], gain[3] += g * image[below[1] + c];
-        if (!to) continue;
-        add_product(to + above[0] + c, g * y[0], x[0]);
-        add_product(to + above[1] + c, g * y[0], x[1]);
-        add_product(to + below[0] + c, g * y[1], x[0]);
-        add_product(to + below[1] + c, g * y[1], x[1]);
+        for (int n = 0; n < 4; ++n) {
+            const int64 place = block.texel[n] * channels + c;
+            gain[n] += g * image[place];
+            if (to) add_product(to + place, g * block.y[n >> 1], block.x[n & 1]);
+        }
     }
     const vec2 slope = slope_of_block(block, gain);
     to_uv[0] += slope[0], to_uv[1] += slope[1];
 }
 
+#if NR_LANES
+// The same for three channels.
+inline void blend_rgb_backward(const TexelBlock& block, const vec3* image, const vec3& pull, vec3* to, vec2& to_uv) {
+    const FourTexels texels(block, image);
+    const float *x = block.x, *y = block.y;
+    const floats4 g = block.share * as_vector(pull);
+    const floats4 right = y[0] * (texels.above[1] - texels.above[0]) + y[1] * (texels.below[1] - texels.below[0]);
+    const floats4 down = x[0] * (texels.below[0] - texels.above[0]) + x[1] * (texels.below[1] - texels.above[1]);
+    to_uv[0] += dot(as_vec3(g), as_vec3(right)) * block.slope[0];
+    to_uv[1] += dot(as_vec3(g), as_vec3(down)) * block.slope[1];
+    for (int n = 0; n < 4 && to; ++n) {
+        vec3* texel = to + block.texel[n];
+        *texel = as_vec3(as_vector(*texel) + g * y[n >> 1] * x[n & 1]);
+    }
+}
+#endif
+
 // The pixels of a task.
 NR_FUNC void sample_mipmaps_backward(const SampleMipmapsBackward& call, int task) {
     const int channels = call.maps.channels;
-    for_each_sample(call.samples, task, [&](int b, int64 pixel, int i, int j) {
-        if (call.samples.face_index[pixel] < 0) return;
+    for_each_sample(call.maps, call.samples, task, [&](int b, int64 pixel, const auto& sample) {
         const float *image = call.maps.texels + call.maps.start(b), *pull = call.grad + pixel * channels;
         float* to = call.texels_too ? call.to_texels + call.maps.start(b) : nullptr;
         vec2 to_uv = {0.0f, 0.0f};  // gradient along rows of texels, which run down
-        for_each_level(call.maps, call.samples, pixel, i, j, [&](const TexelBlock& block) {
+        for (int k = 0; k < sample.levels; ++k) {
 #if NR_LANES
             if (channels == 3) {  // the usual number
-                const FourTexels texels(block, (const vec3*)image);
-                const float *x = block.x.part, *y = block.y.part;
-                const floats4 g = block.share * as_vector(*(const vec3*)pull);
-                const floats4 right =
-                    y[0] * (texels.above[1] - texels.above[0]) + y[1] * (texels.below[1] - texels.below[0]);
-                const floats4 down =
-                    x[0] * (texels.below[0] - texels.above[0]) + x[1] * (texels.below[1] - texels.above[1]);
-                to_uv[0] += dot(as_vec3(g), as_vec3(right)) * block.x.slope;
-                to_uv[1] += dot(as_vec3(g), as_vec3(down)) * block.y.slope;
-                for (int n = 0; n < 4 && to; ++n) {
-                    vec3* texel = (vec3*)to + block.texel(n >> 1, n & 1);
-                    *texel = as_vec3(as_vector(*texel) + g * y[n >> 1] * x[n & 1]);
-                }
-                return;
+                blend_rgb_backward(sample[k], (const vec3*)image, *(const vec3*)pull, (vec3*)to, to_uv);
+                continue;
             }
 #endif
-            if (channels == 3) blend_block_backward(block, image, 3, pull, to, to_uv);
-            else blend_block_backward(block, image, channels, pull, to, to_uv);
-        });
-        call.to_uv[pixel] = {to_uv[0], -to_uv[1]};
+            if (channels == 3) blend_block_backward(sample[k], image, 3, pull, to, to_uv);
+            else blend_block_backward(sample[k], image, channels, pull, to, to_uv);
+        }
+        call.to_uv[pixel] = {to_uv[0], 0.0f - to_uv[1]};
     });
 }
 
@@ -240,22 +308,20 @@ struct SampleMipmapsForward {
 NR_FUNC void sample_mipmaps_forward(const SampleMipmapsForward& call, int task) {
     const int channels = call.maps.channels;
     const int64 pixels = (int64)call.samples.images * call.samples.height * call.samples.width;
-    for_each_sample(call.samples, task, [&](int b, int64 pixel, int i, int j) {
-        if (call.samples.face_index[pixel] < 0) return;
+    for_each_sample(call.maps, call.samples, task, [&](int b, int64 pixel, const auto& sample) {
         const float* image = call.maps.texels + call.maps.start(b);
-        for_each_level(call.maps, call.samples, pixel, i, j, [&](const TexelBlock& block) {
-            int64 places[4];
-            for (int n = 0; n < 4; ++n) places[n] = block.texel(n >> 1, n & 1) * channels;
+        for (int k = 0; k < sample.levels; ++k) {
+            const TexelBlock block = sample[k];
             for (int c = 0; c < channels; ++c) {
                 float values[4];
-                for (int n = 0; n < 4; ++n) values[n] = block.share * image[places[n] + c];
+                for (int n = 0; n < 4; ++n) values[n] = block.share * image[block.texel[n] * channels + c];
                 const vec2 slope = slope_of_block(block, values);
                 for (int t = 0; t < call.directions; ++t) {
                     const vec2& by = call.motion[t * pixels + pixel];
                     call.change[(t * pixels + pixel) * channels + c] += slope[0] * by[0] - slope[1] * by[1];
                 }
             }
-        });
+        }
     });
 }
 

@@ -1,7 +1,7 @@
 // The two texels along one side of an image around a coordinate.
 #pragma once
 
-#include "platform.h"
+#include "lanes.h"
 
 namespace nr {
 
@@ -9,24 +9,33 @@ namespace nr {
 // zero, or on another face of the cube.
 constexpr int WRAP = 0, CLAMP = 1, ZERO = 2, CUBE = 3;
 
+// The pairs around a coordinate, or around those of several points.
+template <class F>
 struct TexelPair {
-    int texel[2];   // on the image for WRAP and CLAMP; else one step beyond it at most
-    float part[2];  // their shares
-    float slope;    // slope of the position by the coordinate, in texels
+    typename Lanes<F>::Ints texel[2];  // on the image for WRAP and CLAMP; else one step beyond it at most
+    F part[2];                         // their shares
+    F slope;                           // slope of the position by the coordinate, in texels
 
-    NR_FUNC TexelPair(float at, int size, int boundary, bool nearest = false) {
-        const float last = (float)(size - 1), beyond = boundary == CLAMP ? 0.0f : boundary == CUBE ? 0.5f : 1.0f;
-        const float raw = (boundary == WRAP ? at - floorf(at) : at) * (float)size - 0.5f;
-        const float x = clamp(raw, -beyond, last + beyond);  // a number for NaN coordinates, too
-        slope = x == raw ? (float)size : 0.0f;
-        const float low = floorf(nearest ? x + 0.5f : x);
-        part[1] = nearest ? 0.0f : x - low, part[0] = 1.0f - part[1];
-        int first = (int)low;
-        if (nearest && boundary != ZERO) first = larger(0, smaller(first, size - 1));
+    NR_FUNC TexelPair(F at, typename Lanes<F>::Ints size, int boundary, bool nearest = false) {
+        typedef typename Lanes<F>::Ints Ints;
+        const F sides = to_floats(size), last = sides - 1.0f;
+        const float beyond = boundary == CLAMP ? 0.0f : boundary == CUBE ? 0.5f : 1.0f;
+        const F raw = (boundary == WRAP ? at - floor_of(at) : at) * sides - 0.5f;
+        const F low_end = all<F>(-beyond), high_end = last + beyond;
+        // A number for NaN coordinates, too.
+        const F x = select(raw > low_end, select(raw < high_end, raw, high_end), low_end);
+        slope = select(x == raw, sides, all<F>(0.0f));
+        const F low = floor_of(nearest ? x + 0.5f : x);
+        part[1] = nearest ? all<F>(0.0f) : x - low, part[0] = 1.0f - part[1];
+        Ints first = to_ints(low);
+        if (nearest && boundary != ZERO) {
+            first = select(first < size, first, size - 1);
+            first = select(first > 0, first, Ints{});
+        }
         for (int k = 0; k < 2; ++k) {
-            int n = first + k;
-            if (boundary == WRAP) n = n < 0 ? n + size : n >= size ? n - size : n;
-            if (boundary == CLAMP) n = n >= size ? size - 1 : n;
+            Ints n = first + k;
+            if (boundary == WRAP) n = select(n < 0, n + size, select(n >= size, n - size, n));
+            if (boundary == CLAMP) n = select(n >= size, size - 1, n);
             texel[k] = n;
         }
     }

@@ -46,11 +46,10 @@ struct SampleRows {
         const vec3* cube = textures.cube(call.scene, place.image, place.face);
         if (textures.is_small()) CubeOfEight(points.weights, textures.size, textures.eps).blend(cube, mixed);
         else {
-            const CubeCoordinates<floats8> inside(points.weights, textures.size, textures.eps);
-            for (int n = 0; n < count; ++n) {
-                const vec3 own = Cube(inside, n, textures.size).blend(cube);
-                for (int c = 0; c < 3; ++c) mixed[c][n] = own[c];
-            }
+            const CubePoints<floats8> inside({points.weights, textures.size, textures.eps}, textures.size);
+            vec3 own[8];
+            for (int n = 0; n < count; ++n) own[n] = Cube(inside, n, textures.size).blend(cube);
+            load(own, mixed);
         }
         float* to = first(place);
         for (int c = 0; c < 3; ++c, to += call.scene.area()) {
@@ -122,18 +121,19 @@ struct CubeBackward {
             }
             if (call.faces_too) inside.slope(lit_cube, pull, to_weights);
         } else {
-            const CubeCoordinates<floats8> inside(points.weights, size, call.textures.eps);
-            for (int k = 0; k < 3; ++k) to_weights[k] = floats8{};
+            const CubePoints<floats8> inside({points.weights, size, call.textures.eps}, size);
+            vec3 pulls[8], slopes[8] = {};
+            store(pulls, pull[0], pull[1], pull[2]);
             for (unsigned left = bits(here); left; left &= left - 1) {
                 const int n = lowest_bit(left);
                 const Cube at(inside, n, size);
-                const vec3 own = {pull[0][n], pull[1][n], pull[2][n]}, seen = times(own, factor);
-                vec3 color, slope;
-                at.blend_and_slope(cube, seen, color, slope);
-                lit += times(color, own);
+                const vec3 seen = times(pulls[n], factor);
+                vec3 color;
+                at.blend_and_slope(cube, seen, color, slopes[n]);
+                lit += times(color, pulls[n]);
                 if (call.textures_too) at.scatter(to_cube, seen, alone);
-                for (int k = 0; k < 3; ++k) to_weights[k][n] = slope[k];
             }
+            load(slopes, to_weights);
         }
         if (call.faces_too) sums_of_eights.add(face, slopes, points, to_weights, floats8{}, here);
     }

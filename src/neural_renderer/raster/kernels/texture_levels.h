@@ -121,7 +121,7 @@ NR_FUNC LevelBlock block_at(const TextureLevels& texture, const Spot& spot, int 
         width = width > 1 ? width >> 1 : 1, height = height > 1 ? height >> 1 : 1;
     }
     const bool nearest = texture.filter == NEAREST;
-    const TexelPair s(spot.s, width, texture.boundary, nearest), t(spot.t, height, texture.boundary_t, nearest);
+    const TexelPair<float> s(spot.s, width, texture.boundary, nearest), t(spot.t, height, texture.boundary_t, nearest);
     LevelBlock block;
     block.x = s.part[1], block.y = t.part[1], block.slope_s = s.slope, block.slope_t = t.slope;
     block.missing = -1, block.share = share;

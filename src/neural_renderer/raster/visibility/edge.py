@@ -37,13 +37,14 @@ import torch
 from torch import Tensor
 
 from ..colors.downsample import averaged, change_averaged, changes_averaged, halve_backward, like_averaged
+from ..colors.texture_cubes import lit_cubes
 from ..ops.neighbors import Neighbors, neighbors, rings_of
 from ..ops.rings import Rings, count_alone
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp.launch import launch
 from ..warp.layout import cpu_bands, face_tasks, in_any_order
 from ..warp.memory import empty, zeros
-from ..warp.native import Kernels
+from ..warp.native import Call, Kernels
 from ..warp.queue import MOST_THREADS, empty_queue, line_threads, queue_of
 from ..warp.registration import differentiable, differentiable_once, fake, forward_operator, in_direction, operator
 from .intersections import add_intersections, pictures_of, push_intersections
@@ -73,6 +74,9 @@ def edge_gradient(
     alone: int = -1,
     below: int = 0,
     above: int = 0,
+    textures: Optional[Tensor] = None,  # noqa: UP045
+    light: Optional[Tensor] = None,  # noqa: UP045
+    firsts: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
     """Return the image, and in backward send a gradient through visibility to the faces.
 
@@ -84,9 +88,10 @@ def edge_gradient(
             False, edges between adjacent faces have no gradient, which is right, and less noisy, for interpolated
             colours.
         edge_hashes: [1 or B, F, 3, 2] int64 from `texture_edge_hashes` or `image_edge_hashes`. An edge whose hashes
-            match is not a seam. None: every edge may be a seam.
+            match is not a seam. None: every edge may be a seam, or `textures` tell.
         rings, alone: `Rings` for the vertex indices of the faces, which replace the search for adjacent faces.
         halved: Whether to average blocks of 2 x 2 pixels (anti-aliasing), which saves a copy of the image.
+        textures, light, firsts: Instead of hashes, what `texture_edge_hashes` would hash; not on CUDA.
 
     Returns:
         A copy of the image, [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``. Backward sends its gradient to
@@ -115,6 +120,9 @@ def edge_gradient_backward(
     alone: int = -1,
     below: int = 0,
     above: int = 0,
+    textures: Optional[Tensor] = None,  # noqa: UP045
+    light: Optional[Tensor] = None,  # noqa: UP045
+    firsts: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
     """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces; arguments as there.
 
@@ -126,7 +134,8 @@ def edge_gradient_backward(
         return result
     adjacent, search = _adjacent(faces, two_sided, perspective, rings, alone)
     strip = (below, above)
-    edges = Edges(image, grad, faces, face_index, adjacent, perspective, seams, edge_hashes, None, search, strip)
+    cubes = None if textures is None or light is None else lit_cubes(textures, light, firsts=firsts)
+    edges = Edges(image, grad, faces, face_index, adjacent, perspective, seams, edge_hashes, None, search, strip, cubes)
     edges.add_gradient(result)
     if image is not None:  # where two faces of a silhouette meet, both are 1
         add_intersections(result, grad, image, faces, face_index, adjacent, perspective, *strip)
@@ -154,6 +163,9 @@ def edge_gradient_forward(
     alone: int = -1,
     below: int = 0,
     above: int = 0,
+    textures: Optional[Tensor] = None,  # noqa: UP045
+    light: Optional[Tensor] = None,  # noqa: UP045
+    firsts: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
     """Compute the change of `edge_gradient` in T directions, [T, B, C, H, W] or halved; the transpose of its backward.
 
@@ -168,7 +180,9 @@ def edge_gradient_forward(
         return result
     adjacent, search = _adjacent(faces, two_sided, perspective, rings, alone)
     strip = (below, above)
-    edges = Edges(image, result[0], faces, face_index, adjacent, perspective, seams, edge_hashes, None, search, strip)
+    cubes = None if textures is None or light is None else lit_cubes(textures, light, firsts=firsts)
+    fields = (adjacent, perspective, seams, edge_hashes, None, search, strip, cubes)
+    edges = Edges(image, result[0], faces, face_index, *fields)
     edges.push(result, motion)
     if image is not None:
         push_intersections(result, motion, image, faces, face_index, adjacent, perspective, *strip)
@@ -202,6 +216,7 @@ class Edges:
             face receives the gradient. None: edges behind folds are hidden anyway.
         search: On CUDA, rings without edges that are alone, and ``two_sided``, to find ``adjacent``, which is written.
         strip: Rows of a whole image below and above this strip of it.
+        cubes: Instead of hashes, the `LitCubes` whose colours are compared; on the CPU.
     """
 
     def __init__(
@@ -217,10 +232,11 @@ class Edges:
         folds: Tensor | None = None,
         search: tuple[Rings, bool] | None = None,
         strip: tuple[int, int] = (0, 0),
+        cubes: Call | None = None,
     ) -> None:
         batch, height, width = face_index.shape
         self._faces, self._lines, device = faces, (height, width), faces.device
-        if edge_hashes is None and seams:
+        if edge_hashes is None and cubes is None and seams:
             edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=device)  # 0 matches nothing
         scene = scene_of(faces, face_index, perspective, *strip)
         rings, two_sided = search or (None, False)
@@ -235,6 +251,7 @@ class Edges:
             "folds": folds,
             "visible": visible_faces(face_index, faces.shape[1]),
             "seams": int(seams),
+            "textures": cubes,
         }
         if edge_hashes is not None:
             images, hashed = edge_hashes.shape[:2]
@@ -271,20 +288,21 @@ class Edges:
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    image, faces, face_index, *ctx.options, edge_hashes, rings, ctx.halved, ctx.alone, below, above = inputs
-    ctx.strip = (below, above)
-    ctx.save_for_backward(image, faces, face_index, edge_hashes, rings)  # callers may change the output in place
+    image, faces, face_index, *rest = inputs
+    ctx.options, ctx.strip = rest[:3], rest[7:9]
+    edge_hashes, rings, ctx.halved, ctx.alone = rest[3:7]
+    ctx.save_for_backward(image, faces, face_index, edge_hashes, rings, *rest[9:])  # callers may change the output
 
 
 def _backward(ctx: Any, grad: Tensor) -> Any:
-    image, faces, face_index, *rest = ctx.saved_tensors
+    image, faces, face_index, edge_hashes, rings, *cubes = ctx.saved_tensors
     to_image = to_faces = None
     if image is not None:
         to_image = grad = halve_backward(grad) if ctx.halved else grad
     if ctx.needs_input_grad[1]:
-        options = (*ctx.options, *rest, ctx.alone, *ctx.strip)
+        options = (*ctx.options, edge_hashes, rings, ctx.alone, *ctx.strip, *cubes)
         to_faces = edge_gradient_backward(grad, image, faces, face_index, *options)
-    return to_image, to_faces, *[None] * 10
+    return to_image, to_faces, *[None] * 13
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..colors.edge_hashes import texture_edge_hashes
+from ..colors.edge_hashes import CubeEdges, texture_edge_hashes
 from ..ops.neighbors import neighbors
 from ..ops.rings import Rings
 from ..warp.layout import in_any_order
@@ -185,9 +185,15 @@ class Derivative(Estimator):
         edge_hashes: Callable[[], Tensor] | None = None,
     ) -> Tensor:
         """See `Estimator.attach`."""
-        hashes = edge_hashes() if edge_hashes is not None and seams else None
+        hashes: Tensor | None = None
+        cubes: tuple[Tensor | None, ...] = ()
+        if isinstance(edge_hashes, CubeEdges) and not in_any_order(drawn.corners.device):
+            # The one task of a face compares the few edges that it needs.
+            cubes = (edge_hashes.textures, edge_hashes.light, edge_hashes.firsts)
+        elif edge_hashes is not None and seams:
+            hashes = edge_hashes()
         options = (drawn.two_sided, drawn.perspective, seams, hashes, *_rings_and_halved(drawn), *drawn.strip)
-        return edge_gradient(image, drawn.corners, drawn.face_index, *options)
+        return edge_gradient(image, drawn.corners, drawn.face_index, *options, *cubes)
 
     def attach_layers(
         self,

@@ -130,7 +130,9 @@ class ShapeFit(Adjustable):
         if self.step == self._color_from and self._colors is None:
             self._set_shape(self._vertices, self._faces, torch.full_like(self._vertices, 0.5))
         rows = views_of_step(len(self._views), self._batch, self._seed, self.step)
-        views = self._views[rows]
+        # Without colours only masks are copied.
+        known = self._views if self._colors is not None else replace(self._views, photos=None)
+        views = known[rows]
         parameters = [self._vertices.requires_grad_()]
         if self._colors is not None:
             parameters.append(self._colors.requires_grad_())
