@@ -139,5 +139,5 @@ def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
 @lru_cache(maxsize=64)
 def _constant(width: float, is_angle: bool, device: torch.device) -> Tensor:
     with torch.inference_mode(False):
-        value = torch.tensor([width], dtype=torch.float32)
+        value = torch.tensor([width], dtype=torch.float32, device="cpu")  # regardless of torch.set_default_device
         return (torch.tan(torch.deg2rad(value)) if is_angle else value).to(device)

@@ -42,12 +42,10 @@ class OpenDR(Estimator):
         seams: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
     ) -> Tensor:
-        """See `Estimator.attach`."""
         image = silhouette(drawn.face_index) if image is None else image
         return opendr_gradient(image, drawn.corners, drawn.face_index, drawn.perspective, drawn.halved)
 
     def needs_mask(self, device: torch.device) -> bool:
-        """See `Estimator.needs_mask`."""
         return False
 
 

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 _OUTPUTS = {"colour": "rgb", "silhouette": "alpha", "depth": "depth"}
 _HEIGHTS = (128, 256, 384, 512)
 _WIDTH = 380  # width of the picture, in pixels of the page
-_WHITE = (1.0, 1.0, 1.0)
 _SHAFT, _HEAD = 0.003, 0.008  # radii of arrows, relative to the size of the mesh
 _HEAD_LENGTH = 0.02
 
@@ -78,14 +77,9 @@ class RendererPanel:
             return
         if self._on.value:
             shown = [one for one in self._scene.meshes.values() if one.visible and len(one.snapshot.faces)]
-            self._image.image = picture(
-                [(one.snapshot, one.place) for one in shown],
-                self._view,
-                int(self._height.value),
-                output=_OUTPUTS[self._output.value],
-                lit=self._scene.look.lit,
-                background=_WHITE,
-            )
+            placed, height = [(one.snapshot, one.place) for one in shown], int(self._height.value)
+            output, lit = _OUTPUTS[self._output.value], self._scene.look.lit
+            self._image.image = picture(placed, self._view, height, output=output, lit=lit)
         self._draw_gradient(self._view)
 
     def _list_choices(self) -> None:
