@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from . import validate
-from .meshes.normals import face_normals
+from .meshes.normals import hinge_normals
 from .meshes.topology import Topology
 from .raster.warp.registration import is_eager
 
@@ -315,9 +315,8 @@ def smoothness(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "
 def _bend(vertices: Tensor, faces: Tensor | Topology) -> Tensor:
     """Compute 1 + cos θ = 1 − n·n' for each pair of adjacent faces, [I] or [B, I]."""
     vertices, topology = _prepared(vertices, faces)
-    v0, v1, v2, v3 = (vertices.index_select(-2, i) for i in topology.hinges.unbind(1))
-    normal = face_normals(torch.stack((v0, v1, v2), dim=-2))
-    neighbour = face_normals(torch.stack((v1, v0, v3), dim=-2))
+    corners = vertices.index_select(-2, topology.hinges.flatten()).unflatten(-2, topology.hinges.shape)
+    normal, neighbour = hinge_normals(corners)
     return 1 - (normal * neighbour).sum(-1)
 
 

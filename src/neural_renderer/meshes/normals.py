@@ -56,14 +56,24 @@ def face_normals(corners: Tensor) -> Tensor:
     shorter than 1, down to 0. Values and gradients are finite.
     """
     v0, v1, v2 = _in_range(validate.wide(corners), (-2, -1)).unbind(-2)
-    a, b = v0 - v1, v2 - v1
+    return _unit_cross(v0 - v1, v2 - v1).to(corners.dtype)
+
+
+def hinge_normals(corners: Tensor) -> tuple[Tensor, Tensor]:
+    """Compute `face_normals` of pairs of faces (v0, v1, v2) and (v1, v0, v3), from corners [..., 4, 3] in order."""
+    v0, v1, v2, v3 = _in_range(corners, (-2, -1)).unbind(-2)
+    side = v0 - v1
+    return _unit_cross(side, v2 - v1), _unit_cross(-side, v3 - v0)
+
+
+def _unit_cross(a: Tensor, b: Tensor) -> Tensor:
+    """Divide a × b by its length, and for slivers by more."""
     normal = torch.linalg.cross(a, b, dim=-1)
     # The first packages divide by max(area, 1e-5), which darkens the small faces of a fine mesh. Here the floor is
     # relative to the squared edge length: it affects slivers only, and equals theirs for edges longer than 1.
     size = torch.maximum((a * a).sum(-1, keepdim=True), (b * b).sum(-1, keepdim=True)).detach()
     floor = SMALLEST_SINE * size.clamp(1e-12, 1)
-    normal = normal / torch.maximum(torch.linalg.vector_norm(normal, dim=-1, keepdim=True), floor)
-    return normal.to(corners.dtype)
+    return normal / torch.maximum(torch.linalg.vector_norm(normal, dim=-1, keepdim=True), floor)
 
 
 def _corners(points: Tensor, faces: Tensor) -> Tensor:
