@@ -99,8 +99,8 @@ def _with_lens(camera: Camera, intrinsics: Tensor, size: tuple[float, float], li
     parts = intrinsics, camera.rotation, camera.origin, camera.translation
     lens, turn, place, move = (on_device(part, like).double() for part in parts)
     height, width = size
-    last = torch.eye(3, dtype=lens.dtype, device=like.device)[2]
-    across = torch.stack((2 * lens[..., 0, :] / width - last, last - 2 * lens[..., 1, :] / height, lens[..., 2, :]), -2)
+    last = torch.eye(3, dtype=lens.dtype, device=like.device)[2].expand_as(lens[..., 2, :])
+    across = torch.stack((2 * lens[..., 0, :] / width - last, last - 2 * lens[..., 1, :] / height, last), -2)
     x, y, z = turn.unbind(-2)
     # The inverse of a rotation that may be rounded.
     cross = torch.linalg.cross

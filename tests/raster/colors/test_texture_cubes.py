@@ -107,3 +107,13 @@ def test_colours_of_vertices_are_interpolated_attributes():
         *(torch.autograd.grad(each, leaves, to_image) for each in (colors, attributes)), strict=True
     ):
         assert (ours - theirs).norm() < 1e-5 * theirs.norm()
+
+
+def test_large_cubes_are_checked_again_after_a_change():
+    mesh = nr.Mesh.icosphere(3).replace(textures=torch.rand(1280, 3, 3, 3, 3))
+    camera = nr.Camera.look_at((0.0, 0.0, -3.0))
+    for _ in range(2):
+        nr.render(mesh, camera, 8, outputs=("rgb",))
+    mesh.textures[700, 1, 1, 1, 1] = torch.nan
+    with pytest.raises(ValueError, match="textures: expected finite numbers"):
+        nr.render(mesh, camera, 8, outputs=("rgb",))

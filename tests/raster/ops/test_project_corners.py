@@ -51,7 +51,36 @@ def test_gradients(device, cameras, meshes, orthographic, camera_too):
     theirs = torch.autograd.grad(exact, exact_leaves[:count], grad)
     for one, other in zip(ours, theirs, strict=True):
         # Each gradient is a sum of some hundreds of terms at most, each of some 30 roundings.
-        torch.testing.assert_close(one.double(), other, rtol=0, atol=1e-4 * float(other.abs().max()))
+        torch.testing.assert_close(one.double(), other, rtol=0, atol=1e-4 * other.detach().abs().max().item())
+
+
+@pytest.mark.parametrize("cameras, meshes", BATCHES)
+def test_cameras_with_intrinsics(device, cameras, meshes):
+    """Values and gradients, also to K and the translation, are those of the camera in float64."""
+
+    def corners(dtype, project):
+        (points, _, _), faces, _ = scene(device, cameras, meshes, dtype=dtype)
+        random = torch.Generator().manual_seed(2)
+        turns, _ = torch.linalg.qr(torch.randn(cameras, 3, 3, generator=random))
+        turns = (turns * torch.linalg.det(turns).sign()[:, None, None]).to(device)
+        K = torch.tensor([[90.0, 3.0, 40.0], [0.0, 110.0, 70.0], [0.0, 0.0, 1.0]]).repeat(cameras, 1, 1)
+        move = torch.tensor([0.2, -0.1, 9.0]) + 0.3 * torch.randn(cameras, 3, generator=random)
+        leaves = [points, *(part.to(device, dtype).requires_grad_() for part in (K, move))]
+        camera = nr.Camera.projection(leaves[1], turns.to(dtype), leaves[2], None, (100, 140))
+        found = project(camera, points, faces)
+        random = torch.Generator().manual_seed(0)
+        grad = torch.randn(found.shape, generator=random, dtype=torch.float64).to(device, dtype)
+        return found, *torch.autograd.grad(found, leaves, grad)
+
+    def exact(camera, points, faces):
+        screen = camera(points)
+        index = (faces if faces.dim() == 3 else faces[None]).clamp(min=0).expand(len(screen), -1, -1)
+        return screen.gather(1, index.flatten(1)[..., None].expand(-1, -1, 3)).unflatten(1, (-1, 3))
+
+    ours = corners(torch.float32, lambda camera, points, faces: screen_corners(camera, points, faces, 1.5)[0])
+    theirs = corners(torch.float64, exact)
+    for one, other, rounding in zip(ours, theirs, (1e-6, 1e-4, 1e-4, 1e-4), strict=True):
+        torch.testing.assert_close(one.double(), other, rtol=0, atol=rounding * other.detach().abs().max().item())
 
 
 def test_an_index_out_of_range_gives_nan_without_checks(device):

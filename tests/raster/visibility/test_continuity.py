@@ -7,6 +7,8 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.raster.colors.edge_hashes import image_edge_hashes, texture_edge_hashes
+from neural_renderer.raster.settings import Settings
+from neural_renderer.raster.visibility.edge import edge_gradient_backward
 from neural_renderer.tasks.texels import Texels
 from tests.rounding import rounding
 
@@ -95,6 +97,35 @@ def test_images_match_where_texture_coordinates_are_continuous(device):
     assert 0 < (~other).sum() < 100  # along the line between two images
     light = torch.rand(2, 2, len(faces), 3, device=device)
     assert not matches(image_edge_hashes(uv, one, light), faces).any()
+
+
+def test_kept_hashes_follow_changes_in_place():
+    uv, image = torch.rand(4, 3, 2), torch.zeros(4, dtype=torch.int64)
+    for change in (lambda: None, lambda: uv.mul_(0.5), lambda: uv.numpy().fill(0.25), lambda: image[2:].fill_(1)):
+        change()
+        assert torch.equal(image_edge_hashes(uv, image, None), image_edge_hashes(uv.clone(), image.clone(), None))
+
+
+@pytest.mark.parametrize("size", [0, 3, 4])
+def test_colors_are_compared_as_their_hashes(device, size):
+    """The gradient with the texels themselves is that with their hashes, equal to the bit."""
+    vertices, triangles = sphere(device)
+    faces, random = vertices[triangles.long()][None], torch.Generator().manual_seed(3)
+    texels = Texels.shared(triangles, max(size, 3))
+    cubes = texels.cubes(torch.rand(texels.count, 3, generator=random).to(device).round(decimals=2))[None]
+    if size == 0:
+        cubes = vertices[triangles.long()][None].clone()
+    cubes[:, 5:30] = torch.rand(cubes[:, 5:30].shape, generator=random).to(device)
+    light = torch.ones(1, 2, len(triangles), 3, device=device)
+    light[..., 60:90, :] = torch.rand(30, 3, generator=random).to(device)
+    settings = Settings.checked(48, 0.1, 100.0, 1e-3, False, False, True, "edge")
+    index = settings.face_index(faces)
+    image, grad = (torch.rand(1, 3, 48, 48, generator=random).to(device) for _ in range(2))
+    hashed, compared = (
+        edge_gradient_backward(grad, image, faces, index, False, True, True, *options)
+        for options in ((texture_edge_hashes(cubes, light),), (None, None, -1, 0, 0, cubes, light))
+    )
+    assert hashed.any() and torch.equal(hashed, compared)
 
 
 def test_render_finds_no_seams_in_a_continuous_texture(device):
