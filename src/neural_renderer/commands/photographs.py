@@ -1,0 +1,71 @@
+"""Cameras and masks of photographs that have none, for `neural-renderer fit`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from ..camera.files import CameraFile, find_camera_file, read_camera_file
+from ..tasks.fit import MaskRule
+from ..tasks.photos import copy_photographs, find_cameras, write_known_masks
+from ..tasks.photos.copies import IMAGES, MASKS
+from ..tasks.photos.copies import Progress as Report
+from ..tasks.photos.video import VIDEOS
+from .common import check_folder, say
+from .options import FitOptions
+
+_NAMED = 12  # most photographs named in a message
+
+
+def lacks_cameras(options: FitOptions) -> bool:
+    """Tell whether the cameras of the images have to be found first."""
+    if options.cameras is not None:
+        return options.cameras == "sfm"
+    if options.images.is_dir():
+        try:
+            find_camera_file(options.images)
+        except FileNotFoundError:
+            return True
+    return options.images.suffix.lower() in VIDEOS and options.images.is_file()
+
+
+def pose_photographs(options: FitOptions, rule: MaskRule) -> tuple[CameraFile, dict[str, str]]:
+    """Find cameras and masks of photographs; return the former, and the reason for each photograph that has none.
+
+    The folder of the results receives ``images``, ``masks`` and ``sparse/0``.
+    """
+    check_folder("--output", options.output)
+    if not options.images.exists():
+        raise FileNotFoundError(f"{options.images}: expected a folder of photographs or a video, got nothing there")
+    with _bars() as report:
+        photographs = copy_photographs(options.images, options.output, options.frames, report)
+        beside = [options.images / MASKS, options.images / "mask"]
+        has_masks = write_known_masks(photographs, [options.masks] if options.masks else beside, rule, report)
+        motion = find_cameras(photographs, report)
+    say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points", None)
+    for name, why in list(motion.missing.items())[:_NAMED]:
+        say(f"{name} is left out: {why}", "yellow")
+    if len(motion.missing) > _NAMED:
+        say(f"… and {len(motion.missing) - _NAMED} more; report.json names them", "yellow")
+    cameras = read_camera_file(motion.model / "images.bin")
+    return replace(cameras, folders=(options.output / IMAGES, options.output)), motion.missing
+
+
+@contextmanager
+def _bars() -> Iterator[Report]:
+    """Show bars of progress, one for each phase."""
+    columns = TextColumn("{task.description:<11}"), BarColumn(), TextColumn("{task.completed}/{task.total}")
+    with Progress(*columns, TimeElapsedColumn(), console=Console()) as progress:
+        bars: dict[str, int] = {}
+
+        def report(phase: str, done: int, total: int) -> None:
+            if phase not in bars:
+                bars[phase] = progress.add_task(phase, total=total)  # type: ignore[assignment]
+            progress.update(bars[phase], completed=done, total=total)  # type: ignore[arg-type]
+
+        yield report
