@@ -85,7 +85,9 @@ def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress
     images = _frames(source, frames, progress) if is_video else _images(files, refused, progress)
     sharpness = {name: _write(folder / IMAGES / name, image) for name, image in images}
     if len(refused) > _MOST_REFUSED * len(files):
-        raise ValueError(f"{source}: expected photographs, got files that cannot be read: {next(iter(refused.values()))}")
+        raise ValueError(
+            f"{source}: expected photographs, got files that cannot be read: {next(iter(refused.values()))}"
+        )
     content = {"identity": identity, "sharpness": sharpness, "refused": refused}
     write_file(listed, json.dumps(content, indent=1) + "\n")
     return Photographs(folder, sharpness, refused)
@@ -121,9 +123,7 @@ def _frames(source: Path, count: int, progress: Progress) -> Iterator[tuple[str,
     progress("frames", 2, 2)
 
 
-def _images(
-    files: Sequence[Path], refused: dict[str, str], progress: Progress
-) -> Iterator[tuple[str, Image.Image]]:
+def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) -> Iterator[tuple[str, Image.Image]]:
     """Yield photographs of one size with their names, and collect the reasons for those that cannot be read."""
     sizes: dict[Path, tuple[tuple[int, int], bool]] = {}  # width and height as stored, and whether EXIF turns them
     for file in files:
@@ -134,7 +134,9 @@ def _images(
             refused[file.name] = reason(error)
     upright = {(width > height) != turned for (width, height), turned in sizes.values()}
     side = min([SIDE, *(max(size) for size, _ in sizes.values())])
-    shape = tuple(max(values) for values in zip(*(_fit(size, t and len(upright) < 2, side) for size, t in sizes.values())))
+    shape = tuple(
+        max(values) for values in zip(*(_fit(size, t and len(upright) < 2, side) for size, t in sizes.values()))
+    )
     for done, (file, (size, turned)) in enumerate(sizes.items(), 1):
         try:
             with Image.open(file) as opened:

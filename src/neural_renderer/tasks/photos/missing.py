@@ -33,9 +33,7 @@ def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Colle
     return found
 
 
-def _reason(
-    sharpness: float, features: int, partners: list[tuple[int, str, bool]], placed: Collection[str]
-) -> str:
+def _reason(sharpness: float, features: int, partners: list[tuple[int, str, bool]], placed: Collection[str]) -> str:
     """Say why a photograph is not placed; its partners are the number of matches, a name, and whether they look flat."""
     if sharpness < _BLURRED:
         return f"blurred ({sharpness:.0%} as sharp as the others); hold still, or use more light"

@@ -14,7 +14,7 @@ import torch
 from ...io.files import import_library
 from .copies import IMAGES, MASKS, Photographs, Progress
 from .missing import reasons
-from .pieces import join_pieces
+from .pieces import adjust, join_pieces
 
 MODEL = "sparse/0"
 """Folder of the model, relative to that of the copies."""
@@ -192,7 +192,7 @@ def _map(colmap: Any, database: Path, folder: Path, count: int, progress: Progre
         pieces = colmap.incremental_mapping(
             database, folder / IMAGES, place, options, initial_image_pair_callback=note, next_image_callback=note
         )
-        best = join_pieces(colmap, list(pieces.values()), database, folder / IMAGES, options)
+        best = join_pieces(colmap, list(pieces.values()), folder, database, options)
     progress("cameras", count, count)
     return best
 
@@ -201,9 +201,8 @@ def _refine(colmap: Any, model: Any) -> None:
     """Adjust all cameras and points once more, robustly, without the points that fit worst."""
     seen = model.compute_num_observations() / max(model.num_reg_images(), 1)
     options = colmap.BundleAdjustmentOptions()
-    options.refine_extra_params, options.print_summary = seen >= _MANY, False
+    options.refine_extra_params = seen >= _MANY
     options.ceres.loss_function_type = colmap.LossFunctionType.CAUCHY
-    options.ceres.solver_options.num_threads = torch.get_num_threads()
     for error in _ERRORS:
         colmap.ObservationManager(model).filter_all_points3D(error, _LEAST_ANGLE)
-        colmap.bundle_adjustment(model, options)
+        adjust(colmap, model, options)

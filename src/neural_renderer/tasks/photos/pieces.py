@@ -1,4 +1,4 @@
-"""Pieces of a reconstruction, joined by the points that they share."""
+"""Pieces of a reconstruction, joined by the photographs, the points and the outlines that they share."""
 
 from __future__ import annotations
 
@@ -8,17 +8,38 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
-_LEAST_SHARED = 10  # points that two pieces must share
+from ...camera import Camera
+from ...io import load_image
+from ..fit.agreement import hull_coverage
+from ..fit.fit_views import Views, downscale
+from ..fit.hull import view_center
+from .copies import IMAGES, MASKS
+
+_LEAST_SHARED = 12  # points that two pieces must share
 _TOLERANCE = 0.1  # distance of shared points, relative to their spread
-_ROUNDS = 3  # times that pieces are joined and further photographs placed
+_SIDE = 96  # pixels of the outlines that are compared
+_SCALES = np.exp(np.linspace(-0.5, 0.5, 21))  # sizes of a piece that are tried, relative to the likely one
+_ANGLES = np.radians(np.arange(0, 360, 5))  # angles around the axis of a turntable that are tried
+_LEAST_COVERAGE = 0.75  # share of the masks that the hull of joined pieces must fill
+_CLEAR = 0.1  # by which the best angle must be better than the median
+
+Poses = dict[int, tuple[Any, np.ndarray, np.ndarray]]
+"""Image, rotation [3, 3] from the world to the camera and eye [3], by number of the image."""
+Motion = tuple[float, np.ndarray, np.ndarray]
+"""Similarity of a world: X becomes scale · rotation · X + shift."""
 
 
-def join_pieces(colmap: Any, pieces: Sequence[Any], database: Path, images: Path, options: Any) -> Any:
-    """Join the models of pieces to the largest one, as far as they share points, and place further photographs.
+def join_pieces(colmap: Any, pieces: Sequence[Any], folder: Path, database: Path, options: Any) -> Any:
+    """Join the models of pieces to the largest one, as far as photographs, points or outlines tell how.
 
-    A feature in one piece's points that matches one in another's, or is the same, gives a pair of points; the
-    similarity between the pieces is found from all pairs robustly.
+    Args:
+        colmap: The module pycolmap.
+        pieces: Reconstructions.
+        folder: Folder that has ``images``, and perhaps ``masks``.
+        database: File of the matches.
+        options: Options of incremental mapping.
 
     Returns:
         The model; None without pieces.
@@ -26,76 +47,179 @@ def join_pieces(colmap: Any, pieces: Sequence[Any], database: Path, images: Path
     if not pieces:
         return None
     best, *others = sorted(pieces, key=lambda piece: -piece.num_reg_images())
-    with colmap.Database.open(database) as opened:
-        for _ in range(_ROUNDS):
-            left = []
-            for other in others:
-                pairs = _shared(opened, other, best)
-                motion = _similarity(colmap, pairs, best) if len(pairs[0]) >= _LEAST_SHARED else None
-                if motion is None:
-                    left.append(other)
-                else:
-                    best = _joined(colmap, best, other, motion, database, images, options)
-            if len(left) == len(others):
-                break
-            others = left
+    for other in others:
+        if all(number in _poses(best) for number in _poses(other)):
+            continue
+        motion = _motion(colmap, other, best, folder, database)
+        if motion is not None:
+            best = _joined(colmap, best, other, motion, folder, database, options)
     return best
 
 
-def _placed(model: Any) -> dict[int, Any]:
-    """List the images of a model that have a pose, by number."""
-    return {number: image for number, image in model.images.items() if image.has_pose}
+def _poses(model: Any) -> Poses:
+    """List the images of a model that have a pose."""
+    placed = {number: image for number, image in model.images.items() if image.has_pose}
+    return {n: (i, i.cam_from_world().rotation.matrix(), i.projection_center()) for n, i in placed.items()}
 
 
-def _points(model: Any, image: Any) -> dict[int, int]:
+def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path) -> Motion | None:
+    """Find the similarity that takes the world of a piece to another's; None if nothing tells it."""
+    ours, theirs = _poses(source), _poses(target)
+    shared = sorted(ours.keys() & theirs.keys())
+    if not shared:
+        return _by_points(colmap, source, target, database) or _by_turntable(ours, theirs, folder)
+    turn = _nearest_rotation(sum(theirs[n][1].T @ ours[n][1] for n in shared))
+
+    def motion(scale: float) -> Motion:
+        shifts = [theirs[n][2] - scale * turn @ ours[n][2] for n in shared]
+        return scale, turn, np.mean(shifts, axis=0)
+
+    if len(shared) > 1:
+        spread = [np.linalg.norm(np.std([poses[n][2] for n in shared], axis=0)) for poses in (ours, theirs)]
+        likely = spread[1] / max(spread[0], 1e-9)
+    else:
+        likely = _focus(theirs)[1] / _focus(ours)[1]
+    found = [
+        (score, motion(likely * scale))
+        for scale in _SCALES
+        if (score := _score(ours, theirs, motion(likely * scale), folder)) is not None
+    ]
+    return max(found, key=lambda pair: pair[0])[1] if found else motion(likely)
+
+
+def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """Find the rotation [3, 3] nearest to a matrix."""
+    left, _, right = np.linalg.svd(matrix)
+    return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+
+
+def _by_points(colmap: Any, source: Any, target: Any, database: Path) -> Motion | None:
+    """Find the similarity of two pieces by points that features of both show; None if too few agree."""
+    pairs: set[tuple[int, int]] = set()
+    with colmap.Database.open(database) as opened:
+        for first, (image, _, _) in _poses(source).items():
+            ours = _points(image)
+            for second, (other, _, _) in _poses(target).items():
+                theirs = _points(other)
+                matches = np.asarray(opened.read_two_view_geometry(first, second).inlier_matches).tolist()
+                pairs |= {(ours[a], theirs[b]) for a, b in matches if a in ours and b in theirs}
+    if len(pairs) < _LEAST_SHARED:
+        return None
+    sources = np.array([source.points3D[a].xyz for a, _ in sorted(pairs)])
+    targets = np.array([target.points3D[b].xyz for _, b in sorted(pairs)])
+    options = colmap.RANSACOptions()
+    options.random_seed = 0
+    options.max_error = _TOLERANCE * float(np.median(np.linalg.norm(targets - np.median(targets, 0), axis=1)))
+    found = colmap.estimate_sim3d_robust(sources, targets, options)
+    if found is None or int(found["num_inliers"]) < max(_LEAST_SHARED, len(pairs) / 2):
+        return None
+    motion = found["tgt_from_src"]
+    return float(motion.scale), motion.rotation.matrix(), motion.translation
+
+
+def _points(image: Any) -> dict[int, int]:
     """List the points that an image sees, by the feature that sees them."""
     return {row: point.point3D_id for row, point in enumerate(image.points2D) if point.has_point3D()}
 
 
-def _shared(database: Any, source: Any, target: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Collect the places [P, 3] of points that two models share, in the worlds of both."""
-    pairs: set[tuple[int, int]] = set()
-    ours = {number: _points(target, image) for number, image in _placed(target).items()}
-    for first, image in _placed(source).items():
-        seen = _points(source, image)
-        for second, points in ours.items():
-            if first == second:
-                rows = [(row, row) for row in seen]
-            else:
-                geometry = database.read_two_view_geometry(first, second)
-                rows = [(a, b) for a, b in np.asarray(geometry.inlier_matches).tolist()]
-            pairs |= {(seen[a], points[b]) for a, b in rows if a in seen and b in points}
-    sources = np.array([source.points3D[a].xyz for a, _ in sorted(pairs)]).reshape(-1, 3)
-    return sources, np.array([target.points3D[b].xyz for _, b in sorted(pairs)]).reshape(-1, 3)
+def _by_turntable(ours: Poses, theirs: Poses, folder: Path) -> Motion | None:
+    """Find the angle between two pieces around their common axis by their outlines; None if no angle stands out."""
+    if min(len(ours), len(theirs)) < 3:
+        return None
+    (center, far, axis), (goal, wide, up) = _focus(ours), _focus(theirs)
+    across = np.cross(axis, up)
+    level = _rotation(across, float(np.arctan2(np.linalg.norm(across), axis @ up)))
+    found = []
+    for angle in _ANGLES:
+        turn = _rotation(up, angle) @ level
+        motion = wide / far, turn, goal - wide / far * turn @ center
+        score = _score(ours, theirs, motion, folder)
+        if score is None:
+            return None
+        found.append((score, motion))
+    best = max(found, key=lambda pair: pair[0])
+    usual = float(np.median([score for score, _ in found]))
+    return best[1] if best[0] >= max(_LEAST_COVERAGE, usual + _CLEAR) else None
 
 
-def _similarity(colmap: Any, pairs: tuple[np.ndarray, np.ndarray], target: Any) -> Any:
-    """Find the similarity between pairs of points robustly; None if too few agree."""
-    spread = np.median(np.linalg.norm(pairs[1] - np.median(pairs[1], 0), axis=1))
-    options = colmap.RANSACOptions()
-    options.max_error = _TOLERANCE * float(spread)
-    options.random_seed = 0
-    found = colmap.estimate_sim3d_robust(*pairs, options)
-    print("JOIN", len(pairs[0]), found and (found["num_inliers"], found["tgt_from_src"].scale))
-    return found["tgt_from_src"] if found is not None and int(found["num_inliers"]) >= _LEAST_SHARED else None
+def _focus(poses: Poses) -> tuple[np.ndarray, float, np.ndarray]:
+    """Find what cameras look at [3], their mean distance from it, and the axis [3] that they go around."""
+    views = Views(_camera(poses), torch.ones(len(poses), 2, 2))
+    center = view_center(views)[0].double().numpy()
+    eyes = np.array([eye for _, _, eye in poses.values()])
+    axis = np.linalg.svd(eyes - eyes.mean(0))[2][2]
+    up = -sum(turn[1] for _, turn, _ in poses.values())
+    return center, float(np.linalg.norm(eyes - center, axis=1).mean()), axis * np.sign(axis @ up)
 
 
-def _joined(
-    colmap: Any, best: Any, other: Any, motion: Any, database: Path, images: Path, options: Any
-) -> Any:
+def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Make the rotation [3, 3] around an axis (Rodrigues)."""
+    length = float(np.linalg.norm(axis))
+    if not length > 0:
+        return np.eye(3)
+    x, y, z = axis / length
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def _moved(poses: Poses, motion: Motion) -> Poses:
+    """Move the world of cameras."""
+    scale, turn, shift = motion
+    return {n: (image, own @ turn.T, scale * turn @ eye + shift) for n, (image, own, eye) in poses.items()}
+
+
+def _camera(poses: Poses) -> Camera:
+    """Make the cameras of poses, without distortion."""
+    turns, eyes = (torch.from_numpy(np.stack([pose[row] for pose in poses.values()])) for row in (1, 2))
+    lenses = [image.camera for image, _, _ in poses.values()]
+    K = torch.from_numpy(np.stack([lens.calibration_matrix() for lens in lenses])).float()
+    shift = -torch.einsum("nij,nj->ni", turns, eyes)
+    return Camera.projection(K, turns.float(), shift.float(), orig_size=(lenses[0].height, lenses[0].width))
+
+
+def _score(ours: Poses, theirs: Poses, motion: Motion, folder: Path) -> float | None:
+    """Measure how well the outlines of two pieces agree, in [0, 1]; None if there are no masks."""
+    poses = {**_moved(ours, motion), **theirs}
+    files = [folder / MASKS / f"{image.name}.png" for image, _, _ in poses.values()]
+    if not all(file.is_file() for file in files):
+        return None
+    masks = torch.stack([_small_mask(str(file)) for file in files])
+    return float(hull_coverage(Views(_camera(poses), masks), 2).mean())
+
+
+def _small_mask(path: str, known: dict[str, torch.Tensor] = {}) -> torch.Tensor:  # noqa: B006 (a cache)
+    """Load a small mask [H, W]."""
+    if path not in known:
+        known[path] = downscale(load_image(path)[..., :1].permute(2, 0, 1), _SIDE)[0]
+    return known[path]
+
+
+def _joined(colmap: Any, best: Any, other: Any, motion: Motion, folder: Path, database: Path, options: Any) -> Any:
     """Make one model of two: all poses, points from all features, and an adjustment."""
-    poses = {number: (image, image.cam_from_world()) for number, image in _placed(best).items()}
-    for number, image in _placed(other).items():
-        if number not in poses:
-            poses[number] = image, motion.transform_camera_world(image.cam_from_world())
+    ours, theirs = _poses(best), _moved(_poses(other), motion)
     model = colmap.Reconstruction()
-    for number, (image, pose) in poses.items():
-        camera = (best if number in _placed(best) else other).cameras[image.camera_id]
-        if not model.exists_camera(camera.camera_id):
-            model.add_camera_with_trivial_rig(camera)
-        fresh = colmap.Image(image.name, [point.xy for point in image.points2D], image.camera_id, number)
-        model.add_image_with_trivial_frame(fresh, pose)
-    with tempfile.TemporaryDirectory() as folder:
-        model = colmap.triangulate_points(model, database, images, folder, options=options)
-    colmap.bundle_adjustment(model)
+    for source, poses in ((best, ours), (other, {n: pose for n, pose in theirs.items() if n not in ours})):
+        for number, (image, turn, eye) in poses.items():
+            if not model.exists_camera(image.camera_id):
+                model.add_camera_with_trivial_rig(source.cameras[image.camera_id])
+            features = [point.xy for point in image.points2D]
+            fresh = colmap.Image(image.name, np.array(features).reshape(-1, 2), image.camera_id, number)
+            pose = colmap.Rigid3d(colmap.Rotation3d(turn), -turn @ eye)
+            model.add_image_with_trivial_frame(fresh, pose)
+    with tempfile.TemporaryDirectory() as place:
+        model = colmap.triangulate_points(model, database, folder / IMAGES, place, options=options)
+    adjustment = colmap.BundleAdjustmentOptions()
+    adjustment.refine_extra_params = False
+    adjust(colmap, model, adjustment)
     return model
+
+
+def adjust(colmap: Any, model: Any, options: Any) -> None:
+    """Adjust all cameras and points of a model, as ``bundle_adjustment``, which would turn on the log."""
+    options.print_summary, options.ceres.solver_options.num_threads = False, torch.get_num_threads()
+    config = colmap.BundleAdjustmentConfig()
+    for number in model.reg_image_ids():
+        config.add_image(number)
+    config.fix_gauge(colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    colmap.create_default_bundle_adjuster(options, config, model).solve()
+    model.update_point_3d_errors()
