@@ -64,7 +64,7 @@ if TYPE_CHECKING:
 
 _MAY_DIFFER = (
     *("images", "masks", "output", "steps", "camera_steps", "detail_steps", "texture_steps", "turntable", "unwrap"),
-    *("skip_bad", "allow_outside", "cameras", "frames", "resume", "force", "device", "watch"),
+    *("skip_bad", "allow_outside", "cameras", "frames", "masks_only", "resume", "force", "device", "watch"),
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _TURNTABLE_SIZE = 256  # side of the pictures in pixels
@@ -124,6 +124,8 @@ def run(options: FitOptions) -> int:
     missing: dict[str, str] = {}
     if lacks_cameras(options):
         cameras, missing = pose_photographs(options, _mask_rule(options))
+        if options.masks_only:
+            return 0
         refined = options.recover == "shape" if options.refine_cameras is None else options.refine_cameras
         options = replace(options, masks=options.output / MASKS, refine_cameras=refined)
     else:

@@ -257,7 +257,8 @@ class FitOptions:
 
     IMAGES is a folder of photographs, or a video; their cameras are found first (pip install pycolmap). Or it is a
     folder with cameras, or their file: transforms.json (NeRF, Blender, nerfstudio), cameras.json (K, R, t, or distances
-    and angles), cameras.csv, a model of COLMAP (sparse/0), *_par.txt (Middlebury). For --recover camera it is one image.
+    and angles), cameras.csv, a model of COLMAP (sparse/0), *_par.txt (Middlebury). For --recover camera it is one
+    image.
 
     Example: neural-renderer fit photos -o out
 
@@ -292,6 +293,9 @@ class FitOptions:
     masks: Path | None = None
     """Folder of masks, white on black, named like the images; by default the folder masks beside them, if there is
     one. Images without transparency or mask are cut out by the following options, else from a plain background."""
+    masks_only: bool = False
+    """End when the masks of photographs without cameras are found. masks.jpg shows them; correct those in the folder
+    masks of the output, and read them with --masks."""
     background: tuple[float, float, float] | None = None
     """Red, green and blue (0 to 1) of the background, for images without transparency or mask."""
     tolerance: float = 0.05

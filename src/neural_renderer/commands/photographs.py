@@ -5,21 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ..camera.files import CameraFile, find_camera_file, read_camera_file
+from ..io import save_image
 from ..tasks.fit import MaskRule
-from ..tasks.photos import copy_photographs, find_cameras, write_known_masks
+from ..tasks.fit.load import MASK_FOLDERS, mask_beside
+from ..tasks.photos import copy_photographs, find_cameras, find_masks, write_known_masks
 from ..tasks.photos.copies import IMAGES, MASKS
 from ..tasks.photos.copies import Progress as Report
+from ..tasks.photos.mask_sheet import mask_sheet
 from ..tasks.photos.video import VIDEOS
 from .common import check_folder, say
 from .options import FitOptions
 
 _NAMED = 12  # most photographs named in a message
+_SHEET = "masks.jpg"
 
 
 def lacks_cameras(options: FitOptions) -> bool:
@@ -37,23 +40,36 @@ def lacks_cameras(options: FitOptions) -> bool:
 def pose_photographs(options: FitOptions, rule: MaskRule) -> tuple[CameraFile, dict[str, str]]:
     """Find cameras and masks of photographs; return the former, and the reason for each photograph that has none.
 
-    The folder of the results receives ``images``, ``masks`` and ``sparse/0``.
+    The folder of the results receives ``images``, ``masks``, ``sparse/0``, and a picture of the masks.
     """
-    check_folder("--output", options.output)
+    folder = options.output
+    check_folder("--output", folder)
     if not options.images.exists():
         raise FileNotFoundError(f"{options.images}: expected a folder of photographs or a video, got nothing there")
     with _bars() as report:
-        photographs = copy_photographs(options.images, options.output, options.frames, report)
-        beside = [options.images / MASKS, options.images / "mask"]
-        has_masks = write_known_masks(photographs, [options.masks] if options.masks else beside, rule, report)
+        photographs = copy_photographs(options.images, folder, options.frames, report)
+        beside = [options.images / name for name in MASK_FOLDERS]
+        if options.force and options.masks is None:
+            photographs.remove_masks()
+        write_known_masks(photographs, [options.masks] if options.masks else beside, rule, report)
         motion = find_cameras(photographs, report)
-    say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points", None)
-    for name, why in list(motion.missing.items())[:_NAMED]:
+    say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points")
+    cameras = replace(read_camera_file(motion.model / "images.bin"), folders=(folder / IMAGES, folder))
+    missing = dict(motion.missing)
+    with _bars() as report:
+        if not any(mask_beside(folder / MASKS, name) for name in motion.placed):
+            find_masks(cameras, folder, report)
+    unmasked = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
+    missing |= dict.fromkeys(unmasked, "the object does not stand out from its background; give it a mask")
+    images = [entry for entry in cameras.images if entry.name not in unmasked]
+    files = [folder / IMAGES / entry.name for entry in images]
+    save_image(folder / _SHEET, mask_sheet(files, folder / MASKS))
+    for name, why in list(missing.items())[:_NAMED]:
         say(f"{name} is left out: {why}", "yellow")
-    if len(motion.missing) > _NAMED:
-        say(f"… and {len(motion.missing) - _NAMED} more; report.json names them", "yellow")
-    cameras = read_camera_file(motion.model / "images.bin")
-    return replace(cameras, folders=(options.output / IMAGES, options.output)), motion.missing
+    if len(missing) > _NAMED:
+        say(f"… and {len(missing) - _NAMED} more; report.json names them", "yellow")
+    say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
+    return replace(cameras, images=images), missing
 
 
 @contextmanager

@@ -54,6 +54,11 @@ class Photographs:
         """Names of the copies, in order."""
         return sorted(self.sharpness)
 
+    def remove_masks(self) -> None:
+        """Remove the masks of an earlier run."""
+        for file in (self.folder / MASKS).glob("*.png"):
+            file.unlink()
+
 
 def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress) -> Photographs:
     """Copy the photographs of a folder, or frames of a video, unless an earlier call has done so.
@@ -134,18 +139,18 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
             refused[file.name] = reason(error)
     upright = {(width > height) != turned for (width, height), turned in sizes.values()}
     side = min([SIDE, *(max(size) for size, _ in sizes.values())])
-    shape = tuple(
-        max(values) for values in zip(*(_fit(size, t and len(upright) < 2, side) for size, t in sizes.values()))
-    )
+    turns = len(upright) < 2
+    fitted = [_fit(size, turned and turns, side) for size, turned in sizes.values()]
+    shape = max((width for width, _ in fitted), default=0), max((height for _, height in fitted), default=0)
     for done, (file, (size, turned)) in enumerate(sizes.items(), 1):
         try:
             with Image.open(file) as opened:
                 opened.draft("RGB", (side, side))
                 exif = opened.getexif()
-                image = ImageOps.exif_transpose(opened) if len(upright) < 2 else opened
+                image = ImageOps.exif_transpose(opened) if turns else opened
                 has_alpha = image.has_transparency_data
                 image = image.convert("RGBA" if has_alpha else "RGB")
-                image = image.resize(_fit(size, turned and len(upright) < 2, side), Image.Resampling.LANCZOS)
+                image = image.resize(_fit(size, turned and turns, side), Image.Resampling.LANCZOS)
         except Exception as error:
             refused[file.name] = reason(error)
             continue

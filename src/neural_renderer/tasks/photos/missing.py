@@ -34,7 +34,7 @@ def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Colle
 
 
 def _reason(sharpness: float, features: int, partners: list[tuple[int, str, bool]], placed: Collection[str]) -> str:
-    """Say why a photograph is not placed; its partners are the number of matches, a name, and whether they look flat."""
+    """Say why a photograph is not placed. Its partners: number of matches, name, and whether they tell no depth."""
     if sharpness < _BLURRED:
         return f"blurred ({sharpness:.0%} as sharp as the others); hold still, or use more light"
     if features < _FEW_FEATURES:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +21,9 @@ MODEL = "sparse/0"
 """Folder of the model, relative to that of the copies."""
 _DATABASE = "database.db"
 _FEATURE_SIDE = 1200  # pixels of the longer side in which features are searched
-_AFFINE_SIDE = 900  # pictures up to this side have few features, which affine shapes make match from further away
-_MOST_FEATURES = 4096
+_PLENTY = 1500  # features of a photograph; fewer are searched and matched with more care, which takes longer
+_TRIED = 3  # photographs whose features are counted
+_MOST_FEATURES = 3000  # of a photograph; those of the largest scales stay
 _PEAK = 0.002  # contrast of a feature; a third of SIFT's, because objects have less texture than houses
 _LEAST_MATCHES = 12  # matches of two photographs
 _LEAST_POSE = 15  # points that a photograph must see to be placed
@@ -30,6 +32,7 @@ _NEIGHBOURS = 10
 _ERRORS = (3.0, 1.5)  # reprojection errors in pixels, beyond which points are left out of the last adjustments
 _LEAST_ANGLE = 1.5  # degrees between rays of a point
 _MANY = 300  # observations in a photograph that show the distortion of the lens, too
+_POLL = 1.0  # seconds between two looks at the progress
 _SEED = 0
 
 
@@ -119,7 +122,10 @@ def _find_features(colmap: Any, folder: Path, names: Sequence[str], progress: Pr
     """Find the features of photographs that have none yet; photographs with equal lenses share a camera."""
     options = colmap.FeatureExtractionOptions()
     options.num_threads, options.use_gpu, options.max_image_size = torch.get_num_threads(), False, _FEATURE_SIDE
-    options.sift.peak_threshold, options.sift.max_num_features = _PEAK, _MOST_FEATURES
+    options.sift.max_num_features = _MOST_FEATURES
+    tried = names[:: max(1, len(names) // _TRIED)][:_TRIED]
+    if _count_features(colmap, folder, tried, options) < _PLENTY:
+        options.sift.peak_threshold, options.sift.estimate_affine_shape = _PEAK, True
     cameras: dict[tuple[Any, ...], int] = {}
     for done, name in enumerate(names):
         progress("features", done, len(names))
@@ -130,7 +136,6 @@ def _find_features(colmap: Any, folder: Path, names: Sequence[str], progress: Pr
             reader.existing_camera_id = cameras[key]
         if (folder / MASKS / f"{name}.png").is_file():
             reader.mask_path = folder / MASKS
-        options.sift.estimate_affine_shape = max(lens.width, lens.height) <= _AFFINE_SIDE
         colmap.extract_features(
             folder / _DATABASE,
             folder / IMAGES,
@@ -145,24 +150,49 @@ def _find_features(colmap: Any, folder: Path, names: Sequence[str], progress: Pr
     progress("features", len(names), len(names))
 
 
+def _count_features(colmap: Any, folder: Path, names: Sequence[str], options: Any) -> float:
+    """Count the features of a photograph, the mean over some."""
+    reader = colmap.ImageReaderOptions()
+    reader.mask_path = folder / MASKS if (folder / MASKS / f"{names[0]}.png").is_file() else ""
+    with tempfile.TemporaryDirectory() as place:
+        colmap.extract_features(
+            Path(place) / _DATABASE,
+            folder / IMAGES,
+            image_names=names,
+            reader_options=reader,
+            extraction_options=options,
+        )
+        with colmap.Database.open(Path(place) / _DATABASE) as database:
+            return float(database.num_keypoints() / len(names))
+
+
 def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress) -> None:
     """Match the features of pairs of photographs. Features that stay where they are belong to a still background."""
     options, geometry = colmap.FeatureMatchingOptions(), colmap.TwoViewGeometryOptions()
-    options.num_threads, options.use_gpu, options.guided_matching = torch.get_num_threads(), False, True
+    options.num_threads, options.use_gpu = torch.get_num_threads(), False
+    with colmap.Database.open(database) as opened:
+        options.guided_matching = opened.num_keypoints() < _PLENTY * len(names)
     geometry.min_num_inliers, geometry.filter_stationary_matches = _LEAST_MATCHES, True
     geometry.ransac.random_seed = _SEED
     near = {*range(1, _NEIGHBOURS + 1), *(2**power for power in range(4, 12))}
-    for row in range(1, len(names)):
-        progress("matches", row - 1, len(names) - 1)
-        partners = [other for other in range(row) if len(names) <= _ALL_PAIRS or row - other in near]
-        with tempfile.TemporaryDirectory() as folder:
-            pairs = colmap.ImportedPairingOptions()
-            pairs.match_list_path = Path(folder) / "pairs.txt"
-            pairs.match_list_path.write_text("".join(f"{names[row]} {names[other]}\n" for other in partners))
-            colmap.match_image_pairs(
-                database, matching_options=options, pairing_options=pairs, verification_options=geometry
-            )
-    progress("matches", len(names) - 1, len(names) - 1)
+    rows = [(a, b) for b in range(len(names)) for a in range(b) if len(names) <= _ALL_PAIRS or b - a in near]
+    token = colmap.CancellationToken()
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
+        # One call for all pairs, because each call indexes all features again.
+        pairs = colmap.ImportedPairingOptions()
+        pairs.match_list_path = Path(folder) / "pairs.txt"
+        pairs.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in rows))
+        matching = pool.submit(
+            colmap.match_image_pairs, database, options, pairs, geometry, cancellation_token=token
+        )
+        try:
+            while not wait([matching], _POLL).done:
+                with colmap.Database.open(database) as opened:
+                    progress("matches", min(opened.num_matched_image_pairs(), len(rows)), len(rows))
+            matching.result()
+        finally:
+            token.cancel()
+    progress("matches", len(rows), len(rows))
 
 
 def mapping_options(colmap: Any) -> Any:

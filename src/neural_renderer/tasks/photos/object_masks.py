@@ -18,12 +18,13 @@ from scipy import ndimage
 from torch import Tensor
 
 from ...camera import Camera
+from ...camera.files import CameraFile
 from ...io import save_image
 from ...io.images import load_reduced
 from ..fit.fit_views import Views
 from ..masks.operations import fill_holes, remove_specks, resize
-from .copies import MASKS, Progress
-from .place import Place
+from .copies import IMAGES, MASKS, Progress
+from .place import Place, find_place
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
@@ -36,25 +37,22 @@ _WIDE = 2.5  # half the side of that picture, relative to the object's
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
 
 
-def write_object_masks(folder: Path, files: Sequence[Path], camera: Camera, place: Place, progress: Progress) -> Tensor:
-    """Find the masks of an object in N photographs, and write them into the folder ``masks``.
+def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> None:
+    """Find the masks of the object in all photographs of a model, and write them into the folder ``masks``.
 
     Args:
-        folder: Folder that receives the masks.
-        files: The photographs.
-        camera: Their N cameras.
-        place: Where the object is.
+        cameras: The model, with points.
+        folder: Folder that has the photographs in ``images``.
         progress: Receives the progress.
-
-    Returns:
-        The masks [N, H, W] bool, small.
 
     Raises:
         ValueError: No object stands out.
     """
+    files = [folder / IMAGES / entry.name for entry in cameras.images]
     images, full = _load(files)
-    size = images.shape[1:3]
-    seen = _Voxels(camera, place, (size[0], size[1]))
+    camera, points = cameras.cameras(full), cameras.points
+    place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
+    seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
     table = _table_evidence(images, camera, place)
     solid = seen.near(place.points) if len(place.points) else seen.ball()
     for turn in range(_ROUNDS):
@@ -66,15 +64,12 @@ def write_object_masks(folder: Path, files: Sequence[Path], camera: Camera, plac
     outlines = seen.outlines(solid)
     depth = np.stack([ndimage.distance_transform_edt(o) - ndimage.distance_transform_edt(~o) for o in outlines])
     masks = evidence + _MOST * np.clip(depth / _BAND, -2, 2) > 0
-    found = []
     for path, mask in zip(files, masks, strict=True):
         clean = fill_holes(torch.from_numpy(ndimage.binary_opening(mask, iterations=1)), 0.02).float()
         clean = remove_specks(clean) if bool(clean.any()) else clean
-        found.append(clean)
         smooth = torch.from_numpy(ndimage.gaussian_filter(clean.numpy(), 1.0))
         save_image(folder / MASKS / f"{path.name}.png", (resize(smooth[None], full)[0] > 0.5).float())
     progress("outlines", _ROUNDS, _ROUNDS)
-    return torch.stack(found) > 0.5
 
 
 def _load(files: Sequence[Path]) -> tuple[np.ndarray, tuple[int, int]]:
