@@ -123,12 +123,15 @@ def run(options: FitOptions) -> int:
         return _fit_camera(options, options.mesh)
     missing: dict[str, str] = {}
     if lacks_cameras(options):
-        cameras, missing = pose_photographs(options, _mask_rule(options))
+        posed = pose_photographs(options, _mask_rule(options))
         if options.masks_only:
             return 0
-        refined = options.recover == "shape" if options.refine_cameras is None else options.refine_cameras
+        cameras, missing = posed.cameras, posed.missing
+        pays = options.recover == "shape" and not posed.is_exact
+        refined = pays if options.refine_cameras is None else options.refine_cameras
         options = replace(options, masks=options.output / MASKS, refine_cameras=refined)
     else:
+        options = replace(options, refine_cameras=bool(options.refine_cameras))
         cameras = read_camera_file(find_camera_file(options.images))
     images: list[Path | None] = []
     for entry in cameras.images:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ..camera.files import CameraFile, find_camera_file, read_camera_file
 from ..io import save_image
+from ..io.files import import_library
 from ..tasks.fit import MaskRule
 from ..tasks.fit.load import MASK_FOLDERS, mask_beside
 from ..tasks.photos import copy_photographs, find_cameras, find_masks, write_known_masks
@@ -25,6 +26,21 @@ _NAMED = 12  # most photographs named in a message
 _SHEET = "masks.jpg"
 
 
+@dataclass(frozen=True)
+class Posed:
+    """Photographs with cameras that were found.
+
+    Attributes:
+        cameras: The cameras.
+        missing: Reason for each photograph, by its name, that has no camera or mask.
+        is_exact: Whether the cameras are too good to be refined with the shape.
+    """
+
+    cameras: CameraFile
+    missing: dict[str, str]
+    is_exact: bool
+
+
 def lacks_cameras(options: FitOptions) -> bool:
     """Tell whether the cameras of the images have to be found first."""
     if options.cameras is not None:
@@ -37,12 +53,13 @@ def lacks_cameras(options: FitOptions) -> bool:
     return options.images.suffix.lower() in VIDEOS and options.images.is_file()
 
 
-def pose_photographs(options: FitOptions, rule: MaskRule) -> tuple[CameraFile, dict[str, str]]:
-    """Find cameras and masks of photographs; return the former, and the reason for each photograph that has none.
+def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
+    """Find cameras and masks of photographs.
 
     The folder of the results receives ``images``, ``masks``, ``sparse/0``, and a picture of the masks.
     """
     folder = options.output
+    import_library("pycolmap", "to find the cameras of photographs")  # before time is spent
     check_folder("--output", folder)
     if not options.images.exists():
         raise FileNotFoundError(f"{options.images}: expected a folder of photographs or a video, got nothing there")
@@ -69,7 +86,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> tuple[CameraFile, d
     if len(missing) > _NAMED:
         say(f"… and {len(missing) - _NAMED} more; report.json names them", "yellow")
     say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
-    return replace(cameras, images=images), missing
+    return Posed(replace(cameras, images=images), missing, motion.is_exact)
 
 
 @contextmanager

@@ -31,7 +31,7 @@ _ALL_PAIRS = 100  # up to this number of photographs all pairs are matched, of m
 _NEIGHBOURS = 10
 _ERRORS = (3.0, 1.5)  # reprojection errors in pixels, beyond which points are left out of the last adjustments
 _LEAST_ANGLE = 1.5  # degrees between rays of a point
-_MANY = 300  # observations in a photograph that show the distortion of the lens, too
+_MANY = 300  # points that a photograph sees, from which they also show the distortion of the lens
 _POLL = 1.0  # seconds between two looks at the progress
 _SEED = 0
 
@@ -46,6 +46,7 @@ class Motion:
         missing: Reason for each photograph, by its name, that has none, and what would help.
         points: Number of points.
         error: Mean reprojection error in pixels.
+        is_exact: Whether photographs see so many points that outlines would not make the cameras better.
     """
 
     model: Path
@@ -53,6 +54,7 @@ class Motion:
     missing: dict[str, str]
     points: int
     error: float
+    is_exact: bool
 
 
 def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
@@ -97,7 +99,7 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
         for file in model.iterdir():
             file.unlink()
         raise _too_few(missing, len(names))
-    return Motion(model, placed, missing, best.num_points3D(), best.compute_mean_reprojection_error())
+    return Motion(model, placed, missing, best.num_points3D(), best.compute_mean_reprojection_error(), _sees_many(best))
 
 
 def _too_few(missing: dict[str, str], count: int) -> ValueError:
@@ -182,9 +184,7 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
         pairs = colmap.ImportedPairingOptions()
         pairs.match_list_path = Path(folder) / "pairs.txt"
         pairs.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in rows))
-        matching = pool.submit(
-            colmap.match_image_pairs, database, options, pairs, geometry, cancellation_token=token
-        )
+        matching = pool.submit(colmap.match_image_pairs, database, options, pairs, geometry, cancellation_token=token)
         try:
             while not wait([matching], _POLL).done:
                 with colmap.Database.open(database) as opened:
@@ -227,11 +227,15 @@ def _map(colmap: Any, database: Path, folder: Path, count: int, progress: Progre
     return best
 
 
+def _sees_many(model: Any) -> bool:
+    """Tell whether photographs see many points on average."""
+    return bool(model.compute_num_observations() >= _MANY * model.num_reg_images())
+
+
 def _refine(colmap: Any, model: Any) -> None:
     """Adjust all cameras and points once more, robustly, without the points that fit worst."""
-    seen = model.compute_num_observations() / max(model.num_reg_images(), 1)
     options = colmap.BundleAdjustmentOptions()
-    options.refine_extra_params = seen >= _MANY
+    options.refine_extra_params = _sees_many(model)
     options.ceres.loss_function_type = colmap.LossFunctionType.CAUCHY
     for error in _ERRORS:
         colmap.ObservationManager(model).filter_all_points3D(error, _LEAST_ANGLE)

@@ -18,7 +18,7 @@ _FLAT = 0.015  # distance of points from the plane they lie in, relative to the 
 _LEAST_POINTS, _LEAST_SHARE = 20, 0.15  # points of a table, at least, and their share of all points
 _MOST_BELOW = 0.05  # share of the points that may lie below a table, by error
 _TAIL = 0.04  # share of the points on each side that are left out as errors
-_LARGER = 1.35  # size of the object relative to that of its points, because smooth parts have none
+_LARGER = 1.3  # size of the object relative to that of its points, because smooth parts have none
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,8 @@ def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
     # Around the focus, where the object is, most points are its own.
     distance = np.linalg.norm(found - np.median(found, 0), axis=1)
     found = found[distance < 4 * np.median(distance)]
-    low, high = np.quantile(found, [_TAIL, 1 - _TAIL], axis=0)
+    feet = found if ground is None else found - np.outer(found @ ground[:3] - ground[3], ground[:3])
+    low, high = np.quantile(np.concatenate((found, feet)), [_TAIL / 2, 1 - _TAIL / 2], axis=0)
     return Place((low + high) / 2, _LARGER * float((high - low).max()) / 2, ground, found)
 
 
