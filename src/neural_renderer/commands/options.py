@@ -351,7 +351,7 @@ class FitOptions:
     """Gradient estimator of the renderer."""
     refine_cameras: bool | None = None
     """Fit the poses of the cameras and their focal length, too, for cameras that are not exact: about 1° and 1% off.
-    The result has a file cameras.json. By default only for cameras from structure from motion that rest on few points."""
+    The result has a file cameras.json. By default only for cameras from structure from motion with few points."""
     camera_steps: int = 150
     """Steps for the cameras before those for the shape (at least 1), for up to 24 views; more views take more."""
     exposure: bool = False
