@@ -41,6 +41,7 @@ from ..tasks.fit.agreement import REFINED_MARGIN
 from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
 from ..tasks.fit.result import Verdict, judge
+from ..tasks.photos.copies import MASKS
 from ..version import __version__
 from .common import (
     REPORT,
@@ -55,7 +56,7 @@ from .common import (
     say_finished,
 )
 from .options import FitOptions
-from .photographs import MASKS, lacks_cameras, pose_photographs
+from .photographs import lacks_cameras, pose_photographs
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from ..camera.files import CameraFile, find_camera_file, read_camera_file
 from ..io import save_image
@@ -94,11 +94,11 @@ def _bars() -> Iterator[Report]:
     """Show bars of progress, one for each phase."""
     columns = TextColumn("{task.description:<11}"), BarColumn(), TextColumn("{task.completed}/{task.total}")
     with Progress(*columns, TimeElapsedColumn(), console=Console()) as progress:
-        bars: dict[str, int] = {}
+        bars: dict[str, TaskID] = {}
 
         def report(phase: str, done: int, total: int) -> None:
             if phase not in bars:
-                bars[phase] = progress.add_task(phase, total=total)  # type: ignore[assignment]
-            progress.update(bars[phase], completed=done, total=total)  # type: ignore[arg-type]
+                bars[phase] = progress.add_task(phase, total=total)
+            progress.update(bars[phase], completed=done, total=total)
 
         yield report

@@ -76,6 +76,17 @@ def test_other_photographs_replace_earlier_copies(tmp_path: Path) -> None:
     assert not (tmp_path / "out" / "database.db").exists()
 
 
+def test_photographs_and_images_of_others_are_never_replaced(tmp_path: Path) -> None:
+    photograph(tmp_path / "images" / "a.jpg", (64, 48))
+    before = (tmp_path / "images" / "a.jpg").read_bytes()
+    with pytest.raises(ValueError, match="expected another folder"):
+        copy_photographs(tmp_path, tmp_path, 60, quiet)
+    photograph(tmp_path / "other" / "a.jpg", (32, 24))
+    with pytest.raises(FileExistsError, match="images of others"):
+        copy_photographs(tmp_path / "other", tmp_path, 60, quiet)
+    assert (tmp_path / "images" / "a.jpg").read_bytes() == before
+
+
 def test_blur_lowers_sharpness() -> None:
     grey = np.random.default_rng(0).random((64, 64), np.float32) * 255
     blurred = np.asarray(Image.fromarray(grey.astype(np.uint8)).resize((16, 16)).resize((64, 64)), np.float32)

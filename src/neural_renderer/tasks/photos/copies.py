@@ -83,9 +83,14 @@ def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress
     listed = folder / _LIST
     if listed.is_file():
         known = json.loads(listed.read_text(encoding="utf-8"))
-        if known.pop("identity", None) == identity:
+        if known.pop("identity", None) == identity:  # otherwise of others, or interrupted
             return Photographs(folder, **known)
+    if any(file.parent.resolve() == (folder / IMAGES).resolve() for file in files):
+        raise ValueError(f"--output: expected another folder than that of the photographs, got {folder}")
+    if not listed.is_file() and any((folder / IMAGES).glob("*")):
+        raise FileExistsError(f"--output: expected a folder without images of others, got {folder / IMAGES}")
     _remove_earlier(folder)
+    write_file(listed, "{}\n")  # what is in the folder from here on is ours
     refused: dict[str, str] = {}
     images = _frames(source, frames, progress) if is_video else _images(files, refused, progress)
     sharpness = {name: _write(folder / IMAGES / name, image) for name, image in images}
@@ -144,20 +149,26 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
     shape = max((width for width, _ in fitted), default=0), max((height for _, height in fitted), default=0)
     for done, (file, (size, turned)) in enumerate(sizes.items(), 1):
         try:
-            with Image.open(file) as opened:
-                opened.draft("RGB", (side, side))
-                exif = opened.getexif()
-                image = ImageOps.exif_transpose(opened) if turns else opened
-                has_alpha = image.has_transparency_data
-                image = image.convert("RGBA" if has_alpha else "RGB")
-                image = image.resize(_fit(size, turned and turns, side), Image.Resampling.LANCZOS)
+            image = _load(file, turns, _fit(size, turned and turns, side))
         except Exception as error:
             refused[file.name] = reason(error)
             continue
-        exif[_ORIENTATION] = 1
-        image.info = {"exif": exif.tobytes()}
-        yield file.name if has_alpha or file.suffix.lower() == ".png" else f"{file.stem}.jpg", _padded(image, shape)
+        name = file.name if image.mode == "RGBA" or file.suffix.lower() == ".png" else f"{file.stem}.jpg"
+        yield name, _padded(image, shape)
         progress("photographs", done, len(files))
+
+
+def _load(file: Path, turns: bool, size: tuple[int, int]) -> Image.Image:
+    """Load a photograph at a size, turned by its EXIF data if asked for, which it keeps."""
+    with Image.open(file) as opened:
+        opened.draft("RGB", size)
+        exif = opened.getexif()
+        upright: Image.Image = ImageOps.exif_transpose(opened) if turns else opened
+        image = upright.convert("RGBA" if upright.has_transparency_data else "RGB")
+    exif[_ORIENTATION] = 1
+    image = image.resize(size, Image.Resampling.LANCZOS)
+    image.info = {"exif": exif.tobytes()}
+    return image
 
 
 def _fit(size: tuple[int, int], turned: bool, side: int) -> tuple[int, int]:

@@ -68,15 +68,15 @@ def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path)
     shared = sorted(ours.keys() & theirs.keys())
     if not shared:
         return _by_points(colmap, source, target, database) or _by_turntable(ours, theirs, folder)
-    turn = _nearest_rotation(sum(theirs[n][1].T @ ours[n][1] for n in shared))
+    turn = _nearest_rotation(np.sum([theirs[n][1].T @ ours[n][1] for n in shared], axis=0))
 
     def motion(scale: float) -> Motion:
         shifts = [theirs[n][2] - scale * turn @ ours[n][2] for n in shared]
         return scale, turn, np.mean(shifts, axis=0)
 
     if len(shared) > 1:
-        spread = [np.linalg.norm(np.std([poses[n][2] for n in shared], axis=0)) for poses in (ours, theirs)]
-        likely = spread[1] / max(spread[0], 1e-9)
+        spread = [np.std([poses[n][2] for n in shared], axis=0).max() for poses in (ours, theirs)]
+        likely = float(spread[1] / spread[0])
     else:
         likely = _focus(theirs)[1] / _focus(ours)[1]
     found = [
