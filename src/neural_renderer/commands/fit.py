@@ -56,7 +56,7 @@ from .common import (
     say_finished,
 )
 from .options import FitOptions
-from .photographs import lacks_cameras, pose_photographs
+from .photographs.cameras import lacks_cameras, pose_photographs
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching
 

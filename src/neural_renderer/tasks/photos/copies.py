@@ -163,10 +163,10 @@ def _load(file: Path, turns: bool, size: tuple[int, int]) -> Image.Image:
     with Image.open(file) as opened:
         opened.draft("RGB", size)
         exif = opened.getexif()
-        upright: Image.Image = ImageOps.exif_transpose(opened) if turns else opened
-        image = upright.convert("RGBA" if upright.has_transparency_data else "RGB")
+        upright = ImageOps.exif_transpose(opened) if turns else Image.Image.copy(opened)
+        mode = "RGBA" if upright.has_transparency_data else "RGB"
+        image = upright.convert(mode).resize(size, Image.Resampling.LANCZOS)
     exif[_ORIENTATION] = 1
-    image = image.resize(size, Image.Resampling.LANCZOS)
     image.info = {"exif": exif.tobytes()}
     return image
 

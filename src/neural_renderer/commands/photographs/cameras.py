@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
-
-from ..camera.files import CameraFile, find_camera_file, read_camera_file
-from ..io import save_image
-from ..io.files import import_library
-from ..tasks.fit import MaskRule
-from ..tasks.fit.load import MASK_FOLDERS, mask_beside
-from ..tasks.photos import copy_photographs, find_cameras, find_masks, write_known_masks
-from ..tasks.photos.copies import IMAGES, MASKS
-from ..tasks.photos.copies import Progress as Report
-from ..tasks.photos.mask_sheet import mask_sheet
-from ..tasks.photos.video import VIDEOS
-from .common import check_folder, say
-from .options import FitOptions
+from ...camera.files import CameraFile, find_camera_file, read_camera_file
+from ...io import save_image
+from ...io.files import import_library
+from ...tasks.fit import MaskRule
+from ...tasks.fit.load import MASK_FOLDERS, mask_beside
+from ...tasks.photos import copy_photographs, find_cameras, find_masks, write_known_masks
+from ...tasks.photos.copies import IMAGES, MASKS
+from ...tasks.photos.mask_sheet import mask_sheet
+from ...tasks.photos.video import VIDEOS
+from ..common import check_folder, say
+from ..options import FitOptions
+from .bars import progress_bars
 
 _NAMED = 12  # most photographs named in a message
 _SHEET = "masks.jpg"
@@ -63,7 +58,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     check_folder("--output", folder)
     if not options.images.exists():
         raise FileNotFoundError(f"{options.images}: expected a folder of photographs or a video, got nothing there")
-    with _bars() as report:
+    with progress_bars() as report:
         photographs = copy_photographs(options.images, folder, options.frames, report)
         beside = [options.images / name for name in MASK_FOLDERS]
         if options.force and options.masks is None:
@@ -73,7 +68,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points")
     cameras = replace(read_camera_file(motion.model / "images.bin"), folders=(folder / IMAGES, folder))
     missing = dict(motion.missing)
-    with _bars() as report:
+    with progress_bars() as report:
         if not any(mask_beside(folder / MASKS, name) for name in motion.placed):
             find_masks(cameras, folder, report)
     unmasked = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
@@ -87,18 +82,3 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
         say(f"… and {len(missing) - _NAMED} more; report.json names them", "yellow")
     say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
     return Posed(replace(cameras, images=images), missing, motion.is_exact)
-
-
-@contextmanager
-def _bars() -> Iterator[Report]:
-    """Show bars of progress, one for each phase."""
-    columns = TextColumn("{task.description:<11}"), BarColumn(), TextColumn("{task.completed}/{task.total}")
-    with Progress(*columns, TimeElapsedColumn(), console=Console()) as progress:
-        bars: dict[str, TaskID] = {}
-
-        def report(phase: str, done: int, total: int) -> None:
-            if phase not in bars:
-                bars[phase] = progress.add_task(phase, total=total)
-            progress.update(bars[phase], completed=done, total=total)
-
-        yield report
