@@ -138,8 +138,8 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
     sizes: dict[Path, tuple[tuple[int, int], bool]] = {}  # width and height as stored, and whether EXIF turns them
     for file in files:
         try:
-            with Image.open(file) as image:
-                sizes[file] = image.size, image.getexif().get(_ORIENTATION) in _TURNS
+            with Image.open(file) as opened:
+                sizes[file] = opened.size, opened.getexif().get(_ORIENTATION) in _TURNS
         except Exception as error:  # Pillow raises errors of many classes
             refused[file.name] = reason(error)
     upright = {(width > height) != turned for (width, height), turned in sizes.values()}
