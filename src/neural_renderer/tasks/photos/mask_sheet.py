@@ -16,7 +16,7 @@ from ..masks.operations import resize
 from ..masks.rule import mask_in_file
 
 _SIDE, _COLUMNS, _ROWS = 320, 4, 3
-_OUTSIDE = (0.75, 0.15, 0.55)  # color of the background, which no object has
+_OUTSIDE = (0.75, 0.15, 0.55)  # colour of the background, which no object has
 
 
 def mask_sheet(files: Sequence[Path], masks: Path) -> Tensor:
