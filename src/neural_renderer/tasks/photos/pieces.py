@@ -21,9 +21,6 @@ _LEAST_SHARED = 12  # points that two pieces must share
 _TOLERANCE = 0.1  # distance of shared points, relative to their spread
 _SIDE = 96  # pixels of the outlines that are compared
 _SCALES = np.exp(np.linspace(-0.5, 0.5, 21))  # sizes of a piece that are tried, relative to the likely one
-_ANGLES = np.radians(np.arange(0, 360, 5))  # angles around the axis of a turntable that are tried
-_LEAST_COVERAGE = 0.75  # share of the masks that the hull of joined pieces must fill
-_CLEAR = 0.1  # by which the best angle must be better than the median
 
 Poses = dict[int, tuple[Any, np.ndarray, np.ndarray]]
 """Image, rotation [3, 3] from the world to the camera and eye [3], by number of the image."""
@@ -67,7 +64,7 @@ def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path)
     ours, theirs = _poses(source), _poses(target)
     shared = sorted(ours.keys() & theirs.keys())
     if not shared:
-        return _by_points(colmap, source, target, database) or _by_turntable(ours, theirs, folder)
+        return _by_points(colmap, source, target, database)
     turn = _nearest_rotation(np.sum([theirs[n][1].T @ ours[n][1] for n in shared], axis=0))
 
     def motion(scale: float) -> Motion:
@@ -78,7 +75,7 @@ def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path)
         spread = [np.std([poses[n][2] for n in shared], axis=0).max() for poses in (ours, theirs)]
         likely = float(spread[1] / spread[0])
     else:
-        likely = _focus(theirs)[1] / _focus(ours)[1]
+        likely = _distance(theirs) / _distance(ours)
     found = [
         (score, motion(likely * scale))
         for scale in _SCALES
@@ -122,44 +119,10 @@ def _points(image: Any) -> dict[int, int]:
     return {row: point.point3D_id for row, point in enumerate(image.points2D) if point.has_point3D()}
 
 
-def _by_turntable(ours: Poses, theirs: Poses, folder: Path) -> Motion | None:
-    """Find the angle between two pieces around their common axis by their outlines; None if no angle stands out."""
-    if min(len(ours), len(theirs)) < 3:
-        return None
-    (center, far, axis), (goal, wide, up) = _focus(ours), _focus(theirs)
-    across = np.cross(axis, up)
-    level = _rotation(across, float(np.arctan2(np.linalg.norm(across), axis @ up)))
-    found = []
-    for angle in _ANGLES:
-        turn = _rotation(up, angle) @ level
-        motion = wide / far, turn, goal - wide / far * turn @ center
-        score = _score(ours, theirs, motion, folder)
-        if score is None:
-            return None
-        found.append((score, motion))
-    best = max(found, key=lambda pair: pair[0])
-    usual = float(np.median([score for score, _ in found]))
-    return best[1] if best[0] >= max(_LEAST_COVERAGE, usual + _CLEAR) else None
-
-
-def _focus(poses: Poses) -> tuple[np.ndarray, float, np.ndarray]:
-    """Find what cameras look at [3], their mean distance from it, and the axis [3] that they go around."""
-    views = Views(_camera(poses), torch.ones(len(poses), 2, 2))
-    center = view_center(views)[0].double().numpy()
-    eyes = np.array([eye for _, _, eye in poses.values()])
-    axis = np.linalg.svd(eyes - eyes.mean(0))[2][2]
-    up = -sum(turn[1] for _, turn, _ in poses.values())
-    return center, float(np.linalg.norm(eyes - center, axis=1).mean()), axis * np.sign(axis @ up)
-
-
-def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
-    """Make the rotation [3, 3] around an axis (Rodrigues)."""
-    length = float(np.linalg.norm(axis))
-    if not length > 0:
-        return np.eye(3)
-    x, y, z = axis / length
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+def _distance(poses: Poses) -> float:
+    """Compute the mean distance of cameras from what they look at."""
+    center = view_center(Views(_camera(poses), torch.ones(len(poses), 2, 2)))[0].double().numpy()
+    return float(np.linalg.norm([eye - center for _, _, eye in poses.values()], axis=1).mean())
 
 
 def _moved(poses: Poses, motion: Motion) -> Poses:
