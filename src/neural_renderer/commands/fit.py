@@ -41,6 +41,7 @@ from ..tasks.fit.agreement import REFINED_MARGIN
 from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
 from ..tasks.fit.result import Verdict, judge
+from ..tasks.photos.copies import MASKS
 from ..version import __version__
 from .common import (
     REPORT,
@@ -55,6 +56,7 @@ from .common import (
     say_finished,
 )
 from .options import FitOptions
+from .photographs.cameras import lacks_cameras, pose_photographs
 from .task_runner import TaskRunner, setting_value
 from .watch import stay, watching
 
@@ -63,7 +65,7 @@ if TYPE_CHECKING:
 
 _MAY_DIFFER = (
     *("images", "masks", "output", "steps", "camera_steps", "detail_steps", "texture_steps", "turntable", "unwrap"),
-    *("skip_bad", "allow_outside", "resume", "force", "device", "watch"),
+    *("skip_bad", "allow_outside", "cameras", "frames", "masks_only", "resume", "force", "device", "watch"),
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _TURNTABLE_SIZE = 256  # side of the pictures in pixels
@@ -92,7 +94,7 @@ _EXIT_CODES: dict[Verdict, int] = {"match": 0, "mismatch": 3}
 
 def run(options: FitOptions) -> int:
     """Fit and write the results; return the exit code: 0, 3 if outlines do not match the masks, 130 after Ctrl-C."""
-    check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, starts=1)
+    check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, starts=1, frames=8)
     check_counts(options, camera_steps=1, detail_steps=0, turntable=0, seed=0)
     check_most(options, cells=_MOST_CELLS)
     if options.unwrap:
@@ -120,7 +122,18 @@ def run(options: FitOptions) -> int:
     if options.recover == "camera" and options.mesh is not None:
         check_outputs(outputs, [options.images, options.mesh])
         return _fit_camera(options, options.mesh)
-    cameras = read_camera_file(find_camera_file(options.images))
+    missing: dict[str, str] = {}
+    if lacks_cameras(options):
+        posed = pose_photographs(options, _mask_rule(options))
+        if options.masks_only:
+            return 0
+        cameras, missing = posed.cameras, posed.missing
+        pays = options.recover == "shape" and not posed.is_exact
+        refined = pays if options.refine_cameras is None else options.refine_cameras
+        options = replace(options, masks=options.output / MASKS, refine_cameras=refined)
+    else:
+        options = replace(options, refine_cameras=bool(options.refine_cameras))
+        cameras = read_camera_file(find_camera_file(options.images))
     images: list[Path | None] = []
     for entry in cameras.images:
         try:
@@ -129,7 +142,7 @@ def run(options: FitOptions) -> int:
             if not options.skip_bad:
                 raise
     check_outputs(outputs, [cameras.path, *images, options.mesh])
-    return _fit_mesh(options, cameras)
+    return _fit_mesh(options, cameras, missing)
 
 
 def _mask_rule(options: FitOptions) -> MaskRule:
@@ -138,8 +151,8 @@ def _mask_rule(options: FitOptions) -> MaskRule:
     return MaskRule(options.background, options.tolerance, options.mask_below, *radii, options.mask_fill)
 
 
-def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
-    """Fit a mesh, or the texture of a known mesh; return the exit code."""
+def _fit_mesh(options: FitOptions, cameras: CameraFile, missing: dict[str, str]) -> int:
+    """Fit a mesh, or the texture of a known mesh; return the exit code. Photographs without a camera are missing."""
     bad: dict[str, str] = {}
     views = load_views(
         cameras,
@@ -168,7 +181,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
         if viewer is not None:
             viewer.set_up(up_axis(fitted))
             viewer.show_cameras(fitted.camera, fitted.photos, fitted.masks)
-        return _run_mesh_fit(options, fitted, held_out, names, bad, start, viewer)
+        return _run_mesh_fit(options, fitted, held_out, names, bad | missing, start, viewer)
 
 
 def _run_mesh_fit(
@@ -189,7 +202,7 @@ def _run_mesh_fit(
         shape=ShapeSettings(options.steps, options.cells, options.color_from, options.weights),
         detail=DetailSettings(options.detail_steps, options.light, options.detail_weights),
         texture=TextureSettings(options.texture_steps, options.texture_size),
-        cameras=CameraSettings(options.refine_cameras, options.camera_steps),
+        cameras=CameraSettings(bool(options.refine_cameras), options.camera_steps),
         descent=DescentSettings(options.batch, options.gradient, options.seed),
     )
     check_folder("--output", options.output)

@@ -253,11 +253,12 @@ class InfoOptions:
 
 @dataclass(frozen=True)
 class FitOptions:
-    """Recover a textured mesh from images with cameras, the texture of a known mesh, or the camera of one image.
+    """Recover a textured mesh from photographs, the texture of a known mesh, or the camera of one image.
 
-    IMAGES is a folder with cameras, or their file: transforms.json (NeRF, Blender, nerfstudio), cameras.json (K, R, t,
-    or distances and angles), cameras.csv, a model of COLMAP (sparse/0), *_par.txt (Middlebury). For --recover camera it
-    is one image.
+    IMAGES is a folder of photographs, or a video; their cameras are found first (pip install pycolmap). Or it is a
+    folder with cameras, or their file: transforms.json (NeRF, Blender, nerfstudio), cameras.json (K, R, t, or distances
+    and angles), cameras.csv, a model of COLMAP (sparse/0), *_par.txt (Middlebury). For --recover camera it is one
+    image.
 
     Example: neural-renderer fit photos -o out
 
@@ -269,9 +270,14 @@ class FitOptions:
     """
 
     images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGES")]
-    """Folder of the images, or their camera file; one image for --recover camera."""
+    """Folder of the images, their camera file, or a video; one image for --recover camera."""
     output: Output
     """Folder for the results; it is made if missing."""
+    cameras: Literal["sfm", "file"] | None = None
+    """Source of the cameras. sfm: structure from motion, which writes images, masks and sparse/0 into the output; file:
+    the camera file. By default the file, and sfm if there is none."""
+    frames: int = 60
+    """Frames of a video to use (at least 8): sharp ones, spaced by how much the picture changes."""
     recover: Literal["shape", "texture", "camera"] = "shape"
     """Target of the fit. shape: the shape, then the texture if there are photos; texture: the texture of a known mesh;
     camera: the camera of one image."""
@@ -287,6 +293,9 @@ class FitOptions:
     masks: Path | None = None
     """Folder of masks, white on black, named like the images; by default the folder masks beside them, if there is
     one. Images without transparency or mask are cut out by the following options, else from a plain background."""
+    masks_only: bool = False
+    """End when the masks of photographs without cameras are found. masks.jpg shows them; correct those in the folder
+    masks of the output, and read them with --masks."""
     background: tuple[float, float, float] | None = None
     """Red, green and blue (0 to 1) of the background, for images without transparency or mask."""
     tolerance: float = 0.05
@@ -340,9 +349,9 @@ class FitOptions:
     """Half of the vertical field of view in degrees, for --recover camera (above 0, below 90)."""
     gradient: Literal["edge", "nmr"] = "edge"
     """Gradient estimator of the renderer."""
-    refine_cameras: bool = False
+    refine_cameras: bool | None = None
     """Fit the poses of the cameras and their focal length, too, for cameras that are not exact: about 1° and 1% off.
-    The result has a file cameras.json."""
+    The result has a file cameras.json. By default only for cameras from structure from motion with few points."""
     camera_steps: int = 150
     """Steps for the cameras before those for the shape (at least 1), for up to 24 views; more views take more."""
     exposure: bool = False

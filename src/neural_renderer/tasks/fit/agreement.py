@@ -66,6 +66,27 @@ def check_agreement(views: Views, names: Sequence[str] | None = None, margin: in
     raise _disagreement(f"{len(views)} views", covered, advice)
 
 
+def hull_coverage(views: Views, margin: int = 1) -> Tensor:
+    """Compute the share of each mask that the hull of all masks fills: [N] in [0, 1].
+
+    Args:
+        views: N views, in the world of the cameras.
+        margin: As in `check_agreement`.
+
+    Returns:
+        The shares; 0 if the masks do not meet.
+
+    Example:
+        >>> from neural_renderer.tasks.fit.agreement import hull_coverage
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
+        >>> views = Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32)
+        >>> hull_coverage(views).min() > 0.9
+        tensor(True)
+    """
+    inside = _follow_rays(_small(views, margin), _small(views, 1))
+    return torch.zeros(len(views)) if inside is None else _covered(inside)
+
+
 def _disagreement(which: str, covered: Tensor, advice: str | None) -> ValueError:
     """Return the error for views that disagree."""
     end = f"{advice} mends them" if advice else "their cameras or masks may be wrong, or the object moved"

@@ -27,7 +27,8 @@ from .settings import short_names
 
 _LEAST_SIZE = 16  # least longer side of images in pixels
 _FINER = 3  # larger photographs are reduced on reading, to at least this multiple of the size that is fitted
-_MASK_FOLDERS = ("masks", "mask")
+MASK_FOLDERS = ("masks", "mask")
+"""Folders beside images that may have their masks."""
 _MASK_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 
 _RULE = ("rule.background", "rule.tolerance")
@@ -158,9 +159,9 @@ def find_files(
     image = find_image(source, entry.name, allow_outside)
     if entry.mask is not None:
         return image, find_image(source, entry.mask, allow_outside)
-    usual = [root / name for root in (image.parent, *source.folders) for name in _MASK_FOLDERS]
+    usual = [root / name for root in (image.parent, *source.folders) for name in MASK_FOLDERS]
     folders = usual if masks is None else [masks]
-    mask = next(filter(None, (_mask_beside(folder, entry.name) for folder in folders)), None)
+    mask = next(filter(None, (mask_beside(folder, entry.name) for folder in folders)), None)
     if mask is None and masks is not None:
         raise FileNotFoundError(f"{masks}: expected a mask {Path(entry.name).stem}.png, got none")
     return image, mask
@@ -178,7 +179,7 @@ def _enough(source: CameraFile, bad: Mapping[str, str]) -> tuple[PosedImage, ...
     return images
 
 
-def _mask_beside(folder: Path, name: str) -> Path | None:
+def mask_beside(folder: Path, name: str) -> Path | None:
     """Find the mask of an image in a folder: ``photo.jpg`` has ``photo.png``, or ``photo.jpg.png`` as in COLMAP."""
     base = Path(name).name
     for stem in (base, Path(base).stem):

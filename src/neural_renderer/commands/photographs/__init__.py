@@ -1,0 +1,1 @@
+"""Photographs without cameras, for `neural-renderer fit`."""

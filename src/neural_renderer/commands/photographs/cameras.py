@@ -1,0 +1,84 @@
+"""Cameras and masks of photographs that have none, for `neural-renderer fit`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ...camera.files import CameraFile, find_camera_file, read_camera_file
+from ...io import save_image
+from ...io.files import import_library
+from ...tasks.fit import MaskRule
+from ...tasks.fit.load import MASK_FOLDERS, mask_beside
+from ...tasks.photos import copy_photographs, find_cameras, find_masks, write_known_masks
+from ...tasks.photos.copies import IMAGES, MASKS
+from ...tasks.photos.mask_sheet import mask_sheet
+from ...tasks.photos.video import VIDEOS
+from ..common import check_folder, say
+from ..options import FitOptions
+from .bars import progress_bars
+
+_NAMED = 12  # most photographs named in a message
+_SHEET = "masks.jpg"
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Photographs with cameras that were found.
+
+    Attributes:
+        cameras: The cameras.
+        missing: Reason for each photograph, by its name, that has no camera or mask.
+        is_exact: Whether the cameras are too good to be refined with the shape.
+    """
+
+    cameras: CameraFile
+    missing: dict[str, str]
+    is_exact: bool
+
+
+def lacks_cameras(options: FitOptions) -> bool:
+    """Tell whether the cameras of the images have to be found first."""
+    if options.cameras is not None:
+        return options.cameras == "sfm"
+    if options.images.is_dir():
+        try:
+            find_camera_file(options.images)
+        except FileNotFoundError:
+            return True
+    return options.images.suffix.lower() in VIDEOS and options.images.is_file()
+
+
+def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
+    """Find cameras and masks of photographs.
+
+    The folder of the results receives ``images``, ``masks``, ``sparse/0``, and a picture of the masks.
+    """
+    folder = options.output
+    import_library("pycolmap", "to find the cameras of photographs")  # before time is spent
+    check_folder("--output", folder)
+    if not options.images.exists():
+        raise FileNotFoundError(f"{options.images}: expected a folder of photographs or a video, got nothing there")
+    with progress_bars() as report:
+        photographs = copy_photographs(options.images, folder, options.frames, report)
+        beside = [options.images / name for name in MASK_FOLDERS]
+        if options.force and options.masks is None:
+            photographs.remove_masks()
+        write_known_masks(photographs, [options.masks] if options.masks else beside, rule, report)
+        motion = find_cameras(photographs, report)
+    say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points")
+    cameras = replace(read_camera_file(motion.model / "images.bin"), folders=(folder / IMAGES, folder))
+    missing = dict(motion.missing)
+    with progress_bars() as report:
+        if not any(mask_beside(folder / MASKS, name) for name in motion.placed):
+            find_masks(cameras, folder, report)
+    unmasked = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
+    missing |= dict.fromkeys(unmasked, "the object does not stand out from its background; give it a mask")
+    images = [entry for entry in cameras.images if entry.name not in unmasked]
+    files = [folder / IMAGES / entry.name for entry in images]
+    save_image(folder / _SHEET, mask_sheet(files, folder / MASKS))
+    for name, why in list(missing.items())[:_NAMED]:
+        say(f"{name} is left out: {why}", "yellow")
+    if len(missing) > _NAMED:
+        say(f"… and {len(missing) - _NAMED} more; report.json names them", "yellow")
+    say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
+    return Posed(replace(cameras, images=images), missing, motion.is_exact)

@@ -1,0 +1,65 @@
+"""Masks that photographs without cameras come with: files, transparency, or what a plain background leaves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ...io import load_image, save_image
+from ..fit.load import mask_beside
+from ..masks.operations import limit_size, resize
+from ..masks.rule import MaskRule, mask_in_file, transparency
+from .copies import IMAGES, MASKS, Photographs, Progress
+
+_SIDE = 640  # pixels of the longer side of pictures that are cut out by their background
+_LEAST_SHARE = 0.8  # share of the photographs that a rule must cut out; the masks of the others follow from these
+_LEAST_OBJECT, _MOST_OBJECT = 0.002, 0.9  # share of a picture that an object takes up
+
+
+def write_known_masks(photographs: Photographs, folders: list[Path], rule: MaskRule, progress: Progress) -> bool:
+    """Write the masks of photographs that can be had without cameras, with the size of the copies.
+
+    Args:
+        photographs: The copies; their folder ``masks`` receives the masks.
+        folders: Folders that may have masks, in the order of search.
+        rule: How to separate the object from its background where there is no mask.
+        progress: Receives the progress.
+
+    Returns:
+        Whether there are masks now. There are none if the rule does not cut out most of the photographs.
+    """
+    target, names = photographs.folder / MASKS, photographs.names
+    if all(mask_beside(target, name) for name in names):
+        return True
+    found, failures = [], 0
+    for done, name in enumerate(names):
+        progress("masks", done, len(names))
+        try:
+            found.append((name, _mask(photographs.folder / IMAGES / name, folders, rule)))
+        except ValueError:
+            failures += 1
+            if failures > (1 - _LEAST_SHARE) * len(names):
+                progress("masks", len(names), len(names))
+                return False
+    for name, mask in found:
+        save_image(target / f"{name}.png", mask)
+    progress("masks", len(names), len(names))
+    return True
+
+
+def _mask(path: Path, folders: list[Path], rule: MaskRule) -> torch.Tensor:
+    """Find the mask [H, W] of a copy. Raises ValueError if there is none."""
+    image = load_image(path)
+    size = image.shape[0], image.shape[1]
+    file = next(filter(None, (mask_beside(folder, path.name) for folder in folders)), None)
+    if file is not None:
+        return resize(mask_in_file(file, upright=True)[None], size)[0]
+    alpha = transparency(image)
+    if alpha is None:
+        small = limit_size(image, _SIDE)
+        alpha = resize(rule.reduced(max(1, round(max(size) / _SIDE))).find(small)[None], size)[0]
+    if not _LEAST_OBJECT < float(np.mean(alpha.numpy() > 0.5)) < _MOST_OBJECT:
+        raise ValueError(f"{path}: expected an object before a plain background, got none")
+    return alpha

@@ -1,0 +1,37 @@
+"""Contact sheet of photographs with their masks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from ...io.images import load_reduced
+from ...pictures.sheet import sheet
+from ..fit.fit_views import downscale
+from ..fit.load import mask_beside
+from ..masks.operations import resize
+from ..masks.rule import mask_in_file
+
+_SIDE, _COLUMNS, _ROWS = 320, 4, 3
+_OUTSIDE = (0.75, 0.15, 0.55)  # colour of the background, which no object has
+
+
+def mask_sheet(files: Sequence[Path], masks: Path) -> Tensor:
+    """Draw up to twelve photographs, evenly spaced, with what is outside of their masks tinted: [H, W, 3] uint8."""
+    count = min(len(files), _COLUMNS * _ROWS)
+    tiles = [_tile(files[row * len(files) // count], masks) for row in range(count)]
+    tiles += [torch.ones_like(tiles[0])] * (-count % _COLUMNS)
+    return sheet([tiles[row : row + _COLUMNS] for row in range(0, len(tiles), _COLUMNS)])
+
+
+def _tile(file: Path, masks: Path) -> Tensor:
+    """Draw a photograph [3, H, W] with its mask."""
+    picture = downscale(load_reduced(file, least=_SIDE)[0][..., :3].permute(2, 0, 1), _SIDE)
+    found = mask_beside(masks, file.name)
+    if found is None:
+        return picture
+    inside = resize(mask_in_file(found)[None], (picture.shape[1], picture.shape[2]))
+    return torch.where(inside > 0.5, picture, 0.3 * picture + 0.7 * torch.tensor(_OUTSIDE)[:, None, None])

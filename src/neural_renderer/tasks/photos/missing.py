@@ -1,0 +1,50 @@
+"""Reasons why photographs were not placed, and what would help."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from .copies import Photographs
+
+_BLURRED = 0.6  # sharpness, relative to the median of the set, below which a photograph counts as blurred
+_FEW_FEATURES = 60
+_FEW_MATCHES = 30  # matches with the best partner, below which photographs are too far apart
+
+
+def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Collection[str]) -> dict[str, str]:
+    """Find the reason for each photograph that is not placed, and what would help, by its name."""
+    usual, found = median(photographs.sharpness.values()), dict(photographs.refused)
+    with colmap.Database.open(database) as opened:
+        images = {image.image_id: image.name for image in opened.read_all_images()}
+        features = {name: opened.num_keypoints_for_image(number) for number, name in images.items()}
+        partners: dict[str, list[tuple[int, str, bool]]] = {name: [] for name in images.values()}
+        flat = colmap.TwoViewGeometryConfiguration.PLANAR_OR_PANORAMIC, colmap.TwoViewGeometryConfiguration.PANORAMIC
+        for pair, geometry in zip(*opened.read_two_view_geometries(), strict=True):
+            first, second = (images[number] for number in colmap.pair_id_to_image_pair(pair))
+            for one, other in ((first, second), (second, first)):
+                partners[one].append((len(geometry.inlier_matches), other, geometry.config in flat))
+    for name in photographs.names:
+        if name not in placed:
+            blur = photographs.sharpness[name] / usual
+            found[name] = _reason(blur, features.get(name, 0), sorted(partners.get(name, ()), reverse=True), placed)
+    return found
+
+
+def _reason(sharpness: float, features: int, partners: list[tuple[int, str, bool]], placed: Collection[str]) -> str:
+    """Say why a photograph is not placed. Its partners: number of matches, name, and whether they tell no depth."""
+    if sharpness < _BLURRED:
+        return f"blurred ({sharpness:.0%} as sharp as the others); hold still, or use more light"
+    if features < _FEW_FEATURES:
+        return f"only {features} features; show more of the object, or put it on a newspaper, which has texture"
+    count, partner, is_flat = partners[0] if partners else (0, "", False)
+    if count < _FEW_MATCHES:
+        best = f"at most {count}, with {partner}" if count else "none"
+        return f"too few matches ({best}); take photographs in between, at most 15° apart, without glossy surfaces"
+    if is_flat:
+        return f"sees what {partner} sees from the same place, or a flat thing; walk around the object"
+    if partner in placed:
+        return f"{count} matches with {partner}, but they do not fit the object; did it move or bend?"
+    return f"matches {partner}, but both are apart from the others; take photographs in between"

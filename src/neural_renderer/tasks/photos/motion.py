@@ -1,0 +1,242 @@
+"""Structure from motion by pycolmap: features, matches, poses, and one model of all pieces."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ...io.files import import_library
+from .copies import IMAGES, MASKS, Photographs, Progress
+from .missing import reasons
+from .pieces import adjust, join_pieces
+
+MODEL = "sparse/0"
+"""Folder of the model, relative to that of the copies."""
+_DATABASE = "database.db"
+_FEATURE_SIDE = 1200  # pixels of the longer side in which features are searched
+_PLENTY = 1500  # features of a photograph; fewer are searched and matched with more care, which takes longer
+_TRIED = 3  # photographs whose features are counted
+_MOST_FEATURES = 3000  # of a photograph; those of the largest scales stay
+_PEAK = 0.002  # contrast of a feature; a third of SIFT's, because objects have less texture than houses
+_LEAST_MATCHES = 12  # matches of two photographs
+_LEAST_POSE = 15  # points that a photograph must see to be placed
+_ALL_PAIRS = 100  # up to this number of photographs all pairs are matched, of more the neighbours
+_NEIGHBOURS = 10
+_ERRORS = (3.0, 1.5)  # reprojection errors in pixels, beyond which points are left out of the last adjustments
+_LEAST_ANGLE = 1.5  # degrees between rays of a point
+_MANY = 300  # points that a photograph sees, from which they also show the distortion of the lens
+_POLL = 1.0  # seconds between two looks at the progress
+_SEED = 0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Cameras that structure from motion has found.
+
+    Attributes:
+        model: Folder of the model in COLMAP's format.
+        placed: Names of the photographs that have a camera.
+        missing: Reason for each photograph, by its name, that has none, and what would help.
+        points: Number of points.
+        error: Mean reprojection error in pixels.
+        is_exact: Whether photographs see so many points that outlines would not make the cameras better.
+    """
+
+    model: Path
+    placed: tuple[str, ...]
+    missing: dict[str, str]
+    points: int
+    error: float
+    is_exact: bool
+
+
+def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
+    """Find the cameras of photographs, or read those that an earlier call has found.
+
+    Features and matches are kept in ``database.db``, so that an interrupted call goes on where it was. Photographs that
+    have a mask use only the features inside. Pieces are joined by the points that they share.
+
+    Args:
+        photographs: The photographs.
+        progress: Receives the progress.
+
+    Returns:
+        The cameras.
+
+    Raises:
+        ModuleNotFoundError: pycolmap is not installed.
+        ValueError: Fewer than half of the photographs could be placed; the message says why, one by one.
+    """
+    colmap = import_library("pycolmap", "to find the cameras of photographs")
+    folder, names = photographs.folder, photographs.names
+    if len(names) < 3:
+        raise ValueError(
+            f"expected at least 3 photographs, and better 20 to 60 from all around the object, got {len(names)}"
+        )
+    database, model = folder / _DATABASE, folder / MODEL
+    with _quiet(colmap):
+        if not (model / "images.bin").is_file():
+            _find_features(colmap, folder, names, progress)
+            _match(colmap, database, names, progress)
+            best = _map(colmap, database, folder, len(names), progress)
+            if best is None:
+                found: dict[str, str] = reasons(colmap, database, photographs, ())
+                raise _too_few(found, len(names))
+            _refine(colmap, best)
+            model.mkdir(parents=True, exist_ok=True)
+            best.write_binary(str(model))
+        best = colmap.Reconstruction(str(model))
+        placed = tuple(sorted(image.name for image in best.images.values() if image.has_pose))
+        missing = reasons(colmap, database, photographs, placed)
+    if 2 * len(placed) < len(names):
+        for file in model.iterdir():
+            file.unlink()
+        raise _too_few(missing, len(names))
+    return Motion(model, placed, missing, best.num_points3D(), best.compute_mean_reprojection_error(), _sees_many(best))
+
+
+def _too_few(missing: dict[str, str], count: int) -> ValueError:
+    """Return the error for a set of which fewer than half are placed."""
+    lines = "".join(f"\n  {name}: {why}" for name, why in missing.items())
+    return ValueError(f"expected photographs that overlap, placed {count - len(missing)} of {count}:{lines}")
+
+
+@contextmanager
+def _quiet(colmap: Any) -> Iterator[None]:
+    """Keep the log of COLMAP off the screen."""
+    log = colmap.logging
+    before = log.stderrthreshold, log.alsologtostderr, log.minloglevel
+    log.stderrthreshold, log.alsologtostderr, log.minloglevel = log.FATAL.value, False, log.FATAL.value
+    try:
+        yield
+    finally:
+        log.stderrthreshold, log.alsologtostderr, log.minloglevel = before
+
+
+def _find_features(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> None:
+    """Find the features of photographs that have none yet; photographs with equal lenses share a camera."""
+    options = colmap.FeatureExtractionOptions()
+    options.num_threads, options.use_gpu, options.max_image_size = torch.get_num_threads(), False, _FEATURE_SIDE
+    options.sift.max_num_features = _MOST_FEATURES
+    tried = names[:: max(1, len(names) // _TRIED)][:_TRIED]
+    if _count_features(colmap, folder, tried, options) < _PLENTY:
+        options.sift.peak_threshold, options.sift.estimate_affine_shape = _PEAK, True
+    cameras: dict[tuple[Any, ...], int] = {}
+    for done, name in enumerate(names):
+        progress("features", done, len(names))
+        reader = colmap.ImageReaderOptions()
+        lens = colmap.infer_camera_from_image(folder / IMAGES / name)
+        key = lens.width, lens.height, round(float(lens.focal_length)), lens.has_prior_focal_length
+        if key in cameras:
+            reader.existing_camera_id = cameras[key]
+        if (folder / MASKS / f"{name}.png").is_file():
+            reader.mask_path = folder / MASKS
+        colmap.extract_features(
+            folder / _DATABASE,
+            folder / IMAGES,
+            image_names=[name],
+            camera_mode=colmap.CameraMode.SINGLE,
+            reader_options=reader,
+            extraction_options=options,
+        )
+        if key not in cameras:
+            with colmap.Database.open(folder / _DATABASE) as database:
+                cameras[key] = database.read_image_with_name(name).camera_id
+    progress("features", len(names), len(names))
+
+
+def _count_features(colmap: Any, folder: Path, names: Sequence[str], options: Any) -> float:
+    """Count the features of a photograph, the mean over some."""
+    reader = colmap.ImageReaderOptions()
+    reader.mask_path = folder / MASKS if (folder / MASKS / f"{names[0]}.png").is_file() else ""
+    with tempfile.TemporaryDirectory() as place:
+        colmap.extract_features(
+            Path(place) / _DATABASE,
+            folder / IMAGES,
+            image_names=names,
+            reader_options=reader,
+            extraction_options=options,
+        )
+        with colmap.Database.open(Path(place) / _DATABASE) as database:
+            return float(database.num_keypoints() / len(names))
+
+
+def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress) -> None:
+    """Match the features of pairs of photographs. Features that stay where they are belong to a still background."""
+    options, geometry = colmap.FeatureMatchingOptions(), colmap.TwoViewGeometryOptions()
+    options.num_threads, options.use_gpu = torch.get_num_threads(), False
+    with colmap.Database.open(database) as opened:
+        options.guided_matching = opened.num_keypoints() < _PLENTY * len(names)
+    geometry.min_num_inliers, geometry.filter_stationary_matches = _LEAST_MATCHES, True
+    geometry.ransac.random_seed = _SEED
+    near = {*range(1, _NEIGHBOURS + 1), *(2**power for power in range(4, 12))}
+    rows = [(a, b) for b in range(len(names)) for a in range(b) if len(names) <= _ALL_PAIRS or b - a in near]
+    token = colmap.CancellationToken()
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
+        # One call for all pairs, because each call indexes all features again.
+        pairs = colmap.ImportedPairingOptions()
+        pairs.match_list_path = Path(folder) / "pairs.txt"
+        pairs.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in rows))
+        matching = pool.submit(colmap.match_image_pairs, database, options, pairs, geometry, cancellation_token=token)
+        try:
+            while not wait([matching], _POLL).done:
+                with colmap.Database.open(database) as opened:
+                    progress("matches", min(opened.num_matched_image_pairs(), len(rows)), len(rows))
+            matching.result()
+        finally:
+            token.cancel()
+    progress("matches", len(rows), len(rows))
+
+
+def mapping_options(colmap: Any) -> Any:
+    """Make the options of incremental mapping, for objects: few points, and lenses without distortion at first."""
+    options = colmap.IncrementalPipelineOptions()
+    options.num_threads, options.random_seed = torch.get_num_threads(), _SEED
+    options.min_num_matches, options.min_model_size = _LEAST_MATCHES, 3
+    # Few points bend a lens as they like.
+    options.ba_refine_extra_params = options.mapper.abs_pose_refine_extra_params = False
+    options.mapper.init_min_num_inliers, options.mapper.init_min_tri_angle = 50, 8.0
+    options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = _LEAST_POSE, 0.15
+    return options
+
+
+def _map(colmap: Any, database: Path, folder: Path, count: int, progress: Progress) -> Any:
+    """Place the photographs: the largest model, with all pieces that join it; None without any."""
+    placed = 0
+
+    def note() -> None:
+        nonlocal placed
+        placed = min(placed + 1, count)
+        progress("cameras", placed, count)
+
+    progress("cameras", 0, count)
+    with tempfile.TemporaryDirectory() as place:
+        options = mapping_options(colmap)
+        pieces = colmap.incremental_mapping(
+            database, folder / IMAGES, place, options, initial_image_pair_callback=note, next_image_callback=note
+        )
+        best = join_pieces(colmap, list(pieces.values()), folder, database, options)
+    progress("cameras", count, count)
+    return best
+
+
+def _sees_many(model: Any) -> bool:
+    """Tell whether photographs see many points on average."""
+    return bool(model.compute_num_observations() >= _MANY * model.num_reg_images())
+
+
+def _refine(colmap: Any, model: Any) -> None:
+    """Adjust all cameras and points once more, robustly, without the points that fit worst."""
+    options = colmap.BundleAdjustmentOptions()
+    options.refine_extra_params = _sees_many(model)
+    options.ceres.loss_function_type = colmap.LossFunctionType.CAUCHY
+    for error in _ERRORS:
+        colmap.ObservationManager(model).filter_all_points3D(error, _LEAST_ANGLE)
+        adjust(colmap, model, options)

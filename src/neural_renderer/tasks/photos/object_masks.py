@@ -1,0 +1,223 @@
+"""Masks of an object in posed photographs: colours of inside and outside, and one shape for all views.
+
+A grid of voxels around the object holds the shape. In turns, its outlines tell which colours are inside and which
+outside, and these colours tell which voxels are inside in all views (after Campbell et al., "Automatic 3D object
+segmentation in multiple views using volumetric graph-cuts", 2010; without the graph cut). A table is recognised by its
+picture from above, the median over all views: what looks like it, shadows included, is no object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy import ndimage
+from torch import Tensor
+
+from ...camera import Camera
+from ...camera.files import CameraFile
+from ...io import save_image
+from ...io.images import load_reduced
+from ..fit.fit_views import Views
+from ..masks.operations import fill_holes, remove_specks, resize
+from .copies import IMAGES, MASKS, Progress
+from .place import Place, find_place
+
+_SIDE = 320  # longer side of the pictures that are compared, in pixels
+_CELLS = 72  # voxels along each axis
+_ROUNDS = 6
+_BINS = 16  # bins of the histograms of each colour
+_MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
+_WORST = 0.25  # share of the views, those that see a voxel as background most clearly, which decide about it
+_PLAN = 256  # side of the picture of the table, in pixels
+_WIDE = 2.5  # half the side of that picture, relative to the object's
+_BAND = 3.0  # pixels around the outline of the shape in which colours decide
+
+
+def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> None:
+    """Find the masks of the object in all photographs of a model, and write them into the folder ``masks``.
+
+    Args:
+        cameras: The model, with points.
+        folder: Folder that has the photographs in ``images``.
+        progress: Receives the progress.
+
+    Raises:
+        ValueError: No object stands out.
+    """
+    files = [folder / IMAGES / entry.name for entry in cameras.images]
+    images, full = _load(files)
+    camera, points = cameras.cameras(full), cameras.points
+    place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
+    seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
+    table = _table_evidence(images, camera, place)
+    solid = seen.near(place.points) if len(place.points) else seen.ball()
+    for turn in range(_ROUNDS):
+        progress("outlines", turn, _ROUNDS)
+        evidence = _evidence(images, seen.outlines(solid), table)
+        solid = seen.solid(evidence)
+        if not solid.any():
+            raise ValueError("no object stands out from its surroundings")
+    outlines = seen.outlines(solid)
+    depth = np.stack([ndimage.distance_transform_edt(o) - ndimage.distance_transform_edt(~o) for o in outlines])
+    masks = evidence + _MOST * np.clip(depth / _BAND, -2, 2) > 0
+    for path, mask in zip(files, masks, strict=True):
+        clean = fill_holes(torch.from_numpy(ndimage.binary_opening(mask, iterations=1)), 0.02).float()
+        clean = remove_specks(clean) if bool(clean.any()) else clean
+        smooth = torch.from_numpy(ndimage.gaussian_filter(clean.numpy(), 1.0))
+        save_image(folder / MASKS / f"{path.name}.png", (resize(smooth[None], full)[0] > 0.5).float())
+    progress("outlines", _ROUNDS, _ROUNDS)
+
+
+def _load(files: Sequence[Path]) -> tuple[np.ndarray, tuple[int, int]]:
+    """Load small pictures [N, H, W, 3]; return also the full height and width."""
+    images = []
+    for file in files:
+        image, full = load_reduced(file, least=_SIDE)
+        scale = _SIDE / max(image.shape[:2])
+        size = round(image.shape[0] * scale), round(image.shape[1] * scale)
+        images.append(resize(image[..., :3].permute(2, 0, 1), size).permute(1, 2, 0).numpy())
+    return np.stack(images), full
+
+
+class _Voxels:
+    """Grid of voxels around an object, with the pixel of each one in N pictures."""
+
+    def __init__(self, camera: Camera, place: Place, size: tuple[int, int]) -> None:
+        line = (np.arange(_CELLS) + 0.5) / _CELLS * 2 - 1
+        grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
+        points = grid * place.half + place.center
+        self._points, self._place, self._size = points, place, size
+        self._free = np.ones(len(points), bool)
+        if place.ground is not None:
+            self._free = points @ place.ground[:3] > place.ground[3]
+        pixels, depth = camera.project(torch.from_numpy(points).float(), size)
+        x, y = pixels[..., 0].floor().int().numpy(), pixels[..., 1].floor().int().numpy()
+        shown = (depth.numpy() > 0) & (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
+        self._pixel = np.where(shown, y * size[1] + x, -1).astype(np.int32)
+        spacing = float(torch.linalg.norm(pixels[:, 1] - pixels[:, 0], dim=-1).median())
+        self._gap = int(np.ceil(spacing)) + 1
+
+    def near(self, points: np.ndarray) -> np.ndarray:
+        """Mark the voxels [V] near points of the object."""
+        cells = np.floor(((points - self._place.center) / self._place.half + 1) / 2 * _CELLS).astype(int)
+        cells = cells[((cells >= 0) & (cells < _CELLS)).all(1)]
+        marked = np.ones((_CELLS,) * 3, bool)
+        marked[tuple(cells.T)] = False
+        grown = ndimage.distance_transform_edt(marked) < _CELLS / 8
+        return ndimage.binary_fill_holes(grown).reshape(-1) & self._free
+
+    def ball(self) -> np.ndarray:
+        """Mark the voxels [V] of a ball."""
+        distance = np.linalg.norm(self._points - self._place.center, axis=1)
+        return (distance < self._place.half / 2) & self._free
+
+    def outlines(self, solid: np.ndarray) -> np.ndarray:
+        """Draw the outlines [N, H, W] of marked voxels."""
+        found = np.zeros((len(self._pixel), self._size[0] * self._size[1]), bool)
+        for row, pixel in enumerate(self._pixel[:, solid]):
+            found[row, pixel[pixel >= 0]] = True
+        disc = np.hypot(*np.mgrid[-self._gap : self._gap + 1, -self._gap : self._gap + 1]) <= self._gap
+        shaped = found.reshape(len(found), *self._size)
+        return np.stack([ndimage.binary_closing(np.pad(one, self._gap), disc) for one in shaped])[
+            :, self._gap : -self._gap, self._gap : -self._gap
+        ]
+
+    def solid(self, evidence: np.ndarray) -> np.ndarray:
+        """Mark the voxels [V] that are inside by the evidence [N, H, W] of all views: the largest piece of them."""
+        flat = evidence.reshape(len(evidence), -1)
+        values = np.empty((len(flat), int(self._free.sum())), np.float32)
+        for row, pixel in enumerate(self._pixel[:, self._free]):
+            values[row] = np.where(pixel >= 0, flat[row][pixel], 0.0)
+        worst = max(1, round(_WORST * len(values)))
+        score = np.full(self._free.shape, -_MOST, np.float32)
+        score[self._free] = np.partition(values, worst - 1, axis=0)[:worst].mean(0) + 0.5 * values.mean(0)
+        inside = ndimage.gaussian_filter(score.reshape((_CELLS,) * 3), 0.7) > 0
+        label, count = ndimage.label(inside)
+        if not count:
+            return np.zeros(len(score), bool)
+        return (label == 1 + np.argmax(np.bincount(label.ravel())[1:])).reshape(-1) & self._free
+
+
+def _evidence(images: np.ndarray, outlines: np.ndarray, table: np.ndarray | None) -> np.ndarray:
+    """Compute the logarithm [N, H, W] of how much likelier each pixel's colour is inside of the outlines than outside.
+
+    The colours of the object are those of all pictures; those outside are half of all, half of the same picture.
+    """
+    index = (images * (_BINS - 1e-3)).astype(np.int64)
+    index = (index[..., 0] * _BINS + index[..., 1]) * _BINS + index[..., 2]
+    inside = np.stack([ndimage.binary_erosion(one, iterations=2, border_value=1) for one in outlines])
+    outside = ~np.stack([ndimage.binary_dilation(one, iterations=3) for one in outlines])
+    ours, all_others = _histogram(index[inside]), _histogram(index[outside])
+    found = np.empty(index.shape, np.float32)
+    for row, bins in enumerate(index):
+        others = (all_others + _histogram(bins[outside[row]])) / 2
+        ratio = np.log((ours + 1e-5) / (others + 1e-5))[bins]
+        if table is not None:
+            ratio = np.clip(ratio, -_MOST, _MOST) + table[row]
+        found[row] = _follow_edges(images[row].mean(2), np.clip(ratio, -_MOST, _MOST))
+    return found
+
+
+def _histogram(bins: np.ndarray) -> np.ndarray:
+    """Count colours, smoothed: [bins³], of sum 1."""
+    counts = np.bincount(bins.ravel(), minlength=_BINS**3).astype(np.float64).reshape((_BINS,) * 3)
+    smooth = ndimage.gaussian_filter(counts, 0.7).ravel()
+    return smooth / max(float(smooth.sum()), 1e-9)
+
+
+def _follow_edges(guide: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Smooth values [H, W] except across the edges of a grey picture (He et al., "Guided Image Filtering", 2013)."""
+
+    def mean(image: np.ndarray) -> np.ndarray:
+        return ndimage.uniform_filter(image, 7)
+
+    average, level = mean(guide), mean(values)
+    slope = (mean(guide * values) - average * level) / (mean(guide * guide) - average**2 + 1e-3)
+    return mean(slope) * guide + mean(level - slope * average)
+
+
+def _table_evidence(images: np.ndarray, camera: Camera, place: Place) -> np.ndarray | None:
+    """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; None without one."""
+    if place.ground is None:
+        return None
+    normal, offset = place.ground[:3], place.ground[3]
+    across = np.linalg.svd(normal[None])[2][1:]
+    middle = place.center - (normal @ place.center - offset) * normal
+    size = images.shape[1:3]
+    line = np.linspace(-1, 1, _PLAN) * _WIDE * place.half
+    u, v = np.meshgrid(line, line, indexing="xy")
+    plan = middle + u[..., None] * across[0] + v[..., None] * across[1]
+    pixels, depth = camera.project(torch.from_numpy(plan.reshape(-1, 3)).float(), (size[0], size[1]))
+    pictures = torch.from_numpy(images).permute(0, 3, 1, 2)
+    spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
+    colors = F.grid_sample(pictures, spot[:, None], align_corners=False)[:, :, 0]
+    hidden = (depth <= 0) | (spot.abs() > 1).any(-1)
+    colors = torch.where(hidden[:, None], torch.nan, colors)
+    seen = colors.nanmedian(0).values.view(3, _PLAN, _PLAN)
+    rays = camera.unproject(
+        _pixel_centers(size).expand(len(images), -1, -1), torch.ones(len(images), size[0] * size[1]), (size[0], size[1])
+    )
+    eye = Views(camera, torch.ones(len(camera), *size)).eyes()[0].double().numpy()
+    way = rays.double().numpy() - eye[:, None]
+    t = (offset - eye @ normal)[:, None] / np.minimum(way @ normal, -1e-9)
+    hit = eye[:, None] + t[..., None] * way - middle
+    where = torch.from_numpy(np.stack((hit @ across[0], hit @ across[1]), -1) / (_WIDE * place.half)).float()
+    drawn = F.grid_sample(
+        seen.nan_to_num(-9.0)[None].expand(len(images), -1, -1, -1), where[:, None], align_corners=True
+    )
+    difference = drawn[:, :, 0].permute(0, 2, 1).numpy() - images.reshape(len(images), -1, 3)
+    difference = np.abs(difference).max(-1)
+    valid = (where.abs() < 1).all(-1).numpy() & (way @ normal < 0) & (difference < 2)
+    noise = max(float(np.median(difference[valid])), 0.01) if valid.any() else 1.0
+    likely = np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, 1.0)
+    return np.where(valid, likely, 0.0).reshape(len(images), *size).astype(np.float32)
+
+
+def _pixel_centers(size: Sequence[int]) -> Tensor:
+    """Make the centres [1, H · W, 2] of all pixels."""
+    y, x = torch.meshgrid(torch.arange(size[0]) + 0.5, torch.arange(size[1]) + 0.5, indexing="ij")
+    return torch.stack((x, y), -1).reshape(1, -1, 2)

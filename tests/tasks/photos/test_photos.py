@@ -1,0 +1,208 @@
+"""Photographs alone: copies, frames of videos, the place of the object, its masks, and pieces of a reconstruction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import neural_renderer as nr
+from neural_renderer import cli
+from neural_renderer.camera.files import CameraFile, read_camera_file
+from neural_renderer.camera.files.opencv import save_cameras
+from neural_renderer.tasks.fit import MaskRule
+from neural_renderer.tasks.photos import copy_photographs, find_cameras, find_masks, write_known_masks
+from neural_renderer.tasks.photos.motion import mapping_options
+from neural_renderer.tasks.photos.pieces import join_pieces
+from neural_renderer.tasks.photos.place import find_place
+from neural_renderer.tasks.photos.sharpness import sharpness
+from neural_renderer.tasks.photos.video import choose_frames, read_frames
+from tests.rounding import STEP
+
+
+def quiet(phase: str, done: int, total: int) -> None:
+    """Ignore the progress."""
+
+
+def photograph(path: Path, size: tuple[int, int], orientation: int = 1, focal: int = 0) -> None:
+    """Write a photograph of noise with EXIF data."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    width, height = size
+    pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    if focal:
+        exif.get_ifd(0x8769)[0xA405] = focal
+    Image.fromarray(pixels).save(path, exif=exif)
+
+
+def test_copies_stand_upright_if_that_gives_them_one_shape(tmp_path: Path) -> None:
+    photograph(tmp_path / "in" / "a.jpg", (64, 48), 6, focal=28)
+    photograph(tmp_path / "in" / "b.jpg", (128, 96), 6)
+    (tmp_path / "in" / "c.jpg").write_bytes(b"no picture")
+    copies = copy_photographs(tmp_path / "in", tmp_path / "out", 60, quiet)
+    assert copies.names == ["a.jpg", "b.jpg"]
+    assert list(copies.refused) == ["c.jpg"]
+    for name in copies.names:
+        with Image.open(tmp_path / "out" / "images" / name) as image:
+            assert image.size == (48, 64)
+            assert image.getexif()[0x0112] == 1
+            assert image.getexif().get_ifd(0x8769).get(0xA405) == (28 if name == "a.jpg" else None)
+    before = (tmp_path / "out" / "images" / "a.jpg").stat().st_mtime_ns
+    assert copy_photographs(tmp_path / "in", tmp_path / "out", 60, quiet) == copies
+    assert (tmp_path / "out" / "images" / "a.jpg").stat().st_mtime_ns == before
+
+
+def test_copies_of_both_orientations_stay_as_the_sensor_has_them(tmp_path: Path) -> None:
+    photograph(tmp_path / "a.jpg", (64, 48), 6)
+    photograph(tmp_path / "b.jpg", (64, 48), 1)
+    photograph(tmp_path / "c.jpg", (64, 32), 1)
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    for name in copies.names:
+        with Image.open(tmp_path / "out" / "images" / name) as image:
+            assert image.size == (64, 48), "narrower pictures are continued"
+
+
+def test_other_photographs_replace_earlier_copies(tmp_path: Path) -> None:
+    photograph(tmp_path / "a.jpg", (64, 48))
+    copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    (tmp_path / "out" / "database.db").write_bytes(b"features of others")
+    photograph(tmp_path / "b.jpg", (64, 48))
+    assert copy_photographs(tmp_path, tmp_path / "out", 60, quiet).names == ["a.jpg", "b.jpg"]
+    assert not (tmp_path / "out" / "database.db").exists()
+
+
+def test_photographs_and_images_of_others_are_never_replaced(tmp_path: Path) -> None:
+    photograph(tmp_path / "images" / "a.jpg", (64, 48))
+    before = (tmp_path / "images" / "a.jpg").read_bytes()
+    with pytest.raises(ValueError, match="expected another folder"):
+        copy_photographs(tmp_path, tmp_path, 60, quiet)
+    photograph(tmp_path / "other" / "a.jpg", (32, 24))
+    with pytest.raises(FileExistsError, match="images of others"):
+        copy_photographs(tmp_path / "other", tmp_path, 60, quiet)
+    assert (tmp_path / "images" / "a.jpg").read_bytes() == before
+
+
+def test_blur_lowers_sharpness() -> None:
+    grey = np.random.default_rng(0).random((64, 64), np.float32) * 255
+    blurred = np.asarray(Image.fromarray(grey.astype(np.uint8)).resize((16, 16)).resize((64, 64)), np.float32)
+    assert sharpness(blurred) < 0.5 * sharpness(grey)
+
+
+def test_frames_are_spaced_by_change(tmp_path: Path) -> None:
+    ramp = torch.rand(1, 32, 96, generator=torch.Generator().manual_seed(0)).expand(3, -1, -1)
+    still, moving = [ramp[..., :64]] * 20, [ramp[..., shift : shift + 64] for shift in range(20)]
+    nr.save_animation(tmp_path / "clip.mp4", [*still, *moving], fps=10)
+    chosen, rate = choose_frames(tmp_path / "clip.mp4", 8)
+    assert sum(number / rate >= 1.9 for number in chosen) >= len(chosen) - 1, "the still part counts once"
+    frames = dict(read_frames(tmp_path / "clip.mp4", rate, 48, chosen))
+    assert list(frames) == chosen
+    assert frames[chosen[0]].shape == (24, 48, 3)
+    (tmp_path / "broken.mp4").write_bytes(b"no video")
+    with pytest.raises(ValueError, match="expected a video"):
+        choose_frames(tmp_path / "broken.mp4", 8)
+
+
+def scene(folder: Path, size: int = 96) -> tuple[CameraFile, list[torch.Tensor]]:
+    """Write photographs of a ball on a patterned table; return their cameras, with points, and the true masks."""
+    eyes = nr.get_points_from_angles(4.0, torch.tensor([25.0, 50.0] * 4), torch.arange(8) * 45.0)
+    camera = nr.Camera.look_at(eyes, viewing_angle=22.0)
+    rng = torch.Generator().manual_seed(0)
+    corners = torch.tensor([[-3.0, -0.6, -3.0], [-3.0, -0.6, 3.0], [3.0, -0.6, 3.0], [3.0, -0.6, -3.0]])
+    uv = torch.tensor([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]])
+    pattern = torch.rand(40, 40, 3, generator=rng) * 0.3 + torch.tensor([0.1, 0.5, 0.1])
+    table = nr.UVMesh(corners, torch.tensor([[0, 1, 2], [0, 2, 3]]), uv, pattern)
+    vertices, faces = nr.icosphere(3, 0.6)
+    ball = nr.Mesh(vertices, faces, vertex_colors=torch.tensor([[0.95, 0.55, 0.15]]).expand(len(vertices), 3))
+    below, above = (nr.render(mesh, camera, size, light=None) for mesh in (table, ball))
+    images = above.rgb + below.rgb * (1 - above.alpha[:, None])
+    names = [f"{number}.png" for number in range(8)]
+    for name, image in zip(names, images, strict=True):
+        nr.save_image(folder / "images" / name, image)
+    save_cameras(folder / "cameras.json", camera, names, (size, size))
+    flat = torch.rand(200, 3, generator=rng) * 3 - 1.5
+    flat[:, 1] = -0.6
+    directions = torch.nn.functional.normalize(torch.randn(60, 3, generator=rng), dim=1)
+    points = torch.cat((flat, 0.6 * directions)).double()
+    cameras = read_camera_file(folder / "cameras.json")
+    return replace(cameras, folders=(folder / "images",), points=points), list(above.alpha)
+
+
+def test_place_is_above_the_table(tmp_path: Path) -> None:
+    cameras, _ = scene(tmp_path)
+    assert cameras.points is not None
+    place = find_place(cameras.cameras((96, 96)), cameras.points, (96, 96))
+    assert place.ground is not None
+    np.testing.assert_allclose(place.ground, [0, 1, 0, -0.6], atol=1e-3)  # some points of the ball lie near it
+    assert np.linalg.norm(place.center) < 0.2
+    assert 0.6 < place.half < 1.2
+    assert (place.points[:, 1] > -0.6).all()
+
+
+def test_masks_of_an_object_on_a_table(tmp_path: Path) -> None:
+    cameras, true = scene(tmp_path)
+    find_masks(cameras, tmp_path, quiet)
+    for number, alpha in enumerate(true):
+        mask = nr.load_image(tmp_path / "masks" / f"{number}.png.png")[..., 0] > 0.5
+        inside = alpha > 0.5
+        assert float((mask & inside).sum() / (mask | inside).sum()) > 0.9
+
+
+def test_masks_that_are_known_are_written_with_the_size_of_the_copies(tmp_path: Path) -> None:
+    disc = nr.render(nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 0.0, -2.7)), 64).alpha
+    for name in ("a", "b"):
+        nr.save_image(tmp_path / f"{name}.png", torch.cat((disc.expand(3, -1, -1) * 0.5, disc)))
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert write_known_masks(copies, [], MaskRule(), quiet)
+    np.testing.assert_allclose(nr.load_image(tmp_path / "out" / "masks" / "a.png.png")[..., 0], disc[0], atol=STEP)
+    photograph(tmp_path / "many" / "a.jpg", (64, 48))
+    assert not write_known_masks(
+        copy_photographs(tmp_path / "many", tmp_path / "none", 60, quiet), [], MaskRule(), quiet
+    )
+
+
+def test_two_photographs_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pycolmap")
+    photograph(tmp_path / "a.jpg", (64, 48))
+    photograph(tmp_path / "b.jpg", (64, 48))
+    assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out")]) == 1
+    assert "expected at least 3 photographs" in capsys.readouterr().err
+
+
+def test_photographs_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> None:
+    pytest.importorskip("pycolmap")
+    rng = np.random.default_rng(0)
+    for number in range(4):
+        noise = np.kron(rng.integers(0, 255, (24, 32, 3), np.uint8), np.ones((4, 4, 1), np.uint8))
+        noise = np.full_like(noise, 128) if number == 3 else noise
+        Image.fromarray(noise).save(tmp_path / f"{number}.png")
+    with pytest.raises(ValueError, match="placed 0 of 4") as error:
+        find_cameras(copy_photographs(tmp_path, tmp_path / "out", 60, quiet), quiet)
+    lines = str(error.value).splitlines()[1:]
+    assert [line.split(":")[0].strip() for line in lines] == [f"{number}.png" for number in range(4)]
+    assert "too few matches" in lines[0]
+    assert "features" in lines[3] or "blurred" in lines[3]
+
+
+def test_pieces_are_joined_by_a_photograph_that_both_have(tmp_path: Path) -> None:
+    colmap = pytest.importorskip("pycolmap")
+    options = colmap.SyntheticDatasetOptions()
+    options.num_rigs = options.num_cameras_per_rig = 1
+    options.num_frames_per_rig, options.num_points3D = 9, 200
+    colmap.set_random_seed(0)
+    with colmap.Database.open(tmp_path / "database.db") as database:
+        whole = colmap.synthesize_dataset(options, database)
+    (tmp_path / "images").mkdir()
+    numbers = sorted(whole.reg_image_ids())
+    first, second = (colmap.Reconstruction(whole) for _ in range(2))
+    for piece, gone in ((first, numbers[5:]), (second, numbers[:4])):
+        for number in gone:
+            piece.deregister_frame(piece.image(number).frame_id)
+    second.transform(colmap.Sim3d(1.1, colmap.Rotation3d([0.0, 0.6, 0.0, 0.8]), [0.1, -0.2, 0.3]))
+    joined = join_pieces(colmap, [first, second], tmp_path, tmp_path / "database.db", mapping_options(colmap))
+    assert joined.num_reg_images() == 9
+    assert joined.compute_mean_reprojection_error() < 0.1
