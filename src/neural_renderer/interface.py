@@ -34,6 +34,7 @@ from .shading.pixels.visible_surface import VisibleSurface
 from .shading.point_lights import PointLight, SpotLight
 from .shading.shadows import ShadowedLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
+from .tasks.reconstruction.evaluation.picture import Reconstruction, reconstruct
 from .textures.color_space import linear_to_srgb, srgb_to_linear
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
@@ -58,6 +59,7 @@ __all__ = [
     "Phong",
     "PointLight",
     "Rasterize",
+    "Reconstruction",
     "Remeshed",
     "Renderer",
     "ShadowedLight",
@@ -99,6 +101,7 @@ __all__ = [
     "rasterize_images",
     "rasterize_rgbad",
     "rasterize_silhouettes",
+    "reconstruct",
     "reinforce",
     "remesh",
     "render",
