@@ -51,6 +51,11 @@ class Reconstruction:
         outline: IoU of the mesh's outline with the object's in the picture.
         cutout: The object as the network saw it, RGBA [4, 64, 64] in [0, 1].
         pose: View of the picture, [6] (see `shapes.views`).
+
+    Example:
+        >>> picture = torch.rand(64, 64, 4)
+        >>> nr.reconstruct(picture, mask=torch.eye(64).cumsum(0), steps=0).cutout.shape
+        torch.Size([4, 64, 64])
     """
 
     mesh: Mesh

@@ -64,9 +64,8 @@ class Shapes:
         share: Share of shapes that come from models, if there are any.
 
     Example:
-        >>> shape = Shapes(seed=0)(7)
-        >>> CLASSES[shape.category], tuple(shape.voxels.shape)
-        ('bench', (32, 32, 32))
+        >>> Shapes(seed=0)(7).voxels.shape
+        torch.Size([32, 32, 32])
     """
 
     def __init__(self, seed: int = 0, models: Sequence[Model] = (), share: float = 0.5) -> None:
