@@ -1,0 +1,192 @@
+"""A known mesh, drawn in many poses at once under unknown light."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ... import rotations
+from ...camera import Camera
+from ...deferred import Fragments, fragments
+from ...meshes.mesh import Mesh
+from ...meshes.normals import vertex_normals
+from ...meshes.uv_mesh import UVMesh
+from .target import Crop
+
+_NEAR, _FAR = 0.02, 1e4  # clipping planes, in radii of the object
+_RIDGE = 1e-3  # of the light's least squares, relative to the mean square of a column
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """B poses of an object of radius 1 around the origin, in the space of a camera: x right, y down, z forward.
+
+    Attributes:
+        rotation: [B, 3, 3].
+        place: [B, 3]: x / z and y / z times the change of the focal length, and log of that change over z.
+        zoom: [B, 1]: log of the change of the focal length.
+    """
+
+    rotation: Tensor
+    place: Tensor
+    zoom: Tensor
+
+    def __len__(self) -> int:
+        return len(self.rotation)
+
+    def __getitem__(self, rows: Tensor | slice) -> Poses:
+        return Poses(self.rotation[rows], self.place[rows], self.zoom[rows])
+
+    def moved(self, step: Tensor) -> Poses:
+        """Change the poses by [B, 6 or 7]: a turn in the camera's space in radians, a change of the place, and zoom."""
+        turn = rotations.from_axis_angle(step[:, :3])
+        zoom = self.zoom + step[:, 6:] if step.shape[1] > 6 else self.zoom
+        return Poses(turn @ self.rotation, self.place + step[:, 3:6], zoom)
+
+    def translation(self) -> Tensor:
+        """Compute the place of the origin, [B, 3]."""
+        depth = (-self.place[:, 2:]).exp()
+        return torch.cat((self.place[:, :2] * depth, (self.zoom - self.place[:, 2:]).exp()), 1)
+
+    def seen(self, crop: Crop, motion: Tensor) -> Camera:
+        """Make the cameras of a crop in the world of the object; ``motion`` [3, 4] leads to the camera's space."""
+        R = motion[:, :3] @ self.rotation
+        t = self.translation() @ motion[:, :3].T + motion[:, 3]
+        scale = torch.cat((self.zoom.exp().expand(-1, 2), torch.ones_like(self.zoom)), 1)
+        K = torch.diag_embed(scale) @ crop.K * _linear() + crop.K * (1 - _linear())
+        return Camera(R, torch.zeros_like(t), t, K=K, orig_size=(crop.size, crop.size))
+
+    @staticmethod
+    def cat(parts: list[Poses]) -> Poses:
+        """Put batches together."""
+        return Poses(*(torch.cat([getattr(p, n) for p in parts]) for n in ("rotation", "place", "zoom")))
+
+
+def _linear() -> Tensor:
+    """Tell the entries of K that a change of the focal length scales, [3, 3]."""
+    return torch.tensor([[1.0, 1, 0], [1, 1, 0], [0, 0, 1]])
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A mesh around the origin with radius 1.
+
+    Attributes:
+        center: [3], its centre in its own units.
+        scale: Its radius in its own units.
+        mesh: The mesh, moved and scaled.
+        colors: [F, 3, 3] of the faces' corners; None for those of a UVMesh.
+        normals: [F, 3, 3], smooth normals of the corners.
+    """
+
+    center: Tensor
+    scale: float
+    mesh: UVMesh | tuple[Tensor, Tensor]
+    colors: Tensor | None
+    normals: Tensor
+
+    @classmethod
+    def of(cls, mesh: Mesh | UVMesh | tuple[Tensor, Tensor]) -> Model:
+        """Normalise a mesh."""
+        vertices, faces = mesh[:2] if isinstance(mesh, tuple) else (mesh.vertices, mesh.faces)
+        vertices = vertices.detach().float()
+        used = vertices[faces.long().unique()]
+        center = (used.amin(0) + used.amax(0)) / 2
+        scale = float((used - center).norm(dim=1).max())
+        vertices = (vertices - center) / scale
+        merged = Mesh(vertices, faces).merge_vertices(1e-5)
+        normals = vertex_normals(merged.vertices, merged.faces)[0][merged.faces.long()].detach()
+        if isinstance(mesh, UVMesh):
+            return cls(center, scale, mesh.replace(vertices=vertices), None, normals)
+        colors = torch.ones(len(faces), 3, 3)
+        if isinstance(mesh, Mesh):
+            own = mesh.colors_of_faces().detach()
+            colors = own if own.dim() == 3 else own.mean((1, 2, 3))[:, None].expand(-1, 3, -1)
+        return cls(center, scale, (vertices, faces), colors.contiguous(), normals)
+
+    @property
+    def points(self) -> Tensor:
+        """Vertices, [V, 3]."""
+        return self.mesh.vertices if isinstance(self.mesh, UVMesh) else self.mesh[0]
+
+    def coarse(self, most: int = 12_000) -> Model:
+        """Merge vertices until at most about so many faces remain: for pictures of few pixels."""
+        vertices = self.points
+        faces = self.mesh.faces if isinstance(self.mesh, UVMesh) else self.mesh[1]
+        cells = 96.0
+        model = self
+        while len(faces) > most and cells > 20:
+            _, cell = torch.unique((vertices * cells / 2).round().int(), dim=0, return_inverse=True)
+            first = torch.zeros(int(cell.max()) + 1, dtype=torch.long).scatter_(0, cell, torch.arange(len(cell)))
+            merged = first[cell][faces.long()]
+            kept = (merged[:, 0] != merged[:, 1]) & (merged[:, 1] != merged[:, 2]) & (merged[:, 2] != merged[:, 0])
+            faces = merged[kept].int()
+            model = model._of_faces(faces, kept)
+            cells *= 0.75
+        return model
+
+    def _of_faces(self, faces: Tensor, kept: Tensor) -> Model:
+        if isinstance(self.mesh, UVMesh):
+            part = self.mesh.replace(faces=self.mesh.faces[kept]) if False else self.mesh.submesh(kept)
+            own = part.replace(vertices=self.points, faces=faces)
+            return replace(self, mesh=own, normals=self.normals[kept])
+        colors = None if self.colors is None else self.colors[kept]
+        return replace(self, mesh=(self.points, faces), colors=colors, normals=self.normals[kept])
+
+    def fragments(self, poses: Poses, crop: Crop, motion: Tensor, anti_aliasing: bool = True) -> Fragments:
+        """Rasterise the mesh in B poses."""
+        shape = (self.points, self.mesh.faces if isinstance(self.mesh, UVMesh) else self.mesh[1])
+        camera = poses.seen(crop, motion)
+        return fragments(shape, camera, crop.size, near=_NEAR, far=_FAR, anti_aliasing=anti_aliasing)
+
+    def surface(self, found: Fragments, poses: Poses, motion: Tensor) -> tuple[Tensor, Tensor]:
+        """Find albedo [B, H, W, 3] and nine harmonics of the normal [B, H, W, 9] at the fragments' pixels.
+
+        Normals are those of the object, turned to the viewer. Light that turns with the object is as general as light
+        that does not.
+        """
+        if isinstance(self.mesh, UVMesh):
+            albedo, normal = self.mesh.shade(found), found.interpolate(self.normals[None])
+        else:
+            both = torch.cat((self.colors if self.colors is not None else self.normals, self.normals), -1)
+            albedo, normal = found.interpolate(both[None]).split(3, -1)
+        forward = (motion[:, :3] @ poses.rotation)[:, 2]
+        toward = (normal * forward[:, None, None]).sum(-1, keepdim=True)
+        return albedo, _harmonics(F.normalize(torch.where(toward > 0.3, -normal, normal), dim=-1))
+
+
+def _harmonics(normal: Tensor) -> Tensor:
+    """Compute 1, x, y, z and the five products of order 2, [..., 9]."""
+    x, y, z = normal.unbind(-1)
+    return torch.stack((torch.ones_like(x), x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1), -1)
+
+
+def fitted_light(albedo: Tensor, harmonics: Tensor, weights: Tensor, photo: Tensor) -> Tensor:
+    """Fit the light that makes a surface look like a photo, by linear least squares: [B, 9, 3].
+
+    Args:
+        albedo: [B, N, 3].
+        harmonics: [B, N, 9].
+        weights: [B, N] of the pixels, 0 where no surface is visible.
+        photo: [N, 3].
+    """
+    first = albedo * weights[..., None].sqrt()
+    columns = first[..., None, :] * harmonics[..., None]  # [B, N, 9, 3]
+    gram = torch.einsum("bnic,bnjc->bcij", columns, columns)
+    right = torch.einsum("bnic,bnc->bci", columns, photo * weights[..., None].sqrt())
+    ridge = _RIDGE * gram[..., 0, 0][..., None, None].clamp(min=1e-6) * torch.eye(9)
+    return torch.linalg.solve(gram + ridge, right[..., None])[..., 0].transpose(1, 2)
+
+
+def shaded(albedo: Tensor, harmonics: Tensor, light: Tensor) -> Tensor:
+    """Light a surface, [B, H, W, 3]."""
+    return albedo * torch.einsum("bhwi,bic->bhwc", harmonics, light)
+
+
+def radians(angle: float) -> float:
+    """Convert degrees."""
+    return math.radians(angle)
