@@ -15,6 +15,7 @@ from .model import Model, Poses, fitted_light, shaded
 from .target import Crop
 
 _FIRST_DAMPING = 1e-2
+_COVERING = 0.35  # residual of covering a pixel beside the mask, if parts may be hidden
 _FARTHEST = 6.0  # pixels that the outline may move in a step
 
 
@@ -40,7 +41,9 @@ class Problem:
     loss: str = "squares"
     scale: float = 0.3
     levels: int = 3
-    deep: float = 4.0
+    seen: str = "whole"
+    smooth: bool = True
+    worth: float = 0.3
 
     def light(self, poses: Poses) -> Tensor | None:
         """Fit the light of all pictures together for each pose, [B, 9, 3]; None without colours."""
@@ -61,15 +64,24 @@ class Problem:
         """Compute the differences of drawn and given images, [B, C, n, n] for each picture: alpha first."""
         result = []
         for crop, motion in zip(self.crops, self.motions, strict=True):
-            found = self.model.fragments(poses, crop, motion)
-            ones = torch.ones(*found.face_index.shape, 1)
-            channels, target = [ones], [crop.mask[None]]
+            found = self.model.fragments(poses, crop, motion, self.smooth)
+            channels = [torch.ones(*found.face_index.shape, 1)]
+            photo = torch.zeros(0, crop.size, crop.size)
             if light is not None and crop.images is not None:
                 albedo, harmonics = self.model.surface(found, poses, motion)
                 channels.append(self.color * shaded(albedo, harmonics, light))
-                target.append(self.color * crop.images)
-            image = found.composite(torch.cat(channels, -1)) - torch.cat(target)
-            result.append(image * crop.known)
+                photo = self.color * crop.images
+            # Without a mask, the photo itself is the background: then colours count where the object covers it.
+            behind = torch.cat((torch.zeros(1, crop.size, crop.size), photo * float(self.seen == "none")))
+            image = found.composite(torch.cat(channels, -1), background=behind)
+            alpha, colors = image[:, :1], image[:, 1:] - photo
+            if self.seen == "none":
+                outline = self.worth * (1 - alpha)
+            else:
+                outline = alpha - crop.mask
+            if self.seen == "part":
+                outline, colors = torch.where(outline > 0, _COVERING * outline, outline), colors * crop.mask
+            result.append(torch.cat((outline, colors), 1) * crop.known)
         return result
 
     def flat(self, images: list[Tensor]) -> Tensor:

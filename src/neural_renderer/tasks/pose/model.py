@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -15,9 +14,13 @@ from ...deferred import Fragments, fragments
 from ...meshes.mesh import Mesh
 from ...meshes.normals import vertex_normals
 from ...meshes.uv_mesh import UVMesh
+from ...textures.albedo import tinted_by_materials
+from ...textures.sample_texture import sample_texture
 from .target import Crop
 
 _NEAR, _FAR = 0.02, 1e4  # clipping planes, in radii of the object
+_CELLS = 96.0  # across the object, of the first grid in which vertices are merged
+_LEAST_FACES, _MOST_FACES = 4_000, 12_000  # of coarse models
 _RIDGE = 1e-3  # of the light's least squares, relative to the mean square of a column
 
 
@@ -98,8 +101,11 @@ class Model:
         center = (used.amin(0) + used.amax(0)) / 2
         scale = float((used - center).norm(dim=1).max())
         vertices = (vertices - center) / scale
-        merged = Mesh(vertices, faces).merge_vertices(1e-5)
-        normals = vertex_normals(merged.vertices, merged.faces)[0][merged.faces.long()].detach()
+        normals = getattr(mesh, "normals", None)
+        if normals is None:
+            merged = Mesh(vertices, faces).merge_vertices(1e-5)
+            normals = vertex_normals(merged.vertices, merged.faces)[0][merged.faces.long()]
+        normals = normals.detach().float().contiguous()
         if isinstance(mesh, UVMesh):
             return cls(center, scale, mesh.replace(vertices=vertices), None, normals)
         colors = torch.ones(len(faces), 3, 3)
@@ -113,33 +119,45 @@ class Model:
         """Vertices, [V, 3]."""
         return self.mesh.vertices if isinstance(self.mesh, UVMesh) else self.mesh[0]
 
-    def coarse(self, most: int = 12_000) -> Model:
-        """Merge vertices until at most about so many faces remain: for pictures of few pixels."""
-        vertices = self.points
-        faces = self.mesh.faces if isinstance(self.mesh, UVMesh) else self.mesh[1]
-        cells = 96.0
+    @property
+    def faces(self) -> Tensor:
+        """Corners of the faces, [F, 3]."""
+        return self.mesh.faces if isinstance(self.mesh, UVMesh) else self.mesh[1]
+
+    def coarse(self) -> Model:
+        """Make a model for pictures of few pixels, of about 4,000 to 12,000 faces with colours at their corners."""
         model = self
-        while len(faces) > most and cells > 20:
-            _, cell = torch.unique((vertices * cells / 2).round().int(), dim=0, return_inverse=True)
+        if isinstance(model.mesh, UVMesh):
+            model = model._baked(model.mesh)
+        cells = _CELLS
+        while len(model.faces) > _MOST_FACES and cells > _CELLS / 4:
+            _, cell = torch.unique((model.points * cells / 2).round().int(), dim=0, return_inverse=True)
             first = torch.zeros(int(cell.max()) + 1, dtype=torch.long).scatter_(0, cell, torch.arange(len(cell)))
-            merged = first[cell][faces.long()]
-            kept = (merged[:, 0] != merged[:, 1]) & (merged[:, 1] != merged[:, 2]) & (merged[:, 2] != merged[:, 0])
-            faces = merged[kept].int()
-            model = model._of_faces(faces, kept)
+            faces = first[cell][model.faces.long()]
+            kept = (faces != faces.roll(1, 1)).all(1)
+            colors = None if model.colors is None else model.colors[kept]
+            model = replace(
+                model, mesh=(model.points, faces[kept].int()), colors=colors, normals=model.normals[kept]
+            )
             cells *= 0.75
         return model
 
-    def _of_faces(self, faces: Tensor, kept: Tensor) -> Model:
-        if isinstance(self.mesh, UVMesh):
-            part = self.mesh.replace(faces=self.mesh.faces[kept]) if False else self.mesh.submesh(kept)
-            own = part.replace(vertices=self.points, faces=faces)
-            return replace(self, mesh=own, normals=self.normals[kept])
-        colors = None if self.colors is None else self.colors[kept]
-        return replace(self, mesh=(self.points, faces), colors=colors, normals=self.normals[kept])
+    def _baked(self, mesh: UVMesh) -> Model:
+        """Sample images at the corners of faces, which are split before if they are few."""
+        mesh = mesh.replace(normals=self.normals)
+        while mesh.images and len(mesh.faces) < _LEAST_FACES:
+            mesh = mesh.subdivide(1)
+        colors = mesh.colors.clone()
+        for index, (image, wrap) in enumerate(zip(mesh.images, mesh.wraps, strict=True)):
+            rows = mesh.image_index == index
+            colors[rows] = sample_texture(image, mesh.uv[rows][None], wrap=wrap)[0]
+        own = torch.arange(len(colors), dtype=torch.int32)[None, :, None].expand(1, -1, 3)
+        colors = tinted_by_materials(colors[None], mesh.materials, mesh.material_index, own)[0]
+        return replace(self, mesh=(mesh.vertices, mesh.faces), colors=colors, normals=mesh.normals)
 
     def fragments(self, poses: Poses, crop: Crop, motion: Tensor, anti_aliasing: bool = True) -> Fragments:
         """Rasterise the mesh in B poses."""
-        shape = (self.points, self.mesh.faces if isinstance(self.mesh, UVMesh) else self.mesh[1])
+        shape = (self.points, self.faces)
         camera = poses.seen(crop, motion)
         return fragments(shape, camera, crop.size, near=_NEAR, far=_FAR, anti_aliasing=anti_aliasing)
 
@@ -186,7 +204,3 @@ def shaded(albedo: Tensor, harmonics: Tensor, light: Tensor) -> Tensor:
     """Light a surface, [B, H, W, 3]."""
     return albedo * torch.einsum("bhwi,bic->bhwc", harmonics, light)
 
-
-def radians(angle: float) -> float:
-    """Convert degrees."""
-    return math.radians(angle)

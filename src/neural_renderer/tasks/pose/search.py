@@ -1,8 +1,14 @@
-"""Global search: a known mesh is drawn from all sides, turned in the picture by correlation, and compared."""
+"""Global search: a known mesh is drawn from all sides, turned in the picture by correlation, and compared.
+
+Silhouettes are compared in polar coordinates around a centre, in units of their size. There a rotation in the picture
+is a shift, so that a correlation along circles, by the fast Fourier transform, compares all of them at once. If the
+whole silhouette is known, its moments give the centre and the size. If not, a grid of both is tried.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -17,6 +23,42 @@ _TEMPLATE = 64  # side of a template in pixels
 _RADII, _ANGLES = 20, 72  # of the polar grids
 _REACH = 2.6  # outer radius of a polar grid, in root mean square distances of the silhouette from its centroid
 _AT_ONCE = 256  # poses drawn together
+_ALL_SIDES, _FEWER_SIDES = 3, 2  # subdivisions of an icosahedron whose vertices are the directions
+_SIZES = (1.0, 1.2, 1.44, 1.73)  # of a silhouette that is hidden in part, relative to what is visible
+_SHIFTS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of its centre, relative to the visible part's size
+_COVERING = 0.35  # cost of covering a pixel beside the visible part, if parts may be hidden
+
+
+@dataclass(frozen=True, eq=False)
+class Templates:
+    """Silhouettes from V directions, and how they were drawn.
+
+    Attributes:
+        rotations: [V, 3, 3].
+        depth: Distance of the object's centre.
+        masks: [V, n, n].
+        focal: Focal length in pixels.
+        centers, spreads: Moments of the masks, [V, 2] and [V], in pixels.
+    """
+
+    rotations: Tensor
+    depth: float
+    masks: Tensor
+    focal: float
+    centers: Tensor
+    spreads: Tensor
+
+    @classmethod
+    def of(cls, model: Model, views: Tensor, depth: float) -> Templates:
+        """Draw the silhouettes of a mesh at a distance in its radii."""
+        depth = max(depth, 1.15)
+        focal = _TEMPLATE / 2 * 0.95 * math.sqrt(depth**2 - 1)  # the sphere of radius 1 fills the picture
+        K = torch.tensor([[focal, 0, _TEMPLATE / 2], [0, focal, _TEMPLATE / 2], [0, 0, 1.0]])
+        blank = torch.ones(_TEMPLATE, _TEMPLATE)
+        place = torch.tensor([[0.0, 0, -math.log(depth)]]).expand(len(views), 3)
+        poses = Poses(views, place, torch.zeros(len(views), 1))
+        masks = drawn_masks(model, poses, Crop(K, None, blank, None, blank), torch.eye(3, 4))
+        return cls(views, depth, masks, focal, *moments(masks))
 
 
 def view_rotations(level: int) -> Tensor:
@@ -36,8 +78,58 @@ def moments(mask: Tensor) -> tuple[Tensor, Tensor]:
     return torch.stack((x, y), 1), (xx + yy - x**2 - y**2).clamp(min=0.25).sqrt()
 
 
+def drawn_masks(model: Model, poses: Poses, crop: Crop, motion: Tensor) -> Tensor:
+    """Draw silhouettes without anti-aliasing, [B, n, n]."""
+    parts = [poses[i : i + _AT_ONCE] for i in range(0, len(poses), _AT_ONCE)]
+    return torch.cat([model.fragments(p, crop, motion, False).face_index >= 0 for p in parts]).float()
+
+
+def search(model: Model, crop: Crop, count: int, hidden: bool) -> Poses:
+    """Find the poses whose silhouettes agree best with the mask of a crop.
+
+    Args:
+        model: The mesh.
+        crop: The crop, in which the mask is not empty.
+        count: Number of poses.
+        hidden: Whether parts of the object may be hidden, so that the mask is only a part of its silhouette.
+
+    Returns:
+        The poses, from best to worst.
+    """
+    center, spread = moments(crop.mask[None])
+    focal = float(crop.K[0, 0])
+    views = view_rotations(_FEWER_SIDES if hidden else _ALL_SIDES)
+    first = Templates.of(model, views[::5], 0.55 * focal / float(spread))  # at the distance of an object of usual shape
+    size = float(first.spreads.mean()) / first.focal
+    if hidden:
+        size /= _SIZES[1]
+    drawn = Templates.of(model, views, first.depth * size * focal / float(spread))
+    if hidden:
+        shifts = torch.cartesian_prod(torch.tensor(_SHIFTS), torch.tensor(_SHIFTS), torch.tensor(_SIZES))
+        center, spread = center + spread[:, None] * shifts[:, :2], spread * shifts[:, 2]
+    scores = _scores(crop.mask, center, spread, drawn, hidden)
+    best = scores.flatten().topk(min(count, scores.numel())).indices
+    row, view, turn = best // (_ANGLES * len(views)), best // _ANGLES % len(views), best % _ANGLES
+    return _placed(crop, drawn, view, turn * (2 * math.pi / _ANGLES), center[row], spread[row])
+
+
+def _scores(mask: Tensor, center: Tensor, spread: Tensor, drawn: Templates, hidden: bool) -> Tensor:
+    """Compare a mask, around H centres, with all templates at all angles: [H, V, angles]."""
+    radius = (torch.arange(_RADII) + 0.5)[:, None]
+    own = _polar(mask.expand(len(center), -1, -1), center, spread) * radius
+    theirs = _polar(drawn.masks, drawn.centers, drawn.spreads)
+    # The picture at the angle a shows the template at a - turn.
+    spectrum = torch.einsum("hra,vra->hva", torch.fft.rfft(own), torch.fft.rfft(theirs).conj())
+    shared = torch.fft.irfft(spectrum, n=_ANGLES)
+    area = (theirs * radius).sum((1, 2))[None, :, None]
+    if hidden:  # areas in pixels of the picture, since the rows differ in size
+        scale = (spread * spread)[:, None, None]
+        return scale * (shared - _COVERING * (area - shared))
+    return shared / (own.sum((1, 2))[:, None, None] + area - shared)
+
+
 def _polar(mask: Tensor, center: Tensor, spread: Tensor) -> Tensor:
-    """Sample silhouettes [B, n, n] around their centroids, [B, radii, angles]."""
+    """Sample silhouettes [B, n, n] around centres, [B, radii, angles]."""
     radius = (torch.arange(_RADII) + 0.5) / _RADII * _REACH
     angle = torch.arange(_ANGLES) * (2 * math.pi / _ANGLES)
     grid = torch.stack((radius[:, None] * angle.cos(), radius[:, None] * angle.sin()), -1)
@@ -45,55 +137,19 @@ def _polar(mask: Tensor, center: Tensor, spread: Tensor) -> Tensor:
     return F.grid_sample(mask[:, None], at * (2 / mask.shape[-1]) - 1, align_corners=False)[:, 0]
 
 
-def drawn_masks(model: Model, poses: Poses, crop: Crop, motion: Tensor) -> Tensor:
-    """Draw silhouettes without anti-aliasing, [B, n, n]."""
-    parts = [poses[i : i + _AT_ONCE] for i in range(0, len(poses), _AT_ONCE)]
-    return torch.cat([model.fragments(p, crop, motion, False).face_index >= 0 for p in parts]).float()
-
-
-def _rays(crop: Crop, at: Tensor) -> Tensor:
-    """Convert pixels [B, 2] to x / z and y / z."""
-    return (at - crop.K[:2, 2]) / crop.K[:2, :2].diagonal()
-
-
-def search(model: Model, crop: Crop, count: int, level: int = 3) -> Poses:
-    """Find poses whose silhouettes agree with the mask of a crop best.
-
-    The silhouettes from all sides are compared in polar coordinates around their centroids, in units of their size. So
-    a correlation of circles compares all rotations in the picture at once.
-    """
-    views = view_rotations(level)
-    center, spread = moments(crop.mask[None])
-    focal = float(crop.K[0, 0])
-    depth = 0.55 * focal / float(spread)  # of an object of usual shape
-    rays = _rays(crop, center)[0]
-    for _ in range(2):
-        depth = max(depth, 1.15)
-        reach = _TEMPLATE / 2 * 0.95 * math.sqrt(depth**2 - 1)  # focal length at which the sphere of radius 1 fits
-        K = torch.tensor([[reach, 0, _TEMPLATE / 2], [0, reach, _TEMPLATE / 2], [0, 0, 1.0]])
-        blank = torch.ones(_TEMPLATE, _TEMPLATE)
-        frame = Crop(K, None, blank, None, blank)
-        some = views if _ else views[:: max(1, len(views) // 40)]
-        place = torch.tensor([[0.0, 0, -math.log(depth)]]).expand(len(some), 3)
-        drawn = drawn_masks(model, Poses(some, place, torch.zeros(len(some), 1)), frame, torch.eye(3, 4))
-        centers, spreads = moments(drawn)
-        depth *= float(spreads.mean()) / reach * focal / float(spread) if not _ else 1.0
-    # Correlate: the picture at the angle a shows the template at a - turn.
-    radius = (torch.arange(_RADII) + 0.5)[None, :, None]
-    own = _polar(crop.mask[None], center, spread)
-    theirs = _polar(drawn, centers, spreads)
-    spectrum = torch.fft.rfft(own * radius) * torch.fft.rfft(theirs).conj()
-    shared = torch.fft.irfft(spectrum, n=_ANGLES).sum(1)  # [V, angles]
-    union = (own * radius).sum() + (theirs * radius).sum((1, 2))[:, None] - shared
-    best = (shared / union).flatten().topk(min(count, shared.numel())).indices
-    view, turn = best // _ANGLES, (best % _ANGLES) * (2 * math.pi / _ANGLES)
-    rotation = _about_z(turn) @ views[view]
-    size = spreads[view] / reach * focal / spread  # of the template over that of the picture
-    shift = (centers[view] - _TEMPLATE / 2) / reach / size[:, None]
-    off = torch.einsum("bij,bj->bi", _about_z(turn)[:, :2, :2], shift)
-    place = torch.cat((rays - off, -(depth * size).log()[:, None]), 1)
-    tilt = torch.linalg.cross(torch.tensor([0.0, 0, 1]), torch.cat((rays, torch.ones(1))))
-    return Poses(rotations.from_axis_angle(tilt[None]) @ rotation, place, torch.zeros(len(place), 1))
+def _placed(crop: Crop, drawn: Templates, view: Tensor, turn: Tensor, center: Tensor, spread: Tensor) -> Poses:
+    """Make the poses that show templates, turned in the picture by angles, at centres and of sizes in a crop."""
+    about = _about_z(turn)
+    focal = crop.K[:2, :2].diagonal()
+    rays = (center - crop.K[:2, 2]) / focal
+    size = drawn.spreads[view] / drawn.focal * focal[0] / spread  # of the template over that of the picture
+    shift = (drawn.centers[view] - _TEMPLATE / 2) / drawn.focal / size[:, None]
+    off = torch.einsum("bij,bj->bi", about[:, :2, :2], shift)
+    place = torch.cat((rays - off, -(drawn.depth * size).log()[:, None]), 1)
+    forward = torch.cat((rays, torch.ones(len(rays), 1)), 1)  # templates look along it
+    tilt = torch.linalg.cross(torch.tensor([[0.0, 0, 1]]).expand_as(forward), forward)
+    rotation = rotations.from_axis_angle(tilt) @ about @ drawn.rotations[view]
+    return Poses(rotation, place, torch.zeros(len(place), 1))
 
 
 def matched(model: Model, poses: Poses, crop: Crop, motion: Tensor) -> Poses:
@@ -101,9 +157,8 @@ def matched(model: Model, poses: Poses, crop: Crop, motion: Tensor) -> Poses:
     center, spread = moments(crop.mask[None])
     centers, spreads = moments(drawn_masks(model, poses, crop, motion))
     shift = (center - centers) / crop.K[:2, :2].diagonal()
-    return Poses(
-        poses.rotation, torch.cat((poses.place[:, :2] + shift, poses.place[:, 2:] + (spread / spreads).log()[:, None]), 1), poses.zoom
-    )
+    place = poses.place + torch.cat((shift, (spread / spreads).log()[:, None]), 1)
+    return Poses(poses.rotation, place, poses.zoom)
 
 
 def _about_z(angle: Tensor) -> Tensor:
