@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -16,6 +15,9 @@ from .target import Crop
 
 _FIRST_DAMPING = 1e-2
 _COVERING = 0.35  # residual of covering a pixel beside the mask, if parts may be hidden
+_LEAST_NOISE = 1 / 255  # of residuals
+_LEAST_PRECISION = 0.1  # of any combination of the parameters: what the pictures do not tell has a wide spread
+_SHORTEST = 0.004  # pixels of a step below which the descent ends
 _FARTHEST = 6.0  # pixels that the outline may move in a step
 
 
@@ -44,6 +46,7 @@ class Problem:
     seen: str = "whole"
     smooth: bool = True
     worth: float = 0.3
+    deep: float = 2.0
 
     def light(self, poses: Poses) -> Tensor | None:
         """Fit the light of all pictures together for each pose, [B, 9, 3]; None without colours."""
@@ -71,17 +74,24 @@ class Problem:
                 albedo, harmonics = self.model.surface(found, poses, motion)
                 channels.append(self.color * shaded(albedo, harmonics, light))
                 photo = self.color * crop.images
+            deep = torch.zeros(0, crop.size, crop.size)
+            if crop.depth is not None:
+                points = found.interpolate(self.model.points[None])
+                depth = points @ (motion[2, :3] @ poses.rotation)[:, None, :, None]
+                channels.append(self.deep * (depth + _depths(poses, motion)))
+                deep = self.deep * crop.depth[None]
             # Without a mask, the photo itself is the background: then colours count where the object covers it.
-            behind = torch.cat((torch.zeros(1, crop.size, crop.size), photo * float(self.seen == "none")))
+            behind = torch.cat((torch.zeros(1, crop.size, crop.size), photo * float(self.seen == "none"), deep))
             image = found.composite(torch.cat(channels, -1), background=behind)
-            alpha, colors = image[:, :1], image[:, 1:] - photo
+            alpha, colors = image[:, :1], image[:, 1 : 1 + len(photo)] - photo
             if self.seen == "none":
                 outline = self.worth * (1 - alpha)
             else:
                 outline = alpha - crop.mask
             if self.seen == "part":
                 outline, colors = torch.where(outline > 0, _COVERING * outline, outline), colors * crop.mask
-            result.append(torch.cat((outline, colors), 1) * crop.known)
+            depths = (image[:, 1 + len(photo) :] - deep) * (deep > 0)
+            result.append(torch.cat((outline, colors, depths), 1) * crop.known)
         return result
 
     def flat(self, images: list[Tensor]) -> Tensor:
@@ -89,25 +99,13 @@ class Problem:
         levels = [level.flatten(-3) for one in images for level in pyramid(one, self.levels)]
         return torch.cat(levels, -1)
 
-    def steps(self) -> Tensor:
-        """Choose changes of the parameters that move the object by about a pixel, [6 or 7]."""
-        pixel = 1 / self.crops[0].size
-        return torch.tensor([2.5, 2.5, 2.5, 1.0 , 1.0, 2.5, 6.0][: 6 + self.zooms]) * pixel
+
+def _depths(poses: Poses, motion: Tensor) -> Tensor:
+    """Compute the depth of the objects' centres, [B, 1, 1, 1]."""
+    return (poses.translation() @ motion[2, :3] + motion[2, 3])[:, None, None, None]
 
 
-def columns_by_differences(problem: Problem, poses: Poses, light: Tensor | None) -> Tensor:
-    sizes = problem.steps() * torch.tensor(1.0)
-    sizes[3:5] *= float(problem.crops[0].size / problem.crops[0].K[0, 0])
-    count, batch = len(sizes), len(poses)
-    offsets = torch.cat((torch.diag(sizes), -torch.diag(sizes)))  # [2P, P]
-    wide = Poses(*(getattr(poses, n).repeat(2 * count, *([1] * (getattr(poses, n).dim() - 1))) for n in ("rotation", "place", "zoom")))
-    moved = wide.moved(offsets.repeat_interleave(batch, 0))
-    lit = None if light is None else light.repeat(2 * count, 1, 1)
-    r = problem.flat(problem.residuals(moved, lit)).view(2, count, batch, -1)
-    return (r[0] - r[1]) / (2 * sizes[:, None, None])
-
-
-def columns_forward(problem: Problem, poses: Poses, light: Tensor | None) -> Tensor:
+def _columns(problem: Problem, poses: Poses, light: Tensor | None) -> Tensor:
     zero = torch.zeros(len(poses), 6 + problem.zooms)
     units = torch.eye(zero.shape[1])[:, None].expand(-1, len(poses), -1)
 
@@ -117,7 +115,6 @@ def columns_forward(problem: Problem, poses: Poses, light: Tensor | None) -> Ten
     return vmap(lambda t: jvp(function, (zero,), (t,))[1])(units)
 
 
-COLUMNS = columns_forward
 
 
 def losses(problem: Problem, poses: Poses, light: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
@@ -133,15 +130,19 @@ def descend(problem: Problem, poses: Poses, iterations: int) -> tuple[Poses, Ten
     damping = torch.full((len(poses),), _FIRST_DAMPING)
     light = problem.light(poses)
     loss, r, weights = losses(problem, poses, light)
+    focal = float(problem.crops[0].K[0, 0])
     for _ in range(iterations):
-        J = COLUMNS(problem, poses, light).movedim(0, 1)  # [B, P, N]
+        J = _columns(problem, poses, light).movedim(0, 1)  # [B, P, N]
         gradient = torch.einsum("bpn,bn->bp", J, weights * r)
         matrix = (J * weights[:, None]) @ J.transpose(1, 2)
         diagonal = matrix.diagonal(dim1=1, dim2=2)
         diagonal = diagonal.clamp(min=1e-9) + 1e-6 * diagonal.amax(1, keepdim=True)
         damped = matrix + torch.diag_embed(diagonal * damping[:, None])
         step = torch.linalg.solve(damped.double(), -gradient.double()).float()
-        step = step * _shortening(problem, poses, step)
+        motion = _motion(poses, step, focal)
+        if float(motion.max()) < _SHORTEST:
+            break
+        step = step * (_FARTHEST / motion.clamp(min=1e-9)).clamp(max=1.0)[:, None]
         trial = poses.moved(step)
         new_light = problem.light(trial)
         new_loss, new_r, new_weights = losses(problem, trial, new_light)
@@ -155,9 +156,19 @@ def descend(problem: Problem, poses: Poses, iterations: int) -> tuple[Poses, Ten
     return poses, loss
 
 
-def _shortening(problem: Problem, poses: Poses, step: Tensor) -> Tensor:
-    """Compute the factor that keeps the motion in pixels small, [B, 1]."""
-    focal = float(problem.crops[0].K[0, 0])
+def _motion(poses: Poses, step: Tensor, focal: float) -> Tensor:
+    """Bound how far a step moves the object in pixels, [B]."""
     radius = focal * poses.place[:, 2].exp()
-    motion = radius * (step[:, :3].norm(dim=1) + step[:, 5].abs()) + focal * step[:, 3:5].norm(dim=1)
-    return (_FARTHEST / motion.clamp(min=1e-9)).clamp(max=1.0)[:, None]
+    return radius * (step[:, :3].norm(dim=1) + step[:, 5:].abs().sum(1)) + focal * step[:, 3:5].norm(dim=1)
+
+
+@torch.no_grad()
+def covariance(problem: Problem, poses: Poses) -> Tensor:
+    """Estimate the covariance of the steps at the first pose, [P, P], from the residuals' size."""
+    light = problem.light(poses)
+    _, r, weights = losses(problem, poses, light)
+    J = _columns(problem, poses, light)[:, 0]
+    matrix = ((J * weights[0]) @ J.T).double()
+    variance = (weights * r.square()).sum() / max(1, r.numel() - len(J)) + _LEAST_NOISE**2
+    values, vectors = torch.linalg.eigh(matrix / variance)
+    return ((vectors / values.clamp(min=_LEAST_PRECISION)) @ vectors.T).float()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -21,6 +22,7 @@ from .target import Crop
 _NEAR, _FAR = 0.02, 1e4  # clipping planes, in radii of the object
 _CELLS = 96.0  # across the object, of the first grid in which vertices are merged
 _LEAST_FACES, _MOST_FACES = 4_000, 12_000  # of coarse models
+_MOST_ZOOM, _LEAST_DEPTH = 1.5, 1.1  # bounds of the logarithm of a change of focal length, and of depths
 _RIDGE = 1e-3  # of the light's least squares, relative to the mean square of a column
 
 
@@ -47,8 +49,10 @@ class Poses:
     def moved(self, step: Tensor) -> Poses:
         """Change the poses by [B, 6 or 7]: a turn in the camera's space in radians, a change of the place, and zoom."""
         turn = rotations.from_axis_angle(step[:, :3])
-        zoom = self.zoom + step[:, 6:] if step.shape[1] > 6 else self.zoom
-        return Poses(turn @ self.rotation, self.place + step[:, 3:6], zoom)
+        zoom = (self.zoom + step[:, 6:]).clamp(-_MOST_ZOOM, _MOST_ZOOM) if step.shape[1] > 6 else self.zoom
+        place = self.place + step[:, 3:6]
+        nearest = torch.minimum(place[:, 2:], zoom - math.log(_LEAST_DEPTH))
+        return Poses(turn @ self.rotation, torch.cat((place[:, :2], nearest), 1), zoom)
 
     def translation(self) -> Tensor:
         """Compute the place of the origin, [B, 3]."""
@@ -59,19 +63,20 @@ class Poses:
         """Make the cameras of a crop in the world of the object; ``motion`` [3, 4] leads to the camera's space."""
         R = motion[:, :3] @ self.rotation
         t = self.translation() @ motion[:, :3].T + motion[:, 3]
-        scale = torch.cat((self.zoom.exp().expand(-1, 2), torch.ones_like(self.zoom)), 1)
-        K = torch.diag_embed(scale) @ crop.K * _linear() + crop.K * (1 - _linear())
-        return Camera(R, torch.zeros_like(t), t, K=K, orig_size=(crop.size, crop.size))
+        # K takes the place of a viewing angle of 45 degrees, with y up: this way one operator projects the corners.
+        half = crop.size / 2
+        flat = crop.K.new_tensor([[1 / half], [-1 / half], [1]]) * crop.K + crop.K.new_tensor(
+            [[0, 0, -1], [0, 0, 1], [0, 0, 0]]
+        )
+        zoom = torch.cat((self.zoom.exp().expand(-1, 2), torch.ones_like(self.zoom)), 1)
+        rows = flat * zoom[:, None] @ R
+        origin = -(R.transpose(1, 2) @ t[:, :, None])[:, :, 0]
+        return Camera(rows, origin, torch.zeros_like(origin), viewing_angle=45.0)
 
     @staticmethod
     def cat(parts: list[Poses]) -> Poses:
         """Put batches together."""
         return Poses(*(torch.cat([getattr(p, n) for p in parts]) for n in ("rotation", "place", "zoom")))
-
-
-def _linear() -> Tensor:
-    """Tell the entries of K that a change of the focal length scales, [3, 3]."""
-    return torch.tensor([[1.0, 1, 0], [1, 1, 0], [0, 0, 1]])
 
 
 @dataclass(frozen=True, eq=False)
