@@ -23,6 +23,7 @@ _CANDIDATES, _MORE_CANDIDATES = 300, 900  # compared in colour; more where the s
 _REFINED, _COMPARED = 6, 3  # poses that are refined first, and then
 _NEIGHBORS = 0.17  # radians within which candidates count as one
 _OTHER = 0.35  # radians from which a pose is another one
+_MARGINS = 1.25, 1.7  # of crops around masks, and around those of objects that are hidden in part
 _AT_ONCE = 50  # poses compared together, which limits memory
 _LEAST_AGREEMENT = 0.8
 _ALIKE = 1.1, 0.01  # factor and difference of root mean square residuals within which two poses explain the pictures
@@ -134,7 +135,7 @@ def find_pose(
         poses = matched(rough.model, poses, problems[1].crops[0], rough.motions[0])
     costs = torch.cat([losses(rough, poses[i : i + _AT_ONCE])[0] for i in range(0, len(poses), _AT_ONCE)])
     poses = poses[costs.argsort()]
-    poses = poses[torch.tensor(apart(poses, 3 * _REFINED if hidden else _REFINED, _NEIGHBORS))]
+    poses = poses[torch.tensor(apart(poses, 4 * _REFINED if hidden else _REFINED, _NEIGHBORS))]
     found = _refined(problems, poses, _COMPARED)
     return _result(problems[-1], pictures, found, extrinsics)
 
@@ -211,7 +212,7 @@ def _normalized(picture: Picture, scale: float) -> Picture:
 def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -> list[Problem]:
     """Make the problems that are solved one after the other, with crops of growing size."""
     coarse = model.coarse()
-    windows = [one.window() for one in pictures]
+    windows = [one.window(_MARGINS[hidden]) for one in pictures]
     motions = tuple(one.motion for one in pictures)
     result = []
     for size in _SIZES:
@@ -244,7 +245,7 @@ def _color_weight(crops: tuple[Crop, ...]) -> float:
 def _refined(problems: list[Problem], poses: Poses, compared: int) -> tuple[Poses, Tensor]:
     """Refine poses on growing crops; return the best ones that differ, and their losses at the last size but one."""
     _, small, middle, large = problems
-    poses, loss = descend(small, poses, 5)
+    poses, loss = descend(small, poses, 8 if small.seen == "part" else 5)
     poses = poses[loss.argsort()]
     poses = poses[torch.tensor(apart(poses, compared, _OTHER))]
     poses, loss = descend(middle, poses, 6)

@@ -24,8 +24,8 @@ _RADII, _ANGLES = 20, 72  # of the polar grids
 _REACH = 2.6  # outer radius of a polar grid, in root mean square distances of the silhouette from its centroid
 _AT_ONCE = 256  # poses drawn together
 _ALL_SIDES, _FEWER_SIDES = 3, 2  # subdivisions of an icosahedron whose vertices are the directions
-_SIZES = (1.0, 1.2, 1.44, 1.73)  # of a silhouette that is hidden in part, relative to what is visible
-_SHIFTS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of its centre, relative to the visible part's size
+_SIZES = (1.0, 1.15, 1.32, 1.52, 1.75)  # of a silhouette that is hidden in part, relative to what is visible
+_SHIFTS = (-1.05, -0.7, -0.35, 0.0, 0.35, 0.7, 1.05)  # of its centre, relative to the visible part's size
 _COVERING = 0.35  # cost of covering a pixel beside the visible part, if parts may be hidden
 
 
@@ -102,14 +102,16 @@ def search(model: Model, crop: Crop, count: int, hidden: bool) -> Poses:
     first = Templates.of(model, views[::5], 0.55 * focal / float(spread))  # at the distance of an object of usual shape
     size = float(first.spreads.mean()) / first.focal
     if hidden:
-        size /= _SIZES[1]
+        size /= _SIZES[2]
     drawn = Templates.of(model, views, first.depth * size * focal / float(spread))
     if hidden:
         shifts = torch.cartesian_prod(torch.tensor(_SHIFTS), torch.tensor(_SHIFTS), torch.tensor(_SIZES))
         center, spread = center + spread[:, None] * shifts[:, :2], spread * shifts[:, 2]
-    scores = _scores(crop.mask, center, spread, drawn, hidden)
-    best = scores.flatten().topk(min(count, scores.numel())).indices
-    row, view, turn = best // (_ANGLES * len(views)), best // _ANGLES % len(views), best % _ANGLES
+    scores, rows = _scores(crop.mask, center, spread, drawn, hidden).max(0)  # the best place for each rotation
+    around = torch.cat((scores[:, -1:], scores, scores[:, :1]), 1)
+    peaks = torch.where(scores >= F.max_pool1d(around, 3, 1), scores, -math.inf)
+    best = peaks.flatten().topk(min(count, peaks.numel())).indices
+    view, turn, row = best // _ANGLES, best % _ANGLES, rows.flatten()[best]
     return _placed(crop, drawn, view, turn * (2 * math.pi / _ANGLES), center[row], spread[row])
 
 

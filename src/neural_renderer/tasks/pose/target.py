@@ -11,8 +11,6 @@ from torch import Tensor
 
 from ...camera import Camera
 
-_MARGIN = 1.25  # side of a crop, relative to that of the mask
-
 
 @dataclass(frozen=True, eq=False)
 class Crop:
@@ -64,15 +62,18 @@ class Picture:
                 return image.shape[-2], image.shape[-1]
         raise ValueError("mask: expected a mask, a photo or depth, got none")
 
-    def window(self) -> tuple[float, float, float]:
-        """Find the square that holds the object: its centre in pixels, x and y, and its side."""
+    def window(self, margin: float) -> tuple[float, float, float]:
+        """Find the square that holds the object: its centre in pixels, x and y, and its side.
+
+        ``margin`` is the side relative to that of the mask.
+        """
         height, width = self.shape
         seen = self.mask
         if seen is None:
             return width / 2, height / 2, float(max(height, width))
         rows, columns = (torch.nonzero(seen.amax(axis) > 0.5).flatten() for axis in (1, 0))
         top, bottom, left, right = (float(v) for v in (rows[0], rows[-1] + 1, columns[0], columns[-1] + 1))
-        return (left + right) / 2, (top + bottom) / 2, _MARGIN * max(bottom - top, right - left) + 2
+        return (left + right) / 2, (top + bottom) / 2, margin * max(bottom - top, right - left) + 2
 
     def crop(self, window: tuple[float, float, float], size: int) -> Crop:
         """Cut out a square and reduce it to about this side in pixels; it is not enlarged."""
