@@ -247,6 +247,9 @@ def _refined(problems: list[Problem], poses: Poses, compared: int) -> tuple[Pose
     _, small, middle, large = problems
     poses, loss = descend(small, poses, 8 if small.seen == "part" else 5)
     poses = poses[loss.argsort()]
+    if small.seen == "part" and len(poses) > _REFINED:  # these start farther away
+        poses, loss = descend(small, poses[:_REFINED], 12)
+        poses = poses[loss.argsort()]
     poses = poses[torch.tensor(apart(poses, compared, _OTHER))]
     poses, loss = descend(middle, poses, 6)
     order = loss.argsort()
